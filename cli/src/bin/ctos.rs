@@ -1,0 +1,2 @@
+//! The ctos command.
+fn main() {}

@@ -1,0 +1,1 @@
+//! The Coordination Level: nets, the functions they name, the data object manager

@@ -1,0 +1,398 @@
+//! What is wrong in a file a person wrote, and where: findings with file, line and column.
+//!
+//! Every parser and checker of the workspace (configuration, nets, position files) reports through
+//! [`Findings`], so that one run of `ctos check` shows all of them, in order of place, in one form.
+
+use std::{fmt, ops::Range, path::Path, sync::Arc};
+
+/// A text that findings point into, with the name a person knows it by (its path as given).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Source {
+    name: Arc<str>,
+    text: Arc<str>,
+}
+
+impl Source {
+    /// A source called `name` that holds `text`.
+    #[must_use]
+    pub fn new(name: impl Into<Arc<str>>, text: impl Into<Arc<str>>) -> Self {
+        Self {
+            name: name.into(),
+            text: text.into(),
+        }
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// A finding that names the file when it cannot be read or is not UTF-8.
+    pub fn read(path: &Path) -> Result<Self, Finding> {
+        let name = path.display().to_string();
+        match std::fs::read(path) {
+            Ok(bytes) => match String::from_utf8(bytes) {
+                Ok(text) => Ok(Self::new(name, text)),
+                Err(error) => Err(Finding::error(
+                    "ctos::file::not_text",
+                    format!(
+                        "`{name}` is not UTF-8 text (byte {})",
+                        error.utf8_error().valid_up_to()
+                    ),
+                )),
+            },
+            Err(error) => Err(Finding::error(
+                "ctos::file::unreadable",
+                format!("cannot read `{name}`: {error}"),
+            )
+            .help("check the path; it is taken relative to the file that names it")),
+        }
+    }
+
+    /// The name given at creation, usually a path.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The whole text.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Line and column of a byte offset, both counted from 1, columns in characters.
+    #[must_use]
+    pub fn line_column(&self, offset: usize) -> (usize, usize) {
+        let mut end = offset.min(self.text.len());
+        while !self.text.is_char_boundary(end) {
+            end -= 1;
+        }
+        let before = &self.text[..end];
+        let line = before.bytes().filter(|byte| *byte == b'\n').count() + 1;
+        let start = before.rfind('\n').map_or(0, |at| at + 1);
+        (line, before[start..].chars().count() + 1)
+    }
+
+    /// A place in this source.
+    #[must_use]
+    pub fn at(&self, range: Range<usize>) -> Place {
+        Place {
+            source: self.clone(),
+            range,
+        }
+    }
+
+    /// The place of a whole line, counted from 1.
+    #[must_use]
+    pub fn at_line(&self, line: usize) -> Place {
+        let mut start = 0;
+        for (index, text) in self.text.split('\n').enumerate() {
+            if index + 1 == line {
+                return self.at(start..start + text.trim_end().len());
+            }
+            start += text.len() + 1;
+        }
+        self.at(self.text.len()..self.text.len())
+    }
+}
+
+/// A byte range of a [`Source`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Place {
+    /// The text pointed into.
+    pub source: Source,
+    /// Byte offsets, end excluded.
+    pub range: Range<usize>,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (line, column) = self.source.line_column(self.range.start);
+        write!(f, "{}:{line}:{column}", self.source.name())
+    }
+}
+
+/// How bad a finding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Severity {
+    /// Worth knowing; nothing stops.
+    Warning,
+    /// The app must not start.
+    Error,
+}
+
+/// One thing wrong: what, where, and what to do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// Stable code, for example `ctos::config::unknown_handler`.
+    pub code: &'static str,
+    /// How bad it is.
+    pub severity: Severity,
+    /// What is wrong: a lowercase fragment that reads well after "error: ".
+    pub message: String,
+    /// Where, when it is in a file.
+    pub place: Option<Place>,
+    /// What to say at the place itself; empty for "here".
+    pub label: String,
+    /// What to do about it.
+    pub help: Option<String>,
+}
+
+impl Finding {
+    /// An error.
+    #[must_use]
+    pub fn error(code: &'static str, message: impl Into<String>) -> Self {
+        Self {
+            code,
+            severity: Severity::Error,
+            message: message.into(),
+            place: None,
+            label: String::new(),
+            help: None,
+        }
+    }
+
+    /// A warning.
+    #[must_use]
+    pub fn warning(code: &'static str, message: impl Into<String>) -> Self {
+        Self {
+            severity: Severity::Warning,
+            ..Self::error(code, message)
+        }
+    }
+
+    /// Adds where it is.
+    #[must_use]
+    pub fn at(mut self, place: Place) -> Self {
+        self.place = Some(place);
+        self
+    }
+
+    /// Adds the words shown at the place.
+    #[must_use]
+    pub fn label(mut self, label: impl Into<String>) -> Self {
+        self.label = label.into();
+        self
+    }
+
+    /// Adds what to do.
+    #[must_use]
+    pub fn help(mut self, help: impl Into<String>) -> Self {
+        self.help = Some(help.into());
+        self
+    }
+
+    /// Adds "did you mean `x`?" when one of `known` is close to `given`, else lists what is known.
+    #[must_use]
+    pub fn suggest<'a>(self, given: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
+        let known: Vec<&str> = known.into_iter().collect();
+        let best = known
+            .iter()
+            .map(|name| (strsim::damerau_levenshtein(given, name), *name))
+            .min();
+        match best {
+            Some((distance, name)) if distance <= 1 + given.chars().count() / 3 => {
+                self.help(format!("did you mean `{name}`?"))
+            }
+            Some(_) => {
+                let mut names = known;
+                names.sort_unstable();
+                self.help(format!("known here: {}", names.join(", ")))
+            }
+            None => self,
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    /// One line, `file:line:column: error: message (help)`, for logs and for replies.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(place) = &self.place {
+            write!(f, "{place}: ")?;
+        }
+        let kind = match self.severity {
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+        };
+        write!(f, "{kind}: {}", self.message)?;
+        if let Some(help) = &self.help {
+            write!(f, " ({help})")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Finding {}
+
+impl miette::Diagnostic for Finding {
+    fn code<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
+        Some(Box::new(self.code))
+    }
+
+    fn severity(&self) -> Option<miette::Severity> {
+        Some(match self.severity {
+            Severity::Warning => miette::Severity::Warning,
+            Severity::Error => miette::Severity::Error,
+        })
+    }
+
+    fn help<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
+        self.help
+            .as_ref()
+            .map(|help| Box::new(help) as Box<dyn fmt::Display>)
+    }
+
+    fn source_code(&self) -> Option<&dyn miette::SourceCode> {
+        self.place
+            .as_ref()
+            .map(|place| &place.source as &dyn miette::SourceCode)
+    }
+
+    fn labels(&self) -> Option<Box<dyn Iterator<Item = miette::LabeledSpan> + '_>> {
+        let place = self.place.as_ref()?;
+        let label = if self.label.is_empty() {
+            "here".to_owned()
+        } else {
+            self.label.clone()
+        };
+        let length = place.range.len().max(1);
+        let span = miette::LabeledSpan::new(Some(label), place.range.start, length);
+        Some(Box::new(std::iter::once(span)))
+    }
+}
+
+impl miette::SourceCode for Source {
+    fn read_span<'a>(
+        &'a self,
+        span: &miette::SourceSpan,
+        before: usize,
+        after: usize,
+    ) -> Result<Box<dyn miette::SpanContents<'a> + 'a>, miette::MietteError> {
+        let inner = self.text.as_ref().read_span(span, before, after)?;
+        Ok(Box::new(miette::MietteSpanContents::new_named(
+            self.name.to_string(),
+            inner.data(),
+            *inner.span(),
+            inner.line(),
+            inner.column(),
+            inner.line_count(),
+        )))
+    }
+}
+
+/// All findings of one look at an app.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Findings {
+    list: Vec<Finding>,
+}
+
+impl Findings {
+    /// None yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds one.
+    pub fn push(&mut self, finding: Finding) {
+        self.list.push(finding);
+    }
+
+    /// Adds all of another list.
+    pub fn extend(&mut self, other: Self) {
+        self.list.extend(other.list);
+    }
+
+    /// Keeps the value of a result and adds its finding.
+    pub fn keep<T>(&mut self, result: Result<T, Finding>) -> Option<T> {
+        match result {
+            Ok(value) => Some(value),
+            Err(finding) => {
+                self.push(finding);
+                None
+            }
+        }
+    }
+
+    /// Whether nothing at all was found.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// Whether one of them is an error.
+    #[must_use]
+    pub fn has_errors(&self) -> bool {
+        self.list
+            .iter()
+            .any(|finding| finding.severity == Severity::Error)
+    }
+
+    /// The findings, sorted by file and place.
+    #[must_use]
+    pub fn into_sorted(mut self) -> Vec<Finding> {
+        self.list.sort_by_key(|finding| {
+            finding
+                .place
+                .as_ref()
+                .map(|place| (place.source.name.clone(), place.range.start))
+        });
+        self.list
+    }
+
+    /// The findings, in the order in which they were made.
+    pub fn iter(&self) -> impl Iterator<Item = &Finding> {
+        self.list.iter()
+    }
+}
+
+impl From<Finding> for Findings {
+    fn from(finding: Finding) -> Self {
+        Self {
+            list: vec![finding],
+        }
+    }
+}
+
+impl fmt::Display for Findings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, finding) in self.list.iter().enumerate() {
+            if index > 0 {
+                writeln!(f)?;
+            }
+            write!(f, "{finding}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Findings {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_shown_as_file_line_and_column_counted_in_characters() {
+        let source = Source::new("a.toml", "x = 1\nä = 2\n");
+        let offset = source.text().find("= 2").unwrap();
+        assert_eq!(source.at(offset..offset + 1).to_string(), "a.toml:2:3");
+    }
+
+    #[test]
+    fn a_close_name_is_suggested_and_a_far_one_lists_what_is_known() {
+        let close = Finding::error("t", "unknown").suggest("camrea", ["camera", "arm"]);
+        assert_eq!(close.help.as_deref(), Some("did you mean `camera`?"));
+        let far = Finding::error("t", "unknown").suggest("zzz", ["camera", "arm"]);
+        assert_eq!(far.help.as_deref(), Some("known here: arm, camera"));
+    }
+
+    #[test]
+    fn findings_come_sorted_by_place() {
+        let source = Source::new("a", "one two");
+        let mut findings = Findings::new();
+        findings.push(Finding::error("t", "second").at(source.at(4..7)));
+        findings.push(Finding::warning("t", "first").at(source.at(0..3)));
+        let sorted = findings.into_sorted();
+        assert_eq!(sorted[0].message, "first");
+    }
+}

@@ -1,0 +1,3 @@
+//! Event handler tasks found by symbolic name, messages, boot, time: the runtime
+
+pub mod diagnostic;

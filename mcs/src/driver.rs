@@ -1,0 +1,62 @@
+//! The testbed interface layer: channel drivers that present every joint and sensor as a slot.
+//!
+//! A channel driver hides hardware (or its simulated stand-in) behind [`ChannelDriver`]. Upper layers
+//! see slots only: a position read back and a torque command per joint, whatever drives it
+//! (CIRSSE report 108, section 4). This module names no simulator.
+
+use std::time::Duration;
+
+/// What one slot reported at the last [`ChannelDriver::read`].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SlotReading {
+    /// Joint position, rad (m for a linear axis).
+    pub position: f64,
+    /// Joint velocity, rad/s (m/s).
+    pub velocity: f64,
+}
+
+/// The three physical states of the manipulator (report 108, section 4, end of the state manager).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Power {
+    /// Power off: cold, reserved and estopped states. Brakes hold.
+    #[default]
+    Off,
+    /// Power on, brakes on: active state.
+    Braked,
+    /// Power on, brakes off: motion state. Only now do torque commands move anything.
+    Released,
+}
+
+/// Why a driver cannot go on.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DriverError {
+    /// The hardware (or its stand-in) reports a fault.
+    #[error("channel driver `{driver}`: {reason}")]
+    Fault {
+        /// The driver's name in the configuration.
+        driver: String,
+        /// What it says.
+        reason: String,
+    },
+}
+
+/// Hardware behind a run of slots. Called by the servo only, once per period, in the order
+/// [`read`](Self::read), [`write`](Self::write). Neither call may allocate, lock or wait.
+pub trait ChannelDriver: Send {
+    /// Number of slots.
+    fn slots(&self) -> usize;
+
+    /// Reads every slot into `readings` (length [`slots`](Self::slots)).
+    ///
+    /// # Errors
+    /// A driver fault; the servo then stops the arm.
+    fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError>;
+
+    /// Applies one torque per slot, N m (N for a linear axis), held until the next write. The
+    /// stand-in advances its world by `period` here.
+    ///
+    /// # Errors
+    /// A driver fault; the servo then stops the arm.
+    fn write(&mut self, torques: &[f64], power: Power, period: Duration)
+    -> Result<(), DriverError>;
+}

@@ -1,0 +1,3 @@
+//! Motion Control System: slots, control laws, planning, state manager, client interface
+
+pub mod driver;

@@ -1,0 +1,1 @@
+//! Petri net transducers: text form, execution, analysis

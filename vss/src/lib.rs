@@ -1,0 +1,3 @@
+//! Vision Services System: Vision Modules, managers, Tools, Services, calibration
+
+pub mod frame;
