@@ -105,12 +105,10 @@ async fn create_one(
     config: &TaskConfig,
     slots: &mut [u16],
 ) -> Result<Tid, String> {
-    let kind = chassis.registry.kind(&config.handler).ok_or_else(|| {
-        format!(
-            "nobody registered the event handler `{}`",
-            config.handler
-        )
-    })?;
+    let kind = chassis
+        .registry
+        .kind(&config.handler)
+        .ok_or_else(|| format!("nobody registered the event handler `{}`", config.handler))?;
     let (index, processor) = chassis
         .processors
         .iter()

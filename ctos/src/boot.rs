@@ -3,14 +3,7 @@
 mod child;
 mod parent;
 
-use std::{
-    ffi::OsString,
-    path::PathBuf,
-    rc::Rc,
-    sync::Arc,
-    thread::JoinHandle,
-};
-
+use std::{ffi::OsString, path::PathBuf, rc::Rc, sync::Arc, thread::JoinHandle};
 
 use crate::{
     agent::{self, Agent},
@@ -117,13 +110,32 @@ pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, en
     let end = end.clone();
     system.inject(move |processor| {
         let agent_tid = system::agent_tid(home.index());
-        start(&home, processor, "agent", agent_tid, &agent::COMMANDS, |_| Agent::default());
+        start(
+            &home,
+            processor,
+            "agent",
+            agent_tid,
+            &agent::COMMANDS,
+            |_| Agent::default(),
+        );
         if home.index() == 0 {
-            start(&home, processor, "tidsvr", system::TID_SERVER, &names::COMMANDS, |_| {
-                TidServer::default()
-            });
+            start(
+                &home,
+                processor,
+                "tidsvr",
+                system::TID_SERVER,
+                &names::COMMANDS,
+                |_| TidServer::default(),
+            );
             let build = move |_: &Context| Bootstrap::new(observer.clone(), end.clone());
-            start(&home, processor, "bootstrap", system::BOOTSTRAP, &bootstrap::COMMANDS, build);
+            start(
+                &home,
+                processor,
+                "bootstrap",
+                system::BOOTSTRAP,
+                &bootstrap::COMMANDS,
+                build,
+            );
         }
     });
 }
@@ -195,14 +207,16 @@ fn prepare_thread(config: &ProcessorConfig) {
         let policy = thread_priority::ThreadSchedulePolicy::Realtime(
             thread_priority::RealtimeThreadSchedulePolicy::Fifo,
         );
-        let result = wanted.map_err(|error| error.to_string()).and_then(|wanted| {
-            thread_priority::set_thread_priority_and_policy(
-                thread_priority::thread_native_id(),
-                wanted,
-                policy,
-            )
-            .map_err(|error| format!("{error:?}"))
-        });
+        let result = wanted
+            .map_err(|error| error.to_string())
+            .and_then(|wanted| {
+                thread_priority::set_thread_priority_and_policy(
+                    thread_priority::thread_native_id(),
+                    wanted,
+                    policy,
+                )
+                .map_err(|error| format!("{error:?}"))
+            });
         match result {
             Ok(()) => tracing::debug!(processor = %config.name, priority, "real-time"),
             Err(error) => {
@@ -211,4 +225,3 @@ fn prepare_thread(config: &ProcessorConfig) {
         }
     }
 }
-

@@ -375,11 +375,13 @@ impl Sequence {
         };
         let limit = self.cx.app().stop_timeout;
         let call = self.cx.call(&reference, request).deadline(limit);
-        let interrupted = async {
-            while next_end(&self.events, &self.signal).await != End::Interrupted {}
-        };
-        let error = match select(std::pin::pin!(call.into_future()), std::pin::pin!(interrupted))
-            .await
+        let interrupted =
+            async { while next_end(&self.events, &self.signal).await != End::Interrupted {} };
+        let error = match select(
+            std::pin::pin!(call.into_future()),
+            std::pin::pin!(interrupted),
+        )
+        .await
         {
             Either::Left((Ok(()), _)) => None,
             Either::Left((Err(error), _)) => Some(error.reason()),

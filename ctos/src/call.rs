@@ -107,7 +107,10 @@ impl fmt::Display for CallError {
             fault,
         } = self;
         match fault {
-            Fault::UnknownTask => write!(f, "`{to}`, asked by `{from}` for `{command}`, is not running"),
+            Fault::UnknownTask => write!(
+                f,
+                "`{to}`, asked by `{from}` for `{command}`, is not running"
+            ),
             Fault::Full { capacity } => write!(
                 f,
                 "the queue of `{to}` is full ({capacity} messages), so `{command}` from `{from}` was not taken; give it a larger `queue` or send less"
@@ -127,7 +130,10 @@ impl fmt::Display for CallError {
                 takes.join(", ")
             ),
             Fault::BadPayload { text } => {
-                write!(f, "`{to}` cannot read the data of `{command}` from `{from}`: {text}")
+                write!(
+                    f,
+                    "`{to}` cannot read the data of `{command}` from `{from}`: {text}"
+                )
             }
             Fault::Refused { text } => {
                 write!(f, "`{to}` refused `{command}` from `{from}`: {text}")
@@ -141,7 +147,10 @@ impl fmt::Display for CallError {
                 "the handler of `{to}` panicked at `{command}` from `{from}`: {text}"
             ),
             Fault::Stopping => {
-                write!(f, "`{to}` is being stopped and took no `{command}` from `{from}`")
+                write!(
+                    f,
+                    "`{to}` is being stopped and took no `{command}` from `{from}`"
+                )
             }
         }
     }

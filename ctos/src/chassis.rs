@@ -27,11 +27,6 @@ pub const BOOT_CHASSIS: &str = "boot";
 /// How many calls may wait before those that nobody waits for are swept out.
 const PENDING_SWEEP: usize = 256;
 
-struct TaskEntry {
-    name: Arc<str>,
-    mailbox: Arc<Mailbox>,
-}
-
 struct Pending {
     promise: Arc<Promise>,
     peer: u8,
@@ -44,6 +39,8 @@ struct Links {
     next_call: u64,
 }
 
+type OnExit = Box<dyn FnOnce(i32) + Send>;
+
 /// One process's share of an app. Shared by its threads.
 pub struct Chassis {
     index: u8,
@@ -53,11 +50,11 @@ pub struct Chassis {
     pub(crate) registry: Arc<Registry>,
     /// Processor 0 belongs to the runtime; the configured ones follow.
     pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<BTreeMap<Tid, TaskEntry>>,
+    tasks: RwLock<BTreeMap<Tid, Arc<Mailbox>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) known: Mutex<BTreeMap<String, Tid>>,
-    on_exit: Mutex<Option<Box<dyn FnOnce(i32) + Send>>>,
+    on_exit: Mutex<Option<OnExit>>,
 }
 
 /// What the sender of a message waits for.
@@ -73,7 +70,6 @@ pub(crate) enum WaitFor {
 pub(crate) struct Envelope {
     pub(crate) to: Tid,
     pub(crate) from: Tid,
-    pub(crate) sender: Option<Arc<str>>,
     pub(crate) command: u16,
     pub(crate) flags: Flags,
     pub(crate) data: Data,
@@ -100,7 +96,11 @@ impl Chassis {
         clock: Clock,
     ) -> Arc<Self> {
         let mut names: Vec<Arc<str>> = vec![BOOT_CHASSIS.into()];
-        names.extend(app.chassis.iter().map(|chassis| chassis.name.as_str().into()));
+        names.extend(
+            app.chassis
+                .iter()
+                .map(|chassis| chassis.name.as_str().into()),
+        );
         let configured = usize::from(index)
             .checked_sub(1)
             .and_then(|place| app.chassis.get(place));
@@ -152,15 +152,6 @@ impl Chassis {
             .filter(|index| *index != self.index)
     }
 
-    /// The symbolic name of a task of this chassis.
-    pub(crate) fn local_name(&self, tid: Tid) -> Option<Arc<str>> {
-        self.tasks
-            .read()
-            .unwrap_or_else(PoisonError::into_inner)
-            .get(&tid)
-            .map(|entry| entry.name.clone())
-    }
-
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
         lock(&self.shared).insert(key.to_owned(), value);
@@ -172,11 +163,11 @@ impl Chassis {
         lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
     }
 
-    pub(crate) fn add_task(&self, tid: Tid, name: Arc<str>, mailbox: Arc<Mailbox>) {
+    pub(crate) fn add_task(&self, tid: Tid, mailbox: Arc<Mailbox>) {
         self.tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .insert(tid, TaskEntry { name, mailbox });
+            .insert(tid, mailbox);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
@@ -187,7 +178,7 @@ impl Chassis {
             .unwrap_or_else(PoisonError::into_inner)
             .remove(&tid);
         if let Some(entry) = entry {
-            entry.mailbox.close();
+            entry.close();
         }
     }
 
@@ -196,7 +187,7 @@ impl Chassis {
             .read()
             .unwrap_or_else(PoisonError::into_inner)
             .get(&tid)
-            .map(|entry| entry.mailbox.clone())
+            .cloned()
     }
 
     /// Sends; the returned future ends with what `wait` names, or with a fault.
@@ -220,17 +211,12 @@ impl Chassis {
                 Some(ReplySlot::local(promise.clone())),
                 Acceptance::Silent,
             ),
-            WaitFor::Acceptance => (
-                Flags::ACCEPT_WAIT,
-                None,
-                Acceptance::Local(promise.clone()),
-            ),
+            WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Local(promise.clone())),
         };
         let message = Message {
             header: envelope.header(flag, 0),
             data: envelope.data,
             reply,
-            sender: envelope.sender,
         };
         mailbox.put(message, acceptance);
     }
@@ -284,7 +270,6 @@ impl Chassis {
             header: envelope.header(Flags::NONE, 0),
             data: envelope.data,
             reply: None,
-            sender: envelope.sender,
         })
     }
 
@@ -294,7 +279,6 @@ impl Chassis {
         let envelope = Envelope {
             to,
             from: system::agent_tid(self.index),
-            sender: None,
             command: C::CODE,
             flags: Flags::HIGH_PRIORITY,
             data: Data::of(request),
@@ -376,7 +360,6 @@ impl Chassis {
             header,
             data: Data::Bytes(body),
             reply,
-            sender: None,
         };
         mailbox.put(message, acceptance);
     }

@@ -180,7 +180,6 @@ impl Context {
 
     /// Asks a task and waits for its reply. Ends with the reply or an error, always: 10 s after the
     /// call at the latest, unless [`Call::deadline`] or the task's `call_deadline_s` says otherwise.
-    #[must_use]
     pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
         let deadline = self
             .inner
@@ -198,7 +197,6 @@ impl Context {
     }
 
     /// Sends a message that needs no reply, and waits until the receiver's queue has taken it.
-    #[must_use]
     pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Send<C> {
         Send {
             call: self.call(to, request),
@@ -277,7 +275,6 @@ impl Context {
         Envelope {
             to: to.tid,
             from: self.inner.tid,
-            sender: Some(self.inner.name.clone()),
             command,
             flags,
             data,
@@ -353,10 +350,7 @@ impl Context {
     pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
         let cx = self.clone();
         let on_panic = move |text: String| cx.fail(&format!("a child panicked: {text}"));
-        let id = self
-            .inner
-            .processor
-            .spawn(future, Some(Rc::new(on_panic)));
+        let id = self.inner.processor.spawn(future, Some(Rc::new(on_panic)));
         self.inner.children.borrow_mut().push(id);
     }
 
@@ -553,4 +547,3 @@ impl<C: Command> IntoFuture for Send<C> {
         Box::pin(self.run())
     }
 }
-

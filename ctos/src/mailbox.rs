@@ -109,8 +109,7 @@ impl Mailbox {
             if lanes.closed {
                 return Err(Fault::Stopping);
             }
-            if lanes.urgent.len() + lanes.normal.len() >= self.capacity
-                || !lanes.waiting.is_empty()
+            if lanes.urgent.len() + lanes.normal.len() >= self.capacity || !lanes.waiting.is_empty()
             {
                 return Err(Fault::Full {
                     capacity: self.capacity,
@@ -230,7 +229,6 @@ mod tests {
             },
             data: Data::of(number),
             reply: None,
-            sender: None,
         }
     }
 
@@ -267,10 +265,7 @@ mod tests {
         let mailbox = Mailbox::new(1);
         mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
         let promise = Arc::new(Promise::default());
-        mailbox.put(
-            message(2, Flags::NONE),
-            Acceptance::Local(promise.clone()),
-        );
+        mailbox.put(message(2, Flags::NONE), Acceptance::Local(promise.clone()));
         mailbox.close();
         let answer = Waiting(promise).now_or_never().unwrap();
         assert_eq!(answer.unwrap_err(), Fault::Stopping);

@@ -4,7 +4,7 @@
 //! typed pointer and is never encoded; between chassis it is postcard behind the header. A receiver
 //! cannot tell the difference: [`Message::open`] yields the typed request either way.
 
-use std::{any::Any, fmt, sync::Arc};
+use std::{any::Any, fmt};
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -145,7 +145,24 @@ impl Header {
     /// Reads 16 bytes.
     #[must_use]
     pub fn decode(bytes: &[u8; Self::BYTES]) -> Self {
-        let [t0, t1, t2, t3, f0, f1, f2, f3, c0, c1, g0, g1, s0, s1, s2, s3] = *bytes;
+        let [
+            t0,
+            t1,
+            t2,
+            t3,
+            f0,
+            f1,
+            f2,
+            f3,
+            c0,
+            c1,
+            g0,
+            g1,
+            s0,
+            s1,
+            s2,
+            s3,
+        ] = *bytes;
         Self {
             to: Tid::from_bits(u32::from_le_bytes([t0, t1, t2, t3])),
             from: Tid::from_bits(u32::from_le_bytes([f0, f1, f2, f3])),
@@ -335,8 +352,6 @@ pub struct Message {
     pub(crate) header: Header,
     pub(crate) data: Data,
     pub(crate) reply: Option<ReplySlot>,
-    /// The sender's symbolic name, where it is known without asking.
-    pub(crate) sender: Option<Arc<str>>,
 }
 
 impl Message {

@@ -149,12 +149,7 @@ impl Registry {
     ///
     /// # Errors
     /// A finding without a place when the task or its command is unknown.
-    pub fn command_of(
-        &self,
-        app: &App,
-        task: &str,
-        command: &str,
-    ) -> Result<CommandInfo, Finding> {
+    pub fn command_of(&self, app: &App, task: &str, command: &str) -> Result<CommandInfo, Finding> {
         let Some(config) = app.task(task) else {
             let names = app.tasks.iter().map(|task| task.name.as_str());
             return Err(Finding::error(

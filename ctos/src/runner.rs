@@ -53,13 +53,16 @@ pub(crate) fn start_task(
     processor: &Rc<Processor>,
     spec: TaskSpec,
 ) -> Result<(), HandlerError> {
-    let capacity = spec.config.as_ref().map_or(SYSTEM_QUEUE, |config| config.queue);
+    let capacity = spec
+        .config
+        .as_ref()
+        .map_or(SYSTEM_QUEUE, |config| config.queue);
     let restart = spec
         .config
         .as_ref()
         .map_or(Restart::Never, |config| config.restart);
     let cx = Context::new(
-        spec.name.clone(),
+        spec.name,
         spec.tid,
         chassis.clone(),
         processor.clone(),
@@ -68,7 +71,7 @@ pub(crate) fn start_task(
     );
     let handler = build_contained(&spec.build, &cx)?;
     let mailbox = Arc::new(Mailbox::new(capacity));
-    chassis.add_task(spec.tid, spec.name, mailbox.clone());
+    chassis.add_task(spec.tid, mailbox.clone());
     let runner = Runner {
         cx,
         mailbox,

@@ -107,7 +107,10 @@ impl Simulation {
 
     /// Polls one of the futures that are ready, drawn from the seed.
     fn poll_one(&mut self) -> bool {
-        let counts = self.processors.iter().map(|processor| processor.ready_count());
+        let counts = self
+            .processors
+            .iter()
+            .map(|processor| processor.ready_count());
         let total: usize = counts.clone().sum();
         if total == 0 {
             return false;

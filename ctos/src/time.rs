@@ -119,9 +119,7 @@ impl Clock {
     #[must_use]
     pub fn now(&self) -> Instant {
         match &self.source {
-            ClockSource::Real { origin_ns } => {
-                Instant(monotonic_ns().saturating_sub(*origin_ns))
-            }
+            ClockSource::Real { origin_ns } => Instant(monotonic_ns().saturating_sub(*origin_ns)),
             ClockSource::Virtual { now_ns } => Instant(now_ns.load(Ordering::Acquire)),
         }
     }

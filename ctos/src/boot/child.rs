@@ -33,7 +33,9 @@ pub enum ChildError {
         reason: String,
     },
     /// Its address is taken.
-    #[error("cannot listen on {address}: {reason}; another program uses the port: choose another `listen`, or leave it out for a free one")]
+    #[error(
+        "cannot listen on {address}: {reason}; another program uses the port: choose another `listen`, or leave it out for a free one"
+    )]
     Listen {
         /// The address of the configuration.
         address: SocketAddr,
@@ -65,12 +67,7 @@ pub fn run_chassis(
         .and_then(|position| u8::try_from(position + 1).ok())
         .ok_or_else(|| ChildError::Unknown(name.to_owned()))?;
     let token = Token(std::env::var(super::TOKEN_VARIABLE).unwrap_or_default());
-    let chassis = Chassis::new(
-        index,
-        app,
-        Arc::new(registry),
-        Clock::real_from(origin_ns),
-    );
+    let chassis = Chassis::new(index, app, Arc::new(registry), Clock::real_from(origin_ns));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
@@ -143,7 +140,12 @@ async fn connect(
     told.map_err(|error| failed("the boot", error))?;
     let peers = match parent.hear().await {
         Ok(Handshake::Peers(peers)) => peers,
-        Ok(other) => return Err(failed("the boot", HandshakeError::Unexpected(Box::new(other)))),
+        Ok(other) => {
+            return Err(failed(
+                "the boot",
+                HandshakeError::Unexpected(Box::new(other)),
+            ));
+        }
         Err(error) => return Err(failed("the boot", error)),
     };
     let mut connections = BTreeMap::new();
@@ -174,7 +176,12 @@ async fn connect(
     told.map_err(|error| failed("the boot", error))?;
     match parent.hear().await {
         Ok(Handshake::Go) => {}
-        Ok(other) => return Err(failed("the boot", HandshakeError::Unexpected(Box::new(other)))),
+        Ok(other) => {
+            return Err(failed(
+                "the boot",
+                HandshakeError::Unexpected(Box::new(other)),
+            ));
+        }
         Err(error) => return Err(failed("the boot", error)),
     }
     connections.insert(0, parent);

@@ -90,7 +90,10 @@ impl Link for SimulatedLink {
         let spread = Duration::from_nanos(state.rng.random_range(0..DELAY_SPREAD_NS));
         let wanted = self.network.clock.now() + DELAY_MIN + spread;
         let direction = (self.from, self.to);
-        let arrival = state.last.get(&direction).map_or(wanted, |last| wanted.max(*last));
+        let arrival = state
+            .last
+            .get(&direction)
+            .map_or(wanted, |last| wanted.max(*last));
         state.last.insert(direction, arrival);
         let number = state.next;
         state.next += 1;
