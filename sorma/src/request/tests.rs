@@ -13,7 +13,19 @@ fn any_body() -> impl Strategy<Value = Transport> {
         any::<String>(),
         prop::collection::vec(word, 0..8).prop_map(|words| words.concat()),
     ];
-    let float = prop_oneof![any::<f64>(), any::<u64>().prop_map(f64::from_bits)];
+    let float = prop_oneof![
+        any::<u64>().prop_map(f64::from_bits),
+        // Every NaN: all bits of the exponent set.
+        any::<u64>().prop_map(|bits| f64::from_bits(bits | 0x7ff0_0000_0000_0000)),
+        prop::sample::select(vec![
+            0.0,
+            -0.0,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            5e-324,
+            f64::MAX
+        ]),
+    ];
     let parts = (
         text,
         prop::collection::vec(float, 0..5),
