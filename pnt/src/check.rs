@@ -49,6 +49,7 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
             findings.push(
                 finding
                     .at(at.clone())
+                    .help("this library offers no such functions at all")
                     .suggest(name, known.iter().map(String::as_str)),
             );
         }

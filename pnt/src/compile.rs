@@ -282,6 +282,7 @@ impl Compiler<'_> {
                     format!("net `{}` has no place `{word}`", self.draft.name),
                 )
                 .at(word.at.clone())
+                .help("declare it with a `place` line")
                 .suggest(&word.text, self.names.places.keys().copied()),
             );
         }
@@ -347,6 +348,7 @@ impl Compiler<'_> {
                     format!("no `command` line declares the tape symbol `{symbol}`"),
                 )
                 .at(symbol.at.clone())
+                .help("declare it: `command SYMBOL -> ANSWER, ...`")
                 .suggest(&symbol.text, self.names.commands.keys().copied()),
             );
         }
@@ -361,6 +363,7 @@ impl Compiler<'_> {
                     format!("no `command` line has the output symbol `{symbol}` as an answer"),
                 )
                 .at(symbol.at.clone())
+                .help("add it to the answers of a `command` line")
                 .suggest(&symbol.text, self.names.answers.iter().copied()),
             );
         }

@@ -189,6 +189,7 @@ fn check_ask(
                 ),
             )
             .at(net.at.clone())
+            .help("declare it: `coordinator NET : REQUEST, ...`")
             .suggest(
                 &net.text,
                 draft.coordinators.iter().map(|c| c.net.text.as_str()),
