@@ -317,23 +317,41 @@ impl Execution {
         })
     }
 
-    /// Puts tokens that came from another net.
+    /// Puts tokens that came from another net, all or none.
+    ///
+    /// # Errors
+    /// The net has no such place, or it would overflow.
+    pub fn put_all(&mut self, tokens: &[(String, u32)]) -> Result<(), FireError> {
+        let mut added: BTreeMap<PlaceId, u32> = BTreeMap::new();
+        for (place, count) in tokens {
+            let Some(id) = self.wiring.place_names.get(place).copied() else {
+                return Err(FireError::UnknownPlace {
+                    net: self.net.name().to_owned(),
+                    place: place.clone(),
+                });
+            };
+            let sum = added.entry(id).or_default();
+            *sum = sum
+                .checked_add(*count)
+                .ok_or_else(|| FireError::TooManyTokens(place.clone()))?;
+        }
+        let arcs: Vec<crate::net::Arc> = added
+            .into_iter()
+            .map(|(place, weight)| crate::net::Arc { place, weight })
+            .collect();
+        self.require_room(&arcs)?;
+        for arc in arcs {
+            self.change(arc.place, |tokens| tokens.saturating_add(arc.weight));
+        }
+        Ok(())
+    }
+
+    /// Puts tokens into one place, as [`Self::put_all`].
     ///
     /// # Errors
     /// The net has no such place, or it would overflow.
     pub fn put_tokens(&mut self, place: &str, count: u32) -> Result<(), FireError> {
-        let Some(id) = self.wiring.place_names.get(place).copied() else {
-            return Err(FireError::UnknownPlace {
-                net: self.net.name().to_owned(),
-                place: place.to_owned(),
-            });
-        };
-        self.require_room(&[crate::net::Arc {
-            place: id,
-            weight: count,
-        }])?;
-        self.change(id, |tokens| tokens.saturating_add(count));
-        Ok(())
+        self.put_all(&[(place.to_owned(), count)])
     }
 
     /// Puts a symbol at the end of the input tape and returns its number. A symbol becomes readable

@@ -10,7 +10,10 @@
 //!   [`check`]: what they prove, as findings that point into the net texts;
 //! - [`invariants`]: what no firing can change.
 //!
-//! These know no clock, no task, no link and no robot; of the runtime they use only the findings.
+//! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
+//! top of them, and on the runtime:
+//!
+//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net.
 
 pub mod check;
 pub mod compile;
@@ -18,7 +21,9 @@ pub mod compose;
 pub mod draft;
 pub mod exec;
 pub mod invariants;
+pub mod library;
 pub mod net;
 mod ready;
 pub mod space;
+pub mod task;
 pub mod text;

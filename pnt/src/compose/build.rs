@@ -292,6 +292,9 @@ impl Builder {
     }
 }
 
+type Needs = Vec<(SystemPlaceId, u32)>;
+type Changes = Vec<(SystemPlaceId, i64)>;
+
 /// A step before its arcs are added up.
 #[derive(Clone, Default)]
 struct Draft {
@@ -303,7 +306,7 @@ struct Draft {
 
 impl Draft {
     /// What must be there, and what changes.
-    fn resolve(&self) -> (Vec<(SystemPlaceId, u32)>, Vec<(SystemPlaceId, i64)>) {
+    fn resolve(&self) -> (Needs, Changes) {
         let mut needs: BTreeMap<SystemPlaceId, u32> = BTreeMap::new();
         let mut changes: BTreeMap<SystemPlaceId, i64> = BTreeMap::new();
         for (place, weight) in &self.takes {
