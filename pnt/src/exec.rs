@@ -6,6 +6,7 @@
 //! Only transitions around a changed place are looked at again, so a firing costs the same in a net
 //! of ten transitions and in one of ten thousand.
 
+mod enabling;
 mod tape;
 mod wiring;
 
@@ -19,10 +20,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{
-    net::{Net, Outputs, PlaceId, RemoteArc, TransitionId, When},
-    ready::ReadySet,
-};
+use crate::net::{Net, PlaceId, RemoteArc, TransitionId, When};
+use enabling::Enabling;
 pub use tape::{OnTape, Tape};
 use wiring::Wiring;
 
@@ -119,11 +118,7 @@ struct Running {
 pub struct Execution {
     net: Arc<Net>,
     wiring: Arc<Wiring>,
-    marking: Vec<u32>,
-    /// Conditions that each transition still lacks.
-    lacking: Vec<u32>,
-    /// Ranks of the transitions that lack nothing.
-    ready: ReadySet,
+    enabling: Enabling,
     tape: Tape,
     running: BTreeMap<FiringId, Running>,
     firings: u64,
@@ -134,32 +129,14 @@ impl Execution {
     #[must_use]
     pub fn new(net: Arc<Net>) -> Self {
         let wiring = Arc::new(Wiring::new(&net));
-        let mut execution = Self {
-            marking: net.places().iter().map(|place| place.tokens).collect(),
-            lacking: vec![0; net.transitions().len()],
-            ready: ReadySet::new(net.transitions().len()),
+        Self {
+            enabling: Enabling::new(&net, &wiring),
             tape: Tape::default(),
             running: BTreeMap::new(),
             firings: 0,
             wiring,
             net,
-        };
-        for (index, transition) in execution.net.transitions().iter().enumerate() {
-            let holds = |arc: &crate::net::Arc| execution.marking[arc.place.index()] >= arc.weight;
-            let needed = transition.inputs.iter().chain(&transition.reads);
-            let lacking = needed.filter(|arc| !holds(arc)).count()
-                + transition
-                    .inhibitors
-                    .iter()
-                    .filter(|arc| holds(arc))
-                    .count()
-                + usize::from(transition.tape.is_some());
-            execution.lacking[index] = u32::try_from(lacking).unwrap_or(u32::MAX);
-            if lacking == 0 {
-                execution.ready.insert(execution.wiring.ranks[index]);
-            }
         }
-        execution
     }
 
     /// The net.
@@ -171,7 +148,7 @@ impl Execution {
     /// Tokens of every place, in order of place number.
     #[must_use]
     pub fn marking(&self) -> &[u32] {
-        &self.marking
+        &self.enabling.marking
     }
 
     /// The input tape.
@@ -192,7 +169,7 @@ impl Execution {
     pub fn enabled(&self) -> impl Iterator<Item = TransitionId> {
         let mut from = 0;
         std::iter::from_fn(move || {
-            let rank = self.ready.next(from)?;
+            let rank = self.enabling.ready.next(from)?;
             from = rank + 1;
             self.wiring.at_rank.get(rank).copied()
         })
@@ -221,17 +198,12 @@ impl Execution {
     }
 
     fn require_enabled(&self, id: TransitionId) -> Result<(), FireError> {
-        if self.lacking.get(id.index()) == Some(&0) {
+        if self.enabling.is_enabled(id) {
             return Ok(());
         }
-        let name = self
-            .net
-            .transitions()
-            .get(id.index())
-            .map(|t| t.name.clone());
-        Err(FireError::NotEnabled(
-            name.unwrap_or_else(|| format!("number {}", id.index())),
-        ))
+        let name = self.net.transitions().get(id.index());
+        let name = name.map_or_else(|| format!("number {}", id.index()), |t| t.name.clone());
+        Err(FireError::NotEnabled(name))
     }
 
     /// Fires a transition that has no action, in one step.
@@ -240,15 +212,13 @@ impl Execution {
     /// It is not enabled, has an action, or would overflow a place.
     pub fn fire(&mut self, id: TransitionId) -> Result<Effects<'_>, FireError> {
         self.require_enabled(id)?;
-        let net = Arc::clone(&self.net);
-        let transition = &net[id];
+        let transition = &self.net[id];
         if transition.action.is_some() {
             return Err(FireError::HasAction(transition.name.clone()));
         }
         self.require_room(&transition.outputs.local)?;
         self.take(id);
-        self.put(&transition.outputs);
-        Ok(self.effects(id))
+        Ok(self.put(id))
     }
 
     /// Takes the tokens and the tape symbol of a transition; its action may begin.
@@ -260,13 +230,11 @@ impl Execution {
         let command = self.take(id);
         let firing = FiringId(self.firings);
         self.firings += 1;
-        self.running.insert(
-            firing,
-            Running {
-                transition: id,
-                command,
-            },
-        );
+        let running = Running {
+            transition: id,
+            command,
+        };
+        self.running.insert(firing, running);
         Ok(firing)
     }
 
@@ -276,12 +244,9 @@ impl Execution {
     /// No such firing is going on, or a place would overflow; then the firing still goes on.
     pub fn complete(&mut self, firing: FiringId) -> Result<Effects<'_>, FireError> {
         let transition = self.running_transition(firing)?;
-        let net = Arc::clone(&self.net);
-        let outputs = &net[transition].outputs;
-        self.require_room(&outputs.local)?;
+        self.require_room(&self.net[transition].outputs.local)?;
         self.running.remove(&firing);
-        self.put(outputs);
-        Ok(self.effects(transition))
+        Ok(self.put(transition))
     }
 
     /// Ends a firing whose action has failed: its failure branch, or else everything goes back.
@@ -289,30 +254,24 @@ impl Execution {
     /// # Errors
     /// No such firing is going on, or a place would overflow; then the firing still goes on.
     pub fn fail(&mut self, firing: FiringId) -> Result<Effects<'_>, FireError> {
-        let transition = self.running_transition(firing)?;
-        let net = Arc::clone(&self.net);
-        let Some(branch) = &net[transition].fail else {
-            self.require_room(&net[transition].inputs)?;
-            let running = self.running.remove(&firing);
-            for arc in &net[transition].inputs {
-                self.change(arc.place, |tokens| tokens.saturating_add(arc.weight));
-            }
-            if let Some(command) = running.and_then(|running| running.command) {
-                self.with_tape(|tape| tape.unread(command));
-            }
-            return Ok(Effects {
-                remote: &[],
-                written: None,
-            });
+        let id = self.running_transition(firing)?;
+        let transition = &self.net[id];
+        let back = match &transition.fail {
+            Some(branch) => &branch.local,
+            None => &transition.inputs,
         };
-        self.require_room(&branch.local)?;
-        self.running.remove(&firing);
-        self.put(branch);
+        self.require_room(back)?;
+        self.enabling.put(&self.wiring, back);
+        let command = self
+            .running
+            .remove(&firing)
+            .and_then(|running| running.command);
+        if let (None, Some(command)) = (&self.net[id].fail, command) {
+            self.with_tape(|tape| tape.unread(command));
+        }
+        let branch = self.net[id].fail.as_ref();
         Ok(Effects {
-            remote: self.net[transition]
-                .fail
-                .as_ref()
-                .map_or(&[], |outputs| &outputs.remote),
+            remote: branch.map_or(&[], |branch| &branch.remote),
             written: None,
         })
     }
@@ -340,9 +299,7 @@ impl Execution {
             .map(|(place, weight)| crate::net::Arc { place, weight })
             .collect();
         self.require_room(&arcs)?;
-        for arc in arcs {
-            self.change(arc.place, |tokens| tokens.saturating_add(arc.weight));
-        }
+        self.enabling.put(&self.wiring, &arcs);
         Ok(())
     }
 
@@ -388,63 +345,37 @@ impl Execution {
     }
 
     fn require_room(&self, arcs: &[crate::net::Arc]) -> Result<(), FireError> {
-        for arc in arcs {
-            if self.marking[arc.place.index()]
-                .checked_add(arc.weight)
-                .is_none()
-            {
-                return Err(FireError::TooManyTokens(self.net[arc.place].name.clone()));
-            }
+        match self.enabling.without_room(arcs) {
+            Some(place) => Err(FireError::TooManyTokens(self.net[place].name.clone())),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Takes what an enabled transition takes; returns the number of the command that it read.
     fn take(&mut self, id: TransitionId) -> Option<u64> {
-        let net = Arc::clone(&self.net);
-        for arc in &net[id].inputs {
-            self.change(arc.place, |tokens| tokens.saturating_sub(arc.weight));
-        }
-        net[id].tape?;
+        let transition = &self.net[id];
+        self.enabling.take(&self.wiring, &transition.inputs);
+        transition.tape?;
         self.with_tape(Tape::read)
     }
 
-    fn put(&mut self, outputs: &Outputs) {
-        for arc in &outputs.local {
-            self.change(arc.place, |tokens| tokens.saturating_add(arc.weight));
-        }
-    }
-
-    /// What a completed transition leaves to the caller.
-    fn effects(&mut self, id: TransitionId) -> Effects<'_> {
-        let mut written = None;
-        if let Some(symbol) = self.net[id].write.clone() {
-            let net = Arc::clone(&self.net);
-            let answered = self
-                .with_tape(|tape| tape.answer(|command| net[command].answers.contains(&symbol)));
-            written = Some(match answered {
-                Some(command) => Written::Answer { command, symbol },
-                None => Written::Unasked { symbol },
-            });
-        }
+    /// Puts what a completed transition puts, and says what it leaves to the caller.
+    fn put(&mut self, id: TransitionId) -> Effects<'_> {
+        self.enabling.put(&self.wiring, &self.net[id].outputs.local);
+        let written = self.net[id].write.clone().map(|symbol| self.write(symbol));
         Effects {
             remote: &self.net[id].outputs.remote,
             written,
         }
     }
 
-    /// Changes the tokens of a place and what the transitions around it lack.
-    fn change(&mut self, place: PlaceId, to: impl FnOnce(u32) -> u32) {
-        let before = self.marking[place.index()];
-        let after = to(before);
-        self.marking[place.index()] = after;
-        let wiring = Arc::clone(&self.wiring);
-        for watch in &wiring.around[place.index()] {
-            let held = before >= watch.weight;
-            let holds = after >= watch.weight;
-            if held != holds {
-                self.condition(watch.transition, holds == watch.wanted);
-            }
+    fn write(&mut self, symbol: String) -> Written {
+        let net = Arc::clone(&self.net);
+        let answered =
+            self.with_tape(|tape| tape.answer(|command| net[command].answers.contains(&symbol)));
+        match answered {
+            Some(command) => Written::Answer { command, symbol },
+            None => Written::Unasked { symbol },
         }
     }
 
@@ -454,31 +385,13 @@ impl Execution {
         let result = change(&mut self.tape);
         let after = self.tape.head();
         if before != after {
-            let wiring = Arc::clone(&self.wiring);
             for (head, met) in [(before, false), (after, true)] {
-                let readers = head.and_then(|command| wiring.readers.get(command.index()));
+                let readers = head.and_then(|command| self.wiring.readers.get(command.index()));
                 for transition in readers.into_iter().flatten() {
-                    self.condition(*transition, met);
+                    self.enabling.condition(&self.wiring, *transition, met);
                 }
             }
         }
         result
-    }
-
-    /// One condition of a transition has changed.
-    fn condition(&mut self, id: TransitionId, met: bool) {
-        let rank = self.wiring.ranks[id.index()];
-        let lacking = &mut self.lacking[id.index()];
-        if met {
-            *lacking = lacking.saturating_sub(1);
-            if *lacking == 0 {
-                self.ready.insert(rank);
-            }
-        } else {
-            if *lacking == 0 {
-                self.ready.remove(rank);
-            }
-            *lacking += 1;
-        }
     }
 }

@@ -6,13 +6,16 @@ use ctos::{
     boot::{self, End, Launcher},
     config::{self, App},
     diagnostic::{Findings, Source},
-    message::Command,
     registry::Registry,
     system::AppResult,
 };
 
 use super::*;
-use crate::{compile, library::Later, space::Limits};
+use crate::{
+    compile,
+    library::{Action, Later},
+    space::Limits,
+};
 
 const DISPATCHER: &str = include_str!("../../tests/nets/dispatcher.net");
 const VISION: &str = include_str!("../../tests/nets/vision.net");
@@ -163,8 +166,6 @@ fn dispatcher_library() -> Library<Loop> {
         .enabling("more_positions", |state| state.left > 0)
 }
 
-use crate::library::Action;
-
 fn slow(duration: Duration) -> impl Fn(Action<()>) -> Later<Handled> {
     move |a| {
         Box::pin(async move {
@@ -234,6 +235,17 @@ fn the_case_study_runs_over_three_chassis_and_comes_back_to_rest() {
         .take_while(|line| line.split(' ').count() == 2)
         .count();
     assert_eq!(marked, 4, "{text}");
+}
+
+#[test]
+fn every_order_of_messages_and_actions_leads_back_to_rest() {
+    for seed in 0..40 {
+        let text = case_study(seed, good_vision).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+        assert!(
+            text.starts_with("answer calibration_done"),
+            "seed {seed}: {text}"
+        );
+    }
 }
 
 #[test]
