@@ -90,12 +90,6 @@ pub struct Effects<'a> {
     pub written: Option<Written>,
 }
 
-impl PartialEq for RemoteArc {
-    fn eq(&self, other: &Self) -> bool {
-        (&self.net, &self.place, self.weight) == (&other.net, &other.place, other.weight)
-    }
-}
-
 /// Who wins when several transitions of the same priority are enabled.
 #[derive(Debug, Clone)]
 pub enum Conflicts {

@@ -128,3 +128,44 @@ fn minimal(rows: Vec<Row>) -> Vec<Row> {
 fn gcd(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
+
+#[cfg(test)]
+mod tests {
+    use ctos::diagnostic::Source;
+
+    use super::*;
+    use crate::compile;
+
+    fn invariants(text: &str) -> Vec<PlaceInvariant> {
+        let net = compile::net(&Source::new("t", text)).unwrap_or_else(|f| panic!("{f}"));
+        let mut found = place_invariants(&net, 1000).unwrap();
+        found.sort_unstable();
+        found
+    }
+
+    #[test]
+    fn producer_consumer_and_buffer_are_three_invariants() {
+        let found = invariants(
+            "net pc
+place ready = 1, made, idle = 1, got, items, room = 3
+transition make\n  in ready\n  out made
+transition put\n  in made, room\n  out ready, items
+transition get\n  in idle, items\n  out got, room
+transition use\n  in got\n  out idle\n",
+        );
+        let expected = [
+            vec![0, 0, 0, 0, 1, 1],
+            vec![0, 0, 1, 1, 0, 0],
+            vec![1, 1, 0, 0, 0, 0],
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn weights_and_failure_branches_count() {
+        let pairs = "net n\nplace a = 4, b\ntransition t\n  in a*2\n  do f\n  out b\n";
+        assert_eq!(invariants(pairs), [vec![1, 2]]);
+        let lossy = format!("{pairs}  fail a\n");
+        assert!(invariants(&lossy).is_empty());
+    }
+}

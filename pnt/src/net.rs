@@ -83,6 +83,13 @@ pub struct RemoteArc {
     pub at: At,
 }
 
+/// Two are equal when they send the same tokens to the same place.
+impl PartialEq for RemoteArc {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.net, &self.place, self.weight) == (&other.net, &other.place, other.weight)
+    }
+}
+
 /// Output arcs of one end of a transition.
 #[derive(Debug, Clone, Default)]
 pub struct Outputs {

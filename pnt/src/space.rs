@@ -22,10 +22,10 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// Two million markings, with edges.
+    /// One million markings, with edges.
     fn default() -> Self {
         Self {
-            markings: 2_000_000,
+            markings: 1_000_000,
             edges: true,
         }
     }

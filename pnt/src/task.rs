@@ -103,8 +103,7 @@ impl<S: 'static> EventHandler for NetTask<S> {
     }
 
     async fn stop(&mut self, _cx: &Context, reason: &StopReason) -> Handled {
-        self.engine
-            .halt(&format!("the net is being stopped: {reason}"));
+        self.engine.stop(&reason.to_string());
         Ok(())
     }
 

@@ -165,15 +165,23 @@ impl<S: 'static> Engine<S> {
         }
     }
 
-    /// Stops the net for good and tells everybody who waits for an answer.
+    /// Something went wrong: the net stops for good and tells everybody who waits for an answer.
     pub(super) fn halt(&self, why: &str) {
+        if self.core.borrow().halted.is_none() {
+            tracing::error!(target: "pnt::net", net = self.net.name(), why, "net halted");
+            self.stop(why);
+        }
+    }
+
+    /// The net fires no more; everybody who waits for an answer is told why.
+    pub(super) fn stop(&self, why: &str) {
         let waiting = {
             let mut core = self.core.borrow_mut();
             if core.halted.is_some() {
                 return;
             }
             core.halted = Some(why.to_owned());
-            core.journal.halted(self.cx.now(), self.net.name(), why);
+            core.journal.stopped(self.cx.now(), why);
             std::mem::take(&mut core.waiting)
         };
         for reply in waiting.into_values() {

@@ -37,9 +37,8 @@ impl Journal {
     }
 
     /// Notes the end of the net.
-    pub(super) fn halted(&mut self, now: Instant, net: &str, text: &str) {
-        tracing::error!(target: "pnt::net", net, text, "net halted");
-        self.keep(now, "", "halted", text);
+    pub(super) fn stopped(&mut self, now: Instant, why: &str) {
+        self.keep(now, "", "stopped", why);
     }
 
     fn keep(&mut self, now: Instant, transition: &str, phase: &str, text: &str) {

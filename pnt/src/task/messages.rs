@@ -18,9 +18,9 @@ pub struct FiringEvent {
     pub at_ns: u64,
     /// The transition; empty when the net itself has stopped.
     pub transition: String,
-    /// `fired`, `started`, `completed`, `failed` or `halted`.
+    /// `fired`, `started`, `completed`, `failed` or `stopped`.
     pub phase: String,
-    /// Why it failed; empty otherwise.
+    /// Why it failed or stopped; empty otherwise.
     pub text: String,
 }
 
