@@ -8,7 +8,7 @@ use std::{fmt, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings, Place as At};
 
-use crate::net::{CommandId, Net, Outputs, PlaceId, RemoteArc, Role, TransitionId};
+use crate::net::{CommandId, Net, Outputs, Part, PlaceId, RemoteArc, Role, TransitionId};
 
 /// Number of a place of the system.
 pub type SystemPlaceId = usize;
@@ -100,6 +100,7 @@ impl System {
         for net in nets {
             check_remote(net, nets, &mut findings);
             check_partners(net, nets, &mut findings);
+            check_retries(net, nets, &mut findings);
             check_unused(net, nets, &mut findings);
         }
         (build::build(nets), findings)
@@ -293,6 +294,34 @@ fn check_partners(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
                     .help("remove the request, or ask for it"),
                 );
             }
+        }
+    }
+}
+
+/// Requests without failure branch to coordinators that can fail: the analysis would take it that
+/// one of the tries succeeds at some time.
+fn check_retries(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
+    for transition in net.transitions() {
+        if transition.part != (Part::Fail { branch: false }) {
+            continue;
+        }
+        let coordinator = transition
+            .outputs
+            .remote
+            .iter()
+            .find(|arc| arc.role == Role::Coordination);
+        let can_fail = coordinator
+            .and_then(|arc| find(nets, &arc.net))
+            .is_some_and(|other| other.transition("tf_failed").is_some());
+        if can_fail {
+            findings.push(
+                Finding::warning(
+                    "pnt::app::asked_for_ever",
+                    "a request that fails is asked again at once, as often as it fails",
+                )
+                .at(transition.at.clone())
+                .help("add a `fail` line that says what to do when the coordinator has given up"),
+            );
         }
     }
 }

@@ -4,6 +4,7 @@
 //!
 //! A net's task bears the net's name: that is how other nets find its places.
 
+mod action;
 mod engine;
 mod journal;
 mod load;

@@ -226,6 +226,21 @@ fn a_request_that_the_coordinator_drops_is_found_in_the_composed_app() {
 }
 
 #[test]
+fn a_request_without_failure_branch_to_a_coordinator_that_can_fail_is_a_warning() {
+    let stubborn = DISPATCHER.replace(
+        "  ask vision find_spot\n  out spot_done\n  fail spot_done\n",
+        "  ask vision find_spot\n  out spot_done\n",
+    );
+    let (report, findings) = check_all(&[&stubborn, VISION, MOTION]);
+    the(
+        &findings,
+        "pnt::app::asked_for_ever",
+        "dispatcher.net:36:12",
+    );
+    assert!(report.proved && findings.len() == 1);
+}
+
+#[test]
 fn an_action_that_can_fail_halfway_is_found_to_lose_its_semaphore() {
     let text = "net n\nplace free = 1, busy, lost\ncommand go -> gone\ntransition take\n  in free\n  tape go\n  out busy\ntransition work\n  in busy\n  do work\n  out free\n  fail lost\n  write gone\n";
     let (_, findings) = check_all(&[text]);

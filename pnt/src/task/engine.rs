@@ -6,11 +6,9 @@ use std::{
     collections::{BTreeMap, VecDeque},
     rc::Rc,
     sync::Arc,
-    time::Duration,
 };
 
 use ctos::{
-    DEFAULT_DEADLINE,
     message::Replier,
     task::{Context, Handled, HandlerError},
 };
@@ -21,30 +19,24 @@ use super::{
     messages::{PutTape, Snapshot, TapeAnswer, Tokens},
 };
 use crate::{
-    exec::{Conflicts, Execution, FireError, FiringId, Written},
+    exec::{Conflicts, Execution, FireError, Written},
     library::{Acted, Action, CommandLine, DataStore, Library},
-    net::{self, Net, PlaceId, RemoteArc, TransitionId},
+    net::{Net, PlaceId, RemoteArc, TransitionId},
 };
 
 /// Firings without any action between them after which a net is taken to run in a circle.
 const MOST_AT_ONCE: u32 = 100_000;
 
-/// How often an action without failure branch is tried before the net gives up.
-const MOST_TRIES: u32 = 4;
-
-/// The wait before the second try; it doubles for each further one.
-const FIRST_RETRY: Duration = Duration::from_millis(100);
-
 pub(super) struct Engine<S> {
-    cx: Context,
-    net: Arc<Net>,
-    library: Library<S>,
+    pub(super) cx: Context,
+    pub(super) net: Arc<Net>,
+    pub(super) library: Library<S>,
     data: Option<Rc<dyn DataStore>>,
-    core: RefCell<Core>,
+    pub(super) core: RefCell<Core>,
 }
 
-struct Core {
-    execution: Execution,
+pub(super) struct Core {
+    pub(super) execution: Execution,
     conflicts: Conflicts,
     journal: Journal,
     begun: bool,
@@ -60,7 +52,7 @@ struct Core {
     /// What their store must be told.
     untold: Vec<(String, bool)>,
     /// Failures in a row, per transition.
-    failures: Vec<u32>,
+    pub(super) failures: Vec<u32>,
 }
 
 impl<S: 'static> Engine<S> {
@@ -193,7 +185,7 @@ impl<S: 'static> Engine<S> {
     // -- firing -----------------------------------------------------------------------------
 
     /// Fires until nothing is enabled but what waits for actions, tokens or commands.
-    fn advance(self: &Rc<Self>) {
+    pub(super) fn advance(self: &Rc<Self>) {
         let mut at_once = 0;
         while let Some(id) = self.choose() {
             let fired = if self.net[id].action.is_some() {
@@ -277,7 +269,7 @@ impl<S: 'static> Engine<S> {
         Ok(())
     }
 
-    fn log(&self, core: &mut Core, id: TransitionId, phase: &str, text: &str) {
+    pub(super) fn log(&self, core: &mut Core, id: TransitionId, phase: &str, text: &str) {
         let name = &self.net[id].name;
         core.journal
             .firing(self.cx.now(), self.net.name(), name, phase, text);
@@ -285,7 +277,7 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Hands out what a firing leaves to be done.
-    fn carry_out(
+    pub(super) fn carry_out(
         self: &Rc<Self>,
         id: TransitionId,
         remote: &[RemoteArc],
@@ -310,116 +302,6 @@ impl<S: 'static> Engine<S> {
                     "transition `{name}` wrote `{symbol}`, and no command waits for it"
                 ));
             }
-        }
-    }
-
-    // -- actions ----------------------------------------------------------------------------
-
-    async fn act(self: Rc<Self>, id: TransitionId, firing: FiringId, action: Action<S>) {
-        let notes = Rc::clone(&action.notes);
-        let acted = match self.told().await {
-            Ok(()) => self.action(id, action).await,
-            Err(error) => Err(error),
-        };
-        let transition = &self.net[id];
-        let tries = {
-            let mut core = self.core.borrow_mut();
-            let failures = &mut core.failures[id.index()];
-            *failures = if acted.is_ok() { 0 } else { *failures + 1 };
-            *failures
-        };
-        if let Err(error) = &acted {
-            notes
-                .borrow_mut()
-                .push(format!("{}: {error}", transition.name));
-            if transition.fail.is_none() {
-                if tries >= MOST_TRIES {
-                    self.halt(&format!(
-                        "transition `{}` failed {tries} times: {error}",
-                        transition.name
-                    ));
-                } else {
-                    self.cx.sleep(FIRST_RETRY * (1 << (tries - 1))).await;
-                }
-            }
-        }
-        if let Err(error) = self.end(id, firing, acted) {
-            self.halt(&error.to_string());
-        }
-        self.advance();
-    }
-
-    fn end(
-        self: &Rc<Self>,
-        id: TransitionId,
-        firing: FiringId,
-        acted: Acted,
-    ) -> Result<(), FireError> {
-        let mut core = self.core.borrow_mut();
-        let (phase, text) = match &acted {
-            Ok(()) => ("completed", String::new()),
-            Err(error) => ("failed", error.to_string()),
-        };
-        let effects = match acted {
-            Ok(()) => core.execution.complete(firing)?,
-            Err(_) => core.execution.fail(firing)?,
-        };
-        let (remote, written) = (effects.remote.to_vec(), effects.written);
-        self.log(&mut core, id, phase, &text);
-        drop(core);
-        self.carry_out(id, &remote, written);
-        Ok(())
-    }
-
-    /// Runs a transition's action within its limit.
-    async fn action(&self, id: TransitionId, action: Action<S>) -> Acted {
-        let transition = &self.net[id];
-        let acting = async {
-            match &transition.action {
-                Some(net::Action::Local { function, .. }) => match self.library.act(function) {
-                    Some(act) => act(action).await,
-                    None => Err(HandlerError::new(format!(
-                        "its library has no local function `{function}`"
-                    ))),
-                },
-                Some(net::Action::Message {
-                    task,
-                    command,
-                    input,
-                    output,
-                    ..
-                }) => {
-                    let limit = transition.within.unwrap_or(DEFAULT_DEADLINE);
-                    let objects = (input.as_deref(), output.as_deref());
-                    self.message(&action, (task, command), objects, limit).await
-                }
-                None => Ok(()),
-            }
-        };
-        match transition.within {
-            Some(limit) => self.cx.timeout(limit, acting).await?,
-            None => acting.await,
-        }
-    }
-
-    async fn message(
-        &self,
-        action: &Action<S>,
-        (task, command): (&str, &str),
-        (input, output): (Option<&str>, Option<&str>),
-        limit: Duration,
-    ) -> Acted {
-        let cx = &self.cx;
-        let info = cx.registry().command_of(cx.app(), task, command)?;
-        let to = cx.task(task).await?;
-        let request = match input {
-            Some(object) => action.get_data(object).await?,
-            None => Vec::new(),
-        };
-        let reply = cx.call_raw(&to, info, request, limit).await?;
-        match output {
-            Some(object) => action.put_data(object, reply).await,
-            None => Ok(()),
         }
     }
 
@@ -495,7 +377,7 @@ impl<S: 'static> Engine<S> {
 
     /// Ends when the store knows all that was untold. All of it is sent at once, before anything that
     /// the caller sends after this.
-    async fn told(&self) -> Acted {
+    pub(super) async fn told(&self) -> Acted {
         let untold = std::mem::take(&mut self.core.borrow_mut().untold);
         let Some(store) = &self.data else {
             return Ok(());

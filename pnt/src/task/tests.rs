@@ -1,11 +1,11 @@
 //! Whole apps of nets in virtual time, over several chassis.
 
-use std::{cell::RefCell, path::Path, sync::Arc, time::Duration};
+use std::{cell::RefCell, sync::Arc, time::Duration};
 
 use ctos::{
     boot::{self, End, Launcher},
     config::{self, App},
-    diagnostic::{Findings, Source},
+    diagnostic::Source,
     registry::Registry,
     system::AppResult,
 };
@@ -14,7 +14,6 @@ use super::*;
 use crate::{
     compile,
     library::{Action, Later},
-    space::Limits,
 };
 
 const DISPATCHER: &str = include_str!("../../tests/nets/dispatcher.net");
@@ -494,99 +493,4 @@ transition end
     .unwrap();
     let expected = "answer gone [42\nput question, question is valid, get question, put answer, answer is valid, question is invalid, get answer]";
     assert!(text.starts_with(expected), "{text}");
-}
-
-// -- before anything starts -----------------------------------------------------------------
-
-fn write_app(folder: &Path, files: &[(&str, &str)]) -> App {
-    for (name, text) in files {
-        std::fs::write(folder.join(name), text).unwrap();
-    }
-    config::load(&folder.join("app.toml"), &[], &[]).unwrap_or_else(|f| panic!("{f}"))
-}
-
-fn checked(app: &App) -> Findings {
-    let mut registry = Registry::new();
-    registry
-        .handler("test.net", &COMMANDS, |cx| {
-            NetTask::from_args(cx, good_vision(), None)
-        })
-        .check_in_app(|task, app, findings| {
-            check_args(task, app, &good_vision().names(), findings)
-        });
-    registry.function::<Double, _, _>("test.doubler", |_, double| async move {
-        Ok(u64::from(double.number))
-    });
-    registry.app_check(|app, registry, findings| {
-        check_app(app, registry, &["test.net"], &Limits::default(), findings);
-    });
-    registry.check(app)
-}
-
-#[test]
-fn an_app_with_a_sound_net_has_no_findings_and_one_with_mistakes_has_them_where_they_are() {
-    let folder = tempfile::tempdir().unwrap();
-    let config = "[app]\nname = \"t\"\n[chassis.a]\n[task.n]\nhandler = \"test.net\"\non = \"a\"\nargs = { net = \"n.net\" }\n[task.doubler]\nhandler = \"test.doubler\"\non = \"a\"\n";
-    let sound = "net n\nplace a = 1\ntransition t\n  in a\n  do find_spot\n  out a\ntransition u\n  in a\n  send doubler.double\n  out a\n";
-    let found = checked(&write_app(
-        folder.path(),
-        &[("app.toml", config), ("n.net", sound)],
-    ));
-    assert!(found.is_empty(), "{found}");
-
-    let wrong = sound
-        .replace("find_spot", "find_spott")
-        .replace("doubler.double", "doubler.dubble");
-    let shown = checked(&write_app(
-        folder.path(),
-        &[("app.toml", config), ("n.net", &wrong)],
-    ))
-    .to_string();
-    assert!(shown.contains("n.net:5:6: error: the library of net `n` has no local function `find_spott` (did you mean `find_spot`?)"), "{shown}");
-    assert!(
-        shown.contains(
-            "n.net:9:8: error: task `doubler` takes no command `dubble` (did you mean `double`?)"
-        ),
-        "{shown}"
-    );
-
-    let bad_text = checked(&write_app(
-        folder.path(),
-        &[("app.toml", config), ("n.net", "net n\nplase a\n")],
-    ))
-    .to_string();
-    assert_eq!(bad_text.lines().count(), 1, "{bad_text}");
-    assert!(
-        bad_text.contains("n.net:2:1: error: no line of net text begins with `plase`"),
-        "{bad_text}"
-    );
-
-    let other_name = checked(&write_app(
-        folder.path(),
-        &[
-            ("app.toml", config),
-            ("n.net", &sound.replace("net n", "net m")),
-        ],
-    ))
-    .to_string();
-    assert!(
-        other_name.contains("task `n` runs net `m`; the names must be the same"),
-        "{other_name}"
-    );
-
-    let no_file = checked(&write_app(
-        folder.path(),
-        &[("app.toml", &config.replace("n.net", "x.net"))],
-    ))
-    .to_string();
-    assert!(no_file.contains("x.net"), "{no_file}");
-    let no_net = checked(&write_app(
-        folder.path(),
-        &[("app.toml", &config.replace("net = ", "nett = "))],
-    ))
-    .to_string();
-    assert!(
-        no_net.contains("runs a net and does not say which"),
-        "{no_net}"
-    );
 }
