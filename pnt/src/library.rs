@@ -58,7 +58,8 @@ impl<S> Action<S> {
         &self.cx
     }
 
-    /// Reads or changes the library's state, which actions that run at the same time share.
+    /// Reads or changes the library's state, which actions that run at the same time share. Panics
+    /// when called inside itself.
     pub fn with_state<T>(&self, use_it: impl FnOnce(&mut S) -> T) -> T {
         use_it(&mut self.state.borrow_mut())
     }
@@ -83,7 +84,7 @@ impl<S> Action<S> {
             .map_or(&[], |command| &command.arguments)
     }
 
-    /// Adds a line to the text of the answer to the command in progress.
+    /// Adds a line to the text of the answer to the command in progress, if there is one.
     pub fn note(&self, line: impl Into<String>) {
         self.notes.borrow_mut().push(line.into());
     }

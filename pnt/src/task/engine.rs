@@ -251,16 +251,21 @@ impl<S: 'static> Engine<S> {
         let mut core = self.core.borrow_mut();
         let firing = core.execution.start(id)?;
         self.log(&mut core, id, "started", "");
+        let command = core.execution.tape().current().map(|on_tape| CommandLine {
+            symbol: self.net[on_tape.command].symbol.clone(),
+            arguments: on_tape.arguments.clone(),
+        });
         let action = Action {
             cx: self.cx.clone(),
             state: Rc::clone(&self.library.state),
             transition: self.net[id].name.as_str().into(),
-            command: core.execution.tape().current().map(|on_tape| CommandLine {
-                symbol: self.net[on_tape.command].symbol.clone(),
-                arguments: on_tape.arguments.clone(),
-            }),
             data: self.data.clone(),
-            notes: Rc::clone(&core.notes),
+            // Without a command there will be no answer that takes the notes away.
+            notes: match &command {
+                Some(_) => Rc::clone(&core.notes),
+                None => Rc::default(),
+            },
+            command,
         };
         drop(core);
         let engine = Rc::clone(self);
