@@ -1,3 +1,6 @@
 //! Vision Services System: Vision Modules, managers, Tools, Services, calibration
 
+pub mod camera;
+pub mod components;
 pub mod frame;
+pub mod spot;
