@@ -246,6 +246,18 @@ impl Camera {
             .all(|&(u, v)| self.ray(Vector2::new(u, v)).is_some())
     }
 
+    /// The formula of the projection without its checks: points behind the camera have a pixel too. `None` on
+    /// the plane z = 0 only.
+    #[must_use]
+    pub fn project_unchecked(&self, point: &Point3<f64>) -> Option<Vector2<f64>> {
+        let c = self.to_camera(point);
+        if c.z.is_nan() || c.z.abs() < 1e-12 {
+            return None;
+        }
+        let p = Vector2::new(c.x / c.z, c.y / c.z);
+        Some(self.to_pixel(self.distortion.distort(p)))
+    }
+
     /// The formula of the projection without its checks, with derivatives with respect to
     /// [rotation vector ω (3), centre (3), fx, fy, cx, cy, k1, k2, p1, p2, k3], where ω turns the camera
     /// frame: R(ω) = exp(ω) R. `None` on the plane z = 0 only; the depth may be negative.

@@ -1,5 +1,6 @@
 //! Vision Services System: Vision Modules, managers, Tools, Services, calibration
 
+pub mod calibrate;
 pub mod camera;
 pub mod components;
 pub mod frame;
