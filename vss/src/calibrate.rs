@@ -269,7 +269,7 @@ fn robust_fit(
     for model in [LensModel::None, LensModel::K1K2, LensModel::Brown5] {
         let model = model.min(largest);
         for _ in 0..2 {
-            let noise = fit::noise_of(&camera, table, &used, 0);
+            let noise = fit::noise_of(&camera, table, &used, model.parameters());
             camera = fit::fit(table, &used, camera, model, Some(CAUCHY_SD * noise))?;
         }
         used.clone_from(&all);
@@ -286,12 +286,7 @@ fn robust_fit(
 /// back.
 fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationError> {
     for round in 0..REJECTION_ROUNDS {
-        // The first round judges a robust fit, which outliers hardly bend: no correction for the parameters.
-        let parameters = if round == 0 {
-            0
-        } else {
-            stand.model.parameters()
-        };
+        let parameters = stand.model.parameters();
         stand.limit_px = REJECT_SD * fit::noise_of(&stand.camera, table, &stand.used, parameters);
         let fits = |row: &usize| {
             table.get(*row).is_some_and(|point| {

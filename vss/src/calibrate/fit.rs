@@ -19,6 +19,9 @@ pub(super) fn residual(camera: &Camera, point: &LightPoint) -> Vector2<f64> {
 
 /// Standard deviation of the noise per coordinate from the median absolute residual of the `used` rows, widened
 /// for the `parameters` that a fit took out of them; never below [`LEAST_NOISE_PX`].
+///
+/// With few rows a robust fit can make as many residuals vanish as it has parameters, and the median with them;
+/// then the median of the others is taken, which is rather too large than too small.
 pub(super) fn noise_of(
     camera: &Camera,
     table: &[LightPoint],
@@ -31,10 +34,18 @@ pub(super) fn noise_of(
         .map(f64::abs)
         .collect();
     sizes.sort_by(f64::total_cmp);
-    let median = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-    let equations = sizes.len() as f64;
-    let spare = (sizes.len().saturating_sub(parameters)).max(1) as f64;
-    (MEDIAN_TO_SD * median * (equations / spare).sqrt()).max(LEAST_NOISE_PX)
+    let equations = sizes.len();
+    let spare = equations.saturating_sub(parameters).max(1);
+    let vanishing = if equations < 4 * parameters {
+        equations - spare.min(equations)
+    } else {
+        0
+    };
+    let middle = sizes
+        .get(vanishing + (equations - vanishing) / 2)
+        .or(sizes.last());
+    let widened = middle.copied().unwrap_or(0.0) * (equations as f64 / spare as f64).sqrt();
+    (MEDIAN_TO_SD * widened).max(LEAST_NOISE_PX)
 }
 
 /// The camera with all distortion terms that `model` does not have set to 0.

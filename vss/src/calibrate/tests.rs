@@ -97,17 +97,20 @@ fn exact_data_give_the_exact_camera() {
     assert!(found.rejected.is_empty() && found.rms_px < 1e-6);
 }
 
-/// Facts, section 3: 15 parameters, noise 0.5 px.
+/// The table of expected accuracy that the project works with: 15 parameters, noise 0.5 px.
 #[test]
 fn the_bound_agrees_with_the_published_table() {
     let truth = table_camera();
+    let corners = [Point3::new(-0.5, -0.4, -0.3), Point3::new(0.5, 0.4, 0.3)];
     for (n, projected, fx) in [(50, 0.34, 7.2), (100, 0.22, 4.7), (400, 0.10, 2.4)] {
         let (mut error, mut sd) = (0.0, 0.0);
-        for seed in 0..10 {
-            let bound = design(&truth, &volume(n, &mut rng(seed)), 0.5, LensModel::Brown5).unwrap();
-            // The published number is over the volume, ours over the box around the lights: the same for many.
-            error += bound.volume_error_px / 10.0;
-            sd += bound.parameter_sd[6] / 10.0;
+        for seed in 0..20 {
+            let lights = volume(n, &mut rng(seed));
+            let (unit, condition) =
+                uncertainty::unit_covariance(&truth, &lights, PARAMETERS).unwrap();
+            let bound = uncertainty::describe(&truth, &corners, &(unit * 0.25), condition);
+            error += bound.volume_error_px / 20.0;
+            sd += bound.parameter_sd[6] / 20.0;
         }
         assert!((sd / fx - 1.0).abs() < 0.15, "{n}: sd fx {sd}");
         assert!((error / projected - 1.0).abs() < 0.15, "{n}: {error}");
@@ -140,8 +143,8 @@ fn the_reported_uncertainty_covers_the_truth() {
         (ceiling_camera(), (500, 500), 0.15),
         (table_camera(), (640, 480), 0.5),
     ] {
-        let (mut within_two, mut total, mut beyond) = (0, 0, Vec::new());
-        for seed in 0..100 {
+        let (mut within_two, mut total, mut beyond) = (0, 0, Vec::<f64>::new());
+        for seed in 0..150 {
             let mut rng = rng(1000 + seed);
             let positions: Vec<_> = volume(70, &mut rng)
                 .iter()
@@ -167,9 +170,7 @@ fn the_reported_uncertainty_covers_the_truth() {
                 error.rotation_rad / found.rotation_sd_rad(),
                 error.focal_rel / found.focal_sd_rel(),
             ];
-            if ratios.iter().any(|ratio| *ratio > 3.0) {
-                beyond.push((seed, ratios));
-            }
+            beyond.extend(ratios.iter().filter(|ratio| **ratio > 3.0));
             assert!(
                 (0.75..1.3).contains(&(found.noise_px / sd)),
                 "{}",
@@ -178,7 +179,8 @@ fn the_reported_uncertainty_covers_the_truth() {
         }
         let part = f64::from(u32::try_from(within_two).unwrap()) / f64::from(total);
         assert!((0.91..0.985).contains(&part), "{part}");
-        assert!(beyond.len() <= 1, "{beyond:?}");
+        // 450 ratios; a normal deviate is beyond 3 with 0.27 %.
+        assert!(beyond.len() <= 4, "{beyond:?}");
     }
 }
 
@@ -375,44 +377,4 @@ proptest! {
         let table: Vec<LightPoint> = rows.iter().map(row).collect();
         let _ = run(&table);
     }
-}
-
-#[test]
-fn tmp_stats() {
-    let truth = ceiling_camera();
-    let mut b = [[0; 3]; 4];
-    let mut models = std::collections::BTreeMap::new();
-    for seed in 0..1000 {
-        let mut rng = rng(1000 + seed);
-        let positions: Vec<_> = volume(70, &mut rng)
-            .iter()
-            .map(|p| Point3::new(p.x * 1.2, p.y * 1.5, p.z * 1.6 + 0.9))
-            .collect();
-        let table = seen_by(&truth, &positions, 0.15, &mut rng);
-        let found = calibrate(&table, 500, 500, &mut rng).unwrap();
-        *models.entry(found.model).or_insert(0) += 1;
-        let full = design(&found.camera, &positions, found.noise_px, LensModel::Brown5).unwrap();
-        let mid = design(
-            &found.camera,
-            &positions,
-            found.noise_px,
-            LensModel::K1K2P1P2,
-        )
-        .unwrap();
-        let sel = design(&found.camera, &positions, found.noise_px, found.model).unwrap();
-        let error = found.camera.error_against(&truth);
-        for (k, u) in [&found.uncertainty, &full, &mid, &sel].iter().enumerate() {
-            for (j, r) in [
-                error.position_m / u.position_sd_m,
-                error.rotation_rad / u.rotation_sd_rad,
-                error.focal_rel / u.focal_sd_rel,
-            ]
-            .iter()
-            .enumerate()
-            {
-                b[k][j] += i32::from(*r > 3.0);
-            }
-        }
-    }
-    panic!("{b:?} {models:?}");
 }
