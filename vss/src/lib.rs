@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod camera;
+pub mod camera_info;
 pub mod components;
 pub mod frame;
 pub mod spot;

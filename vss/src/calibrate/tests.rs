@@ -139,11 +139,12 @@ fn a_fit_reaches_the_bound() {
 
 #[test]
 fn the_reported_uncertainty_covers_the_truth() {
+    let (mut ratios_seen, mut beyond) = (0, Vec::<f64>::new());
     for (truth, size, sd) in [
         (ceiling_camera(), (500, 500), 0.15),
         (table_camera(), (640, 480), 0.5),
     ] {
-        let (mut within_two, mut total, mut beyond) = (0, 0, Vec::<f64>::new());
+        let (mut within_two, mut total) = (0, 0);
         for seed in 0..150 {
             let mut rng = rng(1000 + seed);
             let positions: Vec<_> = volume(70, &mut rng)
@@ -170,6 +171,7 @@ fn the_reported_uncertainty_covers_the_truth() {
                 error.rotation_rad / found.rotation_sd_rad(),
                 error.focal_rel / found.focal_sd_rel(),
             ];
+            ratios_seen += ratios.len();
             beyond.extend(ratios.iter().filter(|ratio| **ratio > 3.0));
             assert!(
                 (0.75..1.3).contains(&(found.noise_px / sd)),
@@ -179,9 +181,12 @@ fn the_reported_uncertainty_covers_the_truth() {
         }
         let part = f64::from(u32::try_from(within_two).unwrap()) / f64::from(total);
         assert!((0.91..0.985).contains(&part), "{part}");
-        // 450 ratios; a normal deviate is beyond 3 with 0.27 %.
-        assert!(beyond.len() <= 4, "{beyond:?}");
     }
+    // A normal deviate is beyond 3 standard deviations with 0.27 %.
+    assert!(
+        100 * beyond.len() <= ratios_seen,
+        "of {ratios_seen}: {beyond:?}"
+    );
 }
 
 #[test]
