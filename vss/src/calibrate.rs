@@ -290,7 +290,7 @@ fn reject(table: &[LightPoint], mut stand: Stand) -> Result<Stand, CalibrationEr
         stand.limit_px = REJECT_SD * fit::noise_of(&stand.camera, table, &stand.used, parameters);
         let fits = |row: &usize| {
             table.get(*row).is_some_and(|point| {
-                stand.camera.to_camera(&point.position()).z > 0.0
+                stand.camera.in_camera_frame(&point.position()).z > 0.0
                     && fit::residual(&stand.camera, point).amax() <= stand.limit_px
             })
         };
@@ -356,7 +356,7 @@ fn assemble(
     let rejected = residuals.iter().zip(table).enumerate();
     let rejected = rejected.filter(|(row, _)| stand.used.binary_search(row).is_err());
     let rejected = rejected.map(|(row, (&[du, dv], point))| {
-        let behind = camera.to_camera(&point.position()).z <= 0.0;
+        let behind = camera.in_camera_frame(&point.position()).z <= 0.0;
         let outlier = RejectReason::Outlier {
             limit_px: stand.limit_px,
         };

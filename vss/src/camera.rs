@@ -196,7 +196,7 @@ impl Camera {
 
     /// The point in the camera frame, m.
     #[must_use]
-    pub fn to_camera(&self, point: &Point3<f64>) -> Vector3<f64> {
+    pub fn in_camera_frame(&self, point: &Point3<f64>) -> Vector3<f64> {
         self.rotation * (point - self.centre)
     }
 
@@ -210,17 +210,17 @@ impl Camera {
     /// beyond the radius up to which the distortion has an inverse.
     #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<Vector2<f64>> {
-        let c = self.to_camera(point);
+        let c = self.in_camera_frame(point);
         if c.z.is_nan() || c.z <= 0.0 {
             return None;
         }
         let p = Vector2::new(c.x / c.z, c.y / c.z);
-        let pixel = self.to_pixel(self.distortion.distort(p));
+        let pixel = self.pixel_of(self.distortion.distort(p));
         let valid = p.norm() <= self.distortion.valid_radius();
         (valid && pixel.iter().all(|c| c.is_finite())).then_some(pixel)
     }
 
-    fn to_pixel(&self, p: Vector2<f64>) -> Vector2<f64> {
+    fn pixel_of(&self, p: Vector2<f64>) -> Vector2<f64> {
         let i = &self.intrinsics;
         Vector2::new(i.fx * p.x + i.cx, i.fy * p.y + i.cy)
     }
@@ -250,12 +250,12 @@ impl Camera {
     /// the plane z = 0 only.
     #[must_use]
     pub fn project_unchecked(&self, point: &Point3<f64>) -> Option<Vector2<f64>> {
-        let c = self.to_camera(point);
+        let c = self.in_camera_frame(point);
         if c.z.is_nan() || c.z.abs() < 1e-12 {
             return None;
         }
         let p = Vector2::new(c.x / c.z, c.y / c.z);
-        Some(self.to_pixel(self.distortion.distort(p)))
+        Some(self.pixel_of(self.distortion.distort(p)))
     }
 
     /// The formula of the projection without its checks, with derivatives with respect to
@@ -266,7 +266,7 @@ impl Camera {
         &self,
         point: &Point3<f64>,
     ) -> Option<(Vector2<f64>, ParameterJacobian)> {
-        let c = self.to_camera(point);
+        let c = self.in_camera_frame(point);
         if c.z.is_nan() || c.z.abs() < 1e-12 {
             return None;
         }
@@ -303,7 +303,7 @@ impl Camera {
         );
         j.fixed_view_mut::<2, 5>(0, 10)
             .copy_from(&(focal * by_distortion));
-        Some((self.to_pixel(d), j))
+        Some((self.pixel_of(d), j))
     }
 
     /// The camera moved by a change of its parameters, in the order of [`Self::project_with_jacobian`]: the

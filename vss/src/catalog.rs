@@ -95,7 +95,14 @@ impl Expander for VssExpander {
         let Some(parsed) = findings.keep(table.parse::<VssTable>()) else {
             return Vec::new();
         };
-        Expansion { catalog: &catalog, table, parsed: &parsed, findings, tasks: Vec::new() }.run()
+        Expansion {
+            catalog: &catalog,
+            table,
+            parsed: &parsed,
+            findings,
+            tasks: Vec::new(),
+        }
+        .run()
     }
 }
 
@@ -119,7 +126,9 @@ impl<'a> Expansion<'a> {
         // Everything that the catalog names in itself exists; a test sees to that.
         let tools = services.values().flat_map(|service| service.tools.values());
         let tools: BTreeSet<&str> = tools.map(String::as_str).collect();
-        let vms = tools.iter().filter_map(|tool| self.catalog.tool.get(*tool)?.vm.as_deref());
+        let vms = tools
+            .iter()
+            .filter_map(|tool| self.catalog.tool.get(*tool)?.vm.as_deref());
         let vms: BTreeSet<&str> = vms.collect();
         self.managers(&services, &vms);
         for (name, service) in &services {
@@ -179,12 +188,19 @@ impl<'a> Expansion<'a> {
     }
 
     fn managers(&mut self, services: &BTreeMap<&str, &ServiceEntry>, vms: &BTreeSet<&str>) {
-        let routes = services.iter().fold(Node::table(), |routes, (name, service)| {
-            routes.with(&service.command, format!("svc{name}"))
-        });
+        let routes = services
+            .iter()
+            .fold(Node::table(), |routes, (name, service)| {
+                routes.with(&service.command, format!("svc{name}"))
+            });
         let mut hardware = Node::table();
         let mut tasks: Vec<Node> = Vec::new();
-        for (vm, entry) in self.catalog.vm.iter().filter(|(vm, _)| vms.contains(vm.as_str())) {
+        for (vm, entry) in self
+            .catalog
+            .vm
+            .iter()
+            .filter(|(vm, _)| vms.contains(vm.as_str()))
+        {
             if entry.per_camera && self.parsed.cameras.is_empty() {
                 let text = format!("`{vm}` needs a camera, and the app has none");
                 let finding = Finding::error("vss::cameras::none", text)
@@ -196,23 +212,33 @@ impl<'a> Expansion<'a> {
                 hardware = hardware.with(task, drives);
             }
         }
-        self.add(VSM, "vss.vsm", Node::table().with("routes", routes).with("vms", tasks));
+        self.add(
+            VSM,
+            "vss.vsm",
+            Node::table().with("routes", routes).with("vms", tasks),
+        );
         if !vms.is_empty() {
             let args = Node::table().with("hardware", hardware);
             let limit = self.parsed.hold_limit_s;
-            let args = limit.into_iter().fold(args, |args, limit| args.with("hold_limit_s", limit));
+            let args = limit
+                .into_iter()
+                .fold(args, |args, limit| args.with("hold_limit_s", limit));
             self.add(VMM, "vss.vmm", args);
         }
     }
 
     fn service(&mut self, name: &str, service: &ServiceEntry) {
         let tools = service.tools.iter();
-        let args = tools.fold(Node::table(), |args, (role, tool)| args.with(role, tool.as_str()));
+        let args = tools.fold(Node::table(), |args, (role, tool)| {
+            args.with(role, tool.as_str())
+        });
         self.add(&format!("svc{name}"), &service.handler, args);
     }
 
     fn tool(&mut self, name: &str) {
-        let Some(tool) = self.catalog.tool.get(name) else { return };
+        let Some(tool) = self.catalog.tool.get(name) else {
+            return;
+        };
         let mut args = Node::table();
         if let Some(vm) = &tool.vm
             && let Some(entry) = self.catalog.vm.get(vm)
@@ -232,15 +258,22 @@ impl<'a> Expansion<'a> {
     }
 
     fn modules(&mut self, vm: &str) {
-        let Some(entry) = self.catalog.vm.get(vm) else { return };
+        let Some(entry) = self.catalog.vm.get(vm) else {
+            return;
+        };
         for (task, _, camera) in self.tasks_of(vm, entry) {
             let mut args = Node::table();
             if let Some(camera) = camera
-                && let Some(table) = self.table.get("cameras").and_then(|cameras| cameras.entry(camera))
+                && let Some(table) = self
+                    .table
+                    .get("cameras")
+                    .and_then(|cameras| cameras.entry(camera))
             {
                 // `source` and `args` keep the places where they were written.
                 let own = table.value.entries().iter();
-                args = own.fold(args, |args, entry| args.with(&entry.key, entry.value.clone()));
+                args = own.fold(args, |args, entry| {
+                    args.with(&entry.key, entry.value.clone())
+                });
                 args = args.with("camera", camera);
             }
             self.add(&task, &entry.handler, args);
@@ -251,9 +284,14 @@ impl<'a> Expansion<'a> {
     fn add(&mut self, name: &str, handler: &str, args: Node) {
         let own = self.table.get("args").and_then(|all| all.entry(name));
         let own = own.map_or(&[][..], |entry| entry.value.entries());
-        let args = own.iter().fold(args, |args, entry| args.with(&entry.key, entry.value.clone()));
+        let args = own.iter().fold(args, |args, entry| {
+            args.with(&entry.key, entry.value.clone())
+        });
         let on = self.parsed.place.get(name).unwrap_or(&self.parsed.on);
-        let written = self.table.get("place").and_then(|places| places.entry(name));
+        let written = self
+            .table
+            .get("place")
+            .and_then(|places| places.entry(name));
         let place = match written {
             Some(entry) => entry.value.place().cloned(),
             None => self.table.locate("on"),
@@ -320,7 +358,11 @@ max_sigma_px = 4.0
         let mut findings = Findings::new();
         let catalog = catalog(&mut findings).unwrap();
         assert!(findings.is_empty(), "{findings}");
-        for tool in catalog.service.values().flat_map(|service| service.tools.values()) {
+        for tool in catalog
+            .service
+            .values()
+            .flat_map(|service| service.tools.values())
+        {
             let tool = &catalog.tool[tool];
             assert!(tool.vm.iter().all(|vm| catalog.vm.contains_key(vm)));
         }
@@ -334,16 +376,46 @@ max_sigma_px = 4.0
         assert_eq!(
             names,
             [
-                "vsm", "vmm", "svcCalibrate", "svcSpotFind", "toolImageDisp", "toolSnap", "toolSpotDisp",
-                "toolSpotFind", "vmImageDisp", "vmSnap.left", "vmSnap.right", "vmSpotDisp"
+                "vsm",
+                "vmm",
+                "svcCalibrate",
+                "svcSpotFind",
+                "toolImageDisp",
+                "toolSnap",
+                "toolSpotDisp",
+                "toolSpotFind",
+                "vmImageDisp",
+                "vmSnap.left",
+                "vmSnap.right",
+                "vmSpotDisp"
             ]
         );
         let of = |name: &str| tasks.iter().find(|task| task.name == name).unwrap();
-        assert_eq!(of("vsm").args.get("routes.spot_find").unwrap().as_str(), Some("svcSpotFind"));
-        assert_eq!(of("toolSnap").args.get("vms.right").unwrap().as_str(), Some("vmSnap.right"));
-        assert_eq!(of("vmSnap.left").args.get("args.seed").unwrap().as_integer(), Some(3));
+        assert_eq!(
+            of("vsm").args.get("routes.spot_find").unwrap().as_str(),
+            Some("svcSpotFind")
+        );
+        assert_eq!(
+            of("toolSnap").args.get("vms.right").unwrap().as_str(),
+            Some("vmSnap.right")
+        );
+        assert_eq!(
+            of("vmSnap.left")
+                .args
+                .get("args.seed")
+                .unwrap()
+                .as_integer(),
+            Some(3)
+        );
         assert_eq!(of("toolSpotFind").on, "cage_vision/compute");
-        assert_eq!(of("toolSpotFind").args.get("max_sigma_px").unwrap().as_f64(), Some(4.0));
+        assert_eq!(
+            of("toolSpotFind")
+                .args
+                .get("max_sigma_px")
+                .unwrap()
+                .as_f64(),
+            Some(4.0)
+        );
         assert_eq!(of("toolSnap").on, "cage_vision/main");
     }
 
@@ -357,12 +429,21 @@ max_sigma_px = 4.0
 
     #[test]
     fn what_is_wrong_is_said_where_it_stands() {
-        let first = |from: &str, to: &str| expand(&APP.replace(from, to)).1.first().cloned().unwrap_or_default();
+        let first = |from: &str, to: &str| {
+            expand(&APP.replace(from, to))
+                .1
+                .first()
+                .cloned()
+                .unwrap_or_default()
+        };
         assert_eq!(
             first("\"SpotFind\"", "\"SpotFnid\""),
             "app.toml:3:13: error: there is no vision Service `SpotFnid` (did you mean `SpotFind`?)"
         );
-        assert_eq!(first("\"Calibrate\"", "\"SpotFind\""), "app.toml:3:25: error: the Service `SpotFind` is named twice");
+        assert_eq!(
+            first("\"Calibrate\"", "\"SpotFind\""),
+            "app.toml:3:25: error: the Service `SpotFind` is named twice"
+        );
         assert_eq!(
             first("[args.toolSpotFind]", "[args.toolSpotFnd]"),
             "app.toml:10:7: error: the services of this app have no task `toolSpotFnd` (did you mean `toolSpotFind`?)"

@@ -27,10 +27,16 @@ pub fn register(registry: &mut Registry, sources: FrameSources) {
 
 fn services(registry: &mut Registry) {
     registry
-        .handler("vss.svc_spot_find", service::SPOT_FIND_COMMANDS, service::SpotFindService::new)
+        .handler(
+            "vss.svc_spot_find",
+            service::SPOT_FIND_COMMANDS,
+            service::SpotFindService::new,
+        )
         .check(arguments::<service::SpotFindArgs>);
     registry
-        .handler("vss.svc_calibrate", service::CALIBRATE_COMMANDS, |_| Ok(service::CalibrateService))
+        .handler("vss.svc_calibrate", service::CALIBRATE_COMMANDS, |_| {
+            Ok(service::CalibrateService)
+        })
         .check(no_arguments);
 }
 
@@ -39,26 +45,46 @@ fn tools(registry: &mut Registry) {
         .handler("vss.tool_snap", tool::SNAP_COMMANDS, tool::SnapTool::new)
         .check(arguments::<tool::PerCameraArgs>);
     registry
-        .handler("vss.tool_image_disp", tool::IMAGE_DISP_COMMANDS, tool::ImageDispTool::new)
+        .handler(
+            "vss.tool_image_disp",
+            tool::IMAGE_DISP_COMMANDS,
+            tool::ImageDispTool::new,
+        )
         .check(arguments::<tool::SharedArgs>);
     registry
-        .handler("vss.tool_spot_find", tool::SPOT_FIND_COMMANDS, tool::SpotFindTool::new)
+        .handler(
+            "vss.tool_spot_find",
+            tool::SPOT_FIND_COMMANDS,
+            tool::SpotFindTool::new,
+        )
         .check(arguments::<SpotOptions>);
     registry
-        .handler("vss.tool_spot_disp", tool::SPOT_DISP_COMMANDS, tool::SpotDispTool::new)
+        .handler(
+            "vss.tool_spot_disp",
+            tool::SPOT_DISP_COMMANDS,
+            tool::SpotDispTool::new,
+        )
         .check(arguments::<tool::SharedArgs>);
 }
 
 fn modules(registry: &mut Registry, sources: &Arc<FrameSources>) {
     let (building, checking) = (sources.clone(), sources.clone());
     registry
-        .handler("vss.vm_snap", vm::SNAP_COMMANDS, move |cx| vm::SnapModule::new(cx, &building))
+        .handler("vss.vm_snap", vm::SNAP_COMMANDS, move |cx| {
+            vm::SnapModule::new(cx, &building)
+        })
         .check(move |task, findings| snap_arguments(task, &checking, findings));
     registry
-        .handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| Ok(vm::ImageDispModule))
+        .handler("vss.vm_image_disp", vm::IMAGE_DISP_COMMANDS, |_| {
+            Ok(vm::ImageDispModule)
+        })
         .check(no_arguments);
     registry
-        .handler("vss.vm_spot_disp", vm::SPOT_DISP_COMMANDS, vm::SpotDispModule::new)
+        .handler(
+            "vss.vm_spot_disp",
+            vm::SPOT_DISP_COMMANDS,
+            vm::SpotDispModule::new,
+        )
         .check(arguments::<vm::SpotDispArgs>);
 }
 
@@ -70,7 +96,10 @@ fn arguments<T: DeserializeOwned>(task: &TaskConfig, findings: &mut Findings) {
 fn no_arguments(task: &TaskConfig, findings: &mut Findings) {
     for entry in task.args.entries() {
         let text = format!("`{}` takes no arguments, so no `{}`", task.name, entry.key);
-        let place = entry.key_place.clone().unwrap_or_else(|| task.place.clone());
+        let place = entry
+            .key_place
+            .clone()
+            .unwrap_or_else(|| task.place.clone());
         findings.push(Finding::error("vss::args::none", text).at(place));
     }
 }
@@ -91,8 +120,16 @@ fn snap_arguments(task: &TaskConfig, sources: &FrameSources, findings: &mut Find
         Ok((camera, source, own)) => sources.check(&source, &camera, &own, findings),
         Err(error) => findings.push(refuse(error.to_string(), task.args.place())),
     }
-    if let Some(own) = task.args.get("args").filter(|own| !matches!(own.value(), ctos::config::Value::Table(_))) {
-        let text = format!("`args` of `{}` is {}, not a table", task.name, Node::kind(own));
+    if let Some(own) = task
+        .args
+        .get("args")
+        .filter(|own| !matches!(own.value(), ctos::config::Value::Table(_)))
+    {
+        let text = format!(
+            "`args` of `{}` is {}, not a table",
+            task.name,
+            Node::kind(own)
+        );
         findings.push(refuse(text, own.place()));
     }
 }

@@ -46,16 +46,32 @@ impl EventHandler for SpotFindService {
         match message.command() {
             SpotFind::CODE => {
                 let tools = self.args.clone();
-                answer::<SpotFind, _, _>(cx, message, |cx, request| find_spot(cx, tools, request.camera))
+                answer::<SpotFind, _, _>(cx, message, |cx, request| {
+                    find_spot(cx, tools, request.camera)
+                })
             }
             _ => cx.default_processing(message),
         }
     }
 }
 
-async fn find_spot(cx: Context, tools: SpotFindArgs, camera: String) -> Result<SpotReport, HandlerError> {
-    let frame = ask(&cx, &tools.snap, Snap { camera: camera.clone() }).await?;
-    let picture = ShowImage { camera: camera.clone(), frame: frame.clone() };
+async fn find_spot(
+    cx: Context,
+    tools: SpotFindArgs,
+    camera: String,
+) -> Result<SpotReport, HandlerError> {
+    let frame = ask(
+        &cx,
+        &tools.snap,
+        Snap {
+            camera: camera.clone(),
+        },
+    )
+    .await?;
+    let picture = ShowImage {
+        camera: camera.clone(),
+        frame: frame.clone(),
+    };
     // A dark monitor must not cost a measurement.
     if let Err(error) = ask(&cx, &tools.image_disp, picture).await {
         tracing::warn!(camera, %error, "picture not shown");
@@ -64,8 +80,20 @@ async fn find_spot(cx: Context, tools: SpotFindArgs, camera: String) -> Result<S
     let (width, height) = (frame.width, frame.height);
     let spot = ask(&cx, &tools.spot_find, LocateSpot { frame }).await;
     let spot = spot.map_err(|error| HandlerError::new(format!("camera `{camera}`: {error}")))?;
-    let mark = Mark { u: spot.u, v: spot.v };
-    if let Err(error) = ask(&cx, &tools.spot_disp, MarkSpot { camera: camera.clone(), mark }).await {
+    let mark = Mark {
+        u: spot.u,
+        v: spot.v,
+    };
+    if let Err(error) = ask(
+        &cx,
+        &tools.spot_disp,
+        MarkSpot {
+            camera: camera.clone(),
+            mark,
+        },
+    )
+    .await
+    {
         tracing::warn!(camera, %error, "marker not shown");
     }
     Ok(SpotReport {
@@ -86,7 +114,11 @@ async fn find_spot(cx: Context, tools: SpotFindArgs, camera: String) -> Result<S
 }
 
 /// Calls a task by name; a refusal keeps the other's own words.
-pub(crate) async fn ask<C: Command>(cx: &Context, task: &str, request: C) -> Result<C::Reply, HandlerError> {
+pub(crate) async fn ask<C: Command>(
+    cx: &Context,
+    task: &str,
+    request: C,
+) -> Result<C::Reply, HandlerError> {
     let task = cx.task(task).await?;
     let answer = cx.call(&task, request).await;
     answer.map_err(|error| HandlerError::new(error.reason()))

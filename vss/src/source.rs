@@ -64,7 +64,10 @@ impl FrameSources {
         + Sync
         + 'static,
     ) -> &mut SourceKind {
-        let kind = SourceKind { build: Arc::new(build), check: None };
+        let kind = SourceKind {
+            build: Arc::new(build),
+            check: None,
+        };
         match self.kinds.entry(name.to_owned()) {
             std::collections::btree_map::Entry::Occupied(mut there) => {
                 there.insert(kind);
@@ -91,7 +94,9 @@ impl FrameSources {
     pub(crate) fn check(&self, source: &Node, camera: &str, args: &Node, findings: &mut Findings) {
         let name = source.as_str().unwrap_or_default();
         match self.kinds.get(name) {
-            Some(SourceKind { check: Some(check), .. }) => check(camera, args, findings),
+            Some(SourceKind {
+                check: Some(check), ..
+            }) => check(camera, args, findings),
             Some(_) => {}
             None => {
                 let finding = self.unknown(name);

@@ -11,7 +11,8 @@ use serde::Deserialize;
 
 use crate::{
     command::{
-        AcquireVm, DisplayImage, DisplayMark, LocateSpot, MarkSpot, ReleaseVm, ShowImage, Snap, SnapNow,
+        AcquireVm, DisplayImage, DisplayMark, LocateSpot, MarkSpot, ReleaseVm, ShowImage, Snap,
+        SnapNow,
     },
     concurrent::answer,
     service::ask,
@@ -28,7 +29,12 @@ pub const SPOT_FIND_COMMANDS: &[CommandInfo] = &[LocateSpot::INFO];
 pub const SPOT_DISP_COMMANDS: &[CommandInfo] = &[MarkSpot::INFO];
 
 /// Calls a Vision Module while the manager grants its hardware to this Tool.
-async fn with_vm<C: Command>(cx: &Context, vmm: &str, vm: &str, request: C) -> Result<C::Reply, HandlerError> {
+async fn with_vm<C: Command>(
+    cx: &Context,
+    vmm: &str,
+    vm: &str,
+    request: C,
+) -> Result<C::Reply, HandlerError> {
     let grant = ask(cx, vmm, AcquireVm { vm: vm.to_owned() }).await?;
     let result = ask(cx, vm, request).await;
     // Whatever the Vision Module said, the next Tool must get its turn.
@@ -115,7 +121,9 @@ pub struct SpotFindTool {
 
 impl SpotFindTool {
     pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
-        Ok(Self { options: cx.args()? })
+        Ok(Self {
+            options: cx.args()?,
+        })
     }
 }
 

@@ -23,7 +23,8 @@ use crate::{
 /// The commands of `vss.vm_snap`.
 pub const SNAP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, SnapNow::INFO];
 /// The commands of `vss.vm_image_disp`.
-pub const IMAGE_DISP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, DisplayImage::INFO, WhatIsShown::INFO];
+pub const IMAGE_DISP_COMMANDS: &[CommandInfo] =
+    &[InitializeVm::INFO, DisplayImage::INFO, WhatIsShown::INFO];
 /// The commands of `vss.vm_spot_disp`.
 pub const SPOT_DISP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, DisplayMark::INFO];
 
@@ -51,7 +52,9 @@ pub struct SnapModule {
 
 impl SnapModule {
     pub(crate) fn new(cx: &Context, sources: &FrameSources) -> Result<Self, HandlerError> {
-        let args = cx.config().map_or_else(Node::table, |config| config.args.clone());
+        let args = cx
+            .config()
+            .map_or_else(Node::table, |config| config.args.clone());
         let (camera, source, own) = snap_args(&args)?;
         let source = sources.build(source.as_str().unwrap_or_default(), cx, &camera, &own)?;
         Ok(Self { camera, source })
@@ -109,7 +112,13 @@ impl EventHandler for ImageDispModule {
             InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
             DisplayImage::CODE => {
                 let (DisplayImage { camera, frame }, reply) = message.open::<DisplayImage>()?;
-                Monitor::of(cx).lock().insert(camera, Shown { frame, marks: Vec::new() });
+                Monitor::of(cx).lock().insert(
+                    camera,
+                    Shown {
+                        frame,
+                        marks: Vec::new(),
+                    },
+                );
                 reply.ok(())
             }
             WhatIsShown::CODE => {
@@ -160,7 +169,10 @@ impl EventHandler for SpotDispModule {
                         shown.marks.push(mark);
                         shown.clone()
                     }
-                    None => return reply.fail(format!("the monitor shows no picture of camera `{camera}`")),
+                    None => {
+                        return reply
+                            .fail(format!("the monitor shows no picture of camera `{camera}`"));
+                    }
                 };
                 if let Some(file) = self.file_for(cx, &camera) {
                     write_png(&shown, &file)?;
@@ -174,7 +186,9 @@ impl EventHandler for SpotDispModule {
 
 /// Writes a picture with its markers.
 fn write_png(shown: &Shown, file: &Path) -> Result<(), HandlerError> {
-    let at = |error: &dyn std::fmt::Display| HandlerError::new(format!("cannot write `{}`: {error}", file.display()));
+    let at = |error: &dyn std::fmt::Display| {
+        HandlerError::new(format!("cannot write `{}`: {error}", file.display()))
+    };
     if let Some(folder) = file.parent() {
         std::fs::create_dir_all(folder).map_err(|error| at(&error))?;
     }
@@ -182,15 +196,24 @@ fn write_png(shown: &Shown, file: &Path) -> Result<(), HandlerError> {
     let size = |pixels: usize| u32::try_from(pixels).map_err(|error| at(&error));
     let picture = image::GrayImage::from_raw(size(width)?, size(height)?, marked(shown));
     let picture = picture.ok_or_else(|| at(&"its size and its pixels disagree"))?;
-    picture.save_with_format(file, image::ImageFormat::Png).map_err(|error| at(&error))
+    picture
+        .save_with_format(file, image::ImageFormat::Png)
+        .map_err(|error| at(&error))
 }
 
 /// The pixels with a cross around each marked place; the middle stays visible.
 fn marked(shown: &Shown) -> Vec<u8> {
-    let Frame { width, height, pixels, .. } = &shown.frame;
+    let Frame {
+        width,
+        height,
+        pixels,
+        ..
+    } = &shown.frame;
     let mut pixels = pixels.to_vec();
     let mut paint = |u: i64, v: i64| {
-        let (Ok(u), Ok(v)) = (usize::try_from(u), usize::try_from(v)) else { return };
+        let (Ok(u), Ok(v)) = (usize::try_from(u), usize::try_from(v)) else {
+            return;
+        };
         if u < *width
             && v < *height
             && let Some(pixel) = pixels.get_mut(v * width + u)

@@ -43,10 +43,17 @@ pub struct ModuleManager {
 
 impl ModuleManager {
     pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
-        let VmmArgs { hardware, hold_limit_s } = cx.args()?;
+        let VmmArgs {
+            hardware,
+            hold_limit_s,
+        } = cx.args()?;
         let limit = Duration::try_from_secs_f64(hold_limit_s)
             .map_err(|error| format!("hold_limit_s = {hold_limit_s}: {error}"))?;
-        Ok(Self { hardware, limit, arbiter: Rc::default() })
+        Ok(Self {
+            hardware,
+            limit,
+            arbiter: Rc::default(),
+        })
     }
 
     fn acquire(&self, cx: &Context, message: Message) -> Handled {
@@ -54,7 +61,10 @@ impl ModuleManager {
         let (AcquireVm { vm }, reply) = message.open::<AcquireVm>()?;
         let Some(hardware) = self.hardware.get(&vm) else {
             let known: Vec<&str> = self.hardware.keys().map(String::as_str).collect();
-            return reply.fail(format!("no Vision Module is called `{vm}`; there are: {}", known.join(", ")));
+            return reply.fail(format!(
+                "no Vision Module is called `{vm}`; there are: {}",
+                known.join(", ")
+            ));
         };
         let turn = self.arbiter.borrow_mut().acquire(hardware, from, reply);
         match turn {
@@ -66,7 +76,9 @@ impl ModuleManager {
 
     /// Sees to it that the holder of `hardware`, for which somebody waits now, does not keep it for ever.
     fn watch(&self, cx: &Context, hardware: String) {
-        let Some(holder) = self.arbiter.borrow().holder(&hardware) else { return };
+        let Some(holder) = self.arbiter.borrow().holder(&hardware) else {
+            return;
+        };
         let (cx, arbiter, limit) = (cx.clone(), self.arbiter.clone(), self.limit);
         let child = cx.clone();
         child.spawn(async move {
@@ -81,7 +93,10 @@ impl ModuleManager {
     }
 
     fn revoke(&self, chassis: u8) {
-        let turns = self.arbiter.borrow_mut().revoke(|tid: Tid| tid.chassis() == chassis);
+        let turns = self
+            .arbiter
+            .borrow_mut()
+            .revoke(|tid: Tid| tid.chassis() == chassis);
         turns.into_iter().for_each(grant);
     }
 }
@@ -113,7 +128,11 @@ impl EventHandler for ModuleManager {
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         // Chassis 0 is the boot itself; the app's own count from 1 in the order of the configuration.
-        let position = cx.app().chassis.iter().position(|config| config.name == chassis);
+        let position = cx
+            .app()
+            .chassis
+            .iter()
+            .position(|config| config.name == chassis);
         if let Some(index) = position.and_then(|position| u8::try_from(position + 1).ok()) {
             self.revoke(index);
         }

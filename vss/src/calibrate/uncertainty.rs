@@ -219,7 +219,7 @@ fn volume_error(camera: &Camera, points: &[Point3<f64>], covariance: &Covariance
         let at = [cell % GRID, cell / GRID % GRID, cell / GRID / GRID].map(part);
         let offset = (high - low).component_mul(&nalgebra::Vector3::from(at));
         let point = low + offset;
-        if camera.to_camera(&point).z > 0.0
+        if camera.in_camera_frame(&point).z > 0.0
             && let Some((_, j)) = camera.project_with_jacobian(&point)
         {
             sum += (j * covariance * j.transpose()).trace();

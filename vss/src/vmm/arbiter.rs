@@ -33,14 +33,20 @@ pub(super) struct Arbiter<W> {
 
 impl<W> Default for Arbiter<W> {
     fn default() -> Self {
-        Self { lines: BTreeMap::new(), granted: 0 }
+        Self {
+            lines: BTreeMap::new(),
+            granted: 0,
+        }
     }
 }
 
 impl<W: Waits> Arbiter<W> {
     /// Joins the line for `hardware`; returns the waiter with its turn if the hardware is free.
     pub(super) fn acquire(&mut self, hardware: &str, by: Tid, waiter: W) -> Option<Turn<W>> {
-        let empty = || Line { holder: None, waiting: VecDeque::new() };
+        let empty = || Line {
+            holder: None,
+            waiting: VecDeque::new(),
+        };
         let line = self.lines.entry(hardware.to_owned()).or_insert_with(empty);
         line.waiting.push_back((by, waiter));
         line.next(&mut self.granted)
@@ -83,7 +89,10 @@ impl<W: Waits> Line<W> {
             if waiter.still_waits() {
                 *granted += 1;
                 self.holder = Some((*granted, by));
-                return Some(Turn { waiter, grant: *granted });
+                return Some(Turn {
+                    waiter,
+                    grant: *granted,
+                });
             }
         }
         None
@@ -111,7 +120,14 @@ mod tests {
         let first = arbiter.acquire("camera", task(1), (1, true)).unwrap();
         assert!(arbiter.acquire("camera", task(1), (2, true)).is_none());
         assert!(arbiter.acquire("camera", task(1), (3, true)).is_none());
-        assert_eq!(arbiter.acquire("display", task(1), (4, true)).unwrap().waiter.0, 4);
+        assert_eq!(
+            arbiter
+                .acquire("display", task(1), (4, true))
+                .unwrap()
+                .waiter
+                .0,
+            4
+        );
         let second = arbiter.release(first.grant).unwrap();
         assert_eq!(second.waiter.0, 2);
         assert!(arbiter.release(first.grant).is_none(), "released twice");
@@ -134,7 +150,10 @@ mod tests {
         arbiter.acquire("camera", task(1), (2, true));
         arbiter.acquire("camera", task(2), (3, true));
         let turns = arbiter.revoke(|tid| tid.chassis() == 1);
-        assert_eq!(turns.iter().map(|turn| turn.waiter.0).collect::<Vec<_>>(), [3]);
+        assert_eq!(
+            turns.iter().map(|turn| turn.waiter.0).collect::<Vec<_>>(),
+            [3]
+        );
     }
 
     proptest! {
