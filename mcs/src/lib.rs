@@ -1,3 +1,4 @@
 //! Motion Control System: slots, control laws, planning, state manager, client interface
 
+pub mod arm;
 pub mod driver;
