@@ -16,7 +16,7 @@ pub struct SlotReading {
 }
 
 /// The three physical states of the manipulator (report 108, section 4, end of the state manager).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum Power {
     /// Power off: cold, reserved and estopped states. Brakes hold.
     #[default]

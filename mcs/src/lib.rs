@@ -1,5 +1,7 @@
 //! Motion Control System: slots, control laws, planning, state manager, client interface
 
 pub mod arm;
+pub mod control;
 pub mod driver;
+pub mod servo;
 pub mod trajectory;
