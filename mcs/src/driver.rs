@@ -4,7 +4,11 @@
 //! see slots only: a position read back and a torque command per joint, whatever drives it
 //! (CIRSSE report 108, section 4). This module names no simulator.
 
+mod registry;
+
 use std::time::Duration;
+
+pub use registry::{DriverKind, DriverRegistry};
 
 /// What one slot reported at the last [`ChannelDriver::read`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -4,4 +4,5 @@ pub mod arm;
 pub mod control;
 pub mod driver;
 pub mod servo;
+pub mod state;
 pub mod trajectory;
