@@ -5,6 +5,8 @@
 //! (CIRSSE report 108, section 4). This module names no simulator.
 
 mod registry;
+#[cfg(test)]
+pub(crate) mod test_arm;
 
 use std::time::Duration;
 

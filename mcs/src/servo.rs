@@ -30,7 +30,7 @@ const START_TOLERANCE: f64 = 1e-6;
 
 /// When a motion counts as settled.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Settling {
     /// Every joint's error is at most this, rad,
     pub error: f64,
@@ -94,6 +94,15 @@ pub enum ServoError {
         /// What was given.
         value: f64,
     },
+}
+
+/// Whoever drops the servo leaves an arm without a controller: its power goes off first.
+impl Drop for Servo {
+    fn drop(&mut self) {
+        let period = self.config.period;
+        // Nobody is left to be told of a failure.
+        let _ = self.driver.write(&[0.0; DOF], Power::Off, period);
+    }
 }
 
 /// The synchronous part of MCS for one manipulator.

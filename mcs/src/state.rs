@@ -29,8 +29,13 @@ pub enum State {
 
 impl State {
     /// All states, in the columns of the table.
-    pub const ALL: [Self; 5] =
-        [Self::Cold, Self::Reserved, Self::Active, Self::Motion, Self::Estopped];
+    pub const ALL: [Self; 5] = [
+        Self::Cold,
+        Self::Reserved,
+        Self::Active,
+        Self::Motion,
+        Self::Estopped,
+    ];
 
     /// The physical state that this state means.
     #[must_use]
@@ -117,7 +122,8 @@ const TABLE: [[Option<State>; 5]; 8] = {
     const NO: Option<State> = None;
     [
         // from     cold             reserved         active           motion           estopped
-        /* reserve        */ [Some(Reserved), NO, NO, NO, NO],
+        /* reserve        */
+        [Some(Reserved), NO, NO, NO, NO],
         /* unreserve      */ [NO, Some(Cold), NO, NO, NO],
         /* power on       */ [NO, Some(Active), NO, NO, NO],
         /* power off      */ [NO, NO, Some(Reserved), NO, NO],
@@ -265,7 +271,10 @@ mod tests {
                 if let Some(to) = next(state, event)
                     && event != Event::EmergencyStop
                 {
-                    assert!((height(to) - height(state)).abs() <= 1, "{state} {event} {to}");
+                    assert!(
+                        (height(to) - height(state)).abs() <= 1,
+                        "{state} {event} {to}"
+                    );
                 }
             }
         }
@@ -276,12 +285,17 @@ mod tests {
         let mut manager = StateManager::new();
         manager.apply(Event::Reserve, "a").unwrap();
         let refused = manager.apply(Event::PowerOn, "b").unwrap_err();
-        let expected =
-            "`power on` by task `b` refused: the manipulator is reserved by task `a`";
+        let expected = "`power on` by task `b` refused: the manipulator is reserved by task `a`";
         assert_eq!(refused.to_string(), expected);
-        assert!(matches!(manager.apply(Event::Reserve, "b"), Err(StateError::Held { .. })));
+        assert!(matches!(
+            manager.apply(Event::Reserve, "b"),
+            Err(StateError::Held { .. })
+        ));
         manager.apply(Event::PowerOn, "a").unwrap();
-        assert_eq!(manager.apply(Event::EmergencyStop, "b"), Ok(State::Estopped));
+        assert_eq!(
+            manager.apply(Event::EmergencyStop, "b"),
+            Ok(State::Estopped)
+        );
     }
 
     #[test]
@@ -324,6 +338,9 @@ mod tests {
     fn the_diagram_in_the_documentation_is_the_table() {
         let page = include_str!("../../docs/mcs-states.md");
         let drawn = format!("```mermaid\n{}```", mermaid());
-        assert!(page.contains(&drawn), "put this into docs/mcs-states.md:\n{drawn}");
+        assert!(
+            page.contains(&drawn),
+            "put this into docs/mcs-states.md:\n{drawn}"
+        );
     }
 }

@@ -24,7 +24,7 @@ use ctos::task::{Context, HandlerError};
 use nalgebra::Isometry3;
 
 use crate::driver::{DriverRegistry, Power};
-use crate::servo::{ServoCommand, ServoConfig, ServoPort, ServoStatus};
+use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::Planner;
 
 /// Registered name of the servo's event handler.
@@ -77,38 +77,46 @@ impl Link {
         self.config.period * self.config.setpoint_every.max(1)
     }
 
-    /// Waits until `done` says so of the servo's status.
+    /// Waits until `done` says so of the servo's status, at most `patience` by the servo's own count
+    /// of periods.
     ///
     /// # Errors
-    /// A text when the servo has stopped ticking or its patience for settling is over twice.
+    /// A text when the patience is over or the servo has stopped ticking.
     async fn wait(
         &self,
         cx: &Context,
         what: &str,
+        patience: Duration,
         done: impl Fn(&ServoStatus) -> bool,
     ) -> Result<ServoStatus, HandlerError> {
-        let mut last = self.port.status().ticks;
+        let first = self.port.status().ticks;
+        let limit = patience.as_secs_f64() / self.config.period.as_secs_f64();
+        let mut last = first;
         let mut silent = 0_u32;
-        let mut looks = 0_u32;
         loop {
             let status = self.port.status();
             if done(&status) {
                 return Ok(status);
             }
             silent = if status.ticks == last { silent + 1 } else { 0 };
-            looks += 1;
-            // Braking takes at most a second or two; settling at most its patience.
-            let limit = 2 * self.config.settling.patience / self.config.setpoint_every.max(1);
-            if silent > SILENT_LOOKS || looks > limit.max(500) {
+            if silent > SILENT_LOOKS || (status.ticks - first) as f64 > limit {
                 return Err(format!(
-                    "the servo did not {what} (after {} ticks; power {:?}, at rest: {})",
-                    status.ticks, status.power, status.at_rest
+                    "the servo did not {what} within {} ticks (power {:?}, at rest: {})",
+                    status.ticks - first,
+                    status.power,
+                    status.at_rest
                 )
                 .into());
             }
             last = status.ticks;
             cx.sleep(self.look()).await;
         }
+    }
+
+    /// How long braking and settling may take at most.
+    fn rest_patience(&self) -> Duration {
+        // The hardest stop of an arm from full speed takes well under two seconds.
+        Duration::from_secs(2) + self.config.period * self.config.settling.patience
     }
 
     /// Brings the arm to rest, brakes on, power off; returns when all that is confirmed.
@@ -118,7 +126,9 @@ impl Link {
     pub async fn shut_down(&self, cx: &Context) -> Result<(), HandlerError> {
         self.port.order(ServoCommand::PowerOff)?;
         let off = |status: &ServoStatus| status.power == Power::Off && status.at_rest;
-        self.wait(cx, "come to rest and switch off", off).await?;
+        let patience = self.rest_patience();
+        self.wait(cx, "come to rest and switch off", patience, off)
+            .await?;
         Ok(())
     }
 
@@ -126,8 +136,8 @@ impl Link {
     fn fault(&self) -> Option<String> {
         let fault = self.port.status().fault?;
         match self.port.driver_error() {
-            Some(error) => Some(format!("{fault}: {error}")),
-            None => Some(fault.to_string()),
+            Some(error) if fault == Fault::Driver => Some(format!("{fault}: {error}")),
+            _ => Some(fault.to_string()),
         }
     }
 }
@@ -178,7 +188,10 @@ fn check_reference(
             "task `{}` and its {key} `{name}` must be on one chassis, but are on `{}` and `{}`",
             task.name, task.chassis, found.chassis
         );
-        let help = format!("write `on = \"{}\"`, with any processor of it", found.chassis);
+        let help = format!(
+            "write `on = \"{}\"`, with any processor of it",
+            found.chassis
+        );
         let finding = Finding::error("mcs::apart", text).at(task.on_place.clone());
         findings.push(finding.help(help));
     }

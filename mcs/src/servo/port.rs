@@ -163,6 +163,7 @@ pub struct ServoStatus {
 pub struct ServoPort {
     commands: Arc<ArrayQueue<ServoCommand>>,
     driver_errors: Arc<ArrayQueue<DriverError>>,
+    last_driver_error: Mutex<Option<DriverError>>,
     status: Mutex<triple_buffer::Output<ServoStatus>>,
 }
 
@@ -180,6 +181,7 @@ impl ServoPort {
         Self {
             commands,
             driver_errors,
+            last_driver_error: Mutex::new(None),
             status: Mutex::new(status),
         }
     }
@@ -205,9 +207,16 @@ impl ServoPort {
         *reader.read()
     }
 
-    /// Takes what the channel driver said when it failed.
+    /// What the channel driver said when it last failed.
     #[must_use]
     pub fn driver_error(&self) -> Option<DriverError> {
-        self.driver_errors.pop()
+        let mut last = self
+            .last_driver_error
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if let Some(error) = self.driver_errors.pop() {
+            *last = Some(error);
+        }
+        last.clone()
     }
 }

@@ -1,103 +1,15 @@
 //! The servo on an arm that obeys the equations of motion.
 
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use super::*;
 use crate::arm::DynamicsOptions;
 use crate::control::{ComputedTorque, JointGains, PidGravity};
+use crate::driver::test_arm::{Knobs, START, TestArm};
 use crate::trajectory::{CartesianLimits, Planner, Segment};
 use nalgebra::{Isometry3, Translation3};
 
-const START: Joints = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
 const GOAL: Joints = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1];
-const SUBSTEPS: u32 = 3;
-
-/// Faults to be had from the arm: 1 read error, 2 write error, 3 not a number, 4 joint 1 held fast.
-#[derive(Default)]
-struct Knobs {
-    fault: AtomicU8,
-    writes_under_power: AtomicU64,
-}
-
-struct Arm {
-    model: ArmModel,
-    friction: bool,
-    q: Joints,
-    qd: Joints,
-    knobs: Arc<Knobs>,
-}
-
-fn fault() -> DriverError {
-    DriverError::Fault {
-        driver: "arm".to_owned(),
-        reason: "cable out".to_owned(),
-    }
-}
-
-impl ChannelDriver for Arm {
-    fn slots(&self) -> usize {
-        DOF
-    }
-
-    fn read(&mut self, readings: &mut [SlotReading]) -> Result<(), DriverError> {
-        for (index, reading) in readings.iter_mut().enumerate() {
-            reading.position = self.q[index];
-            reading.velocity = self.qd[index];
-        }
-        match self.knobs.fault.load(Ordering::Relaxed) {
-            1 => return Err(fault()),
-            3 => readings[4].position = f64::NAN,
-            _ => {}
-        }
-        Ok(())
-    }
-
-    fn write(
-        &mut self,
-        torques: &[f64],
-        power: Power,
-        period: Duration,
-    ) -> Result<(), DriverError> {
-        if power != Power::Released {
-            assert!(torques.iter().all(|torque| *torque == 0.0));
-            self.qd = [0.0; DOF];
-            return Ok(());
-        }
-        self.knobs
-            .writes_under_power
-            .fetch_add(1, Ordering::Relaxed);
-        let torques: Joints = torques.try_into().unwrap();
-        let h = period.as_secs_f64() / f64::from(SUBSTEPS);
-        for _ in 0..SUBSTEPS {
-            let frictionless = DynamicsOptions::WITH_ROTORS;
-            let qdd = self
-                .model
-                .forward_dynamics(&self.q, &self.qd, &torques, frictionless)
-                .unwrap();
-            let inertia = self.model.mass_matrix(&self.q, frictionless);
-            for index in 0..DOF {
-                self.qd[index] += h * qdd[index];
-                if self.friction {
-                    // Dry friction slows down and holds; it never turns a motion round.
-                    let motor = &self.model.motors[index];
-                    let torque = motor.friction_torque(self.qd[index]).abs();
-                    let slowed = self.qd[index].abs() - h * torque / inertia[(index, index)];
-                    self.qd[index] = slowed.max(0.0).copysign(self.qd[index]);
-                }
-                self.q[index] += h * self.qd[index];
-            }
-            if self.knobs.fault.load(Ordering::Relaxed) == 4 {
-                self.qd[0] = 0.0;
-                self.q[0] = START[0];
-            }
-        }
-        match self.knobs.fault.load(Ordering::Relaxed) {
-            2 => Err(fault()),
-            _ => Ok(()),
-        }
-    }
-}
-
 struct Rig {
     servo: Servo,
     port: ServoPort,
@@ -109,13 +21,7 @@ impl Rig {
     fn new(true_arm: ArmModel, friction: bool, law: impl ControlLaw + 'static) -> Self {
         let model = Arc::new(ArmModel::puma560());
         let knobs = Arc::new(Knobs::default());
-        let arm = Arm {
-            model: true_arm,
-            friction,
-            q: START,
-            qd: [0.0; DOF],
-            knobs: Arc::clone(&knobs),
-        };
+        let arm = TestArm::new(true_arm, friction, &knobs);
         let config = ServoConfig::default();
         let (servo, port) =
             Servo::new(Arc::clone(&model), Box::new(arm), Box::new(law), config).unwrap();

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use ctos::diagnostic::{Finding, Findings};
 use ctos::config::TaskConfig;
+use ctos::diagnostic::{Finding, Findings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -112,12 +112,27 @@ impl ServoArgs {
         within("bandwidth_hz", args.bandwidth_hz, 0.1, top);
         within("settling.error", args.settling.error, 1e-6, 1.0);
         within("settling.speed", args.settling.speed, 1e-6, 10.0);
-        within("settling.patience", f64::from(args.settling.patience), 1.0, 1e5);
+        within(
+            "settling.patience",
+            f64::from(args.settling.patience),
+            1.0,
+            1e5,
+        );
         let line = &args.cartesian;
         within("cartesian.linear_speed", line.linear_speed, 1e-3, 10.0);
-        within("cartesian.linear_acceleration", line.linear_acceleration, 1e-3, 100.0);
+        within(
+            "cartesian.linear_acceleration",
+            line.linear_acceleration,
+            1e-3,
+            100.0,
+        );
         within("cartesian.angular_speed", line.angular_speed, 1e-3, 50.0);
-        within("cartesian.angular_acceleration", line.angular_acceleration, 1e-3, 500.0);
+        within(
+            "cartesian.angular_acceleration",
+            line.angular_acceleration,
+            1e-3,
+            500.0,
+        );
         for value in args.tool_xyz {
             within("tool_xyz", value, -2.0, 2.0);
         }
@@ -132,7 +147,9 @@ impl ServoArgs {
             }
         };
         limited("velocity", &args.velocity, |limit| limit.velocity);
-        limited("acceleration", &args.acceleration, |limit| limit.acceleration);
+        limited("acceleration", &args.acceleration, |limit| {
+            limit.acceleration
+        });
         sound.then_some(args)
     }
 

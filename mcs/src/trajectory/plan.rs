@@ -20,7 +20,7 @@ const CHECKS: (f64, f64) = (100.0, 20_000.0);
 
 /// Limits of the tool's motion along a straight line.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct CartesianLimits {
     /// Speed, m/s.
     pub linear_speed: f64,
