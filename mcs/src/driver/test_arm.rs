@@ -1,7 +1,7 @@
 //! An arm for tests that obeys the equations of motion, with faults to be had.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::{ChannelDriver, DriverError, Power, SlotReading};
@@ -16,6 +16,9 @@ const SUBSTEPS: u32 = 3;
 pub(crate) struct Knobs {
     pub(crate) fault: AtomicU8,
     pub(crate) writes_under_power: AtomicU64,
+    pub(crate) last_write: Mutex<Option<(Power, Joints)>>,
+    /// Largest joint speed at the moment when the brakes closed, rad/s.
+    pub(crate) speed_at_power_off: Mutex<Option<f64>>,
 }
 
 /// The stand-in.
@@ -70,7 +73,13 @@ impl ChannelDriver for TestArm {
         power: Power,
         period: Duration,
     ) -> Result<(), DriverError> {
+        let torques: Joints = torques.try_into().unwrap();
+        *self.knobs.last_write.lock().unwrap() = Some((power, torques));
         if power != Power::Released {
+            let speed = self.qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));
+            if speed > 0.0 {
+                *self.knobs.speed_at_power_off.lock().unwrap() = Some(speed);
+            }
             assert!(torques.iter().all(|torque| *torque == 0.0));
             self.qd = [0.0; DOF];
             return Ok(());
@@ -78,7 +87,6 @@ impl ChannelDriver for TestArm {
         self.knobs
             .writes_under_power
             .fetch_add(1, Ordering::Relaxed);
-        let torques: Joints = torques.try_into().unwrap();
         let h = period.as_secs_f64() / f64::from(SUBSTEPS);
         for _ in 0..SUBSTEPS {
             let frictionless = DynamicsOptions::WITH_ROTORS;
