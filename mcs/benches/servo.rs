@@ -1,5 +1,10 @@
 //! What one servo period costs without hardware, and what the arm's model costs in it.
 
+#![allow(
+    clippy::panic,
+    reason = "a benchmark whose set-up fails has nothing to measure"
+)]
+
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Duration;

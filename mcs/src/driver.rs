@@ -47,7 +47,9 @@ pub enum DriverError {
 }
 
 /// Hardware behind a run of slots. Called by the servo only, once per period, in the order
-/// [`read`](Self::read), [`write`](Self::write). Neither call may allocate, lock or wait.
+/// [`read`](Self::read), [`write`](Self::write), in every power state: with power off or brakes on the
+/// torques are zero. A failed read is followed by a write with [`Power::Off`] in the same period, and
+/// so is the servo's own end. Neither call may allocate, lock or wait; only an error may cost more.
 pub trait ChannelDriver: Send {
     /// Number of slots.
     fn slots(&self) -> usize;

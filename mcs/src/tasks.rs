@@ -125,7 +125,10 @@ impl Link {
     /// A text when the servo does not confirm it.
     pub async fn shut_down(&self, cx: &Context) -> Result<(), HandlerError> {
         self.port.order(ServoCommand::PowerOff)?;
-        let off = |status: &ServoStatus| status.power == Power::Off && status.at_rest;
+        // After a fault power is off already, and a driver that failed cannot confirm rest.
+        let off = |status: &ServoStatus| {
+            status.power == Power::Off && (status.at_rest || status.fault.is_some())
+        };
         let patience = self.rest_patience();
         self.wait(cx, "come to rest and switch off", patience, off)
             .await?;

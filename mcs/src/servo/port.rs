@@ -12,6 +12,10 @@ use crate::trajectory::Segment;
 /// An order to the servo. Orders that the present state does not allow change nothing; the status
 /// shows what holds.
 #[derive(Debug, Clone)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a segment behind a pointer would be freed, and so call the allocator, in the tick"
+)]
 pub enum ServoCommand {
     /// Power on, brakes stay on.
     PowerOn,

@@ -179,9 +179,8 @@ fn stop_within_limits(ticks: u32, then: ServoCommand) -> (Rig, f64) {
     }
     let mut still_after = 0.0;
     for (index, triple) in history.windows(3).enumerate() {
-        for joint in 0..DOF {
-            let (a, b, c) = (triple[0][joint], triple[1][joint], triple[2][joint]);
-            let limit = &rig.planner.model().limits[joint];
+        for (joint, limit) in rig.planner.model().limits.iter().enumerate() {
+            let [a, b, c] = [0, 1, 2].map(|at: usize| triple[at][joint]);
             assert!((c - b).abs() / 0.0045 <= limit.velocity * 1.001);
             // An interval of the cubic that holds a jump of acceleration reaches 4/3 of it.
             let acceleration = (c - 2.0 * b + a) / (0.0045 * 0.0045);

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::arm::{ArmModel, DynamicsOptions, JointLimits, Joints};
+use crate::arm::{ArmModel, JointLimits, Joints};
 use crate::servo::{ServoConfig, Settling};
 use crate::trajectory::CartesianLimits;
 
@@ -188,12 +188,6 @@ impl ServoArgs {
             Translation3::new(x, y, z),
             UnitQuaternion::from_euler_angles(roll, pitch, yaw),
         )
-    }
-
-    /// What the model of a computed-torque law counts.
-    #[must_use]
-    pub fn dynamics() -> DynamicsOptions {
-        DynamicsOptions::WITH_ROTORS
     }
 }
 

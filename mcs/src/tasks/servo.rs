@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::args::{Law, ServoArgs};
 use super::{Link, SERVO, rows};
-use crate::arm::Joints;
+use crate::arm::{DynamicsOptions, Joints};
 use crate::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
 use crate::driver::DriverRegistry;
 use crate::servo::{Servo, ServoCommand, ServoStatus};
@@ -119,7 +119,7 @@ impl ServoTask {
                 Arc::clone(&model),
                 args.bandwidth_hz,
                 args.damping,
-                ServoArgs::dynamics(),
+                DynamicsOptions::WITH_ROTORS,
             )),
         };
         let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
