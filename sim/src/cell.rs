@@ -407,6 +407,7 @@ impl CameraText {
                 principal,
                 distortion,
                 camera_t_world,
+                valid_radius: distortion.monotonic_radius(),
             },
             read_noise: check.number(
                 &self.read_noise,
@@ -424,7 +425,7 @@ impl CameraText {
         };
         // The lens can only be judged when the numbers it is made of are sound.
         if check.findings.iter().count() == before && !spec.truth.covers_picture() {
-            let radius = spec.truth.distortion.monotonic_radius();
+            let radius = spec.truth.valid_radius;
             check.refuse(
                 self.k1.span(),
                 format!(

@@ -61,12 +61,12 @@ impl Distortion {
         None
     }
 
-    /// The ideal radius up to which the radial polynomial grows, `f64::INFINITY` if it always does.
+    /// The ideal radius (tangent of the angle off the axis) up to which the radial polynomial grows,
+    /// at most [`WIDEST`].
     #[must_use]
     pub fn monotonic_radius(&self) -> f64 {
         let slope = |s: f64| 1.0 + s * (3.0 * self.k1 + s * (5.0 * self.k2 + s * 7.0 * self.k3));
-        // A ray beyond r = 10 (84 degrees off the axis) is outside every lens of this model.
-        let limit = 100.0;
+        let limit = WIDEST * WIDEST;
         let step = 0.01;
         let mut low = 0.0;
         while low < limit {
@@ -84,13 +84,16 @@ impl Distortion {
             }
             low += step;
         }
-        f64::INFINITY
+        WIDEST
     }
 
     fn radial(&self, s: f64) -> f64 {
         1.0 + s * (self.k1 + s * (self.k2 + s * self.k3))
     }
 }
+
+/// A ray further from the axis than this tangent (84 degrees) is outside every lens of this model.
+pub const WIDEST: f64 = 10.0;
 
 /// A camera as it truly is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -109,6 +112,9 @@ pub struct CameraTruth {
     pub distortion: Distortion,
     /// Pose: world coordinates to camera coordinates, m.
     pub camera_t_world: Isometry3<f64>,
+    /// The ideal radius within which the lens model is one to one
+    /// ([`Distortion::monotonic_radius`]).
+    pub valid_radius: f64,
 }
 
 impl CameraTruth {
@@ -146,7 +152,7 @@ impl CameraTruth {
             return None;
         }
         let (x, y) = (p.x / p.z, p.y / p.z);
-        if x.hypot(y) >= self.distortion.monotonic_radius() {
+        if x.hypot(y) >= self.valid_radius {
             return None;
         }
         Some(self.pixel(x, y))
@@ -157,8 +163,7 @@ impl CameraTruth {
     pub fn direction(&self, u: f64, v: f64) -> Option<Vector3<f64>> {
         let xd = (u - self.principal[0]) / self.focal[0];
         let yd = (v - self.principal[1]) / self.focal[1];
-        let radius = self.distortion.monotonic_radius();
-        let (x, y) = self.distortion.remove(xd, yd, radius)?;
+        let (x, y) = self.distortion.remove(xd, yd, self.valid_radius)?;
         Some(Vector3::new(x, y, 1.0))
     }
 
@@ -210,6 +215,7 @@ mod tests {
                 &Vector3::y(),
             )
             .unwrap(),
+            valid_radius: WIDEST,
         }
     }
 
@@ -243,7 +249,7 @@ mod tests {
             ..Distortion::default()
         };
         assert!((barrel.monotonic_radius() - (1.0_f64 / 0.9).sqrt()).abs() < 1e-9);
-        assert_eq!(Distortion::default().monotonic_radius(), f64::INFINITY);
+        assert_eq!(Distortion::default().monotonic_radius(), WIDEST);
     }
 
     proptest! {
