@@ -1,3 +1,41 @@
-//! Event handler tasks found by symbolic name, messages, boot, time: the runtime
+//! CTOS, the runtime that everything else stands on: event handler tasks, found by symbolic name, that
+//! exchange messages across threads, processes and machines, booted from a configuration file.
+//!
+//! It re-creates the five services of the CIRSSE Testbed Operating System (CIRSSE report 108,
+//! section 3): bootstrap ([`boot`]), task identification ([`task::Context::task`]), message passing
+//! ([`message`], [`call`]), synchronization ([`sync`]) and, inside a chassis, shared memory
+//! ([`chassis::Chassis::share`]). It knows nothing of robots, nets or pictures.
+//!
+//! Start with [`task::EventHandler`]; register it in a [`registry::Registry`]; name it in a
+//! configuration ([`config`]); boot that with [`boot::boot`].
 
+extern crate self as ctos;
+
+/// For the code that [`command!`] writes.
+#[doc(hidden)]
+pub use serde;
+
+pub mod boot;
+pub mod call;
+pub mod chassis;
+pub mod config;
 pub mod diagnostic;
+pub mod message;
+pub mod registry;
+pub mod sync;
+pub mod system;
+pub mod task;
+pub mod time;
+
+mod agent;
+mod bootstrap;
+mod context;
+mod link;
+mod mailbox;
+mod names;
+mod processor;
+mod runner;
+mod simulation;
+
+pub use context::{DEFAULT_DEADLINE, mix};
+pub use task::Context;

@@ -1,0 +1,227 @@
+//! Booting an app: for real, with a process for each chassis, or in virtual time in this one.
+
+mod child;
+mod parent;
+
+use std::{ffi::OsString, path::PathBuf, rc::Rc, sync::Arc, thread::JoinHandle};
+
+use crate::{
+    agent::{self, Agent},
+    bootstrap::{self, Bootstrap, EndSlot},
+    chassis::Chassis,
+    config::{App, ProcessorConfig, TimeMode},
+    message::{CommandInfo, Tid},
+    names::{self, TidServer},
+    processor::Processor,
+    registry::Registry,
+    runner::{TaskSpec, start_task},
+    simulation, system,
+    task::{Context, EventHandler},
+};
+
+pub use crate::bootstrap::{BootEvent, End, Observer};
+pub use child::{ChildError, run_chassis};
+
+/// The environment variable that carries the secret of a run to the chassis started for it.
+pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
+
+/// How to start the process of a chassis: this program with these arguments, after which come
+/// `--chassis NAME --boot ADDRESS --origin NANOSECONDS`.
+#[derive(Debug, Clone)]
+pub struct Launcher {
+    /// The program, usually this one.
+    pub program: PathBuf,
+    /// What to call it with: a subcommand, the configuration's file and its `--set`s.
+    pub arguments: Vec<OsString>,
+}
+
+/// How an app ended, and what became of its processes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// Why it ended.
+    pub end: End,
+    /// Chassis that ended otherwise than they should have: name and how.
+    pub casualties: Vec<(String, String)>,
+    /// How long it ran, in its own time.
+    pub took: std::time::Duration,
+}
+
+/// An app that could not be brought up at all.
+#[derive(Debug, thiserror::Error)]
+pub enum BootError {
+    /// A socket or a process could not be had.
+    #[error("{what}: {error}")]
+    Io {
+        /// What was attempted.
+        what: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// A chassis ended, or said no, before it was connected.
+    #[error("chassis `{chassis}` did not start: {reason}")]
+    Chassis {
+        /// Its name.
+        chassis: String,
+        /// What it said last.
+        reason: String,
+    },
+    /// A chassis was not connected in time.
+    #[error("chassis {} did not connect within {limit_s} s; give them more time with `app.phase_timeout_s`", .chassis.join(", "))]
+    Late {
+        /// Their names.
+        chassis: Vec<String>,
+        /// The limit, s.
+        limit_s: f64,
+    },
+}
+
+/// Boots `app`, waits for its end and takes it down. In virtual time `launcher` is not used.
+///
+/// # Errors
+/// [`BootError`] when the processes cannot be started or connected; nothing is left running.
+pub fn boot(
+    app: App,
+    registry: Registry,
+    launcher: &Launcher,
+    observer: &Observer,
+) -> Result<Outcome, BootError> {
+    let app = Arc::new(app);
+    let registry = Arc::new(registry);
+    match app.time {
+        TimeMode::Real => parent::boot(&app, &registry, launcher, observer),
+        TimeMode::Virtual => {
+            let (end, took) = simulation::run(app, registry, observer);
+            Ok(Outcome {
+                end,
+                casualties: Vec::new(),
+                took,
+            })
+        }
+    }
+}
+
+/// Starts the tasks of the runtime itself on processor 0 of `chassis`.
+pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, end: &EndSlot) {
+    let Some((_, system)) = chassis.processors.first() else {
+        return;
+    };
+    let home = chassis.clone();
+    let observer = observer.clone();
+    let end = end.clone();
+    system.inject(move |processor| {
+        let agent_tid = system::agent_tid(home.index());
+        start(
+            &home,
+            processor,
+            "agent",
+            agent_tid,
+            &agent::COMMANDS,
+            |_| Agent::default(),
+        );
+        if home.index() == 0 {
+            start(
+                &home,
+                processor,
+                "tidsvr",
+                system::TID_SERVER,
+                &names::COMMANDS,
+                |_| TidServer::default(),
+            );
+            let build = move |_: &Context| Bootstrap::new(observer.clone(), end.clone());
+            start(
+                &home,
+                processor,
+                "bootstrap",
+                system::BOOTSTRAP,
+                &bootstrap::COMMANDS,
+                build,
+            );
+        }
+    });
+}
+
+fn start<H: EventHandler>(
+    chassis: &Arc<Chassis>,
+    processor: &Rc<Processor>,
+    name: &str,
+    tid: Tid,
+    commands: &[CommandInfo],
+    build: impl Fn(&Context) -> H + Send + Sync + 'static,
+) {
+    let spec = TaskSpec {
+        name: name.into(),
+        tid,
+        config: None,
+        commands: commands.to_vec(),
+        build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
+    };
+    if let Err(error) = start_task(chassis, processor, spec) {
+        tracing::error!(task = name, error = %error, "a task of the runtime did not start");
+    }
+}
+
+/// Starts a thread for each processor of `chassis`.
+pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> Vec<JoinHandle<()>> {
+    let configured = chassis
+        .app
+        .chassis
+        .iter()
+        .find(|config| config.name == chassis.name());
+    let mut threads = Vec::new();
+    for (name, handle) in &chassis.processors {
+        let handle = handle.clone();
+        let clock = chassis.clock.clone();
+        let config = configured
+            .and_then(|config| config.processors.iter().find(|one| one.name == *name))
+            .cloned();
+        let thread = std::thread::Builder::new()
+            .name(format!("{}/{name}", chassis.name()))
+            .spawn(move || {
+                if let Some(config) = config {
+                    prepare_thread(&config);
+                }
+                Processor::new(handle, clock).run();
+            });
+        match thread {
+            Ok(thread) => threads.push(thread),
+            Err(error) => tracing::error!(processor = %name, error = %error, "no thread"),
+        }
+    }
+    threads
+}
+
+/// Pins the calling thread and makes it real-time, where the configuration asks for it and the
+/// system permits it; says so clearly where it does not.
+fn prepare_thread(config: &ProcessorConfig) {
+    if let Some(cpu) = config.cpu {
+        let mut set = rustix::thread::CpuSet::new();
+        set.set(cpu);
+        if let Err(error) = rustix::thread::sched_setaffinity(None, &set) {
+            tracing::warn!(processor = %config.name, cpu, error = %error, "not pinned");
+        }
+    }
+    if config.realtime {
+        let priority = config.priority.unwrap_or(80);
+        let wanted = thread_priority::ThreadPriorityValue::try_from(priority)
+            .map(thread_priority::ThreadPriority::Crossplatform);
+        let policy = thread_priority::ThreadSchedulePolicy::Realtime(
+            thread_priority::RealtimeThreadSchedulePolicy::Fifo,
+        );
+        let result = wanted
+            .map_err(|error| error.to_string())
+            .and_then(|wanted| {
+                thread_priority::set_thread_priority_and_policy(
+                    thread_priority::thread_native_id(),
+                    wanted,
+                    policy,
+                )
+                .map_err(|error| format!("{error:?}"))
+            });
+        match result {
+            Ok(()) => tracing::debug!(processor = %config.name, priority, "real-time"),
+            Err(error) => {
+                tracing::warn!(processor = %config.name, priority, error = %error, "not real-time; periods may be missed under load");
+            }
+        }
+    }
+}

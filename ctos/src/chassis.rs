@@ -1,0 +1,452 @@
+//! A chassis: the tasks of one process, where their messages go, and what they share.
+//!
+//! Delivery is decided here and nowhere else: a task of this chassis gets a pointer, a task of
+//! another one gets a frame over the link. The sender waits the same way for both.
+
+use std::{
+    any::Any,
+    collections::BTreeMap,
+    sync::{Arc, Mutex, PoisonError, RwLock},
+};
+
+use crate::{
+    call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
+    config::App,
+    link::{Frame, Link},
+    mailbox::{Acceptance, Mailbox},
+    message::{Data, Flags, Header, Message, Tid},
+    processor::ProcessorHandle,
+    registry::Registry,
+    system,
+    time::Clock,
+};
+
+/// The name of the chassis that boots the others; its number is 0.
+pub const BOOT_CHASSIS: &str = "boot";
+
+/// How many calls may wait before those that nobody waits for are swept out.
+const PENDING_SWEEP: usize = 256;
+
+struct Pending {
+    promise: Arc<Promise>,
+    peer: u8,
+}
+
+#[derive(Default)]
+struct Links {
+    up: BTreeMap<u8, Arc<dyn Link>>,
+    pending: BTreeMap<u64, Pending>,
+    next_call: u64,
+}
+
+type OnExit = Box<dyn FnOnce(i32) + Send>;
+
+/// One process's share of an app. Shared by its threads.
+pub struct Chassis {
+    index: u8,
+    names: Vec<Arc<str>>,
+    pub(crate) clock: Clock,
+    pub(crate) app: Arc<App>,
+    pub(crate) registry: Arc<Registry>,
+    /// Processor 0 belongs to the runtime; the configured ones follow.
+    pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
+    tasks: RwLock<BTreeMap<Tid, Arc<Mailbox>>>,
+    links: Mutex<Links>,
+    shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
+    pub(crate) known: Mutex<BTreeMap<String, Tid>>,
+    on_exit: Mutex<Option<OnExit>>,
+}
+
+/// What the sender of a message waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum WaitFor {
+    /// The reply.
+    Reply,
+    /// That the receiver's queue has taken the message.
+    Acceptance,
+}
+
+/// Who sends what to whom.
+pub(crate) struct Envelope {
+    pub(crate) to: Tid,
+    pub(crate) from: Tid,
+    pub(crate) command: u16,
+    pub(crate) flags: Flags,
+    pub(crate) data: Data,
+}
+
+impl Envelope {
+    fn header(&self, flags: Flags, size: usize) -> Header {
+        Header {
+            to: self.to,
+            from: self.from,
+            command: self.command,
+            flags: self.flags.with(flags).with(Flags::OWNED),
+            size: u32::try_from(size).unwrap_or(u32::MAX),
+        }
+    }
+}
+
+impl Chassis {
+    /// Chassis number `index` of `app`; its processors' threads are started elsewhere.
+    pub(crate) fn new(
+        index: u8,
+        app: Arc<App>,
+        registry: Arc<Registry>,
+        clock: Clock,
+    ) -> Arc<Self> {
+        let mut names: Vec<Arc<str>> = vec![BOOT_CHASSIS.into()];
+        names.extend(
+            app.chassis
+                .iter()
+                .map(|chassis| chassis.name.as_str().into()),
+        );
+        let configured = usize::from(index)
+            .checked_sub(1)
+            .and_then(|place| app.chassis.get(place));
+        let mut processors = vec![("system".to_owned(), Arc::default())];
+        if let Some(configured) = configured {
+            for processor in &configured.processors {
+                processors.push((processor.name.clone(), Arc::default()));
+            }
+        }
+        Arc::new(Self {
+            index,
+            names,
+            clock,
+            app,
+            registry,
+            processors,
+            tasks: RwLock::default(),
+            links: Mutex::default(),
+            shared: Mutex::default(),
+            known: Mutex::default(),
+            on_exit: Mutex::default(),
+        })
+    }
+
+    /// Its number; 0 is the chassis that booted the app.
+    #[must_use]
+    pub fn index(&self) -> u8 {
+        self.index
+    }
+
+    /// Its name in the configuration.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.name_of(self.index)
+    }
+
+    /// The name of chassis number `index`.
+    #[must_use]
+    pub fn name_of(&self, index: u8) -> &str {
+        self.names
+            .get(usize::from(index))
+            .map_or("unknown", AsRef::as_ref)
+    }
+
+    /// The numbers of all chassis of the app but this one.
+    pub(crate) fn others(&self) -> impl Iterator<Item = u8> + '_ {
+        (0..self.names.len())
+            .filter_map(|index| u8::try_from(index).ok())
+            .filter(|index| *index != self.index)
+    }
+
+    /// Puts `value` where the other tasks of this chassis find it.
+    pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
+        lock(&self.shared).insert(key.to_owned(), value);
+    }
+
+    /// What was shared under `key`, if it is a `T`.
+    #[must_use]
+    pub fn shared<T: Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
+        lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
+    }
+
+    pub(crate) fn add_task(&self, tid: Tid, mailbox: Arc<Mailbox>) {
+        self.tasks
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(tid, mailbox);
+    }
+
+    /// Takes a task out; what is in its mailbox is answered.
+    pub(crate) fn remove_task(&self, tid: Tid) {
+        let entry = self
+            .tasks
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .remove(&tid);
+        if let Some(entry) = entry {
+            entry.close();
+        }
+    }
+
+    fn mailbox(&self, tid: Tid) -> Option<Arc<Mailbox>> {
+        self.tasks
+            .read()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get(&tid)
+            .cloned()
+    }
+
+    /// Sends; the returned future ends with what `wait` names, or with a fault.
+    pub(crate) fn dispatch(&self, envelope: Envelope, wait: WaitFor) -> Waiting {
+        let promise = Arc::new(Promise::default());
+        if envelope.to.chassis() == self.index {
+            self.dispatch_here(envelope, wait, &promise);
+        } else if let Err(fault) = self.dispatch_there(envelope, wait, &promise) {
+            promise.fulfil(Err(fault));
+        }
+        Waiting(promise)
+    }
+
+    fn dispatch_here(&self, envelope: Envelope, wait: WaitFor, promise: &Arc<Promise>) {
+        let Some(mailbox) = self.mailbox(envelope.to) else {
+            return promise.fulfil(Err(Fault::UnknownTask));
+        };
+        let (flag, reply, acceptance) = match wait {
+            WaitFor::Reply => (
+                Flags::REPLY_WAIT,
+                Some(ReplySlot::local(promise.clone())),
+                Acceptance::Silent,
+            ),
+            WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Local(promise.clone())),
+        };
+        let message = Message {
+            header: envelope.header(flag, 0),
+            data: envelope.data,
+            reply,
+        };
+        mailbox.put(message, acceptance);
+    }
+
+    fn dispatch_there(
+        &self,
+        mut envelope: Envelope,
+        wait: WaitFor,
+        promise: &Arc<Promise>,
+    ) -> Result<(), Fault> {
+        let flag = match wait {
+            WaitFor::Reply => Flags::REPLY_WAIT,
+            WaitFor::Acceptance => Flags::ACCEPT_WAIT,
+        };
+        let data = std::mem::replace(&mut envelope.data, Data::Bytes(Vec::new()));
+        let body = data.into_bytes().map_err(|error| Fault::BadPayload {
+            text: error.to_string(),
+        })?;
+        let peer = envelope.to.chassis();
+        let mut links = lock(&self.links);
+        let Some(link) = links.up.get(&peer).cloned() else {
+            return Err(self.peer_down_fault(peer));
+        };
+        if links.pending.len() >= PENDING_SWEEP {
+            links
+                .pending
+                .retain(|_, pending| Arc::strong_count(&pending.promise) > 1);
+        }
+        links.next_call += 1;
+        let call = links.next_call;
+        links.pending.insert(
+            call,
+            Pending {
+                promise: promise.clone(),
+                peer,
+            },
+        );
+        drop(links);
+        link.post(Frame {
+            header: envelope.header(flag, body.len()),
+            call,
+            body,
+        });
+        Ok(())
+    }
+
+    /// Sends only if the receiver is on this chassis and has room now.
+    pub(crate) fn try_dispatch_here(&self, envelope: Envelope) -> Result<(), Fault> {
+        let mailbox = self.mailbox(envelope.to).ok_or(Fault::UnknownTask)?;
+        mailbox.try_put(Message {
+            header: envelope.header(Flags::NONE, 0),
+            data: envelope.data,
+            reply: None,
+        })
+    }
+
+    /// Sends a message of the runtime without waiting for anything. It is lost only with its
+    /// receiver.
+    pub(crate) fn post_system<C: crate::message::Command>(&self, to: Tid, request: C) {
+        let envelope = Envelope {
+            to,
+            from: system::agent_tid(self.index),
+            command: C::CODE,
+            flags: Flags::HIGH_PRIORITY,
+            data: Data::of(request),
+        };
+        drop(self.dispatch(envelope, WaitFor::Acceptance));
+    }
+
+    /// Sends an answer back over the link that the request came by.
+    pub(crate) fn post_reply(&self, request: &Header, call: u64, answer: Answer) {
+        let link = lock(&self.links).up.get(&request.from.chassis()).cloned();
+        let Some(link) = link else {
+            return;
+        };
+        let encoded = answer.and_then(|data| {
+            data.into_bytes().map_err(|error| Fault::BadPayload {
+                text: error.to_string(),
+            })
+        });
+        let (flags, body) = match encoded {
+            Ok(body) => (Flags::REPLY, body),
+            Err(fault) => (
+                Flags::REPLY.with(Flags::FAULT),
+                // A fault is plain data; should it fail to encode, the empty body is read as one.
+                postcard::to_stdvec(&fault).unwrap_or_default(),
+            ),
+        };
+        link.post(Frame {
+            header: Header {
+                to: request.from,
+                from: request.to,
+                command: request.command,
+                flags,
+                size: u32::try_from(body.len()).unwrap_or(u32::MAX),
+            },
+            call,
+            body,
+        });
+    }
+
+    /// Takes a frame that came from chassis `peer`.
+    pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
+        let Frame { header, call, body } = frame;
+        if header.flags.contains(Flags::REPLY) {
+            let pending = lock(&self.links).pending.remove(&call);
+            let Some(pending) = pending.filter(|pending| pending.peer == peer) else {
+                return;
+            };
+            let answer = if header.flags.contains(Flags::FAULT) {
+                Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
+            } else {
+                Ok(Data::Bytes(body))
+            };
+            return pending.promise.fulfil(answer);
+        }
+        let waits_for_reply = header.flags.contains(Flags::REPLY_WAIT);
+        let waits = waits_for_reply || header.flags.contains(Flags::ACCEPT_WAIT);
+        let Some(mailbox) = self.mailbox(header.to) else {
+            if waits {
+                self.post_reply(&header, call, Err(Fault::UnknownTask));
+            }
+            return;
+        };
+        let (reply, acceptance) = if waits_for_reply {
+            let slot = ReplySlot::remote(self.clone(), header, call);
+            (Some(slot), Acceptance::Silent)
+        } else if waits {
+            (
+                None,
+                Acceptance::Remote {
+                    chassis: self.clone(),
+                    request: header,
+                    call,
+                },
+            )
+        } else {
+            (None, Acceptance::Silent)
+        };
+        let message = Message {
+            header,
+            data: Data::Bytes(body),
+            reply,
+        };
+        mailbox.put(message, acceptance);
+    }
+
+    /// Connects chassis `peer`.
+    pub(crate) fn link_up(&self, peer: u8, link: Arc<dyn Link>) {
+        lock(&self.links).up.insert(peer, link);
+    }
+
+    /// Gives up all links without telling anybody, so that their writers end.
+    pub(crate) fn drop_links(&self) {
+        lock(&self.links).up.clear();
+    }
+
+    /// Whether chassis `peer` is connected.
+    pub(crate) fn is_linked(&self, peer: u8) -> bool {
+        lock(&self.links).up.contains_key(&peer)
+    }
+
+    /// Chassis `peer` is gone: every call that waits for it ends, and every task here is told.
+    pub(crate) fn link_down(&self, peer: u8) {
+        let ended: Vec<Arc<Promise>> = {
+            let mut links = lock(&self.links);
+            if links.up.remove(&peer).is_none() {
+                return;
+            }
+            let of_peer: Vec<u64> = links
+                .pending
+                .iter()
+                .filter(|(_, pending)| pending.peer == peer)
+                .map(|(call, _)| *call)
+                .collect();
+            of_peer
+                .into_iter()
+                .filter_map(|call| links.pending.remove(&call))
+                .map(|pending| pending.promise)
+                .collect()
+        };
+        for promise in ended {
+            promise.fulfil(Err(self.peer_down_fault(peer)));
+        }
+        lock(&self.known).retain(|_, tid| tid.chassis() != peer);
+        let chassis = self.name_of(peer).to_owned();
+        tracing::debug!(chassis = %chassis, "link down");
+        let tids: Vec<Tid> = {
+            let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
+            tasks.keys().copied().collect()
+        };
+        for tid in tids {
+            self.post_system(
+                tid,
+                system::ChassisDown {
+                    chassis: chassis.clone(),
+                },
+            );
+        }
+    }
+
+    fn peer_down_fault(&self, peer: u8) -> Fault {
+        Fault::PeerDown {
+            chassis: self.name_of(peer).to_owned(),
+        }
+    }
+
+    /// What to do when the chassis shall end.
+    pub(crate) fn set_on_exit(&self, on_exit: impl FnOnce(i32) + Send + 'static) {
+        *lock(&self.on_exit) = Some(Box::new(on_exit));
+    }
+
+    /// Ends the chassis with an exit code. The first call counts.
+    pub(crate) fn exit(&self, code: i32) {
+        let on_exit = lock(&self.on_exit).take();
+        if let Some(on_exit) = on_exit {
+            on_exit(code);
+        }
+    }
+
+    /// Stops the threads of its processors.
+    pub(crate) fn stop_processors(&self) {
+        for (_, handle) in &self.processors {
+            handle.stop();
+        }
+    }
+}
+
+impl std::fmt::Debug for Chassis {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Chassis({} `{}`)", self.index, self.name())
+    }
+}

@@ -1,0 +1,150 @@
+//! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
+
+use super::Node;
+use crate::diagnostic::{Findings, Place};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// An app: everything its files and `--set` texts say, checked and in declared order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct App {
+    /// Its name; the file's name without extension when none is given.
+    pub name: String,
+    /// Seed of all randomness.
+    pub seed: u64,
+    /// The task whose end ends the app.
+    pub until: Option<String>,
+    /// How long each startup phase may take.
+    pub phase_timeout: Duration,
+    /// How long an orderly stop may take.
+    pub stop_timeout: Duration,
+    /// Which clock the app runs on.
+    pub time: TimeMode,
+    /// The chassis, in declared order.
+    pub chassis: Vec<ChassisConfig>,
+    /// The tasks, in declared order, those made by expanders after them.
+    pub tasks: Vec<TaskConfig>,
+    /// The file as given.
+    pub file: PathBuf,
+    /// The `--set` texts as given. With `file` they make the same app again in another process.
+    pub sets: Vec<String>,
+    /// The folder that relative paths of the app start from: that of `file`.
+    pub folder: PathBuf,
+    /// Warnings; an app with errors is not made.
+    pub warnings: Findings,
+    pub(super) root: Node,
+}
+
+/// Which clock an app runs on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TimeMode {
+    /// The machine's clock; every chassis is a process.
+    #[default]
+    Real,
+    /// One process on a virtual clock: as fast as the machine allows, and the same every time.
+    Virtual,
+}
+
+/// One process of an app.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChassisConfig {
+    /// Its symbolic name.
+    pub name: String,
+    /// The address at which the other chassis reach it; `None` = any free port of this host.
+    pub listen: Option<SocketAddr>,
+    /// Whether it is stopped before the others (hardware that must come to rest first).
+    pub stop_first: bool,
+    /// Its processors, in declared order; never empty.
+    pub processors: Vec<ProcessorConfig>,
+    /// Where its name stands.
+    pub place: Place,
+}
+
+/// One thread of a chassis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProcessorConfig {
+    /// Its name, unique in its chassis.
+    pub name: String,
+    /// Whether it asks for the real-time scheduler (`SCHED_FIFO`).
+    pub realtime: bool,
+    /// Real-time priority, 1 to 99; `None` = the runtime chooses.
+    pub priority: Option<u8>,
+    /// The CPU it is pinned to, counted from 0.
+    pub cpu: Option<usize>,
+    /// Where its name stands (the chassis's for the implicit `main`).
+    pub place: Place,
+}
+
+/// One instantiation of an event handler.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TaskConfig {
+    /// Its symbolic name.
+    pub name: String,
+    /// The handler's registered name.
+    pub handler: String,
+    /// Where the handler's name stands.
+    pub handler_place: Place,
+    /// The chassis it lives on.
+    pub chassis: String,
+    /// The processor of that chassis.
+    pub processor: String,
+    /// Where `on` stands.
+    pub on_place: Place,
+    /// How many messages wait at most.
+    pub queue: usize,
+    /// What happens after a panic.
+    pub restart: Restart,
+    /// Deadline of calls it makes, in place of the runtime's.
+    pub call_deadline: Option<Duration>,
+    /// `[task.NAME.args]`, for the handler; an empty table when there is none.
+    pub args: Node,
+    /// Where its name stands.
+    pub place: Place,
+}
+
+/// What happens to a task whose handler panicked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Restart {
+    /// It stays down and its callers are told.
+    #[default]
+    Never,
+    /// It is built anew, at most this many times.
+    Always {
+        /// The number of restarts after which it stays down.
+        max: u32,
+    },
+}
+
+impl App {
+    /// The merged tree, for showing each value with its origin.
+    #[must_use]
+    pub fn root(&self) -> &Node {
+        &self.root
+    }
+
+    /// The task of that name.
+    #[must_use]
+    pub fn task(&self, name: &str) -> Option<&TaskConfig> {
+        self.tasks.iter().find(|task| task.name == name)
+    }
+
+    /// The place of a key by its dotted path, for example `task.mcs.args.speed`. Tasks made by an
+    /// expander are found too; their place is the one the expander gave.
+    #[must_use]
+    pub fn locate(&self, path: &str) -> Option<Place> {
+        if let Some(place) = self.root.locate(path) {
+            return Some(place);
+        }
+        let task = path.strip_prefix("task.")?;
+        let (name, rest) = task.split_once('.').unwrap_or((task, ""));
+        let task = self.task(name)?;
+        match rest {
+            "" => Some(task.place.clone()),
+            "handler" => Some(task.handler_place.clone()),
+            "on" => Some(task.on_place.clone()),
+            "args" => task.args.place().cloned(),
+            _ => task.args.locate(rest.strip_prefix("args.")?),
+        }
+    }
+}

@@ -1,0 +1,455 @@
+//! From the merged tree to the typed app: what every key means, and everything that can be wrong
+//! with it by itself.
+//!
+//! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`. Knows no handler: whether a
+//! handler exists and takes its arguments is for the registry to say.
+
+use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+use super::fields::{Fields, check_name};
+use super::node::{Entry, Node};
+use super::{Expander, GeneratedTask};
+use crate::diagnostic::{Finding, Findings, Place};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The keys of `[app]`; `--set` takes them as single words.
+pub(super) const APP_KEYS: &[&str] =
+    &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
+const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task"];
+const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
+const PROCESSOR_KEYS: &[&str] = &["realtime", "priority", "cpu"];
+const TASK_KEYS: &[&str] = &[
+    "handler",
+    "on",
+    "queue",
+    "restart",
+    "max_restarts",
+    "call_deadline_s",
+    "args",
+];
+
+const SEED: u64 = 1;
+const PHASE_TIMEOUT_S: f64 = 20.0;
+const STOP_TIMEOUT_S: f64 = 5.0;
+const QUEUE: usize = 64;
+const MAX_RESTARTS: u32 = 3;
+const MAIN: &str = "main";
+
+/// Where an app came from.
+pub(super) struct Origin {
+    pub(super) file: PathBuf,
+    pub(super) sets: Vec<String>,
+    pub(super) place: Place,
+}
+
+/// Makes the typed app. Errors go to `findings`; the result then still holds what could be read.
+pub(super) fn build(
+    root: Node,
+    origin: Origin,
+    expanders: &[(&'static str, &dyn Expander)],
+    findings: &mut Findings,
+) -> App {
+    let mut builder = Builder {
+        whole: origin.place,
+        findings,
+    };
+    builder.top_level(&root, expanders);
+    let chassis = builder.all_chassis(&root);
+    let mut tasks = builder.tasks(&root, &chassis);
+    builder.expand(&root, expanders, &chassis, &mut tasks);
+    builder.idle_chassis(&chassis, &tasks);
+    if tasks.is_empty() && !builder.findings.has_errors() {
+        let finding = Finding::error("ctos::config::no_task", "this app has no task to run")
+            .help("add [task.NAME] with handler = \"...\" and on = \"CHASSIS\"");
+        builder.push_at_start(finding);
+    }
+    let time = builder.time(&root);
+    let stem = origin.file.file_stem().map_or_else(
+        || "app".to_owned(),
+        |stem| stem.to_string_lossy().into_owned(),
+    );
+    let mut fields = builder.fields(&root, "app", APP_KEYS);
+    let name = fields
+        .text("name")
+        .map_or(stem, |(name, _)| name.to_owned());
+    let seed = fields.integer("seed", 0..=u64::MAX).unwrap_or(SEED);
+    let phase_timeout = fields.seconds("phase_timeout_s", 3600.0);
+    let stop_timeout = fields.seconds("stop_timeout_s", 3600.0);
+    let until = fields.text("until");
+    let until = until.map(|(task, place)| {
+        builder.check_until(task, place, &root, &tasks);
+        task.to_owned()
+    });
+    let folder = match origin.file.parent() {
+        Some(folder) if folder.as_os_str().is_empty() => PathBuf::from("."),
+        Some(folder) => folder.to_owned(),
+        None => PathBuf::from("."),
+    };
+    App {
+        name,
+        seed,
+        until,
+        phase_timeout: phase_timeout.unwrap_or(Duration::from_secs_f64(PHASE_TIMEOUT_S)),
+        stop_timeout: stop_timeout.unwrap_or(Duration::from_secs_f64(STOP_TIMEOUT_S)),
+        time,
+        chassis,
+        tasks,
+        file: origin.file,
+        sets: origin.sets,
+        folder,
+        warnings: Findings::new(),
+        root,
+    }
+}
+
+struct Builder<'f> {
+    /// The start of the main file, for findings about nothing in particular.
+    whole: Place,
+    findings: &'f mut Findings,
+}
+
+impl Builder<'_> {
+    /// The fields of a top-level table, all absent when the table is.
+    fn fields<'n>(
+        &mut self,
+        root: &'n Node,
+        table: &str,
+        known: &'static [&'static str],
+    ) -> Fields<'n, '_> {
+        let node = root.entry(table).map(|entry| &entry.value);
+        Fields::new(node, format!("[{table}]"), known, self.findings)
+    }
+
+    fn push_at_start(&mut self, finding: Finding) {
+        self.findings.push(finding.at(self.whole.clone()));
+    }
+
+    fn place_of(&self, entry: &Entry) -> Place {
+        entry
+            .key_place
+            .clone()
+            .unwrap_or_else(|| self.whole.clone())
+    }
+
+    fn top_level(&mut self, root: &Node, expanders: &[(&'static str, &dyn Expander)]) {
+        for entry in root.entries() {
+            let known = || {
+                let extra = expanders.iter().map(|(table, _)| *table);
+                TOP_KEYS.iter().copied().chain(extra)
+            };
+            if !known().any(|table| table == entry.key) {
+                let finding = Finding::error(
+                    "ctos::config::unknown_key",
+                    format!("unknown key `{}` at the top level", entry.key),
+                )
+                .label("nobody reads this key")
+                .suggest(&entry.key, known())
+                .at(self.place_of(entry));
+                self.findings.push(finding);
+            }
+        }
+    }
+
+    fn time(&mut self, root: &Node) -> TimeMode {
+        let mut fields = self.fields(root, "time", &["mode"]);
+        match fields.choice("mode", &["real", "virtual"]) {
+            Some("virtual") => TimeMode::Virtual,
+            _ => TimeMode::Real,
+        }
+    }
+
+    /// The named tables below `[chassis]` or `[task]`.
+    fn named<'a>(&mut self, root: &'a Node, table: &str) -> &'a [Entry] {
+        let Some(entry) = root.entry(table) else {
+            return &[];
+        };
+        if entry.value.entries().is_empty()
+            && !matches!(entry.value.value(), super::Value::Table(_))
+        {
+            let finding = Finding::error(
+                "ctos::config::value",
+                format!("`{table}` holds named tables, found {}", entry.value.kind()),
+            )
+            .help(format!("write [{table}.NAME]"))
+            .at(self.place_of(entry));
+            self.findings.push(finding);
+        }
+        for named in entry.value.entries() {
+            let place = self.place_of(named);
+            check_name(table, &named.key, &place, self.findings);
+        }
+        entry.value.entries()
+    }
+
+    fn all_chassis(&mut self, root: &Node) -> Vec<ChassisConfig> {
+        let entries = self.named(root, "chassis");
+        let chassis: Vec<_> = entries.iter().map(|entry| self.chassis(entry)).collect();
+        for (index, one) in chassis.iter().enumerate() {
+            let same = |other: &&ChassisConfig| {
+                one.listen.is_some_and(|at| at.port() != 0) && other.listen == one.listen
+            };
+            if let Some(other) = chassis.iter().take(index).find(same) {
+                let finding = Finding::error(
+                    "ctos::config::same_address",
+                    format!(
+                        "chassis `{}` and `{}` listen at the same address",
+                        other.name, one.name
+                    ),
+                )
+                .help("give each its own port, or leave `listen` out to have a free one chosen");
+                let place = root.locate(&format!("chassis.\"{}\".listen", one.name));
+                self.findings
+                    .push(finding.at(place.unwrap_or_else(|| one.place.clone())));
+            }
+        }
+        chassis
+    }
+
+    fn chassis(&mut self, entry: &Entry) -> ChassisConfig {
+        let place = self.place_of(entry);
+        let what = format!("chassis `{}`", entry.key);
+        let mut fields = Fields::new(Some(&entry.value), what, CHASSIS_KEYS, self.findings);
+        let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:0\"");
+        let stop_first = fields.flag("stop_first").unwrap_or(false);
+        let table = fields.table("processors");
+        let mut processors: Vec<_> = table
+            .map_or(&[][..], Node::entries)
+            .iter()
+            .map(|processor| self.processor(&entry.key, processor))
+            .collect();
+        if processors.is_empty() {
+            processors.push(ProcessorConfig {
+                name: MAIN.to_owned(),
+                realtime: false,
+                priority: None,
+                cpu: None,
+                place: place.clone(),
+            });
+        }
+        ChassisConfig {
+            name: entry.key.clone(),
+            listen,
+            stop_first,
+            processors,
+            place,
+        }
+    }
+
+    fn processor(&mut self, chassis: &str, entry: &Entry) -> ProcessorConfig {
+        let place = self.place_of(entry);
+        check_name("processor", &entry.key, &place, self.findings);
+        let what = format!("processor `{chassis}/{}`", entry.key);
+        let mut fields = Fields::new(Some(&entry.value), what, PROCESSOR_KEYS, self.findings);
+        let realtime = fields.flag("realtime").unwrap_or(false);
+        let priority = fields.integer("priority", 1..=99_u8);
+        let cpu = fields.integer("cpu", 0..=1023_usize);
+        if let (Some(_), false, Some(at)) = (priority, realtime, fields.place("priority")) {
+            let finding = Finding::warning(
+                "ctos::config::no_effect",
+                "a priority without `realtime = true` has no effect",
+            );
+            self.findings.push(finding.at(at));
+        }
+        ProcessorConfig {
+            name: entry.key.clone(),
+            realtime,
+            priority,
+            cpu,
+            place,
+        }
+    }
+
+    fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
+        let entries = self.named(root, "task");
+        entries
+            .iter()
+            .filter_map(|entry| self.task(entry, chassis))
+            .collect()
+    }
+
+    fn task(&mut self, entry: &Entry, chassis: &[ChassisConfig]) -> Option<TaskConfig> {
+        let place = self.place_of(entry);
+        let what = format!("task `{}`", entry.key);
+        let mut fields = Fields::new(Some(&entry.value), what, TASK_KEYS, self.findings);
+        let handler = fields.required(
+            "handler",
+            "add handler = \"NAME\", the handler that this task runs",
+        );
+        let on = fields.required("on", "add on = \"CHASSIS\" or on = \"CHASSIS/PROCESSOR\"");
+        let queue = fields.integer("queue", 1..=65_536_usize).unwrap_or(QUEUE);
+        let restart = restart(&mut fields);
+        let call_deadline = fields.seconds("call_deadline_s", 86_400.0);
+        let args = fields.table("args").cloned();
+        let args = args.unwrap_or_else(|| Node::table().placed(&place));
+        let (handler, handler_place) = handler?;
+        let (on, on_place) = on?;
+        let (chassis, processor) = self.find_processor(on, &on_place, chassis)?;
+        Some(TaskConfig {
+            name: entry.key.clone(),
+            handler: handler.to_owned(),
+            handler_place,
+            chassis,
+            processor,
+            on_place,
+            queue,
+            restart,
+            call_deadline,
+            args,
+            place,
+        })
+    }
+
+    /// Resolves `CHASSIS` or `CHASSIS/PROCESSOR`.
+    fn find_processor(
+        &mut self,
+        on: &str,
+        place: &Place,
+        all: &[ChassisConfig],
+    ) -> Option<(String, String)> {
+        let (name, processor) = match on.split_once('/') {
+            Some((name, processor)) => (name, Some(processor)),
+            None => (on, None),
+        };
+        let Some(chassis) = all.iter().find(|chassis| chassis.name == name) else {
+            let finding = Finding::error(
+                "ctos::config::unknown_chassis",
+                format!("there is no chassis `{name}`"),
+            )
+            .at(place.clone());
+            self.findings.push(if all.is_empty() {
+                finding.help(format!("declare it: [chassis.{name}]"))
+            } else {
+                finding.suggest(name, all.iter().map(|chassis| chassis.name.as_str()))
+            });
+            return None;
+        };
+        let names = || chassis.processors.iter().map(|known| known.name.as_str());
+        let found = match processor {
+            None => names().next(),
+            Some(wanted) => names().find(|known| *known == wanted),
+        };
+        if found.is_none() {
+            let wanted = processor.unwrap_or_default();
+            let finding = Finding::error(
+                "ctos::config::unknown_processor",
+                format!("chassis `{name}` has no processor `{wanted}`"),
+            );
+            self.findings
+                .push(finding.suggest(wanted, names()).at(place.clone()));
+        }
+        found.map(|found| (chassis.name.clone(), found.to_owned()))
+    }
+
+    fn expand(
+        &mut self,
+        root: &Node,
+        expanders: &[(&'static str, &dyn Expander)],
+        chassis: &[ChassisConfig],
+        tasks: &mut Vec<TaskConfig>,
+    ) {
+        for (table, expander) in expanders {
+            let Some(entry) = root.entry(table) else {
+                continue;
+            };
+            for generated in expander.expand(&entry.value, self.findings) {
+                self.generated(generated, chassis, tasks);
+            }
+        }
+    }
+
+    fn generated(
+        &mut self,
+        task: GeneratedTask,
+        chassis: &[ChassisConfig],
+        tasks: &mut Vec<TaskConfig>,
+    ) {
+        let place = task.place;
+        check_name("task", &task.name, &place, self.findings);
+        if let Some(other) = tasks.iter().find(|other| other.name == task.name) {
+            let finding = Finding::error(
+                "ctos::config::same_name",
+                format!(
+                    "a task called `{}` is generated here, but `{}` is declared at {} already",
+                    task.name, task.name, other.place
+                ),
+            )
+            .help("rename one of them");
+            self.findings.push(finding.at(place));
+            return;
+        }
+        let Some((chassis, processor)) = self.find_processor(&task.on, &place, chassis) else {
+            return;
+        };
+        tasks.push(TaskConfig {
+            name: task.name,
+            handler: task.handler,
+            handler_place: place.clone(),
+            chassis,
+            processor,
+            on_place: place.clone(),
+            queue: QUEUE,
+            restart: Restart::default(),
+            call_deadline: None,
+            args: task.args.placed(&place),
+            place,
+        });
+    }
+
+    fn idle_chassis(&mut self, chassis: &[ChassisConfig], tasks: &[TaskConfig]) {
+        for one in chassis {
+            // With errors, the task that belongs there may be the one that could not be read.
+            let used = tasks.iter().any(|task| task.chassis == one.name);
+            if !used && !self.findings.has_errors() {
+                let finding = Finding::warning(
+                    "ctos::config::idle_chassis",
+                    format!("no task is on chassis `{}`", one.name),
+                );
+                self.findings.push(finding.at(one.place.clone()));
+            }
+        }
+    }
+
+    /// `until` must name a task, also one that has other mistakes.
+    fn check_until(&mut self, until: &str, place: Place, root: &Node, tasks: &[TaskConfig]) {
+        let declared = root
+            .entry("task")
+            .map_or(&[][..], |entry| entry.value.entries());
+        let names = || {
+            let declared = declared.iter().map(|entry| entry.key.as_str());
+            let made = tasks.iter().map(|task| task.name.as_str());
+            declared.chain(made)
+        };
+        if !names().any(|name| name == until) {
+            let finding = Finding::error(
+                "ctos::config::unknown_task",
+                format!("`until` waits for the task `{until}`, which does not exist"),
+            );
+            let mut known: Vec<_> = names().collect();
+            known.sort_unstable();
+            known.dedup();
+            self.findings.push(finding.suggest(until, known).at(place));
+        }
+    }
+}
+
+/// `restart` and `max_restarts` together.
+fn restart(fields: &mut Fields<'_, '_>) -> Restart {
+    let always = fields.choice("restart", &["never", "always"]) == Some("always");
+    let max = fields.integer("max_restarts", 1..=1_000_000_u32);
+    if always {
+        return Restart::Always {
+            max: max.unwrap_or(MAX_RESTARTS),
+        };
+    }
+    if let (Some(_), Some(place)) = (max, fields.place("max_restarts")) {
+        fields.push(
+            Finding::warning(
+                "ctos::config::no_effect",
+                "`max_restarts` without `restart = \"always\"` has no effect",
+            )
+            .at(place),
+        );
+    }
+    Restart::Never
+}

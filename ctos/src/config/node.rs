@@ -1,0 +1,487 @@
+//! A configuration value of which every key and every value remembers where it was written.
+//!
+//! Knows TOML and places; knows nothing of what any key means.
+
+use crate::diagnostic::{Finding, Findings, Place, Source};
+use serde::de::DeserializeOwned;
+use std::ops::Range;
+use toml::de::{DeTable, DeValue};
+
+/// A value: a scalar, an array or a table, with its place.
+///
+/// Nodes read from a file or from `--set` always have a place. Nodes built in code (by an
+/// [`Expander`](super::Expander)) have none until the loader gives them their task's place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Node {
+    pub(super) value: Value,
+    pub(super) place: Option<Place>,
+}
+
+/// What a [`Node`] holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Text.
+    String(String),
+    /// A whole number; wide enough for every `i64` and every `u64`.
+    Integer(i128),
+    /// A floating-point number; may be NaN or infinite, as TOML allows both.
+    Float(f64),
+    /// `true` or `false`.
+    Bool(bool),
+    /// A date, a time or both, as written.
+    Datetime(String),
+    /// Values in order.
+    Array(Vec<Node>),
+    /// Keys with values, in the order in which they were written.
+    Table(Vec<Entry>),
+}
+
+/// One key of a table with its value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// The key, without quotes.
+    pub key: String,
+    /// Where the key stands.
+    pub key_place: Option<Place>,
+    /// Its value.
+    pub value: Node,
+}
+
+impl Node {
+    /// An empty table made in code; fill it by [`with`](Self::with).
+    #[must_use]
+    pub fn table() -> Self {
+        Self {
+            value: Value::Table(Vec::new()),
+            place: None,
+        }
+    }
+
+    /// This table with `key` set to `value`; a key that is there already is replaced. A node that
+    /// is not a table becomes one.
+    #[must_use]
+    pub fn with(mut self, key: impl Into<String>, value: impl Into<Self>) -> Self {
+        let (key, value) = (key.into(), value.into());
+        let mut entries = match self.value {
+            Value::Table(entries) => entries,
+            _ => Vec::new(),
+        };
+        match entries.iter_mut().find(|entry| entry.key == key) {
+            Some(entry) => entry.value = value,
+            None => entries.push(Entry {
+                key,
+                key_place: None,
+                value,
+            }),
+        }
+        self.value = Value::Table(entries);
+        self
+    }
+
+    /// What the node holds.
+    #[must_use]
+    pub fn value(&self) -> &Value {
+        &self.value
+    }
+
+    /// Where the value was written: for a `[table]` its header, for a scalar the scalar.
+    #[must_use]
+    pub fn place(&self) -> Option<&Place> {
+        self.place.as_ref()
+    }
+
+    /// The keys of a table with their values and places, in order; nothing for other nodes.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        match &self.value {
+            Value::Table(entries) => entries,
+            _ => &[],
+        }
+    }
+
+    /// The elements of an array; nothing for other nodes.
+    #[must_use]
+    pub fn elements(&self) -> &[Self] {
+        match &self.value {
+            Value::Array(elements) => elements,
+            _ => &[],
+        }
+    }
+
+    /// One key of a table, taken literally (dots are part of it).
+    #[must_use]
+    pub fn entry(&self, key: &str) -> Option<&Entry> {
+        self.entries().iter().find(|entry| entry.key == key)
+    }
+
+    /// The value at a dotted path such as `cameras.0.name`; a number counts array elements from 0.
+    /// A key that contains a dot is quoted: `files."a.csv"`.
+    #[must_use]
+    pub fn get(&self, path: &str) -> Option<&Self> {
+        self.find(path).map(|(node, _)| node)
+    }
+
+    /// The place of the key that a dotted path leads to, or of the element for an array index.
+    #[must_use]
+    pub fn locate(&self, path: &str) -> Option<Place> {
+        self.find(path).and_then(|(_, place)| place.cloned())
+    }
+
+    fn find(&self, path: &str) -> Option<(&Self, Option<&Place>)> {
+        let mut at = (self, self.place.as_ref());
+        for part in split_path(path) {
+            at = match &at.0.value {
+                Value::Array(elements) => {
+                    let element = elements.get(part.parse::<usize>().ok()?)?;
+                    (element, element.place.as_ref())
+                }
+                _ => {
+                    let entry = at.0.entry(&part)?;
+                    (&entry.value, entry.key_place.as_ref())
+                }
+            };
+        }
+        Some(at)
+    }
+
+    /// The text of a string.
+    #[must_use]
+    pub fn as_str(&self) -> Option<&str> {
+        match &self.value {
+            Value::String(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// The number of an integer or a float.
+    #[must_use]
+    #[allow(
+        clippy::cast_precision_loss,
+        reason = "a whole number where a float is meant loses no more than writing it with a dot"
+    )]
+    pub fn as_f64(&self) -> Option<f64> {
+        match self.value {
+            Value::Float(number) => Some(number),
+            Value::Integer(number) => Some(number as f64),
+            _ => None,
+        }
+    }
+
+    /// The number of an integer.
+    #[must_use]
+    pub fn as_integer(&self) -> Option<i128> {
+        match self.value {
+            Value::Integer(number) => Some(number),
+            _ => None,
+        }
+    }
+
+    /// The value of a boolean.
+    #[must_use]
+    pub fn as_bool(&self) -> Option<bool> {
+        match self.value {
+            Value::Bool(value) => Some(value),
+            _ => None,
+        }
+    }
+
+    /// The kind of value, as a person calls it.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match self.value {
+            Value::String(_) => "a string",
+            Value::Integer(_) => "an integer",
+            Value::Float(_) => "a float",
+            Value::Bool(_) => "a boolean",
+            Value::Datetime(_) => "a date or time",
+            Value::Array(_) => "an array",
+            Value::Table(_) => "a table",
+        }
+    }
+
+    /// Reads the node as a `T`, which should `deny_unknown_fields`. Integers are taken where a
+    /// float is meant; nothing else is converted.
+    ///
+    /// # Errors
+    /// The first thing that does not fit, at its key or value: an unknown key (with what was
+    /// probably meant), a missing key (at the table), a wrong type, a refused value.
+    pub fn parse<T: DeserializeOwned>(&self) -> Result<T, Finding> {
+        super::de::read(self).map_err(super::de::NodeError::into_finding)
+    }
+
+    /// Reads a whole TOML text. Returns what could be read (an empty table at worst) and adds every
+    /// syntax error, duplicate key and unrepresentable number to `findings`.
+    #[must_use]
+    pub fn from_toml(source: &Source, findings: &mut Findings) -> Self {
+        let (table, errors) = DeTable::parse_recoverable(source.text());
+        for error in errors {
+            findings.push(syntax_finding(&error, source, 0));
+        }
+        let mut reader = Reader {
+            source,
+            offset: 0,
+            findings,
+        };
+        let entries = reader.table(table.get_ref());
+        Self {
+            value: Value::Table(entries),
+            place: Some(source.at(0..0)),
+        }
+    }
+
+    /// Reads one TOML value, which is this byte range of `source`.
+    pub(super) fn from_toml_value(source: &Source, range: Range<usize>) -> Result<Self, Finding> {
+        let offset = range.start;
+        let text = source.text().get(range).unwrap_or_default();
+        let value = DeValue::parse(text).map_err(|error| syntax_finding(&error, source, offset))?;
+        let mut findings = Findings::new();
+        let node = Reader {
+            source,
+            offset,
+            findings: &mut findings,
+        }
+        .node(value.get_ref(), value.span());
+        match findings.into_sorted().into_iter().next() {
+            Some(finding) => Err(finding),
+            None => Ok(node),
+        }
+    }
+
+    /// Lays `over` on top of this node: tables are merged key by key, everything else is replaced.
+    /// A merged table keeps the place where it was first written.
+    pub(super) fn merge(&mut self, over: Self) {
+        let Value::Table(ours) = &mut self.value else {
+            *self = over;
+            return;
+        };
+        let Value::Table(theirs) = over.value else {
+            *self = over;
+            return;
+        };
+        for entry in theirs {
+            match ours.iter_mut().find(|own| own.key == entry.key) {
+                Some(own) => {
+                    let both = matches!(own.value.value, Value::Table(_))
+                        && matches!(entry.value.value, Value::Table(_));
+                    if !both {
+                        own.key_place = entry.key_place;
+                    }
+                    own.value.merge(entry.value);
+                }
+                None => ours.push(entry),
+            }
+        }
+    }
+
+    /// Removes a key of a table and returns it.
+    pub(super) fn take(&mut self, key: &str) -> Option<Entry> {
+        match &mut self.value {
+            Value::Table(entries) => {
+                let at = entries.iter().position(|entry| entry.key == key)?;
+                Some(entries.remove(at))
+            }
+            _ => None,
+        }
+    }
+
+    /// Gives every part that has no place this one.
+    pub(super) fn placed(mut self, place: &Place) -> Self {
+        self.place.get_or_insert_with(|| place.clone());
+        self.value = match self.value {
+            Value::Array(elements) => Value::Array(
+                elements
+                    .into_iter()
+                    .map(|element| element.placed(place))
+                    .collect(),
+            ),
+            Value::Table(entries) => Value::Table(
+                entries
+                    .into_iter()
+                    .map(|entry| Entry {
+                        key: entry.key,
+                        key_place: entry.key_place.or_else(|| Some(place.clone())),
+                        value: entry.value.placed(place),
+                    })
+                    .collect(),
+            ),
+            scalar => scalar,
+        };
+        self
+    }
+
+    /// The tables that a dotted key stands for, with `value` innermost.
+    pub(super) fn nested(keys: Vec<(String, Place)>, value: Self) -> Self {
+        let mut places: Vec<_> = keys.iter().map(|(_, place)| place.clone()).collect();
+        places.pop();
+        let mut node = value;
+        for (key, key_place) in keys.into_iter().rev() {
+            // As in a file, the place of a table is that of its key.
+            let place = places.pop().or_else(|| Some(key_place.clone()));
+            node = Self {
+                place,
+                value: Value::Table(vec![Entry {
+                    key,
+                    key_place: Some(key_place),
+                    value: node,
+                }]),
+            };
+        }
+        node
+    }
+}
+
+/// Turns the TOML crate's spanned tree into nodes.
+struct Reader<'a> {
+    source: &'a Source,
+    offset: usize,
+    findings: &'a mut Findings,
+}
+
+impl Reader<'_> {
+    fn table(&mut self, table: &DeTable<'_>) -> Vec<Entry> {
+        // The parser sorts keys by name; places bring back the order in which they were written.
+        let mut pairs: Vec<_> = table.iter().collect();
+        pairs.sort_by_key(|(key, _)| key.span().start);
+        pairs
+            .into_iter()
+            .map(|(key, value)| Entry {
+                key: key.get_ref().to_string(),
+                key_place: Some(self.at(key.span())),
+                value: match value.get_ref() {
+                    // A header's key is the best place for its table.
+                    DeValue::Table(inner) => Node {
+                        place: Some(self.at(key.span())),
+                        value: Value::Table(self.table(inner)),
+                    },
+                    other => self.node(other, value.span()),
+                },
+            })
+            .collect()
+    }
+
+    fn node(&mut self, value: &DeValue<'_>, span: Range<usize>) -> Node {
+        let place = self.at(span);
+        let value = match value {
+            DeValue::String(text) => Value::String(text.to_string()),
+            DeValue::Boolean(value) => Value::Bool(*value),
+            DeValue::Datetime(value) => Value::Datetime(value.to_string()),
+            DeValue::Integer(number) => {
+                match i128::from_str_radix(number.as_str(), number.radix()) {
+                    Ok(number) => Value::Integer(number),
+                    Err(_) => self.unrepresentable(&place, "integer"),
+                }
+            }
+            DeValue::Float(number) => match number.as_str().parse::<f64>() {
+                Ok(parsed) if parsed.is_finite() || number.as_str().contains("inf") => {
+                    Value::Float(parsed)
+                }
+                Ok(parsed) if parsed.is_nan() => Value::Float(parsed),
+                _ => self.unrepresentable(&place, "float"),
+            },
+            DeValue::Array(array) => Value::Array(
+                array
+                    .iter()
+                    .map(|element| self.node(element.get_ref(), element.span()))
+                    .collect(),
+            ),
+            DeValue::Table(table) => Value::Table(self.table(table)),
+        };
+        Node {
+            value,
+            place: Some(place),
+        }
+    }
+
+    fn unrepresentable(&mut self, place: &Place, kind: &str) -> Value {
+        self.findings.push(
+            Finding::error(
+                "ctos::config::number",
+                format!("this {kind} is too large to be represented"),
+            )
+            .at(place.clone()),
+        );
+        Value::Integer(0)
+    }
+
+    fn at(&self, span: Range<usize>) -> Place {
+        self.source
+            .at(span.start + self.offset..span.end + self.offset)
+    }
+}
+
+fn syntax_finding(error: &toml::de::Error, source: &Source, offset: usize) -> Finding {
+    let finding = Finding::error(
+        "ctos::config::syntax",
+        format!("this is not valid TOML: {}", error.message()),
+    );
+    let end = source.text().len();
+    let span = error.span().unwrap_or(end..end);
+    finding.at(source.at((span.start + offset).min(end)..(span.end + offset).min(end)))
+}
+
+/// Splits `a."b.c".d` at the dots that stand outside quotes.
+fn split_path(path: &str) -> Vec<String> {
+    let mut parts = vec![String::new()];
+    let mut quote = None;
+    for letter in path.chars() {
+        match (quote, letter) {
+            (None, '.') => parts.push(String::new()),
+            (None, '"' | '\'') => quote = Some(letter),
+            (Some(open), _) if open == letter => quote = None,
+            _ => {
+                if let Some(last) = parts.last_mut() {
+                    last.push(letter);
+                }
+            }
+        }
+    }
+    parts
+}
+
+impl From<Value> for Node {
+    fn from(value: Value) -> Self {
+        Self { value, place: None }
+    }
+}
+
+impl From<&str> for Node {
+    fn from(text: &str) -> Self {
+        Value::String(text.to_owned()).into()
+    }
+}
+
+impl From<String> for Node {
+    fn from(text: String) -> Self {
+        Value::String(text).into()
+    }
+}
+
+impl From<bool> for Node {
+    fn from(value: bool) -> Self {
+        Value::Bool(value).into()
+    }
+}
+
+impl From<f64> for Node {
+    fn from(number: f64) -> Self {
+        Value::Float(number).into()
+    }
+}
+
+impl From<i64> for Node {
+    fn from(number: i64) -> Self {
+        Value::Integer(number.into()).into()
+    }
+}
+
+impl From<u64> for Node {
+    fn from(number: u64) -> Self {
+        Value::Integer(number.into()).into()
+    }
+}
+
+impl<T: Into<Self>> From<Vec<T>> for Node {
+    fn from(elements: Vec<T>) -> Self {
+        Value::Array(elements.into_iter().map(Into::into).collect()).into()
+    }
+}

@@ -1,0 +1,549 @@
+//! What a task can reach: the [`Context`] its handler is called with.
+
+use std::{
+    cell::RefCell,
+    fmt,
+    future::{Future, IntoFuture},
+    path::PathBuf,
+    pin::Pin,
+    rc::Rc,
+    sync::Arc,
+    time::Duration,
+};
+
+use futures_util::future::{Either, LocalBoxFuture, select};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use serde::de::DeserializeOwned;
+
+use crate::{
+    call::{CallError, Fault, lock},
+    chassis::{Chassis, Envelope, WaitFor},
+    config::TaskConfig,
+    diagnostic::Finding,
+    message::{Command, CommandInfo, Data, Flags, Message, Tid},
+    processor::Processor,
+    sync::{Cyclic, CyclicEntry, CyclicHandle},
+    system::{self, AppResult, CommandDescription, Introspect, Ping, QueryTid},
+    task::Handled,
+    time::Instant,
+};
+
+/// How long a call waits for its reply unless it, or the task's configuration, says otherwise.
+pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(10);
+
+/// A task that was found by name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TaskRef {
+    name: Arc<str>,
+    tid: Tid,
+}
+
+impl TaskRef {
+    pub(crate) fn new(name: impl Into<Arc<str>>, tid: Tid) -> Self {
+        Self {
+            name: name.into(),
+            tid,
+        }
+    }
+
+    /// Its symbolic name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its id.
+    #[must_use]
+    pub fn tid(&self) -> Tid {
+        self.tid
+    }
+}
+
+/// A symbolic name that leads to no task.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NameError {
+    /// The task identification service knows no such name.
+    #[error("no task is called `{name}` (asked by `{from}`); there are: {}", .known.join(", "))]
+    Unknown {
+        /// The asking task.
+        from: String,
+        /// The name.
+        name: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// The service itself could not be asked.
+    #[error(transparent)]
+    Service(#[from] CallError),
+}
+
+/// A wait that took too long.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("not finished within {:.3} s", .0.as_secs_f64())]
+pub struct Elapsed(pub Duration);
+
+struct Inner {
+    name: Arc<str>,
+    tid: Tid,
+    chassis: Arc<Chassis>,
+    processor: Rc<Processor>,
+    config: Option<TaskConfig>,
+    commands: Vec<CommandInfo>,
+    children: RefCell<Vec<u64>>,
+}
+
+/// A task's door to the rest of the app. Cheap to clone; stays on its processor.
+#[derive(Clone)]
+pub struct Context {
+    inner: Rc<Inner>,
+}
+
+impl Context {
+    pub(crate) fn new(
+        name: Arc<str>,
+        tid: Tid,
+        chassis: Arc<Chassis>,
+        processor: Rc<Processor>,
+        config: Option<TaskConfig>,
+        commands: Vec<CommandInfo>,
+    ) -> Self {
+        Self {
+            inner: Rc::new(Inner {
+                name,
+                tid,
+                chassis,
+                processor,
+                config,
+                commands,
+                children: RefCell::default(),
+            }),
+        }
+    }
+
+    /// The task's symbolic name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// The task's id.
+    #[must_use]
+    pub fn tid(&self) -> Tid {
+        self.inner.tid
+    }
+
+    /// The chassis that the task runs on.
+    #[must_use]
+    pub fn chassis(&self) -> &Arc<Chassis> {
+        &self.inner.chassis
+    }
+
+    /// The app's configuration.
+    #[must_use]
+    pub fn app(&self) -> &crate::config::App {
+        &self.inner.chassis.app
+    }
+
+    /// The kinds of event handlers that this program knows.
+    #[must_use]
+    pub fn registry(&self) -> &crate::registry::Registry {
+        &self.inner.chassis.registry
+    }
+
+    // -- other tasks ------------------------------------------------------------------------
+
+    /// Finds a task by its symbolic name. Found once, a name is remembered by the chassis.
+    ///
+    /// # Errors
+    /// [`NameError`] when no task has the name or the service cannot be reached.
+    pub async fn task(&self, name: &str) -> Result<TaskRef, NameError> {
+        let chassis = &self.inner.chassis;
+        if let Some(tid) = lock(&chassis.known).get(name).copied() {
+            return Ok(TaskRef::new(name, tid));
+        }
+        let server = TaskRef::new("tidsvr", system::TID_SERVER);
+        let query = QueryTid {
+            name: name.to_owned(),
+        };
+        match self.call(&server, query).await? {
+            Ok(tid) => {
+                lock(&chassis.known).insert(name.to_owned(), tid);
+                Ok(TaskRef::new(name, tid))
+            }
+            Err(known) => Err(NameError::Unknown {
+                from: self.name().to_owned(),
+                name: name.to_owned(),
+                known,
+            }),
+        }
+    }
+
+    /// Asks a task and waits for its reply. Ends with the reply or an error, always: 10 s after the
+    /// call at the latest, unless [`Call::deadline`] or the task's `call_deadline_s` says otherwise.
+    pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
+        let deadline = self
+            .inner
+            .config
+            .as_ref()
+            .and_then(|config| config.call_deadline)
+            .unwrap_or(DEFAULT_DEADLINE);
+        Call {
+            cx: self.clone(),
+            to: to.clone(),
+            request,
+            deadline,
+            flags: Flags::NONE,
+        }
+    }
+
+    /// Sends a message that needs no reply, and waits until the receiver's queue has taken it.
+    pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Send<C> {
+        Send {
+            call: self.call(to, request),
+        }
+    }
+
+    /// Sends only if the receiver is on this chassis and has room now.
+    ///
+    /// # Errors
+    /// [`Fault::Full`] and the like, with both names.
+    pub fn try_send<C: Command>(&self, to: &TaskRef, request: C) -> Result<(), CallError> {
+        let envelope = self.envelope(to, C::CODE, Flags::NONE, Data::of(request));
+        self.inner
+            .chassis
+            .try_dispatch_here(envelope)
+            .map_err(|fault| self.error(to, C::NAME, fault))
+    }
+
+    /// Calls with bytes instead of types: the data of `command` and its reply are postcard. For nets
+    /// and inspectors, which know commands by name only.
+    ///
+    /// # Errors
+    /// As [`Self::call`].
+    pub async fn call_raw(
+        &self,
+        to: &TaskRef,
+        command: CommandInfo,
+        data: Vec<u8>,
+        deadline: Duration,
+    ) -> Result<Vec<u8>, CallError> {
+        let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
+        let answer = self.ask(envelope, WaitFor::Reply, deadline).await;
+        answer
+            .and_then(|data| {
+                data.into_bytes().map_err(|error| Fault::BadPayload {
+                    text: error.to_string(),
+                })
+            })
+            .map_err(|fault| self.error(to, command.name, fault))
+    }
+
+    /// What every task does with a message that its handler does not know: answers [`Ping`] and
+    /// [`Introspect`], and refuses the rest by saying what the task takes.
+    ///
+    /// # Errors
+    /// Never; the result ends a handler.
+    pub fn default_processing(&self, message: Message) -> Handled {
+        match message.command() {
+            Ping::CODE => {
+                let (Ping {}, reply) = message.open::<Ping>()?;
+                reply.ok(())
+            }
+            Introspect::CODE => {
+                let (Introspect {}, reply) = message.open::<Introspect>()?;
+                let describe = |command: &CommandInfo| CommandDescription {
+                    code: command.code,
+                    name: command.name.to_owned(),
+                    doc: command.doc.to_owned(),
+                };
+                reply.ok(self.inner.commands.iter().map(describe).collect())
+            }
+            command => {
+                tracing::warn!(task = %self.name(), command, from = %message.from(), "unknown command");
+                if let Some(slot) = message.reply {
+                    let names = self.inner.commands.iter();
+                    slot.answer(Err(Fault::UnknownCommand {
+                        takes: names.map(|command| command.name.to_owned()).collect(),
+                    }));
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn envelope(&self, to: &TaskRef, command: u16, flags: Flags, data: Data) -> Envelope {
+        Envelope {
+            to: to.tid,
+            from: self.inner.tid,
+            command,
+            flags,
+            data,
+        }
+    }
+
+    fn error(&self, to: &TaskRef, command: &str, fault: Fault) -> CallError {
+        CallError {
+            from: self.name().to_owned(),
+            to: to.name().to_owned(),
+            command: command.to_owned(),
+            fault,
+        }
+    }
+
+    async fn ask(
+        &self,
+        envelope: Envelope,
+        wait: WaitFor,
+        deadline: Duration,
+    ) -> Result<Data, Fault> {
+        let waiting = self.inner.chassis.dispatch(envelope, wait);
+        match self.timeout(deadline, waiting).await {
+            Ok(answer) => answer,
+            Err(Elapsed(after)) => Err(Fault::Deadline { after }),
+        }
+    }
+
+    // -- time -------------------------------------------------------------------------------
+
+    /// The present moment.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        self.inner.processor.now()
+    }
+
+    /// Waits.
+    pub async fn sleep(&self, duration: Duration) {
+        let deadline = self.now() + duration;
+        self.inner.processor.sleep_until(deadline).await;
+    }
+
+    /// Waits for `future`, but not for long.
+    ///
+    /// # Errors
+    /// [`Elapsed`] when `duration` was over first; the future is dropped.
+    pub async fn timeout<F: Future>(
+        &self,
+        duration: Duration,
+        future: F,
+    ) -> Result<F::Output, Elapsed> {
+        let future = std::pin::pin!(future);
+        let deadline = self.now() + duration;
+        let sleep = self.inner.processor.sleep_until(deadline);
+        match select(future, sleep).await {
+            Either::Left((output, _)) => Ok(output),
+            Either::Right(((), _)) => Err(Elapsed(duration)),
+        }
+    }
+
+    /// Calls a synchronous function every `period` on this task's processor, until the handle is
+    /// dropped.
+    #[must_use]
+    pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
+        let entry = CyclicEntry::new(Box::new(function), period, self.now());
+        self.inner.processor.add_cyclic(entry)
+    }
+
+    // -- the task itself --------------------------------------------------------------------
+
+    /// Runs a child of this task beside it, on the same processor. It ends with the task; if it
+    /// panics, the task has failed.
+    pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
+        let cx = self.clone();
+        let on_panic = move |text: String| cx.fail(&format!("a child panicked: {text}"));
+        let id = self.inner.processor.spawn(future, Some(Rc::new(on_panic)));
+        self.inner.children.borrow_mut().push(id);
+    }
+
+    /// Ends all children.
+    pub(crate) fn cancel_children(&self) {
+        let children = std::mem::take(&mut *self.inner.children.borrow_mut());
+        for child in children {
+            self.inner.processor.cancel(child);
+        }
+    }
+
+    /// The task's arguments, `[task.NAME.args]` of the configuration.
+    ///
+    /// # Errors
+    /// A finding that points at the key that is wrong or unknown.
+    pub fn args<T: DeserializeOwned>(&self) -> Result<T, Finding> {
+        match &self.inner.config {
+            Some(config) => config.args.parse(),
+            None => crate::config::Node::table().parse(),
+        }
+    }
+
+    /// The task's part of the configuration; `None` for tasks of the runtime.
+    #[must_use]
+    pub fn config(&self) -> Option<&TaskConfig> {
+        self.inner.config.as_ref()
+    }
+
+    /// A path of the configuration, taken relative to the configuration's folder.
+    #[must_use]
+    pub fn path(&self, relative: &str) -> PathBuf {
+        self.app().folder.join(relative)
+    }
+
+    /// A generator of random numbers that depends on the app's seed, the task's name and `stream`
+    /// only.
+    #[must_use]
+    pub fn rng(&self, stream: &str) -> ChaCha8Rng {
+        let seed = self.app().seed;
+        ChaCha8Rng::seed_from_u64(mix(seed, &[self.name(), stream]))
+    }
+
+    /// Makes `value` known to the other tasks of this chassis.
+    pub fn share<T: std::marker::Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
+        self.inner.chassis.share(key, value);
+    }
+
+    /// What a task of this chassis made known under `key`.
+    #[must_use]
+    pub fn shared<T: std::marker::Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
+        self.inner.chassis.shared(key)
+    }
+
+    // -- the person who booted the app ------------------------------------------------------
+
+    /// Shows how far the task is.
+    pub fn progress(&self, done: u64, total: u64, what: &str) {
+        let progress = system::Progress {
+            task: self.name().to_owned(),
+            done,
+            total,
+            what: what.to_owned(),
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, progress);
+    }
+
+    /// Ends the app with a result, if `until` of the configuration names this task.
+    pub fn finish(&self, result: AppResult) {
+        let finish = system::Finish {
+            task: self.name().to_owned(),
+            result,
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, finish);
+    }
+
+    /// Reports that this task failed for good; the app is stopped.
+    pub fn fail(&self, reason: &str) {
+        tracing::error!(task = %self.name(), reason, "task failed");
+        let failed = system::TaskFailed {
+            task: self.name().to_owned(),
+            reason: reason.to_owned(),
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, failed);
+    }
+}
+
+impl fmt::Debug for Context {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Context(`{}`, {})", self.name(), self.tid())
+    }
+}
+
+/// Mixes a seed with words (FNV-1a over their bytes), the same on every machine.
+#[must_use]
+pub fn mix(seed: u64, words: &[&str]) -> u64 {
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64 ^ seed;
+    for byte in words.iter().flat_map(|word| word.bytes().chain([0])) {
+        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    }
+    hash ^ seed.rotate_left(32)
+}
+
+/// A call that has not been made yet; `.await` makes it.
+#[must_use = "a call is made when it is awaited"]
+pub struct Call<C: Command> {
+    cx: Context,
+    to: TaskRef,
+    request: C,
+    deadline: Duration,
+    flags: Flags,
+}
+
+impl<C: Command> Call<C> {
+    /// Waits at most this long for the reply.
+    pub fn deadline(mut self, deadline: Duration) -> Self {
+        self.deadline = deadline;
+        self
+    }
+
+    /// Overtakes messages of normal priority in the receiver's queue.
+    pub fn high_priority(mut self) -> Self {
+        self.flags = self.flags.with(Flags::HIGH_PRIORITY);
+        self
+    }
+
+    async fn run(self) -> Result<C::Reply, CallError> {
+        let Self {
+            cx,
+            to,
+            request,
+            deadline,
+            flags,
+        } = self;
+        let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
+        let answer = cx.ask(envelope, WaitFor::Reply, deadline).await;
+        let reply = answer.and_then(|data| {
+            data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
+                text: format!("its reply: {error}"),
+            })
+        });
+        reply.map_err(|fault| cx.error(&to, C::NAME, fault))
+    }
+}
+
+impl<C: Command> IntoFuture for Call<C> {
+    type Output = Result<C::Reply, CallError>;
+    type IntoFuture = LocalBoxFuture<'static, Self::Output>;
+
+    fn into_future(self) -> Self::IntoFuture {
+        Box::pin(self.run())
+    }
+}
+
+/// A one-way message that has not been sent yet; `.await` sends it.
+#[must_use = "a message is sent when it is awaited"]
+pub struct Send<C: Command> {
+    call: Call<C>,
+}
+
+impl<C: Command> Send<C> {
+    /// Waits at most this long for room in the receiver's queue.
+    pub fn deadline(mut self, deadline: Duration) -> Self {
+        self.call.deadline = deadline;
+        self
+    }
+
+    /// Overtakes messages of normal priority in the receiver's queue.
+    pub fn high_priority(mut self) -> Self {
+        self.call = self.call.high_priority();
+        self
+    }
+
+    async fn run(self) -> Result<(), CallError> {
+        let Call {
+            cx,
+            to,
+            request,
+            deadline,
+            flags,
+        } = self.call;
+        let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
+        let answer = cx.ask(envelope, WaitFor::Acceptance, deadline).await;
+        answer
+            .map(|_| ())
+            .map_err(|fault| cx.error(&to, C::NAME, fault))
+    }
+}
+
+impl<C: Command> IntoFuture for Send<C> {
+    type Output = Result<(), CallError>;
+    type IntoFuture = Pin<Box<dyn Future<Output = Self::Output>>>;
+
+    fn into_future(self) -> Self::IntoFuture {
+        Box::pin(self.run())
+    }
+}

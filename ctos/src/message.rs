@@ -1,0 +1,495 @@
+//! Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
+//!
+//! The header is the report's (CIRSSE report 108, section 3). Inside a chassis the data moves as a
+//! typed pointer and is never encoded; between chassis it is postcard behind the header. A receiver
+//! cannot tell the difference: [`Message::open`] yields the typed request either way.
+
+use std::{any::Any, fmt};
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::call::{Fault, ReplySlot};
+
+/// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
+#[derive(
+    Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, serde::Deserialize, Default,
+)]
+pub struct Tid(u32);
+
+impl Tid {
+    /// The task in `slot` of `processor` of `chassis`.
+    #[must_use]
+    pub const fn new(chassis: u8, processor: u8, slot: u16) -> Self {
+        Self(((chassis as u32) << 24) | ((processor as u32) << 16) | slot as u32)
+    }
+
+    /// From the 32 bits of the header.
+    #[must_use]
+    pub const fn from_bits(bits: u32) -> Self {
+        Self(bits)
+    }
+
+    /// The 32 bits as they stand in the header.
+    #[must_use]
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Which chassis.
+    #[must_use]
+    pub const fn chassis(self) -> u8 {
+        (self.0 >> 24) as u8
+    }
+
+    /// Which processor of the chassis.
+    #[must_use]
+    pub const fn processor(self) -> u8 {
+        (self.0 >> 16) as u8
+    }
+
+    /// Which slot of the processor.
+    #[must_use]
+    pub const fn slot(self) -> u16 {
+        self.0 as u16
+    }
+}
+
+impl fmt::Display for Tid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}.{}", self.chassis(), self.processor(), self.slot())
+    }
+}
+
+impl fmt::Debug for Tid {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Tid({self})")
+    }
+}
+
+/// Message handling flags.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct Flags(u16);
+
+impl Flags {
+    /// Nothing special.
+    pub const NONE: Self = Self(0);
+    /// Handled before messages without this flag that wait at the same task.
+    pub const HIGH_PRIORITY: Self = Self(1);
+    /// The sender waits for a reply.
+    pub const REPLY_WAIT: Self = Self(1 << 1);
+    /// The receiver owns the data; set on every message of this runtime, where data is moved.
+    pub const OWNED: Self = Self(1 << 2);
+    /// This is the reply to a message.
+    pub const REPLY: Self = Self(1 << 3);
+    /// The reply is a fault instead of a value.
+    pub const FAULT: Self = Self(1 << 4);
+    /// A one-way message whose sender waits until the receiver's queue has taken it.
+    pub const ACCEPT_WAIT: Self = Self(1 << 5);
+
+    /// Whether all of `flags` are set.
+    #[must_use]
+    pub const fn contains(self, flags: Self) -> bool {
+        self.0 & flags.0 == flags.0
+    }
+
+    /// These flags and those.
+    #[must_use]
+    pub const fn with(self, flags: Self) -> Self {
+        Self(self.0 | flags.0)
+    }
+
+    /// The bits as they stand in the header.
+    #[must_use]
+    pub const fn bits(self) -> u16 {
+        self.0
+    }
+
+    /// From the bits of the header.
+    #[must_use]
+    pub const fn from_bits(bits: u16) -> Self {
+        Self(bits)
+    }
+}
+
+/// The 16 bytes in front of every message.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Header {
+    /// Receiver.
+    pub to: Tid,
+    /// Sender.
+    pub from: Tid,
+    /// What the receiver shall do.
+    pub command: u16,
+    /// How the message is handled.
+    pub flags: Flags,
+    /// Bytes of data that follow on the wire; 0 inside a chassis, where data is a pointer.
+    pub size: u32,
+}
+
+impl Header {
+    /// Length on the wire.
+    pub const BYTES: usize = 16;
+
+    /// The 16 bytes, little-endian.
+    #[must_use]
+    pub fn encode(&self) -> [u8; Self::BYTES] {
+        let mut bytes = [0; Self::BYTES];
+        bytes[0..4].copy_from_slice(&self.to.bits().to_le_bytes());
+        bytes[4..8].copy_from_slice(&self.from.bits().to_le_bytes());
+        bytes[8..10].copy_from_slice(&self.command.to_le_bytes());
+        bytes[10..12].copy_from_slice(&self.flags.bits().to_le_bytes());
+        bytes[12..16].copy_from_slice(&self.size.to_le_bytes());
+        bytes
+    }
+
+    /// Reads 16 bytes.
+    #[must_use]
+    pub fn decode(bytes: &[u8; Self::BYTES]) -> Self {
+        let [
+            t0,
+            t1,
+            t2,
+            t3,
+            f0,
+            f1,
+            f2,
+            f3,
+            c0,
+            c1,
+            g0,
+            g1,
+            s0,
+            s1,
+            s2,
+            s3,
+        ] = *bytes;
+        Self {
+            to: Tid::from_bits(u32::from_le_bytes([t0, t1, t2, t3])),
+            from: Tid::from_bits(u32::from_le_bytes([f0, f1, f2, f3])),
+            command: u16::from_le_bytes([c0, c1]),
+            flags: Flags::from_bits(u16::from_le_bytes([g0, g1])),
+            size: u32::from_le_bytes([s0, s1, s2, s3]),
+        }
+    }
+}
+
+/// A request that a task takes: its data, its code, its name and the type of its reply. Written with
+/// [`command!`](crate::command).
+pub trait Command: Serialize + DeserializeOwned + Send + 'static {
+    /// What the task answers.
+    type Reply: Serialize + DeserializeOwned + Send + 'static;
+    /// Code in the header; unique among the commands of one handler and below [`SYSTEM_COMMANDS`].
+    const CODE: u16;
+    /// Name in nets, text and logs.
+    const NAME: &'static str;
+    /// One line of help.
+    const DOC: &'static str;
+    /// The description that a handler registers.
+    const INFO: CommandInfo = CommandInfo {
+        code: Self::CODE,
+        name: Self::NAME,
+        doc: Self::DOC,
+    };
+}
+
+/// Codes from here on belong to the runtime.
+pub const SYSTEM_COMMANDS: u16 = 0xff00;
+
+/// What is known of a command without its types.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CommandInfo {
+    /// Code in the header.
+    pub code: u16,
+    /// Name in nets, text and logs.
+    pub name: &'static str,
+    /// One line of help.
+    pub doc: &'static str,
+}
+
+/// Declares a typed command: the request with its documentation, `=>` its reply, code and name.
+///
+/// ```
+/// ctos::command! {
+///     /// Greets somebody.
+///     pub struct Greet { pub name: String } => String, 0x0001, "greet"
+/// }
+/// # use ctos::message::Command;
+/// assert_eq!(Greet::DOC, "Greets somebody.");
+/// ```
+#[macro_export]
+macro_rules! command {
+    ($(
+        $(#[doc = $doc:literal])+
+        $(#[derive($($derive:path),* $(,)?)])?
+        $vis:vis struct $name:ident $({ $($(#[$field_meta:meta])* $field_vis:vis $field:ident : $type:ty),* $(,)? })?
+        => $reply:ty, $code:expr, $text:literal $(;)?
+    )+) => {$(
+        $(#[doc = $doc])+
+        #[derive($crate::serde::Serialize, $crate::serde::Deserialize $(, $($derive),*)?)]
+        #[serde(crate = "ctos::serde")]
+        $vis struct $name { $($($(#[$field_meta])* $field_vis $field : $type),*)? }
+
+        impl $crate::message::Command for $name {
+            type Reply = $reply;
+            const CODE: u16 = $code;
+            const NAME: &'static str = $text;
+            const DOC: &'static str = $crate::message::trimmed(concat!($($doc),+));
+        }
+    )+};
+}
+
+/// Drops the blank that rustdoc leaves in front of a documentation line.
+#[doc(hidden)]
+#[must_use]
+pub const fn trimmed(text: &'static str) -> &'static str {
+    match text.as_bytes() {
+        [b' ', ..] => text.split_at(1).1,
+        _ => text,
+    }
+}
+
+/// Data that can move as a pointer and be encoded when it must leave the chassis.
+pub trait Payload: Any + Send {
+    /// Postcard bytes.
+    ///
+    /// # Errors
+    /// When the value cannot be serialized.
+    fn encode(&self) -> Result<Vec<u8>, PayloadError>;
+
+    /// The pointer, for a checked downcast.
+    fn into_any(self: Box<Self>) -> Box<dyn Any + Send>;
+}
+
+impl<T: Serialize + Send + 'static> Payload for T {
+    fn encode(&self) -> Result<Vec<u8>, PayloadError> {
+        postcard::to_stdvec(self).map_err(|error| PayloadError {
+            expected: std::any::type_name::<T>(),
+            reason: error.to_string(),
+        })
+    }
+
+    fn into_any(self: Box<Self>) -> Box<dyn Any + Send> {
+        self
+    }
+}
+
+/// Data that is not what the receiver expects.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("data is not a {expected}: {reason}")]
+pub struct PayloadError {
+    /// The type that was expected.
+    pub expected: &'static str,
+    /// Why the data is not one.
+    pub reason: String,
+}
+
+/// The data of a message: a typed pointer inside a chassis, bytes from another one.
+pub enum Data {
+    /// A value of the sender's, moved.
+    Typed(Box<dyn Payload>),
+    /// Postcard bytes.
+    Bytes(Vec<u8>),
+}
+
+impl Data {
+    /// Data that moves `value`.
+    pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
+        Self::Typed(Box::new(value))
+    }
+
+    /// The value, moved out or decoded.
+    ///
+    /// # Errors
+    /// When the pointer is of another type, or the bytes do not decode to exactly one `T`.
+    pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
+        let expected = std::any::type_name::<T>();
+        match self {
+            Self::Typed(payload) => match payload.into_any().downcast::<T>() {
+                Ok(value) => Ok(*value),
+                Err(_) => Err(PayloadError {
+                    expected,
+                    reason: "the sender passed another type".to_owned(),
+                }),
+            },
+            Self::Bytes(bytes) => match postcard::take_from_bytes::<T>(&bytes) {
+                Ok((value, [])) => Ok(value),
+                Ok((_, rest)) => Err(PayloadError {
+                    expected,
+                    reason: format!("{} bytes too many", rest.len()),
+                }),
+                Err(error) => Err(PayloadError {
+                    expected,
+                    reason: error.to_string(),
+                }),
+            },
+        }
+    }
+
+    /// The bytes to put on the wire.
+    ///
+    /// # Errors
+    /// When a typed value cannot be encoded.
+    pub fn into_bytes(self) -> Result<Vec<u8>, PayloadError> {
+        match self {
+            Self::Typed(payload) => payload.encode(),
+            Self::Bytes(bytes) => Ok(bytes),
+        }
+    }
+}
+
+impl fmt::Debug for Data {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Typed(_) => f.write_str("Typed(..)"),
+            Self::Bytes(bytes) => write!(f, "Bytes({})", bytes.len()),
+        }
+    }
+}
+
+/// What an event handler is called with.
+#[derive(Debug)]
+pub struct Message {
+    pub(crate) header: Header,
+    pub(crate) data: Data,
+    pub(crate) reply: Option<ReplySlot>,
+}
+
+impl Message {
+    /// What the sender asks for.
+    #[must_use]
+    pub fn command(&self) -> u16 {
+        self.header.command
+    }
+
+    /// The header.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// Who sent it.
+    #[must_use]
+    pub fn from(&self) -> Tid {
+        self.header.from
+    }
+
+    /// Takes the typed request and the right to answer it.
+    ///
+    /// # Errors
+    /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
+    pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
+        let slot = self.reply;
+        match self.data.take::<C>() {
+            Ok(request) => Ok((request, Replier::new(slot))),
+            Err(error) => {
+                if let Some(slot) = slot {
+                    slot.answer(Err(Fault::BadPayload {
+                        text: error.to_string(),
+                    }));
+                }
+                Err(error)
+            }
+        }
+    }
+}
+
+/// The right to answer one request, now or later. Dropped without an answer, it tells the caller so.
+#[derive(Debug)]
+pub struct Replier<C: Command> {
+    slot: Option<ReplySlot>,
+    command: std::marker::PhantomData<fn() -> C>,
+}
+
+impl<C: Command> Replier<C> {
+    pub(crate) fn new(slot: Option<ReplySlot>) -> Self {
+        Self {
+            slot,
+            command: std::marker::PhantomData,
+        }
+    }
+
+    /// Answers with the reply. `Ok` so that it can end a handler; a one-way message needs no answer
+    /// and gets none.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn ok(self, reply: C::Reply) -> crate::task::Handled {
+        if let Some(slot) = self.slot {
+            slot.answer(Ok(Data::of(reply)));
+        }
+        Ok(())
+    }
+
+    /// Refuses: the caller gets [`Fault::Refused`] with `text`.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn fail(self, text: impl fmt::Display) -> crate::task::Handled {
+        if let Some(slot) = self.slot {
+            slot.answer(Err(Fault::Refused {
+                text: text.to_string(),
+            }));
+        }
+        Ok(())
+    }
+
+    /// Whether the caller no longer waits (its deadline passed, or it is gone).
+    #[must_use]
+    pub fn is_abandoned(&self) -> bool {
+        self.slot.as_ref().is_some_and(ReplySlot::is_abandoned)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_header_is_sixteen_bytes_and_survives_them(
+            to: u32, from: u32, command: u16, flags: u16, size: u32
+        ) {
+            let header = Header {
+                to: Tid::from_bits(to),
+                from: Tid::from_bits(from),
+                command,
+                flags: Flags::from_bits(flags),
+                size,
+            };
+            prop_assert_eq!(Header::decode(&header.encode()), header);
+        }
+
+        #[test]
+        fn a_task_id_keeps_its_three_parts(chassis: u8, processor: u8, slot: u16) {
+            let tid = Tid::new(chassis, processor, slot);
+            prop_assert_eq!(
+                (tid.chassis(), tid.processor(), tid.slot()),
+                (chassis, processor, slot)
+            );
+        }
+
+        #[test]
+        fn rubbish_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..64)) {
+            let _ = Data::Bytes(bytes).take::<(String, Vec<f64>)>();
+        }
+    }
+
+    #[test]
+    fn data_is_the_same_moved_or_encoded() {
+        let value = (String::from("spot"), vec![1.5_f64, 2.5]);
+        let moved: (String, Vec<f64>) = Data::of(value.clone()).take().unwrap();
+        let bytes = Data::of(value.clone()).into_bytes().unwrap();
+        let decoded: (String, Vec<f64>) = Data::Bytes(bytes).take().unwrap();
+        assert_eq!((moved, decoded), (value.clone(), value));
+    }
+
+    #[test]
+    fn bytes_too_many_are_refused() {
+        let mut bytes = Data::of(7_u8).into_bytes().unwrap();
+        bytes.push(0);
+        let error = Data::Bytes(bytes).take::<u8>().unwrap_err();
+        assert!(error.to_string().contains("1 bytes too many"));
+    }
+}

@@ -1,0 +1,234 @@
+//! Event handlers by the name that the configuration uses for them.
+
+use std::{collections::BTreeMap, future::Future, rc::Rc, sync::Arc};
+
+use crate::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    message::{Command, CommandInfo, Message},
+    task::{Context, DynHandler, EventHandler, Handled, HandlerError},
+};
+
+type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
+type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
+type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
+
+/// A kind of event handler: how to build one, which commands it takes, how to check its arguments.
+pub struct HandlerKind {
+    name: String,
+    commands: Vec<CommandInfo>,
+    build: Build,
+    checks: Vec<CheckTask>,
+}
+
+impl HandlerKind {
+    /// The name in the configuration.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The commands it takes.
+    #[must_use]
+    pub fn commands(&self) -> &[CommandInfo] {
+        &self.commands
+    }
+
+    /// The command called `name`.
+    #[must_use]
+    pub fn command(&self, name: &str) -> Option<CommandInfo> {
+        self.commands
+            .iter()
+            .copied()
+            .find(|command| command.name == name)
+    }
+
+    /// Adds a check of a task's arguments that runs before anything starts.
+    pub fn check(
+        &mut self,
+        check: impl Fn(&TaskConfig, &mut Findings) + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.check_in_app(move |task, _, findings| check(task, findings))
+    }
+
+    /// Adds a check that also sees the rest of the app.
+    pub fn check_in_app(
+        &mut self,
+        check: impl Fn(&TaskConfig, &App, &mut Findings) + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.checks.push(Box::new(check));
+        self
+    }
+
+    pub(crate) fn builder(&self) -> Build {
+        self.build.clone()
+    }
+}
+
+impl std::fmt::Debug for HandlerKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "HandlerKind(`{}`)", self.name)
+    }
+}
+
+/// Every kind of event handler that a program offers to its configurations.
+#[derive(Default)]
+pub struct Registry {
+    kinds: BTreeMap<String, HandlerKind>,
+    app_checks: Vec<CheckApp>,
+}
+
+impl Registry {
+    /// No kinds.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Registers a type of event handler. A later registration of the same name replaces the
+    /// earlier one.
+    pub fn handler<H: EventHandler>(
+        &mut self,
+        name: &str,
+        commands: &[CommandInfo],
+        build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
+    ) -> &mut HandlerKind {
+        let build: Build = Arc::new(move |cx| {
+            let handler: Box<dyn DynHandler> = Box::new(build(cx)?);
+            Ok(handler)
+        });
+        let kind = HandlerKind {
+            name: name.to_owned(),
+            commands: commands.to_vec(),
+            build,
+            checks: Vec::new(),
+        };
+        self.kinds.insert(name.to_owned(), kind);
+        match self.kinds.get_mut(name) {
+            Some(kind) => kind,
+            // Inserted one line above, with `&mut self` held throughout.
+            None => unreachable!("the kind was just inserted"),
+        }
+    }
+
+    /// Registers a plain function as an event handler for one command.
+    pub fn function<C, F, Fut>(&mut self, name: &str, function: F) -> &mut HandlerKind
+    where
+        C: Command,
+        F: Fn(Context, C) -> Fut + Clone + Send + Sync + 'static,
+        Fut: Future<Output = Result<C::Reply, HandlerError>> + 'static,
+    {
+        self.handler(name, &[C::INFO], move |_| {
+            Ok(FunctionHandler {
+                function: Rc::new(function.clone()),
+                command: std::marker::PhantomData::<fn(C)>,
+            })
+        })
+    }
+
+    /// Adds a check of the whole app that runs before anything starts.
+    pub fn app_check(
+        &mut self,
+        check: impl Fn(&App, &Self, &mut Findings) + Send + Sync + 'static,
+    ) {
+        self.app_checks.push(Box::new(check));
+    }
+
+    /// The kind of handler called `name`.
+    #[must_use]
+    pub fn kind(&self, name: &str) -> Option<&HandlerKind> {
+        self.kinds.get(name)
+    }
+
+    /// All kinds, by name.
+    pub fn kinds(&self) -> impl Iterator<Item = &HandlerKind> {
+        self.kinds.values()
+    }
+
+    /// What the handler of `task` takes under `command`.
+    ///
+    /// # Errors
+    /// A finding without a place when the task or its command is unknown.
+    pub fn command_of(&self, app: &App, task: &str, command: &str) -> Result<CommandInfo, Finding> {
+        let Some(config) = app.task(task) else {
+            let names = app.tasks.iter().map(|task| task.name.as_str());
+            return Err(Finding::error(
+                "ctos::config::unknown_task",
+                format!("no task is called `{task}`"),
+            )
+            .suggest(task, names));
+        };
+        let commands = self
+            .kind(&config.handler)
+            .map_or(&[][..], HandlerKind::commands);
+        commands
+            .iter()
+            .copied()
+            .find(|info| info.name == command)
+            .ok_or_else(|| {
+                Finding::error(
+                    "ctos::config::unknown_command",
+                    format!("task `{task}` takes no command `{command}`"),
+                )
+                .suggest(command, commands.iter().map(|info| info.name))
+            })
+    }
+
+    /// Checks a whole app: every handler is known, every task's arguments hold, and whatever the
+    /// crates of the program check across tasks.
+    #[must_use]
+    pub fn check(&self, app: &App) -> Findings {
+        let mut findings = app.warnings.clone();
+        for task in &app.tasks {
+            match self.kind(&task.handler) {
+                Some(kind) => {
+                    for check in &kind.checks {
+                        check(task, app, &mut findings);
+                    }
+                }
+                None => findings.push(
+                    Finding::error(
+                        "ctos::config::unknown_handler",
+                        format!(
+                            "task `{}` names the event handler `{}`, which nobody registered",
+                            task.name, task.handler
+                        ),
+                    )
+                    .at(task.handler_place.clone())
+                    .suggest(&task.handler, self.kinds.keys().map(String::as_str)),
+                ),
+            }
+        }
+        for check in &self.app_checks {
+            check(app, self, &mut findings);
+        }
+        findings
+    }
+}
+
+impl std::fmt::Debug for Registry {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.kinds.keys()).finish()
+    }
+}
+
+/// An event handler made of one function.
+struct FunctionHandler<C, F> {
+    function: Rc<F>,
+    command: std::marker::PhantomData<fn(C)>,
+}
+
+impl<C, F, Fut> EventHandler for FunctionHandler<C, F>
+where
+    C: Command,
+    F: Fn(Context, C) -> Fut + 'static,
+    Fut: Future<Output = Result<C::Reply, HandlerError>> + 'static,
+{
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != C::CODE {
+            return cx.default_processing(message);
+        }
+        let (request, reply) = message.open::<C>()?;
+        reply.ok((self.function)(cx.clone(), request).await?)
+    }
+}

@@ -1,0 +1,227 @@
+//! The loop of a task: takes messages from its queue, calls its handler, contains its panics.
+
+use std::{panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+
+use futures_util::{
+    FutureExt,
+    future::{Either, LocalBoxFuture, select},
+};
+
+use crate::{
+    call::{Fault, ReplySlot},
+    chassis::Chassis,
+    config::{Restart, TaskConfig},
+    context::Context,
+    mailbox::Mailbox,
+    message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
+    processor::{Processor, panic_text},
+    system::{ChassisDown, EnterPhase, StopTask},
+    task::{DynHandler, Handled, HandlerError, Phase},
+};
+
+/// How many messages the queue of a runtime task holds.
+const SYSTEM_QUEUE: usize = 1024;
+
+type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
+
+/// A task to start.
+pub(crate) struct TaskSpec {
+    pub(crate) name: Arc<str>,
+    pub(crate) tid: Tid,
+    pub(crate) config: Option<TaskConfig>,
+    pub(crate) commands: Vec<CommandInfo>,
+    pub(crate) build: Build,
+}
+
+struct Runner {
+    cx: Context,
+    mailbox: Arc<Mailbox>,
+    build: Build,
+    handler: Box<dyn DynHandler>,
+    restart: Restart,
+    restarts: u32,
+    /// The last phase that was entered: a restarted handler is brought back to it.
+    phase: Option<Phase>,
+}
+
+/// Builds a handler and starts its task on `processor`.
+///
+/// # Errors
+/// Why the handler could not be built.
+pub(crate) fn start_task(
+    chassis: &Arc<Chassis>,
+    processor: &Rc<Processor>,
+    spec: TaskSpec,
+) -> Result<(), HandlerError> {
+    let capacity = spec
+        .config
+        .as_ref()
+        .map_or(SYSTEM_QUEUE, |config| config.queue);
+    let restart = spec
+        .config
+        .as_ref()
+        .map_or(Restart::Never, |config| config.restart);
+    let cx = Context::new(
+        spec.name,
+        spec.tid,
+        chassis.clone(),
+        processor.clone(),
+        spec.config,
+        spec.commands,
+    );
+    let handler = build_contained(&spec.build, &cx)?;
+    let mailbox = Arc::new(Mailbox::new(capacity));
+    chassis.add_task(spec.tid, mailbox.clone());
+    let runner = Runner {
+        cx,
+        mailbox,
+        build: spec.build,
+        handler,
+        restart,
+        restarts: 0,
+        phase: None,
+    };
+    processor.spawn(runner.run(), None);
+    Ok(())
+}
+
+fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, HandlerError> {
+    std::panic::catch_unwind(AssertUnwindSafe(|| build(cx))).unwrap_or_else(|panic| {
+        Err(HandlerError::new(format!(
+            "panicked while it was built: {}",
+            panic_text(panic.as_ref())
+        )))
+    })
+}
+
+impl Runner {
+    async fn run(mut self) {
+        while let Some(message) = self.mailbox.next().await {
+            if message.reply.as_ref().is_some_and(ReplySlot::is_abandoned) {
+                tracing::debug!(task = %self.cx.name(), command = message.command(), "caller gave up");
+                continue;
+            }
+            if !self.take(message).await {
+                break;
+            }
+        }
+        self.cx.cancel_children();
+        self.cx.chassis().remove_task(self.cx.tid());
+    }
+
+    /// Handles one message. False when the task has failed for good.
+    async fn take(&mut self, message: Message) -> bool {
+        let slot = message.reply.clone();
+        let command = message.command();
+        let mailbox = self.mailbox.clone();
+        let handling = AssertUnwindSafe(self.call(message)).catch_unwind();
+        let outcome = if command == StopTask::CODE {
+            handling.await
+        } else {
+            // A handler that waits for others must not delay an orderly stop: it is dropped there.
+            match select(handling, pin!(mailbox.stop_waits())).await {
+                Either::Left((outcome, _)) => outcome,
+                Either::Right(((), _)) => {
+                    if let Some(slot) = slot {
+                        slot.answer(Err(Fault::Stopping));
+                    }
+                    return true;
+                }
+            }
+        };
+        match outcome {
+            Ok(Ok(())) => true,
+            Ok(Err(error)) => {
+                tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
+                if let Some(slot) = slot {
+                    slot.answer(Err(Fault::Refused {
+                        text: error.to_string(),
+                    }));
+                }
+                true
+            }
+            Err(panic) => {
+                let text = panic_text(panic.as_ref());
+                tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
+                if let Some(slot) = slot {
+                    slot.answer(Err(Fault::Panicked { text: text.clone() }));
+                }
+                self.supervise(&text).await
+            }
+        }
+    }
+
+    fn call(&mut self, message: Message) -> LocalBoxFuture<'_, Handled> {
+        match message.command() {
+            EnterPhase::CODE => Box::pin(self.enter_phase(message)),
+            StopTask::CODE => Box::pin(self.stop(message)),
+            ChassisDown::CODE => Box::pin(self.chassis_down(message)),
+            command if command >= SYSTEM_COMMANDS && self.cx.config().is_some() => {
+                let handled = self.cx.default_processing(message);
+                Box::pin(std::future::ready(handled))
+            }
+            _ => self.handler.handle(&self.cx, message),
+        }
+    }
+
+    async fn enter_phase(&mut self, message: Message) -> Handled {
+        let (EnterPhase { phase }, reply) = message.open::<EnterPhase>()?;
+        self.handler.phase(&self.cx, phase).await?;
+        self.phase = Some(phase);
+        reply.ok(())
+    }
+
+    async fn stop(&mut self, message: Message) -> Handled {
+        let (StopTask { reason }, reply) = message.open::<StopTask>()?;
+        self.handler.stop(&self.cx, &reason).await?;
+        reply.ok(())
+    }
+
+    async fn chassis_down(&mut self, message: Message) -> Handled {
+        let (ChassisDown { chassis }, _) = message.open::<ChassisDown>()?;
+        self.handler.chassis_down(&self.cx, &chassis).await
+    }
+
+    /// What happens after a panic: the configuration's restart policy, or the end of the task.
+    async fn supervise(&mut self, panic: &str) -> bool {
+        let allowed = match self.restart {
+            Restart::Never => 0,
+            Restart::Always { max } => max,
+        };
+        if self.restarts >= allowed {
+            let tried = match self.restarts {
+                0 => String::new(),
+                restarts => format!(" (after {restarts} restarts)"),
+            };
+            self.cx
+                .fail(&format!("its handler panicked: {panic}{tried}"));
+            return false;
+        }
+        self.restarts += 1;
+        match self.rebuild().await {
+            Ok(()) => {
+                tracing::warn!(task = %self.cx.name(), restarts = self.restarts, "restarted");
+                true
+            }
+            Err(error) => {
+                self.cx
+                    .fail(&format!("could not be restarted after a panic: {error}"));
+                false
+            }
+        }
+    }
+
+    /// Builds the handler anew and brings it to the phase that the old one had reached. Messages
+    /// that wait in the queue stay there.
+    async fn rebuild(&mut self) -> Handled {
+        self.cx.cancel_children();
+        self.handler = build_contained(&self.build, &self.cx)?;
+        let reached = self.phase;
+        for phase in Phase::ALL {
+            if reached.is_some_and(|reached| phase <= reached) {
+                self.handler.phase(&self.cx, phase).await?;
+            }
+        }
+        Ok(())
+    }
+}

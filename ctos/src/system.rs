@@ -1,0 +1,121 @@
+//! The commands of the runtime itself, and the tasks that every app has.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    command,
+    message::Tid,
+    task::{Phase, StopReason},
+};
+
+/// The task that starts and stops the tasks of chassis `index`.
+pub(crate) const fn agent_tid(index: u8) -> Tid {
+    Tid::new(index, 0, 0)
+}
+
+/// The task identification service, on the chassis that boots.
+pub(crate) const TID_SERVER: Tid = Tid::new(0, 0, 1);
+
+/// The bootstrap service, on the chassis that boots.
+pub(crate) const BOOTSTRAP: Tid = Tid::new(0, 0, 2);
+
+/// How an app ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AppResult {
+    /// Whether it did what it was asked.
+    pub ok: bool,
+    /// What a person is told: a table or a reason, several lines.
+    pub text: String,
+    /// The same for a program, one JSON object.
+    pub json: String,
+}
+
+/// A command as introspection shows it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CommandDescription {
+    /// Code in the header.
+    pub code: u16,
+    /// Name in nets and text.
+    pub name: String,
+    /// One line of help.
+    pub doc: String,
+}
+
+/// A task as the task identification service knows it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskName {
+    /// Its symbolic name.
+    pub name: String,
+    /// Its id.
+    pub tid: Tid,
+}
+
+/// What became of the tasks that a chassis was told to create.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Created {
+    pub(crate) tasks: Vec<TaskName>,
+    /// Task and reason.
+    pub(crate) failed: Vec<(String, String)>,
+}
+
+command! {
+    /// Asks whether the task is alive.
+    pub struct Ping => (), 0xff00, "ping"
+}
+command! {
+    /// Asks which commands the task takes.
+    pub struct Introspect => Vec<CommandDescription>, 0xff01, "introspect"
+}
+command! {
+    /// Enters a startup phase.
+    pub(crate) struct EnterPhase { pub(crate) phase: Phase } => (), 0xff02, "phase"
+}
+command! {
+    /// Comes to an orderly stop.
+    pub(crate) struct StopTask { pub(crate) reason: StopReason } => (), 0xff03, "stop"
+}
+command! {
+    /// Tells that another chassis is gone.
+    pub(crate) struct ChassisDown { pub(crate) chassis: String } => (), 0xff04, "chassis_down"
+}
+command! {
+    /// Adds a task to the names.
+    pub(crate) struct RegisterTid { pub(crate) task: TaskName } => (), 0xff10, "register_tid"
+}
+command! {
+    /// Asks for the task behind a name; without one, for the names there are.
+    pub(crate) struct QueryTid { pub(crate) name: String } => Result<Tid, Vec<String>>, 0xff11, "query_tid"
+}
+command! {
+    /// Creates the tasks of this chassis.
+    pub(crate) struct CreateTasks => Created, 0xff20, "create_tasks"
+}
+command! {
+    /// Ends the process.
+    pub(crate) struct Exit { pub(crate) code: i32 } => (), 0xff21, "exit"
+}
+command! {
+    /// Tells how far a task is.
+    pub(crate) struct Progress {
+        pub(crate) task: String,
+        pub(crate) done: u64,
+        pub(crate) total: u64,
+        pub(crate) what: String,
+    } => (), 0xff30, "progress"
+}
+command! {
+    /// Ends the app with a result.
+    pub(crate) struct Finish { pub(crate) task: String, pub(crate) result: AppResult } => (), 0xff31, "finish"
+}
+command! {
+    /// Tells that a task failed for good.
+    pub(crate) struct TaskFailed { pub(crate) task: String, pub(crate) reason: String } => (), 0xff32, "task_failed"
+}
+command! {
+    /// Tells that the person wants the app to stop.
+    pub(crate) struct Interrupt => (), 0xff33, "interrupt"
+}
+command! {
+    /// Tells that every chassis is connected.
+    pub(crate) struct AllLinked => (), 0xff34, "all_linked"
+}

@@ -1,0 +1,179 @@
+//! Time as a service: one clock for the whole app, real or virtual.
+//!
+//! Nothing in the workspace asks the operating system for the time; it asks the [`Clock`] that its
+//! chassis was started with. A virtual clock moves only when the simulation moves it, so a whole app
+//! can run faster than the wall clock and the same way every time.
+
+use std::{
+    fmt,
+    ops::{Add, Sub},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use rustix::time::{ClockId, clock_gettime};
+use serde::{Deserialize, Serialize};
+
+/// A moment, in nanoseconds since the app was started. The same in all processes of one host.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize,
+)]
+pub struct Instant(u64);
+
+impl Instant {
+    /// The start of the app.
+    pub const START: Self = Self(0);
+
+    /// A moment `nanos` nanoseconds after the start of the app.
+    #[must_use]
+    pub const fn from_nanos(nanos: u64) -> Self {
+        Self(nanos)
+    }
+
+    /// Nanoseconds since the start of the app.
+    #[must_use]
+    pub const fn as_nanos(self) -> u64 {
+        self.0
+    }
+
+    /// Time since the start of the app.
+    #[must_use]
+    pub const fn since_start(self) -> Duration {
+        Duration::from_nanos(self.0)
+    }
+
+    /// Time from `earlier` to this moment; zero when `earlier` is later.
+    #[must_use]
+    pub const fn since(self, earlier: Self) -> Duration {
+        Duration::from_nanos(self.0.saturating_sub(earlier.0))
+    }
+}
+
+impl Add<Duration> for Instant {
+    type Output = Self;
+
+    fn add(self, duration: Duration) -> Self {
+        let nanos = u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX);
+        Self(self.0.saturating_add(nanos))
+    }
+}
+
+impl Sub for Instant {
+    type Output = Duration;
+
+    fn sub(self, earlier: Self) -> Duration {
+        self.since(earlier)
+    }
+}
+
+impl fmt::Display for Instant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.6} s", self.since_start().as_secs_f64())
+    }
+}
+
+/// Where a chassis takes its time from.
+#[derive(Debug, Clone)]
+pub struct Clock {
+    source: ClockSource,
+}
+
+#[derive(Debug, Clone)]
+enum ClockSource {
+    /// The host's monotonic clock, less the moment at which the app was started.
+    Real { origin_ns: u64 },
+    /// A number that only the simulation advances.
+    Virtual { now_ns: Arc<AtomicU64> },
+}
+
+impl Clock {
+    /// A real clock that starts now.
+    #[must_use]
+    pub fn real() -> Self {
+        Self::real_from(monotonic_ns())
+    }
+
+    /// A real clock whose start is `origin_ns` of the host's monotonic clock, so that all chassis of
+    /// an app on one host agree.
+    #[must_use]
+    pub fn real_from(origin_ns: u64) -> Self {
+        Self {
+            source: ClockSource::Real { origin_ns },
+        }
+    }
+
+    /// A virtual clock at the start of the app.
+    #[must_use]
+    pub fn virtual_clock() -> Self {
+        Self {
+            source: ClockSource::Virtual {
+                now_ns: Arc::new(AtomicU64::new(0)),
+            },
+        }
+    }
+
+    /// The present moment.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        match &self.source {
+            ClockSource::Real { origin_ns } => Instant(monotonic_ns().saturating_sub(*origin_ns)),
+            ClockSource::Virtual { now_ns } => Instant(now_ns.load(Ordering::Acquire)),
+        }
+    }
+
+    /// The origin of a real clock, to hand to another chassis; `None` for a virtual clock.
+    #[must_use]
+    pub fn origin_ns(&self) -> Option<u64> {
+        match &self.source {
+            ClockSource::Real { origin_ns } => Some(*origin_ns),
+            ClockSource::Virtual { .. } => None,
+        }
+    }
+
+    /// Moves a virtual clock forward. A real clock, or a step back, is left alone.
+    pub(crate) fn advance_to(&self, moment: Instant) {
+        if let ClockSource::Virtual { now_ns } = &self.source {
+            now_ns.fetch_max(moment.0, Ordering::AcqRel);
+        }
+    }
+}
+
+fn monotonic_ns() -> u64 {
+    let time = clock_gettime(ClockId::Monotonic);
+    // The monotonic clock never reports negative parts.
+    let seconds = u64::try_from(time.tv_sec).unwrap_or(0);
+    let nanos = u64::try_from(time.tv_nsec).unwrap_or(0);
+    seconds.saturating_mul(1_000_000_000).saturating_add(nanos)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_virtual_clock_moves_only_forward_and_only_when_told() {
+        let clock = Clock::virtual_clock();
+        assert_eq!(clock.now(), Instant::START);
+        clock.advance_to(Instant::from_nanos(5));
+        clock.advance_to(Instant::from_nanos(3));
+        assert_eq!(clock.now(), Instant::from_nanos(5));
+    }
+
+    #[test]
+    fn clocks_of_one_origin_agree() {
+        let first = Clock::real();
+        let second = Clock::real_from(first.origin_ns().unwrap());
+        let before = first.now();
+        assert!(second.now() >= before);
+    }
+
+    #[test]
+    fn moments_never_overflow() {
+        let late = Instant::from_nanos(u64::MAX) + Duration::from_secs(1);
+        assert_eq!(late.as_nanos(), u64::MAX);
+        assert_eq!(Instant::START - late, Duration::ZERO);
+    }
+}
