@@ -7,6 +7,7 @@
 pub mod camera;
 pub mod cell;
 pub mod driver;
+pub mod handlers;
 pub mod picture;
 pub mod puma560;
 pub mod scene;

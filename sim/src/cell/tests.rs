@@ -58,10 +58,10 @@ fn an_unknown_key_is_found_with_a_suggestion() {
 
 #[test]
 fn a_missing_key_and_a_wrong_type_are_found() {
-    let found = findings(&TEXT.replace("fx = 372.4\n", ""));
+    let found = findings(&TEXT.replace("fx = 418.6\n", ""));
     assert!(found[0].contains("missing field `fx`"), "{}", found[0]);
-    let found = findings(&TEXT.replace("fx = 372.4", "fx = \"x\""));
-    assert!(found[0].starts_with(&place("372.4")), "{}", found[0]);
+    let found = findings(&TEXT.replace("fx = 418.6", "fx = \"x\""));
+    assert!(found[0].starts_with(&place("418.6")), "{}", found[0]);
 }
 
 #[test]
