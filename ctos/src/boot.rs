@@ -3,7 +3,7 @@
 mod child;
 mod parent;
 
-use std::{ffi::OsString, path::PathBuf, rc::Rc, sync::Arc, thread::JoinHandle};
+use std::{ffi::OsString, num::NonZeroU64, path::PathBuf, sync::Arc, thread::JoinHandle};
 
 use crate::{
     agent::{self, Agent},
@@ -14,7 +14,7 @@ use crate::{
     names::{self, TidServer},
     processor::Processor,
     registry::Registry,
-    runner::{TaskSpec, start_task},
+    runner::{TaskSpec, mailbox, start_task},
     simulation, system,
     task::{Context, EventHandler},
 };
@@ -100,64 +100,55 @@ pub fn boot(
     }
 }
 
-/// Starts the tasks of the runtime itself on processor 0 of `chassis`.
+/// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
+/// returns, so no message to them is lost however soon it comes.
 pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, end: &EndSlot) {
-    let Some((_, system)) = chassis.processors.first() else {
-        return;
-    };
-    let home = chassis.clone();
-    let observer = observer.clone();
-    let end = end.clone();
-    system.inject(move |processor| {
-        let agent_tid = system::agent_tid(home.index());
-        start(
-            &home,
-            processor,
-            "agent",
-            agent_tid,
-            &agent::COMMANDS,
-            |_| Agent::default(),
-        );
-        if home.index() == 0 {
-            start(
-                &home,
-                processor,
-                "tidsvr",
-                system::TID_SERVER,
-                &names::COMMANDS,
-                |_| TidServer::default(),
-            );
-            let build = move |_: &Context| Bootstrap::new(observer.clone(), end.clone());
-            start(
-                &home,
-                processor,
-                "bootstrap",
-                system::BOOTSTRAP,
-                &bootstrap::COMMANDS,
-                build,
-            );
-        }
+    let agent = system::agent_tid(chassis.index());
+    start(chassis, "agent", agent, &agent::COMMANDS, |_| {
+        Agent::default()
     });
+    if chassis.index() == 0 {
+        let tidsvr = system::TID_SERVER;
+        start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
+            TidServer::default()
+        });
+        let (observer, end) = (observer.clone(), end.clone());
+        let bootstrap = system::BOOTSTRAP;
+        start(
+            chassis,
+            "bootstrap",
+            bootstrap,
+            &bootstrap::COMMANDS,
+            move |_| Bootstrap::new(observer.clone(), end.clone()),
+        );
+    }
 }
 
 fn start<H: EventHandler>(
     chassis: &Arc<Chassis>,
-    processor: &Rc<Processor>,
-    name: &str,
+    name: &'static str,
     tid: Tid,
     commands: &[CommandInfo],
     build: impl Fn(&Context) -> H + Send + Sync + 'static,
 ) {
+    let Some((_, processor)) = chassis.processors.first() else {
+        return;
+    };
     let spec = TaskSpec {
+        mailbox: mailbox(None),
         name: name.into(),
         tid,
         config: None,
         commands: commands.to_vec(),
         build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
-    if let Err(error) = start_task(chassis, processor, spec) {
-        tracing::error!(task = name, error = %error, "a task of the runtime did not start");
-    }
+    chassis.add_task(tid, spec.mailbox.clone());
+    let home = chassis.clone();
+    processor.inject(move |processor| {
+        if let Err(error) = start_task(&home, processor, spec) {
+            tracing::error!(task = name, error = %error, "a task of the runtime did not start");
+        }
+    });
 }
 
 /// Starts a thread for each processor of `chassis`.
@@ -177,6 +168,8 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> Vec<JoinHandle<()>> {
         let thread = std::thread::Builder::new()
             .name(format!("{}/{name}", chassis.name()))
             .spawn(move || {
+                // Timers of this thread end at their deadline and not up to 50 us after it.
+                let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
                 if let Some(config) = config {
                     prepare_thread(&config);
                 }
@@ -193,7 +186,10 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> Vec<JoinHandle<()>> {
 /// Pins the calling thread and makes it real-time, where the configuration asks for it and the
 /// system permits it; says so clearly where it does not.
 fn prepare_thread(config: &ProcessorConfig) {
-    if let Some(cpu) = config.cpu {
+    if let Some(cpu) = config
+        .cpu
+        .filter(|cpu| *cpu < rustix::thread::CpuSet::MAX_CPU)
+    {
         let mut set = rustix::thread::CpuSet::new();
         set.set(cpu);
         if let Err(error) = rustix::thread::sched_setaffinity(None, &set) {

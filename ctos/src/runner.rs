@@ -24,8 +24,15 @@ const SYSTEM_QUEUE: usize = 1024;
 
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 
+/// The queue of a task of the configuration, or of the runtime itself.
+pub(crate) fn mailbox(config: Option<&TaskConfig>) -> Arc<Mailbox> {
+    let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
+    Arc::new(Mailbox::new(capacity))
+}
+
 /// A task to start.
 pub(crate) struct TaskSpec {
+    pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) name: Arc<str>,
     pub(crate) tid: Tid,
     pub(crate) config: Option<TaskConfig>,
@@ -53,10 +60,6 @@ pub(crate) fn start_task(
     processor: &Rc<Processor>,
     spec: TaskSpec,
 ) -> Result<(), HandlerError> {
-    let capacity = spec
-        .config
-        .as_ref()
-        .map_or(SYSTEM_QUEUE, |config| config.queue);
     let restart = spec
         .config
         .as_ref()
@@ -70,11 +73,10 @@ pub(crate) fn start_task(
         spec.commands,
     );
     let handler = build_contained(&spec.build, &cx)?;
-    let mailbox = Arc::new(Mailbox::new(capacity));
-    chassis.add_task(spec.tid, mailbox.clone());
+    chassis.add_task(spec.tid, spec.mailbox.clone());
     let runner = Runner {
         cx,
-        mailbox,
+        mailbox: spec.mailbox,
         build: spec.build,
         handler,
         restart,

@@ -1,1 +1,24 @@
-//! Service objects with EXEC, CTRL and DBX, reached by one line of text
+//! Service objects with EXEC, CTRL and DBX, reached by one line of text.
+//!
+//! The core of SORMA (Walter and Ritter, technical report SFB360-TR-96-3, chapter 1): names,
+//! the transport structure, textual requests, option tables, the dictionary of recipes, and the
+//! manager that builds objects from their names. One process; nothing here knows a network.
+
+pub mod dictionary;
+pub mod name;
+pub mod object;
+pub mod options;
+pub mod report;
+pub mod request;
+pub mod sorm;
+pub mod transport;
+pub mod words;
+
+pub use dictionary::Dictionary;
+pub use name::{Location, NameError, ObjectName};
+pub use object::{Context, Outcome, ServiceObject};
+pub use options::OptionTable;
+pub use report::{Report, Severity};
+pub use request::{Method, Reply, Request, RequestError};
+pub use sorm::{Handle, Sorm};
+pub use transport::Transport;

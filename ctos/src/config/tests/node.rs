@@ -30,7 +30,7 @@ enum Shape {
 #[derive(Debug, Deserialize, PartialEq)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 enum Kind {
-    Pid { p: f64 },
+    Pid { p: f64, joint: Option<Joint> },
 }
 
 fn arm(text: &str) -> Result<Arm, String> {
@@ -55,7 +55,10 @@ fn a_node_is_read_into_types_of_every_kind() {
                 gain: 3
             }],
             shape: Some(Shape::Box { x: 2.0 }),
-            kind: Some(Kind::Pid { p: 0.5 }),
+            kind: Some(Kind::Pid {
+                p: 0.5,
+                joint: None
+            }),
         })
     );
     assert_eq!(
@@ -112,8 +115,12 @@ fn what_does_not_fit_a_type_is_an_error_at_its_exact_place() {
             "arm.toml:2:9: error: `shape`: expected one of point, ball, box, found an integer",
         ),
         (
+            "speed = 1\n[kind]\ntype = \"pid\"\np = 1\njoint = { limit = [0, 1], gain = 1, giant = 3 }",
+            "arm.toml:5:37: error: unknown key `giant` in `kind` (did you mean `gain`?)",
+        ),
+        (
             "speed = 1\nkind = { type = \"pid\", p = 1, dd = 3 }",
-            "arm.toml:2:31: error: unknown key `dd` in `kind` (known here: p)",
+            "arm.toml:2:31: error: unknown key `dd` in `kind` (known here: joint, p)",
         ),
     ];
     for (text, expected) in cases {

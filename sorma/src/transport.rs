@@ -1,0 +1,88 @@
+//! The transport structure: the one public data interface of every service object, used in both
+//! directions (SORMA technical report, section 1.3.3).
+
+use crate::report::{Report, Severity};
+use serde::{Deserialize, Serialize};
+
+/// Data that goes into a service object and comes back out of it in the same place.
+///
+/// What the numbers mean (units, frames, shapes) is the class's to say.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transport {
+    /// Text (`TMSG`).
+    pub text: String,
+    /// Floats (`FMSG`).
+    pub floats: Vec<f64>,
+    /// Whole numbers (`IMSG`).
+    pub ints: Vec<i64>,
+    /// Untyped bytes, for example an image. They have no textual form.
+    pub opaque: Vec<u8>,
+    /// Return code: 0 when done, else the code of the error that stopped it.
+    pub code: i32,
+    /// Reports so far (`TDBX`), oldest first.
+    pub reports: Vec<Report>,
+}
+
+impl Transport {
+    /// Only text.
+    #[must_use]
+    pub fn text(text: impl Into<String>) -> Self {
+        Self {
+            text: text.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Only floats.
+    #[must_use]
+    pub fn floats(floats: impl Into<Vec<f64>>) -> Self {
+        Self {
+            floats: floats.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Empties it and keeps its memory, so that a call that repeats need not allocate.
+    pub fn clear(&mut self) {
+        self.text.clear();
+        self.floats.clear();
+        self.ints.clear();
+        self.opaque.clear();
+        self.code = 0;
+        self.reports.clear();
+    }
+
+    /// Adds a report. An error sets the return code, unless an earlier one has.
+    pub fn report(&mut self, report: Report) {
+        if report.severity == Severity::Error && self.code == 0 {
+            // An error whose code was forgotten must not look like success.
+            self.code = if report.code == 0 { -1 } else { report.code };
+        }
+        self.reports.push(report);
+    }
+
+    /// Whether the call was done.
+    #[must_use]
+    pub fn is_ok(&self) -> bool {
+        self.code == 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_error_is_the_return_code_and_an_error_is_never_success() {
+        let mut io = Transport::default();
+        io.report(Report::warning(3, "hm"));
+        assert!(io.is_ok());
+        io.report(Report::error(7, "no"));
+        io.report(Report::error(8, "no again"));
+        assert_eq!((io.code, io.reports.len()), (7, 3));
+        io.clear();
+        assert_eq!(io, Transport::default());
+        io.report(Report::error(0, "no"));
+        assert!(!io.is_ok());
+    }
+}
