@@ -66,7 +66,10 @@ impl EventHandler for Eye {
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        let (Phase::Run, Some(mut camera)) = (phase, self.camera.take()) else {
+        if phase != Phase::Run {
+            return Ok(());
+        }
+        let Some(mut camera) = self.camera.take() else {
             return Ok(());
         };
         let (child, seen) = (cx.clone(), self.seen.clone());
