@@ -4,14 +4,19 @@
 
 use std::{sync::Arc, time::Duration};
 
+use serde::{Deserialize, Serialize};
+
 /// A grey picture, 8 bit, row after row.
-#[derive(Debug, Clone, PartialEq, Eq)]
+///
+/// Cloning shares the pixels; inside a chassis a frame moves between tasks as a pointer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Frame {
     /// Width, px.
     pub width: usize,
     /// Height, px.
     pub height: usize,
     /// `width * height` grey values, first row first.
+    #[serde(with = "pixel_bytes")]
     pub pixels: Arc<[u8]>,
     /// When the exposure ended, since the start of the app.
     pub stamp: Duration,
@@ -41,4 +46,22 @@ pub enum FrameError {
         /// What it says.
         reason: String,
     },
+}
+
+/// Pixels on the wire, between chassis: their bytes.
+mod pixel_bytes {
+    use super::{Arc, Deserialize, Serialize};
+
+    pub(super) fn serialize<S: serde::Serializer>(
+        pixels: &Arc<[u8]>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        pixels.as_ref().serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: serde::Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Arc<[u8]>, D::Error> {
+        Vec::<u8>::deserialize(deserializer).map(Arc::from)
+    }
 }

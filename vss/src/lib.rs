@@ -1,3 +1,33 @@
-//! Vision Services System: Vision Modules, managers, Tools, Services, calibration
+//! Vision Services System (VSS): from pictures to numbers, as event handlers.
+//!
+//! The user deals with Services, through the Services Manager ([`vsm`]); a Service is a series of calls to Tools; a
+//! Tool asks the Vision Module Manager ([`vmm`]) for a Vision Module, which alone touches hardware (CIRSSE report
+//! 108, section 5). The list of Services in an app's configuration makes its vision tasks ([`catalog`]).
+//!
+//! The computations stand by themselves and know no tasks: [`spot`], [`components`], [`camera`], [`calibrate`],
+//! [`camera_info`]. No simulator is named here: pictures come from a [`source::FrameSource`].
 
+#![allow(
+    clippy::result_large_err,
+    reason = "findings are made when an app is read, never on a path that repeats"
+)]
+
+pub mod calibrate;
+pub mod camera;
+pub mod camera_info;
+pub mod catalog;
+pub mod command;
+pub mod components;
 pub mod frame;
+pub mod service;
+pub mod source;
+pub mod spot;
+pub mod tool;
+pub mod vm;
+pub mod vmm;
+pub mod vsm;
+
+mod concurrent;
+mod register;
+
+pub use register::register;

@@ -1,0 +1,230 @@
+//! How good an estimated camera is: covariance, standard deviations, condition, expected error in the work volume.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Point3, SMatrix};
+use serde::{Deserialize, Serialize};
+
+use super::{CalibrationError, LightPoint, Stand, fit};
+use crate::camera::{Camera, PARAMETERS};
+
+/// Condition number of the column-scaled Jacobian beyond which a camera is not determined.
+const WORST_CONDITION: f64 = 1e8;
+/// Points per side of the grid on which the work volume is judged.
+const GRID: usize = 5;
+
+pub(super) type Covariance = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// Standard deviations of an estimated camera.
+///
+/// They hold the noise of the pixels and, by the squared difference between the model chosen and the largest one,
+/// what dropping distortion terms may have cost (Buckland, Burnham and Augustin, Biometrics 53, 1997).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Uncertainty {
+    /// Standard deviation of each parameter: rotation vector in the camera frame (3, rad), centre (3, m), fx, fy,
+    /// cx, cy (px), k1, k2, p1, p2, k3; 0 for terms that are not in the model and would not have mattered.
+    pub parameter_sd: [f64; PARAMETERS],
+    /// Covariance of the centre in the world frame, m².
+    pub position_covariance: [[f64; 3]; 3],
+    /// Covariance of the rotation vector in the camera frame, rad².
+    pub rotation_covariance: [[f64; 3]; 3],
+    /// Root of the trace of `position_covariance`, m.
+    pub position_sd_m: f64,
+    /// Root of the trace of `rotation_covariance`, rad.
+    pub rotation_sd_rad: f64,
+    /// Standard deviation of (fx + fy) / 2, relative to it.
+    pub focal_sd_rel: f64,
+    /// Condition number of the column-scaled Jacobian.
+    pub condition: f64,
+    /// Expected error (rms of the length) of a point projected anywhere in the box around the light positions, px.
+    pub volume_error_px: f64,
+}
+
+/// What [`summarise`] finds.
+pub(super) struct Summary {
+    pub rms_px: f64,
+    pub leave_out_rms_px: f64,
+    pub noise_px: f64,
+    pub uncertainty: Uncertainty,
+}
+
+/// (JᵀJ)⁻¹ of the first `free` parameters over `points`, and the condition number of J with its columns scaled.
+pub(super) fn unit_covariance(
+    camera: &Camera,
+    points: &[Point3<f64>],
+    free: usize,
+) -> Result<(Covariance, f64), CalibrationError> {
+    let undetermined = |condition| CalibrationError::Undetermined { condition };
+    let mut normal = DMatrix::zeros(free, free);
+    for point in points {
+        let (_, block) = camera
+            .project_with_jacobian(point)
+            .ok_or(undetermined(f64::INFINITY))?;
+        let block = block.columns(0, free);
+        normal += block.transpose() * block;
+    }
+    let scale = DVector::from_iterator(free, normal.diagonal().iter().map(|d| 1.0 / d.sqrt()));
+    let scaled = DMatrix::from_fn(free, free, |i, j| normal[(i, j)] * scale[i] * scale[j]);
+    if !scaled.iter().all(|entry| entry.is_finite()) {
+        return Err(undetermined(f64::INFINITY));
+    }
+    let eigen = scaled
+        .clone()
+        .try_symmetric_eigen(1e-15, 1000)
+        .ok_or(undetermined(f64::INFINITY))?;
+    let (least, most) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
+    let condition = if least > 0.0 {
+        (most / least).sqrt()
+    } else {
+        f64::INFINITY
+    };
+    if condition > WORST_CONDITION {
+        return Err(undetermined(condition));
+    }
+    let inverse = scaled.cholesky().ok_or(undetermined(condition))?.inverse();
+    let mut covariance = Covariance::zeros();
+    for i in 0..free {
+        for j in 0..free {
+            covariance[(i, j)] = inverse[(i, j)] * scale[i] * scale[j];
+        }
+    }
+    Ok((covariance, condition))
+}
+
+fn positions(table: &[LightPoint], used: &[usize]) -> Vec<Point3<f64>> {
+    used.iter()
+        .filter_map(|row| table.get(*row))
+        .map(LightPoint::position)
+        .collect()
+}
+
+/// Sum of squared residuals of the used rows and the noise variance it means, σ² = Σr² / (2N - p).
+fn noise_variance(table: &[LightPoint], stand: &Stand) -> (f64, f64) {
+    let rows = stand.used.iter().filter_map(|row| table.get(*row));
+    let squares: f64 = rows
+        .map(|point| fit::residual(&stand.camera, point).norm_squared())
+        .sum();
+    let spare = (2 * stand.used.len())
+        .saturating_sub(stand.model.parameters())
+        .max(1);
+    (squares, squares / spare as f64)
+}
+
+/// σ² (JᵀJ)⁻¹ of a fit.
+pub(super) fn covariance(
+    table: &[LightPoint],
+    stand: &Stand,
+) -> Result<Covariance, CalibrationError> {
+    let free = stand.model.parameters();
+    let (unit, _) = unit_covariance(&stand.camera, &positions(table, &stand.used), free)?;
+    Ok(unit * noise_variance(table, stand).1)
+}
+
+/// The Wald statistic xᵀ Cov⁻¹ x of the parameters in `range`.
+pub(super) fn wald(
+    camera: &Camera,
+    covariance: &Covariance,
+    range: Range<usize>,
+) -> Result<f64, CalibrationError> {
+    let d = &camera.distortion;
+    let terms = [d.k1, d.k2, d.p1, d.p2, d.k3];
+    let first = PARAMETERS - terms.len();
+    let values = DVector::from_iterator(
+        range.len(),
+        terms
+            .iter()
+            .skip(range.start - first)
+            .take(range.len())
+            .copied(),
+    );
+    let block = covariance
+        .view((range.start, range.start), (range.len(), range.len()))
+        .into_owned();
+    // Without any noise the covariance is 0 and every term that is not 0 counts infinitely.
+    let inverse = match block.try_inverse() {
+        Some(inverse) => inverse,
+        None if values.amax() > 0.0 => return Ok(f64::MAX),
+        None => return Ok(0.0),
+    };
+    Ok(values.dot(&(inverse * &values)))
+}
+
+/// Everything that is reported about a fit. `choice` is the change of the parameters from the fit to the one of
+/// the largest model.
+pub(super) fn summarise(
+    table: &[LightPoint],
+    stand: &Stand,
+    choice: &[f64; PARAMETERS],
+) -> Result<Summary, CalibrationError> {
+    let points = positions(table, &stand.used);
+    let (unit, condition) = unit_covariance(&stand.camera, &points, stand.model.parameters())?;
+    let (squares, variance) = noise_variance(table, stand);
+    let n = stand.used.len() as f64;
+    let mut left_out = 0.0;
+    for point in stand.used.iter().filter_map(|row| table.get(*row)) {
+        let r = fit::residual(&stand.camera, point);
+        if let Some((_, j)) = stand.camera.project_with_jacobian(&point.position()) {
+            // Without this point, its residual is (1 - H)⁻¹ r with its block H of the hat matrix.
+            let kept = Matrix2::identity() - j * unit * j.transpose();
+            left_out += kept
+                .try_inverse()
+                .map_or(f64::INFINITY, |inverse| (inverse * r).norm_squared());
+        }
+    }
+    let shift = SMatrix::<f64, PARAMETERS, 1>::from_column_slice(choice);
+    let covariance = unit * variance + shift * shift.transpose();
+    Ok(Summary {
+        rms_px: (squares / n).sqrt(),
+        leave_out_rms_px: (left_out / n).sqrt(),
+        noise_px: variance.sqrt(),
+        uncertainty: describe(&stand.camera, &points, &covariance, condition),
+    })
+}
+
+/// The standard deviations that a covariance of the parameters means.
+pub(super) fn describe(
+    camera: &Camera,
+    points: &[Point3<f64>],
+    covariance: &Covariance,
+    condition: f64,
+) -> Uncertainty {
+    let rotation: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+    let position: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
+    let focal = 0.25 * covariance.fixed_view::<2, 2>(6, 6).sum();
+    let array = |m: &Matrix3<f64>| std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]));
+    Uncertainty {
+        parameter_sd: std::array::from_fn(|k| covariance[(k, k)].sqrt()),
+        position_covariance: array(&position),
+        rotation_covariance: array(&rotation),
+        position_sd_m: position.trace().sqrt(),
+        rotation_sd_rad: rotation.trace().sqrt(),
+        focal_sd_rel: focal.sqrt() / camera.focal(),
+        condition,
+        volume_error_px: volume_error(camera, points, covariance),
+    }
+}
+
+/// Rms over a grid in the box around `points` of the error that `covariance` means for a projected point, px.
+fn volume_error(camera: &Camera, points: &[Point3<f64>], covariance: &Covariance) -> f64 {
+    let Some(first) = points.first() else {
+        return f64::NAN;
+    };
+    let (low, high) = points
+        .iter()
+        .fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
+    // The middles of equal cells, so that every part of the volume counts the same.
+    let part = |k: usize| (k as f64 + 0.5) / GRID as f64;
+    let (mut sum, mut count) = (0.0, 0.0);
+    for cell in 0..GRID.pow(3) {
+        let at = [cell % GRID, cell / GRID % GRID, cell / GRID / GRID].map(part);
+        let offset = (high - low).component_mul(&nalgebra::Vector3::from(at));
+        let point = low + offset;
+        if camera.in_camera_frame(&point).z > 0.0
+            && let Some((_, j)) = camera.project_with_jacobian(&point)
+        {
+            sum += (j * covariance * j.transpose()).trace();
+            count += 1.0;
+        }
+    }
+    (sum / count).sqrt()
+}

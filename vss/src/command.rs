@@ -1,0 +1,164 @@
+//! The commands of the Vision Services System: what the user asks of the Services Manager, and what Services, Tools,
+//! the Vision Module Manager and Vision Modules ask of each other.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    calibrate::{Calibration, LightPoint},
+    frame::Frame,
+    spot::{Spot, SpotFlags},
+};
+
+ctos::command! {
+    /// Takes a picture and finds the bright spot in it.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SpotFind {
+        /// The camera's name.
+        pub camera: String,
+    } => SpotReport, 0x0401, "spot_find"
+
+    /// Computes a camera from light positions and their spots.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Calibrate {
+        /// The camera's name, for messages.
+        pub camera: String,
+        /// Picture width, px.
+        pub width: usize,
+        /// Picture height, px.
+        pub height: usize,
+        /// The table of lights.
+        pub points: Vec<LightPoint>,
+        /// Seeds the random samples of the start; same table and seed, same result.
+        pub seed: u64,
+    } => Calibration, 0x0402, "calibrate"
+
+    /// Asks the manager for the hardware behind a Vision Module; answered when it is free.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct AcquireVm {
+        /// The Vision Module's task.
+        pub vm: String,
+    } => u64, 0x0410, "acquire_vm"
+
+    /// Gives the hardware back.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReleaseVm {
+        /// What `acquire_vm` answered.
+        pub grant: u64,
+    } => (), 0x0411, "release_vm"
+
+    /// Tool: takes a picture.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Snap {
+        /// The camera's name.
+        pub camera: String,
+    } => Frame, 0x0420, "snap"
+
+    /// Tool: shows a picture on the monitor.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ShowImage {
+        /// The camera's name.
+        pub camera: String,
+        /// Its picture.
+        pub frame: Frame,
+    } => (), 0x0421, "show_image"
+
+    /// Tool: computes where the spot of a picture is.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct LocateSpot {
+        /// The picture.
+        pub frame: Frame,
+    } => Spot, 0x0422, "locate_spot"
+
+    /// Tool: marks a spot on top of the picture on the monitor.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct MarkSpot {
+        /// The camera's name.
+        pub camera: String,
+        /// Where.
+        pub mark: Mark,
+    } => (), 0x0423, "mark_spot"
+
+    /// Vision Module: makes its hardware ready. Sent once by the Services Manager.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct InitializeVm {} => (), 0x0430, "initialize_vm"
+
+    /// Vision Module: takes a picture now.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SnapNow {} => Frame, 0x0431, "snap_now"
+
+    /// Vision Module: puts a picture on the monitor.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct DisplayImage {
+        /// The camera's name.
+        pub camera: String,
+        /// Its picture.
+        pub frame: Frame,
+    } => (), 0x0432, "display_image"
+
+    /// Vision Module: puts a marker on the picture that the monitor shows.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct DisplayMark {
+        /// The camera's name.
+        pub camera: String,
+        /// Where.
+        pub mark: Mark,
+    } => (), 0x0433, "display_mark"
+
+    /// What the monitor shows of a camera.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct WhatIsShown {
+        /// The camera's name.
+        pub camera: String,
+    } => Option<Shown>, 0x0434, "what_is_shown"
+}
+
+/// The spot that the Service SpotFind found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SpotReport {
+    /// The camera's name.
+    pub camera: String,
+    /// Column of the centre, px; pixel centres are at whole numbers.
+    pub u: f64,
+    /// Row of the centre, px.
+    pub v: f64,
+    /// Predicted standard deviation of `u`, px.
+    pub sd_u: f64,
+    /// Predicted standard deviation of `v`, px.
+    pub sd_v: f64,
+    /// Height above the background, grey values.
+    pub amplitude: f64,
+    /// Width of the fitted Gaussian (its σ), px.
+    pub sigma: f64,
+    /// Pixels above the threshold.
+    pub area: u64,
+    /// What is doubtful about it.
+    pub flags: SpotFlags,
+    /// When the picture's exposure ended, since the start of the app.
+    pub stamp: Duration,
+    /// The number of the picture.
+    pub frame: u64,
+    /// Picture width, px.
+    pub width: usize,
+    /// Picture height, px.
+    pub height: usize,
+}
+
+/// A marker on a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Mark {
+    /// Column, px.
+    pub u: f64,
+    /// Row, px.
+    pub v: f64,
+}
+
+/// What a monitor shows of one camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Shown {
+    /// The last picture.
+    pub frame: Frame,
+    /// The markers on top of it.
+    pub marks: Vec<Mark>,
+}

@@ -1,0 +1,145 @@
+//! Services: high-level vision operations, each a series of calls to Tools. Several requests run beside each other; what
+//! cannot is held up by the Vision Module Manager, not here.
+
+use ctos::{
+    message::{Command, CommandInfo, Message},
+    task::{Context, EventHandler, Handled, HandlerError},
+};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use serde::Deserialize;
+
+use crate::{
+    calibrate::calibrate,
+    command::{Calibrate, LocateSpot, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport},
+    concurrent::answer,
+};
+
+/// The commands of `vss.svc_spot_find`.
+pub const SPOT_FIND_COMMANDS: &[CommandInfo] = &[SpotFind::INFO];
+/// The commands of `vss.svc_calibrate`.
+pub const CALIBRATE_COMMANDS: &[CommandInfo] = &[Calibrate::INFO];
+
+/// The tasks of the four Tools of SpotFind; the catalog writes them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SpotFindArgs {
+    snap: String,
+    image_disp: String,
+    spot_find: String,
+    spot_disp: String,
+}
+
+/// The Service SpotFind: toolSnap, toolImageDisp, toolSpotFind, toolSpotDisp (CIRSSE report 108, section 5).
+#[derive(Debug)]
+pub struct SpotFindService {
+    args: SpotFindArgs,
+}
+
+impl SpotFindService {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self { args: cx.args()? })
+    }
+}
+
+impl EventHandler for SpotFindService {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            SpotFind::CODE => {
+                let tools = self.args.clone();
+                answer::<SpotFind, _, _>(cx, message, |cx, request| {
+                    find_spot(cx, tools, request.camera)
+                })
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+async fn find_spot(
+    cx: Context,
+    tools: SpotFindArgs,
+    camera: String,
+) -> Result<SpotReport, HandlerError> {
+    let frame = ask(
+        &cx,
+        &tools.snap,
+        Snap {
+            camera: camera.clone(),
+        },
+    )
+    .await?;
+    let picture = ShowImage {
+        camera: camera.clone(),
+        frame: frame.clone(),
+    };
+    // A dark monitor must not cost a measurement.
+    if let Err(error) = ask(&cx, &tools.image_disp, picture).await {
+        tracing::warn!(camera, %error, "picture not shown");
+    }
+    let (stamp, number) = (frame.stamp, frame.number);
+    let (width, height) = (frame.width, frame.height);
+    let spot = ask(&cx, &tools.spot_find, LocateSpot { frame }).await;
+    let spot = spot.map_err(|error| HandlerError::new(format!("camera `{camera}`: {error}")))?;
+    let mark = Mark {
+        u: spot.u,
+        v: spot.v,
+    };
+    if let Err(error) = ask(
+        &cx,
+        &tools.spot_disp,
+        MarkSpot {
+            camera: camera.clone(),
+            mark,
+        },
+    )
+    .await
+    {
+        tracing::warn!(camera, %error, "marker not shown");
+    }
+    Ok(SpotReport {
+        camera,
+        u: spot.u,
+        v: spot.v,
+        sd_u: spot.sd_u,
+        sd_v: spot.sd_v,
+        amplitude: spot.amplitude,
+        sigma: spot.sigma,
+        area: spot.area,
+        flags: spot.flags,
+        stamp,
+        frame: number,
+        width,
+        height,
+    })
+}
+
+/// Calls a task by name; a refusal keeps the other's own words.
+pub(crate) async fn ask<C: Command>(
+    cx: &Context,
+    task: &str,
+    request: C,
+) -> Result<C::Reply, HandlerError> {
+    let task = cx.task(task).await?;
+    let answer = cx.call(&task, request).await;
+    answer.map_err(|error| HandlerError::new(error.reason()))
+}
+
+/// The Service Calibrate: a table of lights in, a camera with its uncertainty out.
+#[derive(Debug)]
+pub struct CalibrateService;
+
+impl EventHandler for CalibrateService {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Calibrate::CODE => {
+                let (request, reply) = message.open::<Calibrate>()?;
+                let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+                match calibrate(&request.points, request.width, request.height, &mut rng) {
+                    Ok(calibration) => reply.ok(calibration),
+                    Err(error) => reply.fail(format!("camera `{}`: {error}", request.camera)),
+                }
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}

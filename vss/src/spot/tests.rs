@@ -1,0 +1,249 @@
+//! Spots against the bound that noise sets, and against pictures that have none.
+
+use super::*;
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use std::{sync::Arc, time::Duration};
+
+fn frame(width: usize, height: usize, pixels: Vec<u8>) -> Frame {
+    Frame {
+        width,
+        height,
+        pixels: Arc::from(pixels),
+        stamp: Duration::ZERO,
+        number: 0,
+    }
+}
+
+struct Scene {
+    size: usize,
+    background: f64,
+    noise: f64,
+    /// u, v, amplitude, sigma.
+    spots: Vec<(f64, f64, f64, f64)>,
+    /// Grey value of a large bright box in the lower left corner.
+    wall: f64,
+}
+
+impl Scene {
+    fn of(u: f64, v: f64, amplitude: f64, sigma: f64, noise: f64) -> Self {
+        Self {
+            size: 64,
+            background: 40.0,
+            noise,
+            spots: vec![(u, v, amplitude, sigma)],
+            wall: 0.0,
+        }
+    }
+
+    /// Each pixel is the mean of the scene over its square (4x4 samples), plus noise, rounded.
+    fn render(&self, rng: &mut ChaCha8Rng) -> Frame {
+        let mut pixels = Vec::new();
+        for v in 0..self.size {
+            for u in 0..self.size {
+                let mut value = self.background;
+                if u < self.size / 3 && v > self.size / 2 {
+                    value += self.wall;
+                }
+                for (su, sv, amplitude, sigma) in &self.spots {
+                    let near = (u as f64 - su).hypot(v as f64 - sv) < 6.0 * sigma + 2.0;
+                    for k in 0..if near { 16 } else { 0 } {
+                        let x = u as f64 + f64::from(k % 4) * 0.25 - 0.375 - su;
+                        let y = v as f64 + f64::from(k / 4) * 0.25 - 0.375 - sv;
+                        value +=
+                            amplitude / 16.0 * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp();
+                    }
+                }
+                let deviate: f64 = StandardNormal.sample(rng);
+                pixels.push((value + self.noise * deviate).round().clamp(0.0, 255.0) as u8);
+            }
+        }
+        frame(self.size, self.size, pixels)
+    }
+}
+
+/// Finds spots at random sub-pixel places; returns the rms error (2-D), the rms predicted, and how many were found.
+fn monte_carlo(amplitude: f64, sigma: f64, noise: f64, trials: usize) -> (f64, f64, usize) {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let (mut squares, mut predicted, mut found) = (0.0, 0.0, 0);
+    for _ in 0..trials {
+        let (u, v) = (rng.random_range(20.0..44.0), rng.random_range(20.0..44.0));
+        let picture = Scene::of(u, v, amplitude, sigma, noise).render(&mut rng);
+        if let Ok(spot) = find_spot(&picture, &SpotOptions::default()) {
+            squares += (spot.u - u).powi(2) + (spot.v - v).powi(2);
+            predicted += spot.sd_u.powi(2) + spot.sd_v.powi(2);
+            found += 1;
+        }
+    }
+    let n = found as f64;
+    ((squares / n).sqrt(), (predicted / n).sqrt(), found)
+}
+
+#[test]
+fn the_centre_is_within_1_25_of_the_bound_and_its_predicted_sd_is_true() {
+    for (amplitude, sigma, noise) in [
+        (180.0, 1.0, 2.0),
+        (180.0, 1.5, 4.0),
+        (180.0, 2.5, 4.0),
+        (180.0, 4.0, 8.0),
+        (90.0, 1.5, 11.0),
+        (90.0, 2.5, 11.0),
+        (90.0, 2.0, 17.0),
+    ] {
+        let (error, predicted, found) = monte_carlo(amplitude, sigma, noise, 300);
+        // Rounding to whole grey values adds a twelfth to the variance.
+        let bound =
+            2.0 / std::f64::consts::PI.sqrt() * (noise * noise + 1.0 / 12.0_f64).sqrt() / amplitude;
+        let case = format!(
+            "A {amplitude} sigma {sigma} noise {noise}: {error:.4} bound {bound:.4} said {predicted:.4}"
+        );
+        assert_eq!(found, 300, "{case}");
+        assert!(error < 1.25 * bound, "{case}");
+        assert!((0.85..1.2).contains(&(error / predicted)), "{case}");
+    }
+}
+
+#[test]
+fn narrow_spots_are_found_without_a_bias_towards_pixel_centres() {
+    let (error, _, found) = monte_carlo(180.0, 0.6, 2.0, 200);
+    assert_eq!(found, 200);
+    assert!(error < 0.04, "{error}");
+}
+
+#[test]
+fn a_lamp_is_found_beside_and_in_front_of_something_large_and_bright() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for (u, v) in [(45.3, 20.2), (10.4, 48.7)] {
+        let scene = Scene {
+            wall: 60.0,
+            ..Scene::of(u, v, 90.0, 2.0, 8.0)
+        };
+        let spot = find_spot(&scene.render(&mut rng), &SpotOptions::default()).unwrap();
+        assert!((spot.u - u).hypot(spot.v - v) < 0.5, "{spot:?}");
+    }
+    // Brighter than the lamp.
+    let scene = Scene {
+        wall: 150.0,
+        ..Scene::of(45.3, 20.2, 90.0, 2.0, 8.0)
+    };
+    let spot = find_spot(&scene.render(&mut rng), &SpotOptions::default()).unwrap();
+    assert!((spot.u - 45.3).hypot(spot.v - 20.2) < 0.5, "{spot:?}");
+}
+
+#[test]
+fn a_bright_wall_without_a_lamp_is_no_spot_and_the_reason_says_so() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    for seed in 0..50 {
+        let scene = Scene {
+            size: 200,
+            spots: vec![],
+            wall: 50.0 + f64::from(seed),
+            ..Scene::of(0.0, 0.0, 0.0, 1.0, 9.0)
+        };
+        let refused = find_spot(&scene.render(&mut rng), &SpotOptions::default()).unwrap_err();
+        assert!(matches!(refused, NoSpot::NotASpot { .. }), "{refused}");
+    }
+}
+
+#[test]
+fn noise_alone_is_no_spot() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for noise in [0.0, 0.3, 2.0, 11.0, 30.0] {
+        for _ in 0..10 {
+            let scene = Scene {
+                size: 300,
+                spots: vec![],
+                background: 60.0,
+                ..Scene::of(0.0, 0.0, 0.0, 1.0, noise)
+            };
+            let refused = find_spot(&scene.render(&mut rng), &SpotOptions::default());
+            assert!(refused.is_err(), "{noise}: {refused:?}");
+        }
+    }
+}
+
+#[test]
+fn flags_say_what_is_doubtful() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let options = SpotOptions::default();
+    let mut find = |scene: &Scene| find_spot(&scene.render(&mut rng), &options).unwrap();
+    assert_eq!(
+        find(&Scene::of(30.2, 31.7, 150.0, 2.0, 3.0)).flags,
+        SpotFlags::default()
+    );
+    let border = find(&Scene::of(3.0, 31.7, 150.0, 2.0, 3.0));
+    assert!(border.flags.touches_border && (border.u - 3.0).abs() < 0.1);
+    let bright = find(&Scene::of(30.2, 31.7, 400.0, 2.0, 3.0));
+    assert!(bright.flags.saturated && !bright.flags.elongated);
+    assert!(
+        (bright.u - 30.2).abs() < 0.05 && (bright.amplitude / 400.0 - 1.0).abs() < 0.2,
+        "{bright:?}"
+    );
+    let mut two = Scene::of(30.0, 30.0, 100.0, 1.5, 3.0);
+    two.spots.push((33.5, 30.0, 100.0, 1.5));
+    assert!(find(&two).flags.elongated);
+}
+
+#[test]
+fn odd_pictures_are_refused_with_their_reason() {
+    let options = SpotOptions::default();
+    let refused =
+        |width, height, pixels| find_spot(&frame(width, height, pixels), &options).unwrap_err();
+    assert_eq!(
+        refused(0, 0, vec![]),
+        NoSpot::Empty {
+            width: 0,
+            height: 0
+        }
+    );
+    assert_eq!(
+        refused(5, 5, vec![1; 24]),
+        NoSpot::WrongSize {
+            width: 5,
+            height: 5,
+            pixels: 24
+        }
+    );
+    assert_eq!(
+        refused(usize::MAX, 3, vec![1; 24]),
+        NoSpot::WrongSize {
+            width: usize::MAX,
+            height: 3,
+            pixels: 24
+        }
+    );
+    assert!(matches!(
+        refused(50, 50, vec![255; 2500]),
+        NoSpot::Dark { .. }
+    ));
+    assert!(matches!(
+        refused(50, 50, vec![0; 2500]),
+        NoSpot::Dark { .. }
+    ));
+    assert!(
+        refused(50, 50, vec![9; 2500])
+            .to_string()
+            .contains("brightest 9, needed 10.5")
+    );
+}
+
+proptest! {
+    #[test]
+    fn no_picture_panics_and_every_spot_is_inside_it(
+        width in 1_usize..40, height in 1_usize..40, seed in any::<u64>(), kind in 0..4, sparse in 0.0..1.0_f64,
+    ) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let pixels: Vec<u8> = (0..width * height).map(|_| match kind {
+            0 => rng.random(),
+            1 => if rng.random_bool(sparse) { 255 } else { 0 },
+            2 => if rng.random_bool(sparse) { 254 } else { 250 },
+            _ => if rng.random_bool(0.01) { 200 } else { 10 },
+        }).collect();
+        if let Ok(spot) = find_spot(&frame(width, height, pixels), &SpotOptions::default()) {
+            prop_assert!(spot.u >= -0.5 && spot.u <= width as f64 && spot.v >= -0.5 && spot.v <= height as f64);
+            prop_assert!(spot.sd_u.is_finite() && spot.sd_v.is_finite() && spot.sigma.is_finite());
+        }
+    }
+}

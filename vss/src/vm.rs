@@ -1,0 +1,234 @@
+//! Vision Modules: each drives one piece of hardware, for one caller at a time. Here: a camera (any frame source) and
+//! the stand-in for a monitor, which keeps what it shows and can write it as a PNG file.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+use ctos::{
+    config::Node,
+    message::{Command, CommandInfo, Message},
+    task::{Context, EventHandler, Handled, HandlerError},
+};
+use serde::Deserialize;
+
+use crate::{
+    command::{DisplayImage, DisplayMark, InitializeVm, Mark, Shown, SnapNow, WhatIsShown},
+    frame::Frame,
+    source::{FrameSource, FrameSources},
+};
+
+/// The commands of `vss.vm_snap`.
+pub const SNAP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, SnapNow::INFO];
+/// The commands of `vss.vm_image_disp`.
+pub const IMAGE_DISP_COMMANDS: &[CommandInfo] =
+    &[InitializeVm::INFO, DisplayImage::INFO, WhatIsShown::INFO];
+/// The commands of `vss.vm_spot_disp`.
+pub const SPOT_DISP_COMMANDS: &[CommandInfo] = &[InitializeVm::INFO, DisplayMark::INFO];
+
+/// Under which name the two display modules of a chassis share their monitor.
+const MONITOR: &str = "vss.monitor";
+/// Half the length of a marker's arms, px.
+const ARM: i64 = 7;
+
+/// Reads the arguments of a camera's Vision Module: `camera`, `source` and the source's own `args`.
+pub(crate) fn snap_args(args: &Node) -> Result<(String, Node, Node), HandlerError> {
+    let text = |key: &str| -> Result<&Node, HandlerError> {
+        let node = args.get(key).filter(|node| node.as_str().is_some());
+        node.ok_or_else(|| HandlerError::new(format!("`{key}` is missing or not a string")))
+    };
+    let camera = text("camera")?.as_str().unwrap_or_default().to_owned();
+    let own = args.get("args").cloned().unwrap_or_else(Node::table);
+    Ok((camera, text("source")?.clone(), own))
+}
+
+/// vmSnap: one camera.
+pub struct SnapModule {
+    camera: String,
+    source: Box<dyn FrameSource>,
+}
+
+impl SnapModule {
+    pub(crate) fn new(cx: &Context, sources: &FrameSources) -> Result<Self, HandlerError> {
+        let args = cx
+            .config()
+            .map_or_else(Node::table, |config| config.args.clone());
+        let (camera, source, own) = snap_args(&args)?;
+        let source = sources.build(source.as_str().unwrap_or_default(), cx, &camera, &own)?;
+        Ok(Self { camera, source })
+    }
+}
+
+impl EventHandler for SnapModule {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
+            SnapNow::CODE => {
+                let (SnapNow {}, reply) = message.open::<SnapNow>()?;
+                match self.source.snap(cx).await {
+                    Ok(frame) => {
+                        tracing::debug!(camera = self.camera, frame = frame.number, "snapped");
+                        reply.ok(frame)
+                    }
+                    Err(error) => reply.fail(error),
+                }
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// What the monitor of a chassis shows.
+#[derive(Debug, Default)]
+struct Monitor {
+    shown: Mutex<BTreeMap<String, Shown>>,
+}
+
+impl Monitor {
+    /// The monitor of this chassis, made by whoever asks first.
+    fn of(cx: &Context) -> Arc<Self> {
+        cx.shared::<Self>(MONITOR).unwrap_or_else(|| {
+            let monitor = Arc::new(Self::default());
+            cx.share(MONITOR, monitor.clone());
+            monitor
+        })
+    }
+
+    /// No code that holds the lock can leave its data half changed, so a panic elsewhere does no harm.
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, Shown>> {
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// vmImageDisp: the pictures on the monitor.
+#[derive(Debug, Default)]
+pub struct ImageDispModule;
+
+impl EventHandler for ImageDispModule {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
+            DisplayImage::CODE => {
+                let (DisplayImage { camera, frame }, reply) = message.open::<DisplayImage>()?;
+                Monitor::of(cx).lock().insert(
+                    camera,
+                    Shown {
+                        frame,
+                        marks: Vec::new(),
+                    },
+                );
+                reply.ok(())
+            }
+            WhatIsShown::CODE => {
+                let (WhatIsShown { camera }, reply) = message.open::<WhatIsShown>()?;
+                let shown = Monitor::of(cx).lock().get(&camera).cloned();
+                reply.ok(shown)
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// Arguments of `vss.vm_spot_disp`.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct SpotDispArgs {
+    /// Where to write each marked picture, relative to the configuration's folder; `{camera}` stands for the camera's
+    /// name. Nothing is written without it.
+    file: Option<String>,
+}
+
+/// vmSpotDisp: the markers on top of the pictures.
+#[derive(Debug)]
+pub struct SpotDispModule {
+    args: SpotDispArgs,
+}
+
+impl SpotDispModule {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self { args: cx.args()? })
+    }
+
+    fn file_for(&self, cx: &Context, camera: &str) -> Option<PathBuf> {
+        let pattern = self.args.file.as_ref()?;
+        Some(cx.path(&pattern.replace("{camera}", camera)))
+    }
+}
+
+impl EventHandler for SpotDispModule {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            InitializeVm::CODE => message.open::<InitializeVm>()?.1.ok(()),
+            DisplayMark::CODE => {
+                let (DisplayMark { camera, mark }, reply) = message.open::<DisplayMark>()?;
+                let monitor = Monitor::of(cx);
+                let shown = match monitor.lock().get_mut(&camera) {
+                    Some(shown) => {
+                        shown.marks.push(mark);
+                        shown.clone()
+                    }
+                    None => {
+                        return reply
+                            .fail(format!("the monitor shows no picture of camera `{camera}`"));
+                    }
+                };
+                if let Some(file) = self.file_for(cx, &camera) {
+                    write_png(&shown, &file)?;
+                }
+                reply.ok(())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// Writes a picture with its markers.
+fn write_png(shown: &Shown, file: &Path) -> Result<(), HandlerError> {
+    let at = |error: &dyn std::fmt::Display| {
+        HandlerError::new(format!("cannot write `{}`: {error}", file.display()))
+    };
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder).map_err(|error| at(&error))?;
+    }
+    let Frame { width, height, .. } = shown.frame;
+    let size = |pixels: usize| u32::try_from(pixels).map_err(|error| at(&error));
+    let picture = image::GrayImage::from_raw(size(width)?, size(height)?, marked(shown));
+    let picture = picture.ok_or_else(|| at(&"its size and its pixels disagree"))?;
+    picture
+        .save_with_format(file, image::ImageFormat::Png)
+        .map_err(|error| at(&error))
+}
+
+/// The pixels with a cross around each marked place; the middle stays visible.
+fn marked(shown: &Shown) -> Vec<u8> {
+    let Frame {
+        width,
+        height,
+        pixels,
+        ..
+    } = &shown.frame;
+    let mut pixels = pixels.to_vec();
+    let mut paint = |u: i64, v: i64| {
+        let (Ok(u), Ok(v)) = (usize::try_from(u), usize::try_from(v)) else {
+            return;
+        };
+        if u < *width
+            && v < *height
+            && let Some(pixel) = pixels.get_mut(v * width + u)
+        {
+            *pixel = u8::MAX;
+        }
+    };
+    for Mark { u, v } in &shown.marks {
+        let (u, v) = (u.round() as i64, v.round() as i64);
+        for step in 3..=ARM {
+            paint(u.saturating_add(step), v);
+            paint(u.saturating_sub(step), v);
+            paint(u, v.saturating_add(step));
+            paint(u, v.saturating_sub(step));
+        }
+    }
+    pixels
+}

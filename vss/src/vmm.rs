@@ -1,0 +1,141 @@
+//! The Vision Module Manager (VMM): grants the hardware behind Vision Modules to one Tool at a time, in the order in
+//! which they asked. A holder that dies, or keeps it too long while others wait, loses it.
+
+mod arbiter;
+
+use std::{cell::RefCell, collections::BTreeMap, rc::Rc, time::Duration};
+
+use ctos::{
+    message::{Command, CommandInfo, Message, Replier, Tid},
+    task::{Context, EventHandler, Handled, HandlerError},
+};
+use serde::Deserialize;
+
+use crate::command::{AcquireVm, ReleaseVm};
+use arbiter::{Arbiter, Turn};
+
+/// The commands it takes.
+pub const COMMANDS: &[CommandInfo] = &[AcquireVm::INFO, ReleaseVm::INFO];
+
+/// Its arguments; the catalog writes them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct VmmArgs {
+    /// Vision Module task to the name of the hardware it drives.
+    hardware: BTreeMap<String, String>,
+    /// How long a Tool may hold hardware that others wait for, s.
+    #[serde(default = "default_hold_limit")]
+    hold_limit_s: f64,
+}
+
+fn default_hold_limit() -> f64 {
+    5.0
+}
+
+type Waiter = Replier<AcquireVm>;
+
+/// The Vision Module Manager.
+pub struct ModuleManager {
+    hardware: BTreeMap<String, String>,
+    limit: Duration,
+    arbiter: Rc<RefCell<Arbiter<Waiter>>>,
+}
+
+impl ModuleManager {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let VmmArgs {
+            hardware,
+            hold_limit_s,
+        } = cx.args()?;
+        let limit = Duration::try_from_secs_f64(hold_limit_s)
+            .map_err(|error| format!("hold_limit_s = {hold_limit_s}: {error}"))?;
+        Ok(Self {
+            hardware,
+            limit,
+            arbiter: Rc::default(),
+        })
+    }
+
+    fn acquire(&self, cx: &Context, message: Message) -> Handled {
+        let from = message.from();
+        let (AcquireVm { vm }, reply) = message.open::<AcquireVm>()?;
+        let Some(hardware) = self.hardware.get(&vm) else {
+            let known: Vec<&str> = self.hardware.keys().map(String::as_str).collect();
+            return reply.fail(format!(
+                "no Vision Module is called `{vm}`; there are: {}",
+                known.join(", ")
+            ));
+        };
+        let turn = self.arbiter.borrow_mut().acquire(hardware, from, reply);
+        match turn {
+            Some(turn) => grant(turn),
+            None => self.watch(cx, hardware.clone()),
+        }
+        Ok(())
+    }
+
+    /// Sees to it that the holder of `hardware`, for which somebody waits now, does not keep it for ever.
+    fn watch(&self, cx: &Context, hardware: String) {
+        let Some(holder) = self.arbiter.borrow().holder(&hardware) else {
+            return;
+        };
+        let (cx, arbiter, limit) = (cx.clone(), self.arbiter.clone(), self.limit);
+        let child = cx.clone();
+        child.spawn(async move {
+            cx.sleep(limit).await;
+            // A holder that gave it back in time has another number.
+            if arbiter.borrow().holder(&hardware) == Some(holder) {
+                tracing::warn!(hardware, "its holder kept it for too long and lost it");
+                let turn = arbiter.borrow_mut().release(holder);
+                turn.into_iter().for_each(grant);
+            }
+        });
+    }
+
+    fn revoke(&self, chassis: u8) {
+        let turns = self
+            .arbiter
+            .borrow_mut()
+            .revoke(|tid: Tid| tid.chassis() == chassis);
+        turns.into_iter().for_each(grant);
+    }
+}
+
+fn grant(turn: Turn<Waiter>) {
+    // Answering never fails; its result exists to end a handler with.
+    let _ = turn.waiter.ok(turn.grant);
+}
+
+impl arbiter::Waits for Waiter {
+    fn still_waits(&self) -> bool {
+        !self.is_abandoned()
+    }
+}
+
+impl EventHandler for ModuleManager {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            AcquireVm::CODE => self.acquire(cx, message),
+            ReleaseVm::CODE => {
+                let (ReleaseVm { grant: number }, reply) = message.open::<ReleaseVm>()?;
+                let turn = self.arbiter.borrow_mut().release(number);
+                turn.into_iter().for_each(grant);
+                reply.ok(())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        // Chassis 0 is the boot itself; the app's own count from 1 in the order of the configuration.
+        let position = cx
+            .app()
+            .chassis
+            .iter()
+            .position(|config| config.name == chassis);
+        if let Some(index) = position.and_then(|position| u8::try_from(position + 1).ok()) {
+            self.revoke(index);
+        }
+        Ok(())
+    }
+}

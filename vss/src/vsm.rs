@@ -1,0 +1,82 @@
+//! The Vision Services Manager (VSM): the one access point of VSS. It routes each request to its Service and
+//! initializes the Vision Modules that the app loaded (CIRSSE report 108, section 5).
+
+use std::collections::BTreeMap;
+
+use ctos::{
+    message::{Command, CommandInfo, Message},
+    task::{Context, EventHandler, Handled, HandlerError, Phase},
+};
+use serde::Deserialize;
+
+use crate::{
+    command::{Calibrate, InitializeVm, SpotFind},
+    concurrent::answer,
+};
+
+/// The commands it takes.
+pub const COMMANDS: &[CommandInfo] = &[SpotFind::INFO, Calibrate::INFO];
+
+/// Its arguments; the catalog writes them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct VsmArgs {
+    /// Command name to the task of its Service.
+    routes: BTreeMap<String, String>,
+    /// Tasks of the Vision Modules to initialize.
+    #[serde(default)]
+    vms: Vec<String>,
+}
+
+/// The Services Manager.
+#[derive(Debug)]
+pub struct ServicesManager {
+    args: VsmArgs,
+}
+
+impl ServicesManager {
+    pub(crate) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        Ok(Self { args: cx.args()? })
+    }
+
+    /// Passes a request on to the Service that the app loaded for it. The reply goes to the asking task.
+    fn route<C: Command>(&self, cx: &Context, message: Message) -> Handled {
+        let service = self.args.routes.get(C::NAME).cloned();
+        answer::<C, _, _>(cx, message, move |cx, request| async move {
+            let Some(service) = service else {
+                return Err(HandlerError::new(format!(
+                    "this app has not loaded the Service for `{}`; add it to `services` in [vss]",
+                    C::NAME
+                )));
+            };
+            let service = cx.task(&service).await?;
+            match cx.call(&service, request).await {
+                Ok(reply) => Ok(reply),
+                Err(error) => Err(HandlerError::new(error.reason())),
+            }
+        })
+    }
+}
+
+impl EventHandler for ServicesManager {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            SpotFind::CODE => self.route::<SpotFind>(cx, message),
+            Calibrate::CODE => self.route::<Calibrate>(cx, message),
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Connect {
+            for vm in &self.args.vms {
+                let task = cx.task(vm).await?;
+                cx.call(&task, InitializeVm {}).await?;
+            }
+            for service in self.args.routes.values() {
+                cx.task(service).await?;
+            }
+        }
+        Ok(())
+    }
+}

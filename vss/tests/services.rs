@@ -1,0 +1,464 @@
+//! The Vision Services System as an app sees it: booted on the virtual clock, asked through the Services Manager.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests, outside test functions"
+)]
+
+use std::{
+    collections::BTreeMap,
+    future::Future,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use ctos::{
+    boot::{End, Launcher, boot},
+    config::{App, load_texts},
+    message::{Command, Message},
+    registry::Registry,
+    system::AppResult,
+    task::{Context, EventHandler, Handled, HandlerError, Phase},
+};
+use futures_util::future::{LocalBoxFuture, join, join_all};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rand::RngExt;
+use vss::{
+    calibrate::LightPoint,
+    camera::{Camera, Distortion, Intrinsics},
+    catalog::VssExpander,
+    command::{AcquireVm, Calibrate, SpotFind, WhatIsShown},
+    frame::{Frame, FrameError},
+    source::{FrameSource, FrameSources},
+};
+
+/// A camera that sees a spot where its arguments say, or nothing, and takes a second for a picture.
+struct TestCamera {
+    name: String,
+    spot: Option<(f64, f64)>,
+    taken: u64,
+    busy: Arc<AtomicUsize>,
+}
+
+impl TestCamera {
+    fn picture(&self, cx: &Context) -> Vec<u8> {
+        let mut rng = cx.rng(&format!("picture {}", self.taken));
+        let mut value = |index: usize| {
+            let (u, v) = ((index % 100) as f64, (index / 100) as f64);
+            let lamp = self.spot.map_or(0.0, |(su, sv)| {
+                120.0 * (-((u - su).powi(2) + (v - sv).powi(2)) / 8.0).exp()
+            });
+            (40.0 + lamp + rng.random_range(-4.0..4.0)) as u8
+        };
+        (0..100 * 80).map(&mut value).collect()
+    }
+}
+
+impl FrameSource for TestCamera {
+    fn snap<'a>(&'a mut self, cx: &'a Context) -> LocalBoxFuture<'a, Result<Frame, FrameError>> {
+        Box::pin(async move {
+            assert_eq!(
+                self.busy.fetch_add(1, Ordering::SeqCst),
+                0,
+                "used twice at once"
+            );
+            cx.sleep(Duration::from_secs(1)).await;
+            self.busy.fetch_sub(1, Ordering::SeqCst);
+            self.taken += 1;
+            if self.name == "broken" {
+                let reason = "no signal".to_owned();
+                return Err(FrameError::Fault {
+                    camera: self.name.clone(),
+                    reason,
+                });
+            }
+            Ok(Frame {
+                width: 100,
+                height: 80,
+                pixels: self.picture(cx).into(),
+                stamp: cx.now().since_start(),
+                number: self.taken - 1,
+            })
+        })
+    }
+}
+
+fn sources() -> FrameSources {
+    let mut sources = FrameSources::new();
+    sources.source("test.camera", |_, camera, args| {
+        let at = |key: &str| args.get(key).and_then(ctos::config::Node::as_f64);
+        Ok(Box::new(TestCamera {
+            name: camera.to_owned(),
+            spot: at("u").zip(at("v")),
+            taken: 0,
+            busy: Arc::default(),
+        }) as Box<dyn FrameSource>)
+    });
+    sources
+}
+
+const APP: &str = r#"
+[app]
+name = "test"
+until = "client"
+[time]
+mode = "virtual"
+[chassis.ws1]
+[chassis.cage_vision]
+[task.client]
+handler = "test.client"
+on = "ws1"
+[vss]
+on = "cage_vision"
+services = ["SpotFind", "Calibrate"]
+hold_limit_s = 3.0
+[vss.cameras.left]
+source = "test.camera"
+args = { u = 41.3, v = 30.8 }
+[vss.cameras.right]
+source = "test.camera"
+args = { u = 12.25, v = 66.5 }
+[vss.cameras.dark]
+source = "test.camera"
+[vss.cameras.broken]
+source = "test.camera"
+"#;
+
+fn load(text: &str) -> App {
+    let app = load_texts(&[("app.toml", text)], &[], &[("vss", &VssExpander)]);
+    app.unwrap_or_else(|findings| panic!("{findings}"))
+}
+
+type Scenario =
+    Arc<dyn Fn(Context) -> LocalBoxFuture<'static, Result<String, HandlerError>> + Send + Sync>;
+
+/// Runs a scenario when the app runs, and ends the app with what it says.
+struct Client(Scenario);
+
+impl EventHandler for Client {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let (cx, running) = (cx.clone(), (self.0)(cx.clone()));
+            cx.clone().spawn(async move {
+                let (ok, text) = match running.await {
+                    Ok(text) => (true, text),
+                    Err(error) => (false, error.to_string()),
+                };
+                cx.finish(AppResult {
+                    ok,
+                    text,
+                    json: "{}".to_owned(),
+                });
+            });
+        }
+        Ok(())
+    }
+}
+
+fn registry<F, Fut>(scenario: F) -> Registry
+where
+    F: Fn(Context) -> Fut + Send + Sync + 'static,
+    Fut: Future<Output = Result<String, HandlerError>> + 'static,
+{
+    let scenario: Scenario = Arc::new(move |cx| Box::pin(scenario(cx)));
+    let mut registry = Registry::new();
+    vss::register(&mut registry, sources());
+    registry.handler("test.client", &[], move |_| Ok(Client(scenario.clone())));
+    registry
+}
+
+fn run<F, Fut>(scenario: F) -> String
+where
+    F: Fn(Context) -> Fut + Send + Sync + 'static,
+    Fut: Future<Output = Result<String, HandlerError>> + 'static,
+{
+    let registry = registry(scenario);
+    let app = load(APP);
+    let findings = registry.check(&app);
+    assert!(!findings.has_errors(), "{findings}");
+    let launcher = Launcher {
+        program: "unused".into(),
+        arguments: Vec::new(),
+    };
+    let outcome = boot(app, registry, &launcher, &(Arc::new(|_: &_| ()) as _)).unwrap();
+    match outcome.end {
+        End::Finished(result) if result.ok => result.text,
+        other => panic!("{other:?}"),
+    }
+}
+
+async fn ask<C: Command>(cx: &Context, task: &str, request: C) -> Result<C::Reply, HandlerError> {
+    let task = cx.task(task).await?;
+    let answer = cx
+        .call(&task, request)
+        .deadline(Duration::from_secs(60))
+        .await;
+    answer.map_err(|error| HandlerError::new(error.reason()))
+}
+
+fn spot_find(camera: &str) -> SpotFind {
+    SpotFind {
+        camera: camera.to_owned(),
+    }
+}
+
+#[test]
+fn a_spot_is_found_shown_and_marked_through_the_services_manager() {
+    run(|cx| async move {
+        let report = ask(&cx, "vsm", spot_find("left")).await?;
+        assert!((report.u - 41.3).hypot(report.v - 30.8) < 0.1, "{report:?}");
+        assert_eq!((report.camera.as_str(), report.frame), ("left", 0));
+        assert!(report.sd_u > 0.0 && report.sd_u < 0.1);
+        let shown = ask(
+            &cx,
+            "vmImageDisp",
+            WhatIsShown {
+                camera: "left".into(),
+            },
+        )
+        .await?
+        .unwrap();
+        assert_eq!((shown.frame.width, shown.marks.len()), (100, 1));
+        assert_eq!(shown.marks[0].u, report.u);
+        Ok(String::new())
+    });
+}
+
+#[test]
+fn two_cameras_work_at_the_same_time_and_one_camera_in_turn() {
+    run(|cx| async move {
+        let begin = cx.now();
+        let (left, right) = join(
+            ask(&cx, "vsm", spot_find("left")),
+            ask(&cx, "vsm", spot_find("right")),
+        )
+        .await;
+        assert!((left?.u - 41.3).abs() < 0.1);
+        assert!((right?.u - 12.25).abs() < 0.1);
+        let took = (cx.now() - begin).as_secs_f64();
+        assert!((1.0..1.5).contains(&took), "{took}");
+        let begin = cx.now();
+        let reports = join_all((0..4).map(|_| ask(&cx, "vsm", spot_find("left")))).await;
+        let frames: Result<Vec<u64>, HandlerError> =
+            reports.into_iter().map(|r| Ok(r?.frame)).collect();
+        let mut frames = frames?;
+        frames.sort_unstable();
+        assert_eq!(frames, [1, 2, 3, 4]);
+        let took = (cx.now() - begin).as_secs_f64();
+        assert!((4.0..4.5).contains(&took), "{took}");
+        Ok(String::new())
+    });
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_with_the_reason() {
+    run(|cx| async move {
+        let mut reasons = BTreeMap::new();
+        for camera in ["dark", "broken", "lfet"] {
+            let refused = ask(&cx, "vsm", spot_find(camera)).await.unwrap_err();
+            reasons.insert(camera, refused.to_string());
+        }
+        assert!(
+            reasons["dark"].starts_with("camera `dark`: nothing stands out: brightest"),
+            "{reasons:?}"
+        );
+        assert_eq!(reasons["broken"], "frame source `broken`: no signal");
+        assert!(
+            reasons["lfet"]
+                .contains("no camera is called `lfet`; there are: broken, dark, left, right")
+        );
+        // The hardware was given back after the fault.
+        let again = ask(&cx, "vsm", spot_find("broken")).await.unwrap_err();
+        assert_eq!(again.to_string(), reasons["broken"]);
+        Ok(String::new())
+    });
+}
+
+#[test]
+fn hardware_that_is_never_given_back_goes_on_after_the_limit() {
+    run(|cx| async move {
+        ask(
+            &cx,
+            "vmm",
+            AcquireVm {
+                vm: "vmSnap.left".into(),
+            },
+        )
+        .await?;
+        let begin = cx.now();
+        let report = ask(&cx, "vsm", spot_find("left")).await?;
+        let took = (cx.now() - begin).as_secs_f64();
+        assert!((4.0..4.5).contains(&took), "limit 3 s, picture 1 s: {took}");
+        assert_eq!(report.frame, 0);
+        let unknown = ask(
+            &cx,
+            "vmm",
+            AcquireVm {
+                vm: "vmSnap.lfet".into(),
+            },
+        )
+        .await
+        .unwrap_err();
+        assert!(
+            unknown
+                .to_string()
+                .contains("no Vision Module is called `vmSnap.lfet`")
+        );
+        Ok(String::new())
+    });
+}
+
+fn light_table(camera: &Camera) -> Vec<LightPoint> {
+    let at = |k: usize| {
+        Point3::new(
+            (k % 4) as f64 * 0.3 - 0.45,
+            (k / 4 % 4) as f64 * 0.2 - 0.3,
+            (k / 16) as f64 * 0.25,
+        )
+    };
+    let see = |p: Point3<f64>| {
+        let pixel = camera.project(&p).unwrap();
+        LightPoint {
+            x: p.x,
+            y: p.y,
+            z: p.z,
+            u: pixel.x,
+            v: pixel.y,
+        }
+    };
+    (0..64).map(at).map(see).collect()
+}
+
+#[test]
+fn the_calibrate_service_answers_with_the_camera_or_the_reason() {
+    run(|cx| async move {
+        let truth = Camera {
+            rotation: UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3.0),
+            centre: Point3::new(0.1, 0.2, 2.5),
+            intrinsics: Intrinsics {
+                fx: 500.0,
+                fy: 505.0,
+                cx: 250.0,
+                cy: 245.0,
+            },
+            distortion: Distortion {
+                k1: -0.1,
+                ..Distortion::default()
+            },
+        };
+        let points = light_table(&truth);
+        let request = |points| Calibrate {
+            camera: "left".into(),
+            width: 500,
+            height: 500,
+            points,
+            seed: 7,
+        };
+        let found = ask(&cx, "vsm", request(points.clone())).await?;
+        assert!(found.camera.error_against(&truth).position_m < 1e-6);
+        let refused = ask(&cx, "vsm", request(points[..16].to_vec()))
+            .await
+            .unwrap_err();
+        assert!(
+            refused
+                .to_string()
+                .starts_with("camera `left`: the light positions lie in one plane"),
+            "{refused}"
+        );
+        Ok(String::new())
+    });
+}
+
+#[test]
+fn the_same_seed_gives_the_same_spots_to_the_last_bit() {
+    let spots = || {
+        run(|cx| async move {
+            let left = ask(&cx, "vsm", spot_find("left")).await?;
+            let right = ask(&cx, "vsm", spot_find("right")).await?;
+            Ok(format!("{left:?} {right:?}"))
+        })
+    };
+    assert_eq!(spots(), spots());
+}
+
+#[test]
+fn arguments_that_no_handler_takes_are_found_before_anything_starts() {
+    let found = |from: &str, to: &str| {
+        let app = load(&APP.replacen(from, to, 1));
+        let registry = registry(|_| async { Ok(String::new()) });
+        registry
+            .check(&app)
+            .iter()
+            .map(ToString::to_string)
+            .collect::<Vec<_>>()
+    };
+    let source = found("source = \"test.camera\"", "source = \"test.camrea\"");
+    assert_eq!(
+        source,
+        [
+            "app.toml:18:10: error: no frame source is called `test.camrea` (did you mean `test.camera`?)"
+        ]
+    );
+    let options = found(
+        "[vss.cameras.left]",
+        "[vss.args.toolSpotFind]\nmax_sigma = 3.0\n[vss.cameras.left]",
+    );
+    assert!(
+        options[0].starts_with("app.toml:18:1: error:") && options[0].contains("max_sigma_px"),
+        "{options:?}"
+    );
+    let file = found(
+        "[vss.cameras.left]",
+        "[vss.args.vmSpotDisp]\nfile = 3\n[vss.cameras.left]",
+    );
+    assert!(file[0].starts_with("app.toml:18:"), "{file:?}");
+}
+
+#[test]
+fn a_marked_picture_is_written_where_the_configuration_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let pattern = folder.path().join("out/{camera}.png");
+    let text = APP.replace(
+        "[vss.cameras.left]",
+        &format!(
+            "[vss.args.vmSpotDisp]\nfile = '{}'\n[vss.cameras.left]",
+            pattern.display()
+        ),
+    );
+    let registry = registry(|cx| async move {
+        let report = ask(&cx, "vsm", spot_find("left")).await?;
+        Ok(format!("{} {}", report.u.round(), report.v.round()))
+    });
+    let launcher = Launcher {
+        program: "unused".into(),
+        arguments: Vec::new(),
+    };
+    let outcome = boot(
+        load(&text),
+        registry,
+        &launcher,
+        &(Arc::new(|_: &_| ()) as _),
+    )
+    .unwrap();
+    assert!(
+        matches!(outcome.end, End::Finished(AppResult { ok: true, .. })),
+        "{outcome:?}"
+    );
+    let picture = image::open(folder.path().join("out/left.png"))
+        .unwrap()
+        .to_luma8();
+    assert_eq!(picture.dimensions(), (100, 80));
+    assert_eq!(
+        picture.get_pixel(41 + 5, 31).0,
+        [255],
+        "the marker's right arm"
+    );
+}
