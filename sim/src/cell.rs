@@ -12,7 +12,7 @@ use toml::Spanned;
 
 use crate::{
     camera::truth::{CameraTruth, Distortion},
-    puma560::{JOINTS, LINKS},
+    puma560::{self, JOINTS},
     scene::SceneState,
     shapes::{self, Shape, Solid},
     world::WorldSetup,
@@ -307,7 +307,8 @@ const GREY: [f64; 2] = [0.0, 255.0];
 
 impl ArmText {
     fn start(&self, check: &mut Check<'_>) -> [f64; JOINTS] {
-        for (index, (angle, link)) in self.start_deg.get_ref().iter().zip(&LINKS).enumerate() {
+        let links = puma560::links();
+        for (index, (angle, link)) in self.start_deg.get_ref().iter().zip(&links).enumerate() {
             let [low, high] = link.limits.map(f64::to_degrees);
             // The limits come from degrees by way of radians: a start at the limit is in.
             if !(low - 1e-9..=high + 1e-9).contains(angle) {
@@ -319,7 +320,7 @@ impl ArmText {
             }
         }
         let mut start = self.start_deg.get_ref().map(f64::to_radians);
-        for (angle, link) in start.iter_mut().zip(&LINKS) {
+        for (angle, link) in start.iter_mut().zip(&links) {
             *angle = angle.max(link.limits[0]).min(link.limits[1]);
         }
         start

@@ -7,16 +7,20 @@ use std::{path::Path, sync::Arc};
 
 use ctos::{
     Context,
-    config::Node,
+    config::{App, Node},
     diagnostic::{Finding, Findings},
     message::{Command, Message},
     registry::Registry,
     task::{EventHandler, Handled, HandlerError},
 };
-use mcs::driver::ChannelDriver;
+use futures_util::future::LocalBoxFuture;
+use mcs::driver::{ChannelDriver, DriverRegistry};
 use rand::Rng;
 use serde::Deserialize;
-use vss::frame::{Frame, FrameError};
+use vss::{
+    frame::{Frame, FrameError},
+    source::{FrameSource, FrameSources},
+};
 
 use crate::{
     camera::{Renderer, truth::CameraTruth},
@@ -87,8 +91,22 @@ struct SharedWorld {
     cameras: Vec<CameraTruth>,
 }
 
-/// Registers the simulator's event handlers.
-pub fn register(registry: &mut Registry) {
+/// Registers everything that the simulator offers: the event handler [`WORLD`], the channel driver
+/// [`ARM`] and the frame source [`CAMERA`].
+pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: &mut FrameSources) {
+    register_world(registry);
+    drivers
+        .driver(ARM, open_arm)
+        .check(|_, app, args, findings| check_arm(&app.folder, args, findings));
+    sources.source(CAMERA, |cx, name, args| {
+        let source: Box<dyn FrameSource> = Box::new(SimCamera::new(cx, name, args)?);
+        Ok(source)
+    });
+    // A frame source's own check does not know the configuration's folder, where cell files are.
+    registry.app_check(|app, _, findings| check_cameras(app, findings));
+}
+
+fn register_world(registry: &mut Registry) {
     registry
         .handler(WORLD, &[GetScene::INFO, SetLamp::INFO, Truth::INFO], |_| {
             Ok(WorldTask)
@@ -99,6 +117,34 @@ pub fn register(registry: &mut Registry) {
             struct NoArgs {}
             findings.keep(task.args.parse::<NoArgs>());
         });
+}
+
+/// Checks every task that is a camera of this simulator, and that the task it asks is there.
+fn check_cameras(app: &App, findings: &mut Findings) {
+    for task in &app.tasks {
+        let text = |key: &str| task.args.get(key).and_then(Node::as_str);
+        let (Some(CAMERA), Some(camera)) = (text("source"), text("camera")) else {
+            continue;
+        };
+        let args = task.args.get("args").cloned().unwrap_or_else(Node::table);
+        check_camera(&app.folder, camera, &args, findings);
+        let Ok(CameraArgs { world, .. }) = args.parse() else {
+            continue;
+        };
+        if app.task(&world).is_none_or(|task| task.handler != WORLD) {
+            let finding = Finding::error(
+                "sim::camera::no_world",
+                format!(
+                    "camera `{camera}` asks `{world}`, which is no task with handler `{WORLD}`"
+                ),
+            )
+            .help(format!(
+                "add `[task.{world}]` with handler `{WORLD}` on the chassis of the servo, or say \
+                 `world = \"NAME\"` in the camera's arguments"
+            ));
+            findings.push(finding.at(task.place.clone()));
+        }
+    }
 }
 
 /// Creates the arm and its world; the driver's arguments name the cell file.
@@ -119,14 +165,14 @@ pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, Han
 }
 
 /// Checks the arguments of [`open_arm`] and the cell file they name; `folder` is the configuration's.
-pub fn check_arm(folder: &Path, args: &Node, findings: &mut Findings) {
+fn check_arm(folder: &Path, args: &Node, findings: &mut Findings) {
     if let Some(ArmArgs { cell }) = findings.keep(args.parse()) {
         check_cell(folder, &cell, args, findings);
     }
 }
 
 /// Checks the arguments of a camera called `camera`, its cell file, and that the cell has it.
-pub fn check_camera(folder: &Path, camera: &str, args: &Node, findings: &mut Findings) {
+fn check_camera(folder: &Path, camera: &str, args: &Node, findings: &mut Findings) {
     if let Some(CameraArgs { cell, .. }) = findings.keep(args.parse())
         && let Some(cell) = check_cell(folder, &cell, args, findings)
         && let Err(finding) = cell.camera(camera)
@@ -254,6 +300,12 @@ impl SimCamera {
             stamp: cx.now().since_start(),
             number,
         })
+    }
+}
+
+impl FrameSource for SimCamera {
+    fn snap<'a>(&'a mut self, cx: &'a Context) -> LocalBoxFuture<'a, Result<Frame, FrameError>> {
+        Box::pin(self.take(cx))
     }
 }
 

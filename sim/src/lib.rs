@@ -13,3 +13,5 @@ pub mod puma560;
 pub mod scene;
 pub mod shapes;
 pub mod world;
+
+pub use handlers::register;

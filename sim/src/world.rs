@@ -21,7 +21,7 @@ use rapier3d_f64::{
 };
 
 use crate::{
-    puma560::{JOINTS, LINKS, Link},
+    puma560::{self, JOINTS, Link},
     shapes::{ArmShape, Shape, Solid},
 };
 
@@ -87,6 +87,7 @@ pub struct World {
     physics: PhysicsWorld,
     bodies: [RigidBodyHandle; JOINTS + 1],
     arm: MultibodyJointHandle,
+    links: [Link; JOINTS],
     friction: bool,
     /// The brakes are on, whether or not the arm stands.
     braking: bool,
@@ -114,16 +115,18 @@ impl World {
     /// # Errors
     /// A start angle outside its joint's limits, or an engine that refuses the arm.
     pub fn new(setup: &WorldSetup) -> Result<Self, WorldError> {
-        check_start(&setup.start)?;
+        let links = puma560::links();
+        check_start(&links, &setup.start)?;
         let mut physics = PhysicsWorld::new();
         physics.gravity = Vector::new(0.0, 0.0, -GRAVITY);
         physics.integration_parameters.num_solver_iterations = SUBSTEPS;
         add_room(&mut physics, &setup.room);
-        let (bodies, arm) = add_arm(&mut physics, &setup.arm)?;
+        let (bodies, arm) = add_arm(&mut physics, &links, &setup.arm)?;
         let mut world = Self {
             physics,
             bodies,
             arm,
+            links,
             friction: setup.friction,
             braking: true,
             braked: false,
@@ -226,7 +229,7 @@ impl World {
     /// about the axes as they stand now.
     fn apply(&mut self, torques: &[f64; JOINTS]) -> Result<(), WorldError> {
         let mut total = [Vector::ZERO; JOINTS + 1];
-        for (index, (torque, link)) in torques.iter().zip(&LINKS).enumerate() {
+        for (index, (torque, link)) in torques.iter().zip(&self.links).enumerate() {
             let bias = if self.friction {
                 (link.coulomb[1] - link.coulomb[0]) / 2.0
             } else {
@@ -288,7 +291,7 @@ impl World {
         if multibody.ndofs() != JOINTS {
             return Err(WorldError::Engine("gave the arm a wrong number of joints"));
         }
-        for (index, link) in LINKS.iter().enumerate() {
+        for (index, link) in self.links.iter().enumerate() {
             multibody.armature_mut()[index] = link.rotor_inertia;
         }
         multibody.apply_displacements(joints);
@@ -318,7 +321,7 @@ impl World {
 
     fn set_losses(&mut self, losses: impl Fn(&Link) -> (f64, f64)) -> Result<(), WorldError> {
         let multibody = arm_mut(&mut self.physics, self.arm)?;
-        for (index, link) in LINKS.iter().enumerate() {
+        for (index, link) in self.links.iter().enumerate() {
             let (dry, viscous) = losses(link);
             multibody.frictions_mut()[index] = dry;
             multibody.damping_mut()[index] = viscous;
@@ -358,8 +361,8 @@ fn arm_mut(
     Ok(multibody)
 }
 
-fn check_start(start: &[f64; JOINTS]) -> Result<(), WorldError> {
-    for (index, (angle, link)) in start.iter().zip(&LINKS).enumerate() {
+fn check_start(links: &[Link; JOINTS], start: &[f64; JOINTS]) -> Result<(), WorldError> {
+    for (index, (angle, link)) in start.iter().zip(links).enumerate() {
         let [low, high] = link.limits;
         if !(low..=high).contains(angle) {
             return Err(WorldError::Start {
@@ -393,13 +396,14 @@ fn add_room(physics: &mut PhysicsWorld, room: &[Shape]) {
 
 fn add_arm(
     physics: &mut PhysicsWorld,
+    links: &[Link; JOINTS],
     shapes: &[ArmShape],
 ) -> Result<([RigidBodyHandle; JOINTS + 1], MultibodyJointHandle), WorldError> {
     let root = physics.insert_body(RigidBodyBuilder::fixed());
     let mut bodies = [root; JOINTS + 1];
     let mut last = None;
     let mut parent = root;
-    for (index, link) in LINKS.iter().enumerate() {
+    for (index, link) in links.iter().enumerate() {
         let body = physics.insert_body(
             RigidBodyBuilder::dynamic()
                 .additional_mass_properties(mass(link))
@@ -435,11 +439,11 @@ fn hinge() -> Pose {
 }
 
 fn mass(link: &Link) -> MassProperties {
-    let [x, y, z] = link.inertia;
+    let [x, y, z] = link.inertia.data.0.map(Vector::from);
     MassProperties::with_inertia_matrix(
-        link.centre.into(),
+        vector(&link.centre.coords),
         link.mass,
-        Matrix::from_diagonal(Vector::new(x, y, z)),
+        Matrix::from_cols(x, y, z),
     )
 }
 

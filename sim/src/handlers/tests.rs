@@ -126,7 +126,7 @@ fn run(camera: &str, seed: u64) -> (End, Seen) {
     let app = load_texts(&[("app.toml", text.as_str())], &[], &[]).unwrap();
     let seen = Arc::new(Mutex::new(Seen::default()));
     let mut registry = Registry::new();
-    register(&mut registry);
+    register_world(&mut registry);
     registry.handler("test.servo", &[], |cx| {
         let args = &cx.config().unwrap().args;
         Ok(Servo {

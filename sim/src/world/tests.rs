@@ -29,7 +29,7 @@ fn inverse_dynamics(
     let mut wd = Vector3::zeros();
     let mut acc = Vector3::new(0.0, 0.0, gravity);
     let mut steps = Vec::new();
-    for (i, link) in LINKS.iter().enumerate() {
+    for (i, link) in puma560::links().iter().enumerate() {
         let pose = link.pose(q[i]);
         let inverse = pose.rotation.inverse();
         let z = Vector3::z();
@@ -37,8 +37,8 @@ fn inverse_dynamics(
         w = inverse * (w + z * qd[i]);
         let p = inverse * pose.translation.vector;
         acc = inverse * acc + wd.cross(&p) + w.cross(&w.cross(&p));
-        let c = Vector3::from(link.centre);
-        let inertia = nalgebra::Matrix3::from_diagonal(&link.inertia.into());
+        let c = link.centre.coords;
+        let inertia = link.inertia;
         let force = link.mass * (acc + wd.cross(&c) + w.cross(&w.cross(&c)));
         let moment = inertia * wd + w.cross(&(inertia * w));
         steps.push((pose, p, c, force, moment));
@@ -55,7 +55,7 @@ fn inverse_dynamics(
         f = pose.rotation * f;
         torques[i] = n.z;
         if rotors {
-            torques[i] += LINKS[i].rotor_inertia * qdd[i];
+            torques[i] += puma560::links()[i].rotor_inertia * qdd[i];
         }
     }
     torques
@@ -194,7 +194,7 @@ fn a_driven_swing_stays_within_2_5_mrad_of_an_exact_integration_for_2_seconds() 
         for i in 0..6 {
             worst = worst.max((world.positions()[i] - q[i]).abs());
             travel = travel.max((q[i] - start[i]).abs());
-            let [low, high] = LINKS[i].limits;
+            let [low, high] = puma560::links()[i].limits;
             assert!((low..high).contains(&q[i]), "the reference knows no limits");
         }
     }
@@ -299,7 +299,7 @@ fn a_joint_stops_at_its_limit() {
     for _ in 0..444 {
         world.drive(&tau, PERIOD).unwrap();
     }
-    let high = LINKS[0].limits[1];
+    let high = puma560::links()[0].limits[1];
     assert!((world.positions()[0] - high).abs() < 1e-3);
 }
 
