@@ -1,9 +1,12 @@
 //! Findings and events as a person, or a program, sees them.
 
-use std::io::{self, IsTerminal, Write};
+use std::{
+    fmt,
+    io::{self, IsTerminal, Write},
+};
 
 use ctos::diagnostic::{Finding, Findings, Severity};
-use miette::{GraphicalReportHandler, GraphicalTheme};
+use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
 
 /// At most so many findings are shown.
 const FINDINGS_SHOWN: usize = 20;
@@ -45,13 +48,71 @@ pub fn findings(findings: Findings) {
     let hidden = sorted.len().saturating_sub(FINDINGS_SHOWN);
     for finding in sorted.iter().take(FINDINGS_SHOWN) {
         let mut text = String::new();
-        match handler.render_report(&mut text, finding) {
+        match handler.render_report(&mut text, &Drawn::new(finding)) {
             Ok(()) => say(text.trim_end_matches('\n')),
             Err(_) => say(&finding.to_string()),
         }
     }
     if hidden > 0 {
         say(&format!("… and {hidden} more"));
+    }
+}
+
+/// A finding as miette draws it.
+#[derive(Debug)]
+struct Drawn<'a> {
+    finding: &'a Finding,
+    source: Option<NamedSource<String>>,
+}
+
+impl<'a> Drawn<'a> {
+    fn new(finding: &'a Finding) -> Self {
+        let source = finding.place.as_ref().map(|place| {
+            NamedSource::new(place.source.name(), place.source.text().to_owned())
+        });
+        Self { finding, source }
+    }
+}
+
+impl fmt::Display for Drawn<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.finding.message)
+    }
+}
+
+impl std::error::Error for Drawn<'_> {}
+
+impl Diagnostic for Drawn<'_> {
+    fn code<'b>(&'b self) -> Option<Box<dyn fmt::Display + 'b>> {
+        Some(Box::new(self.finding.code))
+    }
+
+    fn severity(&self) -> Option<miette::Severity> {
+        Some(match self.finding.severity {
+            Severity::Warning => miette::Severity::Warning,
+            Severity::Error => miette::Severity::Error,
+        })
+    }
+
+    fn help<'b>(&'b self) -> Option<Box<dyn fmt::Display + 'b>> {
+        let help = self.finding.help.as_ref()?;
+        Some(Box::new(help))
+    }
+
+    fn source_code(&self) -> Option<&dyn miette::SourceCode> {
+        let source = self.source.as_ref()?;
+        Some(source)
+    }
+
+    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
+        let place = self.finding.place.as_ref()?;
+        let label = match self.finding.label.as_str() {
+            "" => "here",
+            label => label,
+        };
+        let length = place.range.len().max(1);
+        let span = LabeledSpan::new(Some(label.to_owned()), place.range.start, length);
+        Some(Box::new(std::iter::once(span)))
     }
 }
 

@@ -18,12 +18,13 @@ use mcs::driver::{ChannelDriver, DriverRegistry};
 use rand::Rng;
 use serde::Deserialize;
 use vss::{
+    command::{NamedCamera, TrueCameras},
     frame::{Frame, FrameError},
     source::{FrameSource, FrameSources},
 };
 
 use crate::{
-    camera::{Renderer, truth::CameraTruth},
+    camera::Renderer,
     cell::Cell,
     driver::SimArm,
     scene::{SceneReader, SceneState},
@@ -54,13 +55,6 @@ ctos::command! {
         pub on: bool,
     } => (), 0x0502, "set_lamp"
 }
-ctos::command! {
-    /// Asks for the true geometry of every camera. For the table at the end of a run, which says how
-    /// well an estimate did; an estimator that asks is cheating.
-    #[derive(Debug, Clone, PartialEq)]
-    pub struct Truth => Vec<CameraTruth>, 0x0503, "truth"
-}
-
 /// Arguments that name a cell file.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -88,7 +82,7 @@ fn world_task() -> String {
 #[derive(Debug)]
 struct SharedWorld {
     scene: SceneReader,
-    cameras: Vec<CameraTruth>,
+    cameras: Vec<NamedCamera>,
 }
 
 /// Registers everything that the simulator offers: the event handler [`WORLD`], the channel driver
@@ -108,7 +102,7 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
 
 fn register_world(registry: &mut Registry) {
     registry
-        .handler(WORLD, &[GetScene::INFO, SetLamp::INFO, Truth::INFO], |_| {
+        .handler(WORLD, &[GetScene::INFO, SetLamp::INFO, TrueCameras::INFO], |_| {
             Ok(WorldTask)
         })
         .check(|task, findings| {
@@ -158,7 +152,7 @@ pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, Han
     let cameras = cell
         .cameras
         .into_iter()
-        .map(|camera| camera.truth)
+        .map(|camera| camera.truth.named())
         .collect();
     cx.share(SHARED, Arc::new(SharedWorld { scene, cameras }));
     Ok(Box::new(arm))
@@ -235,8 +229,8 @@ impl EventHandler for WorldTask {
                 Self::world(cx)?.scene.set_lamp(on);
                 reply.ok(())
             }
-            Truth::CODE => {
-                let (Truth {}, reply) = message.open::<Truth>()?;
+            TrueCameras::CODE => {
+                let (TrueCameras {}, reply) = message.open::<TrueCameras>()?;
                 reply.ok(Self::world(cx)?.cameras.clone())
             }
             _ => cx.default_processing(message),

@@ -4,7 +4,7 @@ use std::{ffi::OsString, sync::Arc};
 
 use clap::Args;
 use ctos::{
-    boot::{BootError, End, Launcher, Outcome},
+    boot::{BootError, BootEvent, End, Launcher, Observer, Outcome},
     config::TimeMode,
     time::Clock,
 };
@@ -71,10 +71,9 @@ pub fn run(args: &BootArgs) -> u8 {
         arguments: child_arguments(args),
     };
     let display = Arc::new(Display::new(&app));
-    let observer = display.clone();
-    let outcome = ctos::boot::boot(app, registry, &launcher, &(Arc::new(move |event| {
-        observer.show(event);
-    }) as ctos::boot::Observer));
+    let shown = display.clone();
+    let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
+    let outcome = ctos::boot::boot(app, registry, &launcher, &observer);
     display.finish();
     match outcome {
         Ok(outcome) => report(&outcome, args.json),
@@ -148,7 +147,6 @@ fn report(outcome: &Outcome, json: bool) -> u8 {
             exit::FAILED,
             "every task waits for another one; `-vv` shows the last messages".to_owned(),
         ),
-        _ => (exit::FAILED, "the app ended".to_owned()),
     };
     show::say(&format!("error: {reason}"));
     if json {

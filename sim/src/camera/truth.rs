@@ -137,6 +137,23 @@ impl CameraTruth {
         Some(world_t_camera.inverse())
     }
 
+    /// The same camera in the words of the vision system, for the judge of an estimate.
+    #[must_use]
+    pub fn named(&self) -> vss::command::NamedCamera {
+        let Distortion { k1, k2, p1, p2, k3 } = self.distortion;
+        let [fx, fy] = self.focal;
+        let [cx, cy] = self.principal;
+        vss::command::NamedCamera {
+            name: self.name.clone(),
+            camera: vss::camera::Camera {
+                rotation: self.camera_t_world.rotation,
+                centre: self.position(),
+                intrinsics: vss::camera::Intrinsics { fx, fy, cx, cy },
+                distortion: vss::camera::Distortion { k1, k2, p1, p2, k3 },
+            },
+        }
+    }
+
     /// The camera's centre in the world, m.
     #[must_use]
     pub fn position(&self) -> Point3<f64> {

@@ -51,7 +51,7 @@ impl EventHandler for Servo {
 struct Seen {
     frames: Vec<Frame>,
     lamps: Vec<bool>,
-    truths: Vec<CameraTruth>,
+    truths: Vec<NamedCamera>,
     lamp_moved: f64,
 }
 
@@ -86,7 +86,7 @@ impl EventHandler for Eye {
             }
             let last = child.call(&world, GetScene {}).await.unwrap();
             all.lamp_moved = (last.lamp - first.lamp).norm();
-            all.truths = child.call(&world, Truth {}).await.unwrap();
+            all.truths = child.call(&world, TrueCameras {}).await.unwrap();
             *seen.lock().unwrap() = all;
             child.finish(AppResult {
                 ok: true,
