@@ -1,1 +1,68 @@
-//! The Coordination Level: nets, the functions they name, the data object manager
+//! The Coordination Level: a Dispatcher and its Coordinators, each a Petri net transducer under
+//! `configs/nets/` and the few functions it names, and the data object manager through which they
+//! exchange data (CIRSSE report 108, sections 6 and 7).
+//!
+//! They reach the Execution Level only by messages to the client interface of MCS and the Services
+//! Manager of VSS; no simulator is named here.
+
+pub mod dispatcher;
+pub mod dom;
+pub mod motion;
+pub mod objects;
+pub mod operator;
+pub mod positions;
+pub mod referee;
+pub mod vision;
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::Registry,
+};
+use pnt::space::Limits;
+
+/// The handlers that run nets, for the check of the composed app.
+pub const NET_HANDLERS: [&str; 3] = [dispatcher::HANDLER, motion::HANDLER, vision::HANDLER];
+
+/// Registers every event handler of the Coordination Level, and the check of all nets of an app
+/// together.
+pub fn register(registry: &mut Registry) {
+    registry.handler(dom::HANDLER, dom::COMMANDS, |_| Ok(dom::Dom::default()));
+    dispatcher::register(registry);
+    motion::register(registry);
+    vision::register(registry);
+    operator::register(registry);
+    referee::register(registry);
+    registry.app_check(|app, registry, findings| {
+        let limits = Limits::default();
+        pnt::task::check_app(app, registry, &NET_HANDLERS, &limits, findings);
+    });
+}
+
+/// The task of the data object manager, unless arguments say otherwise.
+pub(crate) fn dom_task() -> String {
+    "dom".to_owned()
+}
+
+/// A finding when `task` names a task that the app does not have.
+pub(crate) fn need_task(
+    task: &TaskConfig,
+    app: &App,
+    key: &str,
+    name: &str,
+    findings: &mut Findings,
+) {
+    if app.task(name).is_none() {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        let names = app.tasks.iter().map(|task| task.name.as_str());
+        findings.push(
+            Finding::error(
+                "ctos::config::unknown_task",
+                format!("task `{}` needs a task `{name}`, which the app does not have", task.name),
+            )
+            .at(place)
+            .label(format!("`{key}` of `{}`", task.name))
+            .suggest(name, names),
+        );
+    }
+}

@@ -4,7 +4,13 @@
 //! see slots only: a position read back and a torque command per joint, whatever drives it
 //! (CIRSSE report 108, section 4). This module names no simulator.
 
+mod registry;
+#[cfg(test)]
+pub(crate) mod test_arm;
+
 use std::time::Duration;
+
+pub use registry::{DriverKind, DriverRegistry};
 
 /// What one slot reported at the last [`ChannelDriver::read`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -16,7 +22,7 @@ pub struct SlotReading {
 }
 
 /// The three physical states of the manipulator (report 108, section 4, end of the state manager).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum Power {
     /// Power off: cold, reserved and estopped states. Brakes hold.
     #[default]
@@ -41,7 +47,9 @@ pub enum DriverError {
 }
 
 /// Hardware behind a run of slots. Called by the servo only, once per period, in the order
-/// [`read`](Self::read), [`write`](Self::write). Neither call may allocate, lock or wait.
+/// [`read`](Self::read), [`write`](Self::write), in every power state: with power off or brakes on the
+/// torques are zero. A failed read is followed by a write with [`Power::Off`] in the same period, and
+/// so is the servo's own end. Neither call may allocate, lock or wait; only an error may cost more.
 pub trait ChannelDriver: Send {
     /// Number of slots.
     fn slots(&self) -> usize;

@@ -1,3 +1,21 @@
-//! Motion Control System: slots, control laws, planning, state manager, client interface
+//! Motion Control System: slots, control laws, planning, state manager, client interface.
+//!
+//! The layers of CIRSSE report 108, section 4, from the bottom: [`driver`] is the testbed interface
+//! (slots over channel drivers), [`control`] the laws that turn setpoints into torques, [`trajectory`]
+//! the planning of segments, [`servo`] the synchronous function that runs all three at the servo
+//! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`arm`] is the
+//! manipulator's model; [`tasks`] puts everything behind event handlers, registered by [`register`].
+//!
+//! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
+//! registers it in a [`driver::DriverRegistry`].
 
+pub mod arm;
+pub mod client;
+pub mod control;
 pub mod driver;
+pub mod servo;
+pub mod state;
+pub mod tasks;
+pub mod trajectory;
+
+pub use tasks::register;

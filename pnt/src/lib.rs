@@ -1,1 +1,29 @@
-//! Petri net transducers: text form, execution, analysis
+//! Petri net transducers: text form, execution, analysis.
+//!
+//! A net translates commands on its input tape into actions and answers on its output tape
+//! (architecture report, sections 6 and 7). From bottom to top:
+//!
+//! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
+//! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
+//! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
+//! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
+//!   [`check`]: what they prove, as findings that point into the net texts;
+//! - [`invariants`]: what no firing can change.
+//!
+//! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
+//! top of them, and on the runtime:
+//!
+//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net.
+
+pub mod check;
+pub mod compile;
+pub mod compose;
+pub mod draft;
+pub mod exec;
+pub mod invariants;
+pub mod library;
+pub mod net;
+mod ready;
+pub mod space;
+pub mod task;
+pub mod text;

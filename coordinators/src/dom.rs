@@ -1,0 +1,182 @@
+//! The Data Object Manager (DOM): data of the Coordination Level, by name, for everybody.
+//!
+//! Each object is tied to a place of a net that says whether it exists and is valid; the net tells the
+//! DOM when tokens come to and leave that place (CIRSSE report 108, sections 6 and 7). An object that
+//! its place calls invalid can still be read: its place is the guard, and a reader in a net fires only
+//! when the place is marked.
+
+use std::{collections::BTreeMap, rc::Rc};
+
+use ctos::{
+    message::{Command, CommandInfo, Message},
+    task::{Context, EventHandler, Handled, HandlerError},
+};
+use pnt::library::{Acted, DataStore, Later};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+/// The handler's name.
+pub const HANDLER: &str = "coordinators.dom";
+
+/// The commands it takes.
+pub const COMMANDS: &[CommandInfo] = &[PutData::INFO, GetData::INFO, SetValidity::INFO, ListData::INFO];
+
+ctos::command! {
+    /// Stores a data object.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct PutData {
+        /// Its name.
+        pub name: String,
+        /// Its value, postcard.
+        pub bytes: Vec<u8>,
+    } => (), 0x0601, "put"
+}
+ctos::command! {
+    /// Retrieves a data object.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct GetData {
+        /// Its name.
+        pub name: String,
+    } => Vec<u8>, 0x0602, "get"
+}
+ctos::command! {
+    /// Says whether the place that an object is tied to is marked.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct SetValidity {
+        /// The object's name.
+        pub name: String,
+        /// Whether its place is marked.
+        pub valid: bool,
+    } => (), 0x0603, "set_validity"
+}
+ctos::command! {
+    /// Lists all objects.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct ListData => Vec<DataObject>, 0x0604, "list"
+}
+
+/// An object as [`ListData`] shows it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DataObject {
+    /// Its name.
+    pub name: String,
+    /// Size of its value, bytes; `None` while it has none.
+    pub bytes: Option<usize>,
+    /// Whether its place is marked; `None` when no place is tied to it.
+    pub valid: Option<bool>,
+}
+
+#[derive(Default)]
+struct Entry {
+    bytes: Option<Vec<u8>>,
+    valid: Option<bool>,
+}
+
+/// The event handler.
+#[derive(Default)]
+pub struct Dom {
+    objects: BTreeMap<String, Entry>,
+}
+
+impl EventHandler for Dom {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            PutData::CODE => {
+                let (PutData { name, bytes }, reply) = message.open::<PutData>()?;
+                self.objects.entry(name).or_default().bytes = Some(bytes);
+                reply.ok(())
+            }
+            GetData::CODE => {
+                let (GetData { name }, reply) = message.open::<GetData>()?;
+                match self.objects.get(&name).and_then(|entry| entry.bytes.clone()) {
+                    Some(bytes) => reply.ok(bytes),
+                    None => reply.fail(format!("there is no data object `{name}`")),
+                }
+            }
+            SetValidity::CODE => {
+                let (SetValidity { name, valid }, reply) = message.open::<SetValidity>()?;
+                self.objects.entry(name).or_default().valid = Some(valid);
+                reply.ok(())
+            }
+            ListData::CODE => {
+                let (ListData {}, reply) = message.open::<ListData>()?;
+                let list = self.objects.iter().map(|(name, entry)| DataObject {
+                    name: name.clone(),
+                    bytes: entry.bytes.as_ref().map(Vec::len),
+                    valid: entry.valid,
+                });
+                reply.ok(list.collect())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// The DOM as nets and their functions use it.
+#[derive(Debug, Clone)]
+pub struct DomStore {
+    task: Rc<str>,
+}
+
+impl DomStore {
+    /// The DOM behind the task called `task`.
+    #[must_use]
+    pub fn new(task: &str) -> Self {
+        Self { task: task.into() }
+    }
+
+    /// Stores a value.
+    ///
+    /// # Errors
+    /// When the DOM cannot be reached.
+    pub async fn store<T: Serialize>(&self, cx: &Context, name: &str, value: &T) -> Acted {
+        let bytes = postcard::to_stdvec(value)?;
+        let dom = cx.task(&self.task).await?;
+        let name = name.to_owned();
+        Ok(cx.call(&dom, PutData { name, bytes }).await?)
+    }
+
+    /// Retrieves a value.
+    ///
+    /// # Errors
+    /// When the DOM has no such object, cannot be reached, or the object is of another type.
+    pub async fn fetch<T: DeserializeOwned>(
+        &self,
+        cx: &Context,
+        name: &str,
+    ) -> Result<T, HandlerError> {
+        let bytes = fetch_bytes(cx, &self.task, name).await?;
+        postcard::from_bytes(&bytes).map_err(|error| {
+            HandlerError::new(format!("data object `{name}` is of another type: {error}"))
+        })
+    }
+}
+
+async fn fetch_bytes(cx: &Context, dom: &str, name: &str) -> Result<Vec<u8>, HandlerError> {
+    let dom = cx.task(dom).await?;
+    let name = name.to_owned();
+    let answer = cx.call(&dom, GetData { name }).await;
+    answer.map_err(|error| HandlerError::new(error.reason()))
+}
+
+impl DataStore for DomStore {
+    fn get(&self, cx: &Context, object: &str) -> Later<Result<Vec<u8>, HandlerError>> {
+        let (cx, dom, object) = (cx.clone(), self.task.clone(), object.to_owned());
+        Box::pin(async move { fetch_bytes(&cx, &dom, &object).await })
+    }
+
+    fn put(&self, cx: &Context, object: &str, bytes: Vec<u8>) -> Later<Acted> {
+        let (cx, dom, name) = (cx.clone(), self.task.clone(), object.to_owned());
+        Box::pin(async move {
+            let dom = cx.task(&dom).await?;
+            Ok(cx.call(&dom, PutData { name, bytes }).await?)
+        })
+    }
+
+    fn validity(&self, cx: &Context, object: &str, valid: bool) -> Later<Acted> {
+        let (cx, dom, name) = (cx.clone(), self.task.clone(), object.to_owned());
+        Box::pin(async move {
+            let dom = cx.task(&dom).await?;
+            Ok(cx.call(&dom, SetValidity { name, valid }).await?)
+        })
+    }
+}

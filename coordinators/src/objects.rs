@@ -1,0 +1,111 @@
+//! The data objects that the coordinators exchange through the DOM, by name and type.
+
+use mcs::{
+    arm::Joints,
+    client::{PathKind, Target},
+};
+use serde::{Deserialize, Serialize};
+use vss::{calibrate::{Calibration, LightPoint}, command::SpotReport};
+
+/// Where the lamp shall go next: written by the Dispatcher, read by the Motion Coordinator.
+pub const DESTINATION: &str = "destination";
+/// How the manipulator gets there: written by path planning, read by `move_manip`.
+pub const PATH: &str = "path";
+/// What the cameras saw at this position: written by the Vision Coordinator.
+pub const SPOTS: &str = "spots";
+/// Where the manipulator really is: written by the Motion Coordinator.
+pub const POSITION: &str = "position";
+/// How all motions of a command went: kept by the Motion Coordinator.
+pub const MOTIONS: &str = "motions";
+/// The table of all points of a calibration: kept by the Dispatcher.
+pub const OBSERVATIONS: &str = "observations";
+/// The result: one calibration per camera.
+pub const CALIBRATIONS: &str = "calibrations";
+
+/// [`DESTINATION`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Destination {
+    /// Number of the position in its file, from 0: what belongs together has the same.
+    pub index: usize,
+    /// `base_t_tool`, row by row, m.
+    pub base_t_tool: [f64; 16],
+}
+
+/// [`PATH`]: a motion that the client interface has accepted for planning.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PathSpec {
+    /// Joint positions at the end, rad.
+    pub target: Target,
+    /// Which way.
+    pub kind: PathKind,
+    /// Fraction of full speed.
+    pub speed: f64,
+    /// Expected duration, s.
+    pub duration_s: f64,
+}
+
+/// [`SPOTS`]: one entry per camera of the app, in the order of its configuration.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Spots {
+    /// Number of the position in its file, from 0: what belongs together has the same.
+    pub index: usize,
+    /// Camera and what it saw.
+    pub seen: Vec<(String, Option<SpotReport>)>,
+    /// Why cameras saw nothing.
+    pub reasons: Vec<String>,
+}
+
+/// [`POSITION`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ReachedPosition {
+    /// Number of the position in its file, from 0: what belongs together has the same.
+    pub index: usize,
+    /// Joint positions as read back, rad.
+    pub joints: Joints,
+    /// Origin of the tool frame (the lamp) in the base frame, m.
+    pub lamp: [f64; 3],
+}
+
+/// [`MOTIONS`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct MotionLog {
+    /// Motions completed.
+    pub moves: u32,
+    /// Largest distance of any joint from its setpoint, rad.
+    pub max_tracking_error_rad: f64,
+    /// Largest distance of any joint from its target after settling, rad.
+    pub max_final_error_rad: f64,
+}
+
+/// One camera's share of [`OBSERVATIONS`].
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraTable {
+    /// The camera's name.
+    pub camera: String,
+    /// Picture width, px; 0 until it has seen a spot.
+    pub width: usize,
+    /// Picture height, px.
+    pub height: usize,
+    /// Lamp positions and their spots.
+    pub points: Vec<LightPoint>,
+    /// Positions at which it saw nothing that could be used.
+    pub missed: u32,
+}
+
+/// [`OBSERVATIONS`].
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Observations {
+    /// Positions in the file.
+    pub wanted: u32,
+    /// Positions at which the arm stood and was read back.
+    pub reached: u32,
+    /// One table per camera.
+    pub cameras: Vec<CameraTable>,
+}
+
+/// [`CALIBRATIONS`].
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Calibrations {
+    /// Camera and its calibration.
+    pub cameras: Vec<(String, Calibration)>,
+}

@@ -1,0 +1,182 @@
+//! The Vision Coordinator: the functions of `vision.net` (CIRSSE report 108, section 7, figure 11).
+
+use std::rc::Rc;
+
+use ctos::{
+    call::{CallError, Fault},
+    diagnostic::Finding,
+    registry::Registry,
+    task::{Context, HandlerError},
+};
+use futures_util::future::join_all;
+use pnt::{
+    library::{Acted, Action, Library},
+    task::{COMMANDS, NetTask, check_args},
+};
+use serde::Deserialize;
+use vss::command::{SpotFind, SpotReport};
+
+use crate::{
+    dom::DomStore,
+    objects::{DESTINATION, Destination, SPOTS, Spots},
+};
+
+/// The handler's name.
+pub const HANDLER: &str = "coordinators.vision";
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct VisionArgs {
+    /// The net; read by [`pnt::task::settings`].
+    #[serde(rename = "net")]
+    _net: String,
+    /// The cameras that look for the spot.
+    cameras: Vec<String>,
+    /// The Vision Services Manager.
+    #[serde(default = "vsm_task")]
+    vsm: String,
+    /// The data object manager.
+    #[serde(default = "crate::dom_task")]
+    dom: String,
+    /// How often a camera that missed the spot looks again.
+    #[serde(default = "retries")]
+    retries: u32,
+}
+
+pub(crate) fn vsm_task() -> String {
+    "vsm".to_owned()
+}
+
+fn retries() -> u32 {
+    2
+}
+
+/// What the functions share.
+struct Vision {
+    args: Rc<VisionArgs>,
+    store: DomStore,
+    spots: Spots,
+    tries_left: u32,
+}
+
+/// Registers the handler.
+pub(crate) fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &COMMANDS, |cx| {
+            let args: VisionArgs = cx.args()?;
+            let store = DomStore::new(&args.dom);
+            NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
+        })
+        .check_in_app(|task, app, findings| {
+            if let Some(args) = findings.keep(task.args.parse::<VisionArgs>()) {
+                if args.cameras.is_empty() {
+                    let place = task.args.locate("cameras");
+                    findings.push(
+                        Finding::error("coordinators::vision::cameras", "no camera is named")
+                            .at(place.unwrap_or_else(|| task.place.clone()))
+                            .help("name at least one camera of [vss.cameras]"),
+                    );
+                }
+                let names = library(args.clone(), DomStore::new(&args.dom)).names();
+                check_args(task, app, &names, findings);
+                crate::need_task(task, app, "vsm", &args.vsm, findings);
+                crate::need_task(task, app, "dom", &args.dom, findings);
+            }
+        });
+}
+
+fn library(args: VisionArgs, store: DomStore) -> Library<Vision> {
+    let state = Vision {
+        args: Rc::new(args),
+        store,
+        spots: Spots::default(),
+        tries_left: 0,
+    };
+    Library::new(state)
+        .enabling("tries_left", |vision: &Vision| vision.tries_left > 0)
+        .action("find_spot", find_spot)
+        .action("retry_find_spot", retry_find_spot)
+}
+
+/// Looks for the spot with every camera.
+async fn find_spot(action: Action<Vision>) -> Acted {
+    let (cx, store) = (action.cx().clone(), store_of(&action));
+    let destination: Destination = store.fetch(&cx, DESTINATION).await?;
+    action.with_state(|vision| {
+        vision.tries_left = vision.args.retries;
+        let none = |camera: &String| (camera.clone(), None);
+        vision.spots = Spots {
+            index: destination.index,
+            seen: vision.args.cameras.iter().map(none).collect(),
+            reasons: Vec::new(),
+        };
+    });
+    look(&action, &cx, &store).await
+}
+
+/// Looks again with the cameras that missed it.
+async fn retry_find_spot(action: Action<Vision>) -> Acted {
+    let (cx, store) = (action.cx().clone(), store_of(&action));
+    action.with_state(|vision| vision.tries_left = vision.tries_left.saturating_sub(1));
+    look(&action, &cx, &store).await
+}
+
+fn store_of(action: &Action<Vision>) -> DomStore {
+    action.with_state(|vision| vision.store.clone())
+}
+
+/// Asks VSS for the spot in the cameras that have not seen it yet, all at once, and stores what is
+/// known then. Fails while a camera has not seen it.
+async fn look(action: &Action<Vision>, cx: &Context, store: &DomStore) -> Acted {
+    let (vsm, missing) = action.with_state(|vision| {
+        let unseen = vision.spots.seen.iter().filter(|(_, spot)| spot.is_none());
+        let missing: Vec<String> = unseen.map(|(camera, _)| camera.clone()).collect();
+        (vision.args.vsm.clone(), missing)
+    });
+    let vsm = cx.task(&vsm).await?;
+    let asked = missing.into_iter().map(|camera| {
+        let call = cx.call(&vsm, SpotFind { camera: camera.clone() });
+        async move { (camera, call.await) }
+    });
+    let mut misses = Vec::new();
+    for (camera, answer) in join_all(asked).await {
+        match useful(answer)? {
+            Ok(spot) => action.with_state(|vision| {
+                let mut seen = vision.spots.seen.iter_mut();
+                if let Some((_, slot)) = seen.find(|(name, _)| *name == camera) {
+                    *slot = Some(spot);
+                }
+            }),
+            Err(reason) => misses.push(reason),
+        }
+    }
+    let spots = action.with_state(|vision| {
+        vision.spots.reasons.clone_from(&misses);
+        vision.spots.clone()
+    });
+    store.store(cx, SPOTS, &spots).await?;
+    if misses.is_empty() {
+        Ok(())
+    } else {
+        Err(HandlerError::new(misses.join("; ")))
+    }
+}
+
+/// A spot, or why it was missed. What is no miss but a failure of the vision system is the error.
+fn useful(
+    answer: Result<SpotReport, CallError>,
+) -> Result<Result<SpotReport, String>, HandlerError> {
+    match answer {
+        Ok(spot) if spot.flags.touches_border => Ok(Err(format!(
+            "camera `{}`: the spot at {:.1}, {:.1} touches the border",
+            spot.camera, spot.u, spot.v
+        ))),
+        Ok(spot) => Ok(Ok(spot)),
+        Err(CallError {
+            fault: Fault::Refused { text },
+            ..
+        }) => Ok(Err(text)),
+        Err(error) => Err(error.into()),
+    }
+}

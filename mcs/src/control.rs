@@ -1,0 +1,32 @@
+//! The motion control layer: control laws, which turn a setpoint and readings into joint torques.
+//!
+//! A law of one's own is one file with one type that implements [`ControlLaw`]. Laws know the arm's
+//! model and nothing of tasks, planning or hardware.
+
+pub mod computed_torque;
+pub mod pid;
+
+use std::time::Duration;
+
+pub use computed_torque::ComputedTorque;
+pub use pid::{JointGains, PidGravity};
+
+use crate::{driver::SlotReading, trajectory::Setpoint};
+
+/// A control law. Called once per servo period while the brakes are released; must neither allocate,
+/// lock nor wait.
+pub trait ControlLaw: Send {
+    /// Forgets the past: called when the brakes are about to be released, with the arm at rest.
+    fn reset(&mut self, readings: &[SlotReading]);
+
+    /// Computes one torque per slot into `out` (N m, N for a linear axis) from the setpoint and the
+    /// readings of the same instant. The servo limits the torques afterwards; a law that
+    /// integrates should know the limits itself. `period` is the servo period.
+    fn torques(
+        &mut self,
+        setpoint: &Setpoint,
+        readings: &[SlotReading],
+        period: Duration,
+        out: &mut [f64],
+    );
+}

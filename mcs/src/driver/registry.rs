@@ -1,0 +1,100 @@
+//! Channel drivers by the name that the configuration uses for them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ctos::config::{App, Node, TaskConfig};
+use ctos::diagnostic::Findings;
+use ctos::task::{Context, HandlerError};
+
+use super::ChannelDriver;
+
+type Build =
+    Arc<dyn Fn(&Context, &Node) -> Result<Box<dyn ChannelDriver>, HandlerError> + Send + Sync>;
+type Check = Arc<dyn Fn(&TaskConfig, &App, &Node, &mut Findings) + Send + Sync>;
+
+/// A kind of channel driver.
+pub struct DriverKind {
+    build: Build,
+    check: Option<Check>,
+}
+
+impl DriverKind {
+    /// Adds a check of the driver's arguments that runs before anything starts; it is given the servo
+    /// task, the app and the node `driver_args` (an empty table when there is none).
+    pub fn check(
+        &mut self,
+        check: impl Fn(&TaskConfig, &App, &Node, &mut Findings) + Send + Sync + 'static,
+    ) {
+        self.check = Some(Arc::new(check));
+    }
+
+    pub(crate) fn run_check(
+        &self,
+        task: &TaskConfig,
+        app: &App,
+        args: &Node,
+        findings: &mut Findings,
+    ) {
+        if let Some(check) = &self.check {
+            check(task, app, args, findings);
+        }
+    }
+
+    pub(crate) fn build(
+        &self,
+        cx: &Context,
+        args: &Node,
+    ) -> Result<Box<dyn ChannelDriver>, HandlerError> {
+        (self.build)(cx, args)
+    }
+}
+
+/// The channel drivers that a program offers; given to [`crate::register`].
+#[derive(Default)]
+pub struct DriverRegistry {
+    kinds: BTreeMap<String, DriverKind>,
+}
+
+impl DriverRegistry {
+    /// No drivers.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Registers a driver under `name`. It is built on the servo task's processor, with that task's
+    /// context and the node `driver_args` of its arguments.
+    pub fn driver(
+        &mut self,
+        name: &str,
+        build: impl Fn(&Context, &Node) -> Result<Box<dyn ChannelDriver>, HandlerError>
+        + Send
+        + Sync
+        + 'static,
+    ) -> &mut DriverKind {
+        let kind = DriverKind {
+            build: Arc::new(build),
+            check: None,
+        };
+        match self.kinds.entry(name.to_owned()) {
+            std::collections::btree_map::Entry::Vacant(entry) => entry.insert(kind),
+            std::collections::btree_map::Entry::Occupied(entry) => {
+                let entry = entry.into_mut();
+                *entry = kind;
+                entry
+            }
+        }
+    }
+
+    /// The driver called `name`.
+    #[must_use]
+    pub fn kind(&self, name: &str) -> Option<&DriverKind> {
+        self.kinds.get(name)
+    }
+
+    /// All names, in order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.kinds.keys().map(String::as_str)
+    }
+}

@@ -1,0 +1,402 @@
+//! The synchronous function of the two lowest layers: read slots, advance the setpoint, apply the
+//! control law, limit, write; once per servo period.
+//!
+//! [`Servo::tick`] allocates nothing, takes no lock and never waits. Orders come in through a bounded
+//! lock-free queue and what happened goes out as a snapshot, both through [`ServoPort`]. Nothing
+//! here knows tasks or messages; all time is counted in ticks.
+
+mod motion;
+pub mod port;
+
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crossbeam_queue::ArrayQueue;
+
+use crate::arm::{ArmModel, DOF, Joints};
+use crate::control::ControlLaw;
+use crate::driver::{ChannelDriver, DriverError, Power, SlotReading};
+use crate::trajectory::Setpoint;
+use motion::{Motion, Progress};
+pub use port::{Fault, MotionPhase, MotionStatus, Rejection, ServoCommand, ServoPort, ServoStatus};
+
+/// Orders that may wait in the queue at once.
+const COMMANDS: usize = 32;
+/// How far (rad) a segment may start from the setpoint that is held.
+const START_TOLERANCE: f64 = 1e-6;
+
+/// When a motion counts as settled.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settling {
+    /// Every joint's error is at most this, rad,
+    pub error: f64,
+    /// and its speed at most this, rad/s,
+    pub speed: f64,
+    /// for this many ticks on end.
+    pub ticks: u32,
+    /// Ticks after which a motion that has not settled is given up as unsettled.
+    pub patience: u32,
+}
+
+impl Default for Settling {
+    fn default() -> Self {
+        Self {
+            error: 5e-4,
+            speed: 5e-3,
+            ticks: 20,
+            patience: 667,
+        }
+    }
+}
+
+/// Rates and watchdog limits of one servo.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ServoConfig {
+    /// Servo period; 4.5 ms on the CIRSSE testbed.
+    pub period: Duration,
+    /// The planner gives a setpoint every so many periods (at least 1).
+    pub setpoint_every: u32,
+    /// A joint this far from its setpoint (rad) is an emergency.
+    pub following_error: f64,
+    /// When a motion counts as settled.
+    pub settling: Settling,
+}
+
+impl Default for ServoConfig {
+    fn default() -> Self {
+        Self {
+            period: Duration::from_micros(4500),
+            setpoint_every: 4,
+            following_error: 0.1,
+            settling: Settling::default(),
+        }
+    }
+}
+
+/// Why a servo cannot be built.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ServoError {
+    /// The driver's slots do not fit the arm.
+    #[error("the channel driver has {found} slots, the arm needs {DOF}; choose another driver")]
+    Slots {
+        /// Slots of the driver.
+        found: usize,
+    },
+    /// A number of the configuration that cannot be.
+    #[error("servo `{what}` is {value}; it must be above zero")]
+    NotPositive {
+        /// Name of the number.
+        what: &'static str,
+        /// What was given.
+        value: f64,
+    },
+}
+
+/// Whoever drops the servo leaves an arm without a controller: its power goes off first.
+impl Drop for Servo {
+    fn drop(&mut self) {
+        let period = self.config.period;
+        // Nobody is left to be told of a failure.
+        let _ = self.driver.write(&[0.0; DOF], Power::Off, period);
+    }
+}
+
+/// The synchronous part of MCS for one manipulator.
+pub struct Servo {
+    model: Arc<ArmModel>,
+    driver: Box<dyn ChannelDriver>,
+    law: Box<dyn ControlLaw>,
+    config: ServoConfig,
+    commands: Arc<ArrayQueue<ServoCommand>>,
+    driver_errors: Arc<ArrayQueue<DriverError>>,
+    output: triple_buffer::Input<ServoStatus>,
+    status: ServoStatus,
+    readings: [SlotReading; DOF],
+    setpoint: Setpoint,
+    motion: Option<Motion>,
+    /// Power state to take once the arm is at rest.
+    after_rest: Option<Power>,
+    /// Brakes were ordered open: seed setpoint and law from the next reading.
+    releasing: bool,
+}
+
+impl Servo {
+    /// A servo in power state off, and the port through which others reach it.
+    ///
+    /// # Errors
+    /// [`ServoError`] when the driver does not fit the arm or a number is not positive.
+    pub fn new(
+        model: Arc<ArmModel>,
+        driver: Box<dyn ChannelDriver>,
+        law: Box<dyn ControlLaw>,
+        config: ServoConfig,
+    ) -> Result<(Self, ServoPort), ServoError> {
+        if driver.slots() != DOF {
+            return Err(ServoError::Slots {
+                found: driver.slots(),
+            });
+        }
+        let positive = [
+            ("period", config.period.as_secs_f64()),
+            ("setpoint_every", f64::from(config.setpoint_every)),
+            ("following_error", config.following_error),
+            ("settling.error", config.settling.error),
+            ("settling.speed", config.settling.speed),
+        ];
+        for (what, value) in positive {
+            if value.is_nan() || value <= 0.0 {
+                return Err(ServoError::NotPositive { what, value });
+            }
+        }
+        let commands = Arc::new(ArrayQueue::new(COMMANDS));
+        let driver_errors = Arc::new(ArrayQueue::new(1));
+        let (output, reader) = triple_buffer::triple_buffer(&ServoStatus::default());
+        let port = ServoPort::new(Arc::clone(&commands), Arc::clone(&driver_errors), reader);
+        let servo = Self {
+            model,
+            driver,
+            law,
+            config,
+            commands,
+            driver_errors,
+            output,
+            status: ServoStatus::default(),
+            readings: [SlotReading::default(); DOF],
+            setpoint: Setpoint::default(),
+            motion: None,
+            after_rest: None,
+            releasing: false,
+        };
+        Ok((servo, port))
+    }
+
+    /// What the last tick left.
+    #[must_use]
+    pub fn status(&self) -> &ServoStatus {
+        &self.status
+    }
+
+    /// One servo period. `missed` is the number of whole periods that were skipped before this one:
+    /// they are counted, and setpoints go on from where they were instead of leaping after the clock.
+    pub fn tick(&mut self, missed: u64) {
+        self.status.ticks += 1;
+        self.status.missed += missed;
+        while let Some(command) = self.commands.pop() {
+            self.obey(command);
+        }
+        self.read();
+        self.seed();
+        self.advance();
+        self.watch();
+        let torques = self.control();
+        self.write(&torques);
+        self.publish(&torques);
+    }
+
+    fn obey(&mut self, command: ServoCommand) {
+        let power = self.status.power;
+        let faulted = self.status.fault.is_some();
+        match command {
+            ServoCommand::PowerOn if power == Power::Off && !faulted => {
+                self.status.power = Power::Braked;
+            }
+            ServoCommand::ReleaseBrakes if power == Power::Braked && !faulted => {
+                self.releasing = true;
+            }
+            ServoCommand::EngageBrakes if power == Power::Released => {
+                self.stop();
+                self.after_rest = Some(Power::Braked);
+            }
+            ServoCommand::PowerOff if power == Power::Released => {
+                self.stop();
+                self.after_rest = Some(Power::Off);
+            }
+            ServoCommand::PowerOff => {
+                self.releasing = false;
+                self.status.power = Power::Off;
+            }
+            ServoCommand::Move { id, segment } => self.begin(id, segment),
+            ServoCommand::Stop => self.stop(),
+            ServoCommand::EmergencyStop => self.fail(Fault::EmergencyStop),
+            ServoCommand::Reset if faulted => self.status.fault = None,
+            // Power already as ordered, or an order that this state does not allow: the status
+            // shows the state that holds, and the state manager is who decides.
+            ServoCommand::PowerOn
+            | ServoCommand::ReleaseBrakes
+            | ServoCommand::EngageBrakes
+            | ServoCommand::Reset => {}
+        }
+    }
+
+    fn begin(&mut self, id: u64, segment: crate::trajectory::Segment) {
+        let rejection = match segment.at(0.0, &self.setpoint.position) {
+            _ if self.status.power != Power::Released || self.after_rest.is_some() => {
+                Some(Rejection::NotReleased)
+            }
+            _ if self.motion.is_some() => Some(Rejection::Busy),
+            Err(_) => Some(Rejection::Unfit),
+            Ok(start) if self.distance(&start.position) > START_TOLERANCE => {
+                Some(Rejection::StartsElsewhere)
+            }
+            Ok(_) => None,
+        };
+        if let Some(rejection) = rejection {
+            self.status.rejected = Some((id, rejection));
+            return;
+        }
+        self.status.motion = MotionStatus {
+            id,
+            phase: MotionPhase::Moving,
+            ..MotionStatus::default()
+        };
+        self.motion = Some(Motion::new(segment, &self.config));
+    }
+
+    /// Largest distance of any joint from the held setpoint, rad.
+    fn distance(&self, position: &Joints) -> f64 {
+        let pairs = position.iter().zip(&self.setpoint.position);
+        pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+    }
+
+    /// Protective stop: brake along the path; standing still already, there is nothing to do.
+    fn stop(&mut self) {
+        if let Some(motion) = &mut self.motion {
+            motion.stop(&self.setpoint);
+        }
+    }
+
+    fn read(&mut self) {
+        if let Err(error) = self.driver.read(&mut self.readings) {
+            self.driver_failed(error);
+            return;
+        }
+        for (index, reading) in self.readings.iter().enumerate() {
+            if !reading.position.is_finite() || !reading.velocity.is_finite() {
+                self.fail(Fault::Reading { slot: index });
+                return;
+            }
+        }
+        for (index, reading) in self.readings.iter().enumerate() {
+            self.status.position[index] = reading.position;
+            self.status.velocity[index] = reading.velocity;
+        }
+    }
+
+    /// Takes over the arm where it is: after any time with the brakes on, setpoint and law start
+    /// from what is measured, never from what was once commanded.
+    fn seed(&mut self) {
+        if self.status.power != Power::Released {
+            self.setpoint = Setpoint::at_rest(self.status.position);
+        }
+        if self.releasing && self.status.fault.is_none() {
+            self.law.reset(&self.readings);
+            self.status.power = Power::Released;
+        }
+        self.releasing = false;
+    }
+
+    fn advance(&mut self) {
+        let Some(motion) = &mut self.motion else {
+            if let Some(power) = self.after_rest.take() {
+                self.status.power = power;
+            }
+            return;
+        };
+        let progress = motion.advance(&self.setpoint, &self.readings);
+        match progress {
+            Ok((setpoint, progress)) => {
+                self.setpoint = setpoint;
+                motion.report(&mut self.status.motion);
+                match progress {
+                    Progress::Going => {}
+                    Progress::Finished(phase) => {
+                        self.status.motion.phase = phase;
+                        self.motion = None;
+                    }
+                }
+            }
+            Err(_) => self.fail(Fault::Segment),
+        }
+    }
+
+    fn watch(&mut self) {
+        if self.status.power != Power::Released {
+            return;
+        }
+        for index in 0..DOF {
+            let error = (self.setpoint.position[index] - self.status.position[index]).abs();
+            if error > self.config.following_error {
+                self.fail(Fault::FollowingError {
+                    joint: index + 1,
+                    error,
+                    limit: self.config.following_error,
+                });
+                return;
+            }
+        }
+    }
+
+    fn control(&mut self) -> Joints {
+        let mut torques = [0.0; DOF];
+        if self.status.power != Power::Released {
+            return torques;
+        }
+        self.law.torques(
+            &self.setpoint,
+            &self.readings,
+            self.config.period,
+            &mut torques,
+        );
+        if torques.iter().any(|torque| !torque.is_finite()) {
+            self.fail(Fault::ControlLaw);
+            return [0.0; DOF];
+        }
+        for (torque, limit) in torques.iter_mut().zip(&self.model.limits) {
+            *torque = torque.clamp(-limit.torque, limit.torque);
+        }
+        torques
+    }
+
+    fn write(&mut self, torques: &Joints) {
+        let power = self.status.power;
+        if let Err(error) = self.driver.write(torques, power, self.config.period) {
+            self.driver_failed(error);
+        }
+    }
+
+    fn driver_failed(&mut self, error: DriverError) {
+        // Only the first error since the last look is kept: it is the one that tells why.
+        let _ = self.driver_errors.push(error);
+        self.fail(Fault::Driver);
+    }
+
+    /// Stop of category 0: drive torque is off from this tick on, and stays off until a reset.
+    fn fail(&mut self, fault: Fault) {
+        if self.status.fault.is_none() {
+            self.status.fault = Some(fault);
+        }
+        self.status.power = Power::Off;
+        self.releasing = false;
+        self.after_rest = None;
+        if self.motion.take().is_some() {
+            self.status.motion.phase = MotionPhase::Failed;
+        }
+    }
+
+    fn publish(&mut self, torques: &Joints) {
+        self.status.setpoint = self.setpoint.position;
+        self.status.torque = *torques;
+        self.status.at_rest = self.motion.is_none()
+            && self.after_rest.is_none()
+            && self
+                .status
+                .velocity
+                .iter()
+                .all(|speed| speed.abs() <= self.config.settling.speed);
+        self.output.write(self.status);
+    }
+}

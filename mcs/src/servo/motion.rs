@@ -1,0 +1,174 @@
+//! One motion under way: which setpoint each tick gets, how well it is tracked, when it has settled.
+
+use super::port::{MotionPhase, MotionStatus};
+use super::{ServoConfig, Settling};
+use crate::arm::DOF;
+use crate::driver::SlotReading;
+use crate::trajectory::segment::SegmentError;
+use crate::trajectory::{Interpolator, Segment, Setpoint};
+
+/// What a tick made of the motion.
+pub(super) enum Progress {
+    Going,
+    Finished(MotionPhase),
+}
+
+/// A segment being followed, braked or settled on.
+pub(super) struct Motion {
+    segment: Segment,
+    /// Servo period and setpoint interval, s.
+    period: f64,
+    interval: f64,
+    every: u32,
+    settling: Settling,
+    /// Where between two planned setpoints the motion is; none before its first tick.
+    between: Option<Interpolator>,
+    /// Whole setpoint intervals behind, and ticks into the current one.
+    intervals: u64,
+    ticks: u32,
+    stopping: bool,
+    settled_for: u32,
+    settling_for: u32,
+    elapsed: u64,
+    max_error: f64,
+    error: f64,
+    resting: bool,
+}
+
+impl Motion {
+    pub(super) fn new(segment: Segment, config: &ServoConfig) -> Self {
+        let period = config.period.as_secs_f64();
+        Self {
+            segment,
+            period,
+            interval: period * f64::from(config.setpoint_every),
+            every: config.setpoint_every,
+            settling: config.settling,
+            between: None,
+            intervals: 0,
+            ticks: 0,
+            stopping: false,
+            settled_for: 0,
+            settling_for: 0,
+            elapsed: 0,
+            max_error: 0.0,
+            error: 0.0,
+            resting: false,
+        }
+    }
+
+    /// Time along the segment, s, from counts, so that it never drifts.
+    fn time(&self) -> f64 {
+        // A motion of 2^53 intervals would take longer than the arm will last.
+        self.intervals as f64 * self.interval + f64::from(self.ticks) * self.period
+    }
+
+    /// From now on brakes along the path, from the setpoint that holds now.
+    pub(super) fn stop(&mut self, now: &Setpoint) {
+        if self.stopping || self.resting {
+            self.stopping = true;
+            return;
+        }
+        self.stopping = true;
+        self.segment = self.segment.braked_at(self.time());
+        self.intervals = 0;
+        self.ticks = 0;
+        // The first interval starts at the setpoint in force, which between two planned setpoints
+        // may be a hair off the path: no step, whenever the stop comes.
+        let first = self.segment.at(self.interval, &now.position);
+        self.between = first
+            .ok()
+            .map(|first| Interpolator::new(*now, first, self.interval));
+    }
+
+    /// The setpoint of this tick, given the one before and the readings of this tick.
+    pub(super) fn advance(
+        &mut self,
+        before: &Setpoint,
+        readings: &[SlotReading; DOF],
+    ) -> Result<(Setpoint, Progress), SegmentError> {
+        self.elapsed += 1;
+        let setpoint = if self.resting {
+            *before
+        } else {
+            self.next(before)?
+        };
+        self.measure(&setpoint, readings);
+        if !self.resting {
+            return Ok((setpoint, Progress::Going));
+        }
+        self.settling_for += 1;
+        let slow = readings
+            .iter()
+            .all(|reading| reading.velocity.abs() <= self.settling.speed);
+        if slow && self.error <= self.settling.error {
+            self.settled_for += 1;
+        } else {
+            self.settled_for = 0;
+        }
+        let progress = if self.settled_for >= self.settling.ticks {
+            Progress::Finished(if self.stopping {
+                MotionPhase::Stopped
+            } else {
+                MotionPhase::Done
+            })
+        } else if self.settling_for >= self.settling.patience {
+            Progress::Finished(MotionPhase::Unsettled)
+        } else {
+            Progress::Going
+        };
+        Ok((setpoint, progress))
+    }
+
+    fn next(&mut self, before: &Setpoint) -> Result<Setpoint, SegmentError> {
+        let between = match self.between {
+            Some(between) => {
+                self.ticks += 1;
+                between
+            }
+            None => {
+                let from = self.segment.at(0.0, &before.position)?;
+                let between = self.interval_from(from, 0)?;
+                self.between = Some(between);
+                between
+            }
+        };
+        if self.ticks < self.every {
+            return Ok(between.at(f64::from(self.ticks) * self.period));
+        }
+        self.ticks = 0;
+        self.intervals += 1;
+        let reached = *between.end();
+        if self.time() >= self.segment.duration() {
+            self.resting = true;
+            return Ok(Setpoint::at_rest(reached.position));
+        }
+        self.between = Some(self.interval_from(reached, self.intervals)?);
+        Ok(reached)
+    }
+
+    fn interval_from(&self, from: Setpoint, intervals: u64) -> Result<Interpolator, SegmentError> {
+        let end = (intervals + 1) as f64 * self.interval;
+        let to = self.segment.at(end, &from.position)?;
+        Ok(Interpolator::new(from, to, self.interval))
+    }
+
+    fn measure(&mut self, setpoint: &Setpoint, readings: &[SlotReading; DOF]) {
+        let pairs = setpoint.position.iter().zip(readings);
+        self.error = pairs.fold(0.0, |most, (wanted, reading)| {
+            most.max((wanted - reading.position).abs())
+        });
+        self.max_error = self.max_error.max(self.error);
+    }
+
+    pub(super) fn report(&self, status: &mut MotionStatus) {
+        status.elapsed_ticks = self.elapsed;
+        status.max_tracking_error = self.max_error;
+        status.error = self.error;
+        status.phase = match (self.resting, self.stopping) {
+            (true, _) => MotionPhase::Settling,
+            (false, true) => MotionPhase::Stopping,
+            (false, false) => MotionPhase::Moving,
+        };
+    }
+}

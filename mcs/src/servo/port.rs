@@ -1,0 +1,226 @@
+//! How everything else reaches the servo: orders in, snapshots out.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crossbeam_queue::ArrayQueue;
+use serde::{Deserialize, Serialize};
+
+use crate::arm::Joints;
+use crate::driver::{DriverError, Power};
+use crate::trajectory::Segment;
+
+/// An order to the servo. Orders that the present state does not allow change nothing; the status
+/// shows what holds.
+#[derive(Debug, Clone)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a segment behind a pointer would be freed, and so call the allocator, in the tick"
+)]
+pub enum ServoCommand {
+    /// Power on, brakes stay on.
+    PowerOn,
+    /// Open the brakes and hold the arm where it is measured to be.
+    ReleaseBrakes,
+    /// Protective stop if moving, then brakes on, power stays on.
+    EngageBrakes,
+    /// Protective stop if moving, then brakes on and power off.
+    PowerOff,
+    /// Follow a segment, from rest, from the setpoint that is held.
+    Move {
+        /// Number by which the status reports it.
+        id: u64,
+        /// The planned segment.
+        segment: Segment,
+    },
+    /// Protective stop: brake along the path within limits to rest, then hold (category 2).
+    Stop,
+    /// Drive power off in the next tick (category 0), latched until [`Self::Reset`].
+    EmergencyStop,
+    /// Clears a fault. Power stays off.
+    Reset,
+}
+
+/// Why drive power was taken away.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, thiserror::Error)]
+pub enum Fault {
+    /// Somebody asked for it.
+    #[error("emergency stop was asked for")]
+    EmergencyStop,
+    /// The channel driver reported an error; [`ServoPort::driver_error`] has its words.
+    #[error("the channel driver failed")]
+    Driver,
+    /// A slot read as a NaN or an infinity.
+    #[error("slot {slot} reads as no finite number")]
+    Reading {
+        /// Slot, from 0.
+        slot: usize,
+    },
+    /// A joint was too far from its setpoint.
+    #[error("joint {joint} was {error:.4} rad from its setpoint, the limit is {limit:.4} rad")]
+    FollowingError {
+        /// Joint number, from 1.
+        joint: usize,
+        /// Distance, rad.
+        error: f64,
+        /// Limit, rad.
+        limit: f64,
+    },
+    /// The control law gave a torque that is no finite number.
+    #[error("the control law gave a torque that is no finite number")]
+    ControlLaw,
+    /// A segment had no setpoint although it was checked.
+    #[error("the segment has no setpoint here although it was checked")]
+    Segment,
+}
+
+/// Why the servo did not take a segment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum Rejection {
+    /// Power is off, the brakes are on or about to be.
+    #[error("the brakes are not released")]
+    NotReleased,
+    /// Another motion is under way.
+    #[error("another motion is under way")]
+    Busy,
+    /// The segment does not start where the arm is held.
+    #[error("the segment does not start where the arm is held")]
+    StartsElsewhere,
+    /// The segment has no setpoint at its start.
+    #[error("the segment has no setpoint at its start")]
+    Unfit,
+}
+
+/// How far a motion is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum MotionPhase {
+    /// No motion since start.
+    #[default]
+    None,
+    /// Following the segment.
+    Moving,
+    /// Braking along the path.
+    Stopping,
+    /// The setpoint rests; waiting for the arm to.
+    Settling,
+    /// Arrived and settled.
+    Done,
+    /// Stopped before the end, and settled.
+    Stopped,
+    /// The setpoint rests but the arm did not settle in time.
+    Unsettled,
+    /// Ended by a fault.
+    Failed,
+}
+
+impl MotionPhase {
+    /// Whether nothing more happens to this motion.
+    #[must_use]
+    pub fn is_over(self) -> bool {
+        !matches!(self, Self::Moving | Self::Stopping | Self::Settling)
+    }
+}
+
+/// The latest motion.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct MotionStatus {
+    /// The number it was ordered under; 0 before the first.
+    pub id: u64,
+    /// How far it is.
+    pub phase: MotionPhase,
+    /// Ticks since it began.
+    pub elapsed_ticks: u64,
+    /// Largest distance of any joint from its setpoint since it began, rad.
+    pub max_tracking_error: f64,
+    /// Largest distance of any joint from its setpoint now; once over, the final error. rad.
+    pub error: f64,
+}
+
+/// What the servo shows after each tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct ServoStatus {
+    /// Ticks since start.
+    pub ticks: u64,
+    /// Periods skipped since start.
+    pub missed: u64,
+    /// Physical state.
+    pub power: Power,
+    /// Latched fault.
+    pub fault: Option<Fault>,
+    /// Joint positions as read back, rad.
+    pub position: Joints,
+    /// Joint velocities as read back, rad/s.
+    pub velocity: Joints,
+    /// Joint setpoints, rad.
+    pub setpoint: Joints,
+    /// Torques written, N m.
+    pub torque: Joints,
+    /// Nothing moves and nothing is going to.
+    pub at_rest: bool,
+    /// The latest motion.
+    pub motion: MotionStatus,
+    /// Number of the latest segment that was not taken, and why.
+    pub rejected: Option<(u64, Rejection)>,
+}
+
+/// The other side of a [`super::Servo`]: any number of tasks may use it at once. Readers may wait for
+/// each other for some nanoseconds; the servo waits for nobody.
+pub struct ServoPort {
+    commands: Arc<ArrayQueue<ServoCommand>>,
+    driver_errors: Arc<ArrayQueue<DriverError>>,
+    last_driver_error: Mutex<Option<DriverError>>,
+    status: Mutex<triple_buffer::Output<ServoStatus>>,
+}
+
+/// The servo's queue of orders is full: it is not running.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the servo does not take orders; is its processor running?")]
+pub struct PortFull;
+
+impl ServoPort {
+    pub(super) fn new(
+        commands: Arc<ArrayQueue<ServoCommand>>,
+        driver_errors: Arc<ArrayQueue<DriverError>>,
+        status: triple_buffer::Output<ServoStatus>,
+    ) -> Self {
+        Self {
+            commands,
+            driver_errors,
+            last_driver_error: Mutex::new(None),
+            status: Mutex::new(status),
+        }
+    }
+
+    /// Gives an order, obeyed in the next tick.
+    ///
+    /// # Errors
+    /// [`PortFull`] when the servo has taken none for a long time.
+    pub fn order(&self, command: ServoCommand) -> Result<(), PortFull> {
+        self.commands.push(command).map_err(|_| PortFull)
+    }
+
+    /// Emergency stop, which gets through even when the queue is full of other orders.
+    pub fn emergency_stop(&self) {
+        self.commands.force_push(ServoCommand::EmergencyStop);
+    }
+
+    /// What the latest tick left.
+    #[must_use]
+    pub fn status(&self) -> ServoStatus {
+        // A reader that panicked cannot have left the buffer half-written: only the servo writes.
+        let mut reader = self.status.lock().unwrap_or_else(PoisonError::into_inner);
+        *reader.read()
+    }
+
+    /// What the channel driver said when it last failed.
+    #[must_use]
+    pub fn driver_error(&self) -> Option<DriverError> {
+        let mut last = self
+            .last_driver_error
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if let Some(error) = self.driver_errors.pop() {
+            *last = Some(error);
+        }
+        last.clone()
+    }
+}

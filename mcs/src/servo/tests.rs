@@ -1,0 +1,374 @@
+//! The servo on an arm that obeys the equations of motion.
+
+use std::sync::atomic::Ordering;
+
+use super::*;
+use crate::arm::DynamicsOptions;
+use crate::control::{ComputedTorque, JointGains, PidGravity};
+use crate::driver::test_arm::{Knobs, START, TestArm};
+use crate::trajectory::{CartesianLimits, Planner, Segment};
+use nalgebra::{Isometry3, Translation3};
+
+const GOAL: Joints = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1];
+struct Rig {
+    servo: Servo,
+    port: ServoPort,
+    planner: Planner,
+    knobs: Arc<Knobs>,
+}
+
+impl Rig {
+    fn new(true_arm: ArmModel, friction: bool, law: impl ControlLaw + 'static) -> Self {
+        let model = Arc::new(ArmModel::puma560());
+        let knobs = Arc::new(Knobs::default());
+        let arm = TestArm::new(true_arm, friction, &knobs);
+        let config = ServoConfig::default();
+        let (servo, port) =
+            Servo::new(Arc::clone(&model), Box::new(arm), Box::new(law), config).unwrap();
+        let planner = Planner::new(
+            model,
+            Isometry3::identity(),
+            CartesianLimits::default(),
+            0.018,
+        );
+        Self {
+            servo,
+            port,
+            planner,
+            knobs,
+        }
+    }
+
+    fn pid() -> Self {
+        Self::new(ArmModel::puma560(), false, pid())
+    }
+
+    fn order(&mut self, command: ServoCommand) {
+        self.port.order(command).unwrap();
+        self.servo.tick(0);
+    }
+
+    fn release(&mut self) {
+        self.order(ServoCommand::PowerOn);
+        self.order(ServoCommand::ReleaseBrakes);
+        assert_eq!(self.port.status().power, Power::Released);
+    }
+
+    fn start(&mut self, segment: Segment) {
+        let id = self.port.status().motion.id + 1;
+        self.order(ServoCommand::Move { id, segment });
+    }
+
+    fn plan(&self, speed: f64) -> Segment {
+        let start = self.port.status().setpoint;
+        self.planner.joint(&start, &GOAL, speed).unwrap()
+    }
+
+    fn run_to_end(&mut self) -> MotionStatus {
+        for _ in 0..10_000 {
+            self.servo.tick(0);
+            let motion = self.port.status().motion;
+            if motion.phase.is_over() {
+                return motion;
+            }
+        }
+        panic!("the motion never ended");
+    }
+}
+
+fn pid() -> PidGravity {
+    let model = Arc::new(ArmModel::puma560());
+    let gains = JointGains::by_bandwidth(&model, 6.0, 1.0);
+    PidGravity::new(model, gains)
+}
+
+#[test]
+fn pid_with_gravity_compensation_tracks_within_the_anchors_four_milliradians() {
+    let mut rig = Rig::pid();
+    rig.release();
+    let segment = rig.plan(0.5);
+    let duration = segment.duration();
+    rig.start(segment);
+    let motion = rig.run_to_end();
+    assert_eq!(motion.phase, MotionPhase::Done);
+    assert!(motion.max_tracking_error < 4e-3, "{motion:?}");
+    assert!(motion.error < 5e-4, "{motion:?}");
+    assert_eq!(rig.port.status().setpoint, GOAL);
+    let elapsed = motion.elapsed_ticks as f64 * 0.0045;
+    assert!(elapsed > duration && elapsed < duration + 1.5);
+}
+
+#[test]
+fn computed_torque_tracks_better_than_pid_with_the_same_bandwidth() {
+    let law = ComputedTorque::new(
+        Arc::new(ArmModel::puma560()),
+        6.0,
+        1.0,
+        DynamicsOptions::WITH_ROTORS,
+    );
+    let mut rig = Rig::new(ArmModel::puma560(), false, law);
+    rig.release();
+    let segment = rig.plan(0.5);
+    rig.start(segment);
+    let motion = rig.run_to_end();
+    let mut pid = Rig::pid();
+    pid.release();
+    let segment = pid.plan(0.5);
+    pid.start(segment);
+    let by_pid = pid.run_to_end();
+    assert!(motion.max_tracking_error < 0.5 * by_pid.max_tracking_error);
+}
+
+#[test]
+fn a_tenth_more_mass_and_dry_friction_still_settle_through_the_integral() {
+    let mut heavy = ArmModel::puma560();
+    for link in &mut heavy.links {
+        link.mass *= 1.1;
+        link.inertia *= 1.1;
+    }
+    let mut rig = Rig::new(heavy, true, pid());
+    rig.release();
+    let segment = rig.plan(0.5);
+    rig.start(segment);
+    let motion = rig.run_to_end();
+    assert_eq!(
+        motion.phase,
+        MotionPhase::Done,
+        "{motion:?} {:?}",
+        rig.port.status()
+    );
+    assert!(motion.max_tracking_error < 0.03, "{motion:?}");
+}
+
+#[test]
+fn a_straight_line_is_followed_to_its_end() {
+    let mut rig = Rig::pid();
+    rig.release();
+    let goal = Translation3::new(0.05, 0.25, -0.1) * rig.planner.tool_pose(&START);
+    let segment = rig
+        .planner
+        .line(&rig.port.status().setpoint, &goal, 0.8)
+        .unwrap();
+    rig.start(segment);
+    let motion = rig.run_to_end();
+    assert_eq!(motion.phase, MotionPhase::Done);
+    let reached = rig.planner.tool_pose(&rig.port.status().position);
+    assert!((reached.translation.vector - goal.translation.vector).norm() < 1e-3);
+}
+
+/// Runs `ticks` of a motion and then `then`, and checks every setpoint on the way to rest.
+fn stop_within_limits(ticks: u32, then: ServoCommand) -> (Rig, f64) {
+    let mut rig = Rig::pid();
+    rig.release();
+    let segment = rig.plan(1.0);
+    rig.start(segment);
+    for _ in 0..ticks {
+        rig.servo.tick(0);
+    }
+    let mut then = Some(then);
+    let mut history = Vec::new();
+    for _ in 0..1500 {
+        if let Some(command) = then.take() {
+            rig.port.order(command).unwrap();
+        }
+        rig.servo.tick(0);
+        history.push(rig.port.status().setpoint);
+        if rig.port.status().at_rest {
+            break;
+        }
+    }
+    let mut still_after = 0.0;
+    for (index, triple) in history.windows(3).enumerate() {
+        for (joint, limit) in rig.planner.model().limits.iter().enumerate() {
+            let [a, b, c] = [0, 1, 2].map(|at: usize| triple[at][joint]);
+            assert!((c - b).abs() / 0.0045 <= limit.velocity * 1.001);
+            // An interval of the cubic that holds a jump of acceleration reaches 4/3 of it.
+            let acceleration = (c - 2.0 * b + a) / (0.0045 * 0.0045);
+            assert!(
+                acceleration.abs() <= limit.acceleration * 1.34 + 1e-6,
+                "joint {joint}: {acceleration}"
+            );
+            if c != b {
+                still_after = index as f64 * 0.0045;
+            }
+        }
+    }
+    (rig, still_after)
+}
+
+#[test]
+fn a_protective_stop_brakes_on_the_path_within_limits_and_then_holds() {
+    for ticks in [1, 30, 57, 90, 130] {
+        let (mut rig, braking) = stop_within_limits(ticks, ServoCommand::Stop);
+        let status = rig.port.status();
+        assert!(status.at_rest);
+        assert_eq!(status.power, Power::Released);
+        assert_eq!(status.motion.phase, MotionPhase::Stopped);
+        // Closed form: top speed over acceleration, and two setpoint intervals.
+        assert!(braking <= 1.5 / 12.0 + 0.2 + 0.036, "{braking}");
+        let shares: Vec<f64> = (0..DOF)
+            .map(|i| (status.setpoint[i] - START[i]) / (GOAL[i] - START[i]))
+            .collect();
+        // Between setpoints the cubic may leave the path by a hair; at rest it is on it.
+        assert!(
+            shares.iter().all(|share| (share - shares[0]).abs() < 1e-6),
+            "{shares:?}"
+        );
+        let held = status.setpoint;
+        rig.servo.tick(0);
+        assert_eq!(rig.port.status().setpoint, held);
+    }
+}
+
+#[test]
+fn power_off_in_a_motion_stops_first_then_brakes_then_cuts_the_power() {
+    let (rig, _) = stop_within_limits(60, ServoCommand::PowerOff);
+    let status = rig.port.status();
+    assert_eq!(status.power, Power::Off);
+    assert!(status.at_rest);
+    assert_eq!(status.motion.phase, MotionPhase::Stopped);
+}
+
+#[test]
+fn a_driver_fault_cuts_power_in_the_same_tick_and_stays_until_reset() {
+    for (knob, expected) in [
+        (1, Fault::Driver),
+        (2, Fault::Driver),
+        (3, Fault::Reading { slot: 4 }),
+    ] {
+        let mut rig = Rig::pid();
+        rig.release();
+        let segment = rig.plan(1.0);
+        rig.start(segment);
+        for _ in 0..50 {
+            rig.servo.tick(0);
+        }
+        rig.knobs.fault.store(knob, Ordering::Relaxed);
+        rig.servo.tick(0);
+        let status = rig.port.status();
+        assert_eq!(status.power, Power::Off);
+        assert_eq!(status.fault, Some(expected));
+        assert_eq!(status.motion.phase, MotionPhase::Failed);
+        if expected == Fault::Driver {
+            assert!(
+                rig.port
+                    .driver_error()
+                    .unwrap()
+                    .to_string()
+                    .contains("cable out")
+            );
+        }
+        rig.knobs.fault.store(0, Ordering::Relaxed);
+        let writes = rig.knobs.writes_under_power.load(Ordering::Relaxed);
+        rig.order(ServoCommand::PowerOn);
+        rig.order(ServoCommand::ReleaseBrakes);
+        assert_eq!(rig.port.status().power, Power::Off);
+        rig.order(ServoCommand::Reset);
+        assert_eq!(rig.port.status().power, Power::Off);
+        assert_eq!(rig.knobs.writes_under_power.load(Ordering::Relaxed), writes);
+        // After the reset the arm is held where it is, not where it was once sent.
+        rig.release();
+        let status = rig.port.status();
+        let pairs = status.setpoint.iter().zip(&status.position);
+        assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+}
+
+#[test]
+fn a_blocked_joint_is_an_emergency_that_names_joint_error_and_limit() {
+    let mut rig = Rig::pid();
+    rig.release();
+    let segment = rig.plan(1.0);
+    rig.start(segment);
+    rig.knobs.fault.store(4, Ordering::Relaxed);
+    let motion = rig.run_to_end();
+    assert_eq!(motion.phase, MotionPhase::Failed);
+    let fault = rig.port.status().fault.unwrap();
+    assert!(
+        matches!(fault, Fault::FollowingError { joint: 1, .. }),
+        "{fault}"
+    );
+}
+
+#[test]
+fn an_emergency_stop_gets_through_a_full_queue() {
+    let mut rig = Rig::pid();
+    rig.release();
+    while rig.port.order(ServoCommand::Stop).is_ok() {}
+    rig.port.emergency_stop();
+    rig.servo.tick(0);
+    let status = rig.port.status();
+    assert_eq!(
+        (status.power, status.fault),
+        (Power::Off, Some(Fault::EmergencyStop))
+    );
+}
+
+#[test]
+fn a_segment_is_taken_only_at_rest_with_brakes_released_and_from_where_the_arm_is() {
+    let mut rig = Rig::pid();
+    let rejected = |rig: &Rig| rig.port.status().rejected;
+    let segment = rig.plan(0.5);
+    rig.start(segment);
+    assert_eq!(rejected(&rig), Some((1, Rejection::NotReleased)));
+    rig.release();
+    let elsewhere = rig.planner.joint(&GOAL, &START, 0.5).unwrap();
+    rig.order(ServoCommand::Move {
+        id: 2,
+        segment: elsewhere,
+    });
+    assert_eq!(rejected(&rig), Some((2, Rejection::StartsElsewhere)));
+    let segment = rig.plan(0.5);
+    rig.order(ServoCommand::Move {
+        id: 3,
+        segment: segment.clone(),
+    });
+    rig.order(ServoCommand::Move { id: 4, segment });
+    assert_eq!(rejected(&rig), Some((4, Rejection::Busy)));
+    // The motion under way is not disturbed and still reported under its own number.
+    let motion = rig.run_to_end();
+    assert_eq!((motion.id, motion.phase), (3, MotionPhase::Done));
+}
+
+#[test]
+fn a_motion_of_no_length_is_done_at_once_and_settles() {
+    let mut rig = Rig::pid();
+    rig.release();
+    let here = rig.port.status().setpoint;
+    let segment = rig.planner.joint(&here, &here, 0.5).unwrap();
+    rig.start(segment);
+    assert_eq!(rig.run_to_end().phase, MotionPhase::Done);
+}
+
+#[test]
+fn the_same_orders_give_the_same_bits() {
+    let run = || {
+        let mut rig = Rig::pid();
+        rig.release();
+        let segment = rig.plan(0.7);
+        rig.start(segment);
+        rig.run_to_end();
+        rig.port.status()
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_driver_with_other_slots_or_a_period_of_zero_is_refused() {
+    struct Lamp;
+    impl ChannelDriver for Lamp {
+        fn slots(&self) -> usize {
+            1
+        }
+        fn read(&mut self, _: &mut [SlotReading]) -> Result<(), DriverError> {
+            Ok(())
+        }
+        fn write(&mut self, _: &[f64], _: Power, _: Duration) -> Result<(), DriverError> {
+            Ok(())
+        }
+    }
+    let model = Arc::new(ArmModel::puma560());
+    let config = ServoConfig::default();
+    let refused = Servo::new(model, Box::new(Lamp), Box::new(pid()), config).err();
+    assert_eq!(refused, Some(ServoError::Slots { found: 1 }));
+}

@@ -1,0 +1,192 @@
+//! The client interface as a task: the one door for users who do not deal with the lower layers.
+//!
+//! Checks who asks, has the state manager bring the manipulator into the state needed, and passes
+//! motions to the planner. Never blocked by a motion: stopping and asking stay possible meanwhile.
+
+use std::time::Duration;
+
+use ctos::call::CallError;
+use ctos::message::{Command, Message};
+use ctos::registry::Registry;
+use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, TaskRef};
+
+use super::args::ClientArgs;
+use super::servo::{ReadServo, StopKind, StopServo};
+use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
+use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
+use crate::client::{
+    Acquire, EmergencyStop, Move, Plan, Position, ReadPosition, Release, Reset, Status,
+    StatusReport, Stop,
+};
+
+/// The planner answers every move at its end; this only bounds what cannot happen.
+const LONGEST_MOVE: Duration = Duration::from_secs(3600);
+/// Coming to rest and switching off may take as long as settling.
+const REST: Duration = Duration::from_secs(30);
+
+pub(super) fn register(registry: &mut Registry) {
+    let commands = [
+        Acquire::INFO,
+        Move::INFO,
+        Plan::INFO,
+        ReadPosition::INFO,
+        Stop::INFO,
+        Release::INFO,
+        Status::INFO,
+        EmergencyStop::INFO,
+        Reset::INFO,
+    ];
+    registry
+        .handler(CLIENT, &commands, |cx| {
+            Ok(ClientTask {
+                args: cx.args()?,
+                parts: None,
+            })
+        })
+        .check_in_app(|task, app, findings| {
+            if let Some(args) = findings.keep(task.args.parse::<ClientArgs>()) {
+                for (key, name, handler) in [
+                    ("servo", &args.servo, SERVO),
+                    ("state", &args.state, STATE),
+                    ("planner", &args.planner, PLANNER),
+                ] {
+                    check_reference(task, app, findings, (key, name), handler, false);
+                }
+            }
+        });
+}
+
+#[derive(Clone)]
+struct Parts {
+    servo: TaskRef,
+    state: TaskRef,
+    planner: TaskRef,
+}
+
+struct ClientTask {
+    args: ClientArgs,
+    parts: Option<Parts>,
+}
+
+/// A refusal of a part is passed on in its own words; anything else names both tasks.
+fn passed_on(error: &CallError) -> HandlerError {
+    HandlerError::new(error.reason())
+}
+
+impl ClientTask {
+    fn parts(&self) -> Result<Parts, HandlerError> {
+        self.parts.clone().ok_or_else(|| "not connected yet".into())
+    }
+
+    async fn ask<C: Command>(
+        cx: &Context,
+        part: &TaskRef,
+        request: C,
+    ) -> Result<C::Reply, HandlerError> {
+        let asked = cx.call(part, request).deadline(REST).high_priority();
+        asked.await.map_err(|error| passed_on(&error))
+    }
+
+    /// Brings the manipulator into the motion state for the caller, then lets the planner answer.
+    async fn begin(&self, cx: &Context, message: Message) -> Handled {
+        let parts = self.parts()?;
+        let by = caller(cx, message.from()).await?;
+        let (request, reply) = message.open::<Move>()?;
+        if let Err(error) = Self::ask(cx, &parts.state, EnableMotion { by }).await {
+            return reply.fail(error);
+        }
+        let call = cx.call(&parts.planner, request).deadline(LONGEST_MOVE);
+        let own = cx.clone();
+        cx.spawn(async move {
+            let answered = match call.await {
+                Ok(report) => reply.ok(report),
+                Err(error) => reply.fail(passed_on(&error)),
+            };
+            if let Err(error) = answered {
+                tracing::warn!(task = own.name(), %error, "a move could not be answered");
+            }
+        });
+        Ok(())
+    }
+
+    async fn status(&self, cx: &Context) -> Result<StatusReport, HandlerError> {
+        let parts = self.parts()?;
+        let servo = Self::ask(cx, &parts.servo, ReadServo {}).await?;
+        let state = Self::ask(cx, &parts.state, ReadState {}).await?;
+        Ok(StatusReport {
+            state: state.state,
+            holder: state.holder,
+            fault: servo.fault,
+            motion: servo.status.motion.phase,
+            ticks: servo.status.ticks,
+            missed: servo.status.missed,
+        })
+    }
+
+    async fn halt(&self, cx: &Context, kind: StopKind) -> Result<(), HandlerError> {
+        let parts = self.parts()?;
+        Self::ask(cx, &parts.servo, StopServo { kind }).await
+    }
+}
+
+impl EventHandler for ClientTask {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Move::CODE => self.begin(cx, message).await,
+            Acquire::CODE => {
+                let by = caller(cx, message.from()).await?;
+                let (Acquire {}, reply) = message.open::<Acquire>()?;
+                reply.ok(Self::ask(cx, &self.parts()?.state, Reserve { by }).await?)
+            }
+            Release::CODE => {
+                let by = caller(cx, message.from()).await?;
+                let (Release {}, reply) = message.open::<Release>()?;
+                reply.ok(Self::ask(cx, &self.parts()?.state, Unreserve { by }).await?)
+            }
+            Reset::CODE => {
+                let by = caller(cx, message.from()).await?;
+                let (Reset {}, reply) = message.open::<Reset>()?;
+                reply.ok(Self::ask(cx, &self.parts()?.state, ResetEstop { by }).await?)
+            }
+            Plan::CODE => {
+                let (request, reply) = message.open::<Plan>()?;
+                reply.ok(Self::ask(cx, &self.parts()?.planner, request).await?)
+            }
+            ReadPosition::CODE => {
+                let (ReadPosition {}, reply) = message.open::<ReadPosition>()?;
+                let servo = Self::ask(cx, &self.parts()?.servo, ReadServo {}).await?;
+                reply.ok(Position {
+                    joints: servo.status.position,
+                    base_t_tool: servo.base_t_tool,
+                    at_rest: servo.status.at_rest,
+                })
+            }
+            Stop::CODE => {
+                let (Stop {}, reply) = message.open::<Stop>()?;
+                self.halt(cx, StopKind::Protective).await?;
+                reply.ok(())
+            }
+            EmergencyStop::CODE => {
+                let (EmergencyStop {}, reply) = message.open::<EmergencyStop>()?;
+                self.halt(cx, StopKind::Emergency).await?;
+                reply.ok(())
+            }
+            Status::CODE => {
+                let (Status {}, reply) = message.open::<Status>()?;
+                reply.ok(self.status(cx).await?)
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Connect {
+            self.parts = Some(Parts {
+                servo: cx.task(&self.args.servo).await?,
+                state: cx.task(&self.args.state).await?,
+                planner: cx.task(&self.args.planner).await?,
+            });
+        }
+        Ok(())
+    }
+}

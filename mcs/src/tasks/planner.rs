@@ -1,0 +1,278 @@
+//! The planner as a task: takes [`Plan`] and [`Move`], checks them, gives segments to the servo and
+//! answers a move when the arm has settled.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+
+use ctos::message::{Command, Message, Replier};
+use ctos::registry::Registry;
+use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+
+use super::args::PartArgs;
+use super::{Link, PLANNER, SERVO, check_reference};
+use crate::arm::Joints;
+use crate::client::{Move, MoveReport, PathKind, Plan, PlanReport, Target};
+use crate::driver::Power;
+use crate::servo::{MotionPhase, ServoCommand, ServoStatus};
+use crate::trajectory::Segment;
+
+/// How far the rotation of a target pose may be from a rotation, per entry.
+const ROTATION_ROUNDING: f64 = 1e-6;
+
+pub(super) fn register(registry: &mut Registry) {
+    registry
+        .handler(PLANNER, &[Move::INFO, Plan::INFO], |cx| {
+            let args: PartArgs = cx.args()?;
+            Ok(PlannerTask {
+                servo: args.servo,
+                link: None,
+                running: Rc::default(),
+                stopped: None,
+            })
+        })
+        .check_in_app(|task, app, findings| {
+            if let Some(args) = findings.keep(task.args.parse::<PartArgs>()) {
+                check_reference(task, app, findings, ("servo", &args.servo), SERVO, true);
+            }
+        });
+}
+
+/// The caller of the motion under way, who waits for its end.
+type Running = Rc<RefCell<Option<Replier<Move>>>>;
+
+struct PlannerTask {
+    servo: String,
+    link: Option<Arc<Link>>,
+    running: Running,
+    /// Why nothing moves any more.
+    stopped: Option<String>,
+}
+
+impl PlannerTask {
+    fn link(&self) -> Result<Arc<Link>, HandlerError> {
+        self.link
+            .clone()
+            .ok_or_else(|| "the servo is not connected yet".into())
+    }
+
+    /// The segment for a request from where the arm is held (or stands), and where it ends.
+    fn plan(&self, link: &Link, request: &Plan) -> Result<(Segment, Joints), HandlerError> {
+        let status = link.port.status();
+        let start = status.setpoint;
+        let planner = &link.planner;
+        let goal = match &request.target {
+            Target::Joints(joints) => {
+                planner.check_joints(joints)?;
+                Goal::Joints(*joints)
+            }
+            Target::Pose(rows) => Goal::Pose(pose(rows)?),
+        };
+        let segment = match (request.path, goal) {
+            (PathKind::Joint, Goal::Joints(joints)) => {
+                planner.joint(&start, &joints, request.speed)?
+            }
+            (PathKind::Joint, Goal::Pose(pose)) => {
+                let joints = planner.joints_for(&pose, &start, request.elbow)?;
+                planner.joint(&start, &joints, request.speed)?
+            }
+            (PathKind::StraightLine, Goal::Joints(joints)) => {
+                planner.line(&start, &planner.tool_pose(&joints), request.speed)?
+            }
+            (PathKind::StraightLine, Goal::Pose(pose)) => {
+                planner.line(&start, &pose, request.speed)?
+            }
+        };
+        let end = segment.end(&end_hint(&segment, &start))?;
+        Ok((segment, end))
+    }
+
+    fn begin(&mut self, cx: &Context, request: Move, reply: Replier<Move>) -> Handled {
+        let link = self.link()?;
+        if let Some(reason) = &self.stopped {
+            return reply.fail(format!("stopped because {reason}"));
+        }
+        if self.running.borrow().is_some() {
+            return reply.fail("another motion is under way; wait for it, or stop it first");
+        }
+        let status = link.port.status();
+        if let Some(fault) = link.fault() {
+            return reply.fail(format!(
+                "power was taken away: {fault}; reset and acquire anew"
+            ));
+        }
+        if status.power != Power::Released {
+            return reply.fail(
+                "the brakes are on; acquire the manipulator and move through its client interface",
+            );
+        }
+        if !status.motion.phase.is_over() {
+            return reply.fail("the arm is still coming to rest; try again when it has");
+        }
+        let request = Plan {
+            target: request.target,
+            path: request.path,
+            speed: request.speed,
+            elbow: request.elbow,
+        };
+        let segment = match self.plan(&link, &request) {
+            Ok((segment, _)) => segment,
+            Err(error) => return reply.fail(error),
+        };
+        let last_rejected = status.rejected.map_or(0, |(id, _)| id);
+        let id = status.motion.id.max(last_rejected) + 1;
+        let duration = segment.duration();
+        link.port.order(ServoCommand::Move { id, segment })?;
+        *self.running.borrow_mut() = Some(reply);
+        cx.spawn(watch(
+            cx.clone(),
+            link,
+            Rc::clone(&self.running),
+            id,
+            duration,
+        ));
+        Ok(())
+    }
+
+    /// Answers the caller of the motion under way and brings the arm to rest.
+    async fn halt(&mut self, cx: &Context, reason: String) -> Handled {
+        if let Some(reply) = self.running.borrow_mut().take() {
+            reply.fail(format!("stopped because {reason}"))?;
+        }
+        self.stopped = Some(reason);
+        if let Some(link) = self.link.clone() {
+            link.port.order(ServoCommand::Stop)?;
+            let patience = link.rest_patience();
+            let resting = |status: &ServoStatus| status.at_rest;
+            link.wait(cx, "come to rest", patience, resting).await?;
+        }
+        Ok(())
+    }
+}
+
+/// A line's end is asked for near its planned end, so that whole turns come out the same.
+fn end_hint(segment: &Segment, start: &Joints) -> Joints {
+    match segment.path() {
+        crate::trajectory::Path::Line(line) => line.end_joints,
+        crate::trajectory::Path::Joint { .. } => *start,
+    }
+}
+
+enum Goal {
+    Joints(Joints),
+    Pose(Isometry3<f64>),
+}
+
+/// A pose from 16 numbers, checked: a rotation, a translation and the last row of a pose.
+fn pose(rows: &[f64; 16]) -> Result<Isometry3<f64>, HandlerError> {
+    if let Some(index) = rows.iter().position(|value| !value.is_finite()) {
+        let (row, column) = (index / 4 + 1, index % 4 + 1);
+        let text = format!("row {row}, column {column} of the target pose is not a finite number");
+        return Err(text.into());
+    }
+    let [a, b, c, x, d, e, f, y, g, h, i, z, last @ ..] = *rows;
+    if last != [0.0, 0.0, 0.0, 1.0] {
+        return Err(
+            format!("the last row of the target pose is {last:?}; it must be 0, 0, 0, 1").into(),
+        );
+    }
+    let matrix = Matrix3::new(a, b, c, d, e, f, g, h, i);
+    let skew = (matrix * matrix.transpose() - Matrix3::identity()).amax();
+    if skew > ROTATION_ROUNDING || matrix.determinant() < 0.0 {
+        return Err(format!(
+            "the upper left 3 by 3 part of the target pose is no rotation (off by {skew:.1e}, determinant {:.3})",
+            matrix.determinant()
+        )
+        .into());
+    }
+    let rotation = Rotation3::from_matrix_unchecked(matrix);
+    let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
+/// Waits for the end of motion `id` and answers its caller.
+async fn watch(cx: Context, link: Arc<Link>, running: Running, id: u64, duration: f64) {
+    let over = move |status: &ServoStatus| {
+        status.fault.is_some()
+            || status.rejected.is_some_and(|(rejected, _)| rejected == id)
+            || (status.motion.id == id && status.motion.phase.is_over())
+    };
+    let patience = Duration::from_secs_f64(duration) + link.rest_patience();
+    let ended = link.wait(&cx, "end the motion", patience, over).await;
+    // A stop may have answered the caller already.
+    let Some(reply) = running.borrow_mut().take() else {
+        return;
+    };
+    let result = ended.and_then(|status| outcome(&link, &status, id));
+    let answered = match result {
+        Ok(report) => reply.ok(report),
+        Err(error) => reply.fail(error),
+    };
+    if let Err(error) = answered {
+        tracing::warn!(task = cx.name(), %error, "a move could not be answered");
+    }
+}
+
+fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, HandlerError> {
+    if let Some(fault) = link.fault() {
+        return Err(format!("power was taken away: {fault}; reset and acquire anew").into());
+    }
+    if let Some((rejected, reason)) = status.rejected
+        && rejected == id
+    {
+        return Err(reason.into());
+    }
+    let motion = &status.motion;
+    match motion.phase {
+        MotionPhase::Done => Ok(MoveReport {
+            duration_s: motion.elapsed_ticks as f64 * link.config.period.as_secs_f64(),
+            max_tracking_error_rad: motion.max_tracking_error,
+            final_error_rad: motion.error,
+            joints: status.position,
+        }),
+        MotionPhase::Stopped => Err("stopped before its end by a protective stop".into()),
+        _ => Err(format!(
+            "the arm did not settle: a joint is still {:.5} rad from its target",
+            motion.error
+        )
+        .into()),
+    }
+}
+
+impl EventHandler for PlannerTask {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Move::CODE => {
+                let (request, reply) = message.open::<Move>()?;
+                self.begin(cx, request, reply)
+            }
+            Plan::CODE => {
+                let (request, reply) = message.open::<Plan>()?;
+                let link = self.link()?;
+                let (segment, joints) = self.plan(&link, &request)?;
+                reply.ok(PlanReport {
+                    joints,
+                    duration_s: segment.duration(),
+                })
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Connect {
+            self.link = Some(Link::find(cx, &self.servo)?);
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        self.halt(cx, reason.to_string()).await
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        self.halt(cx, format!("chassis `{chassis}` is gone")).await
+    }
+}

@@ -1,0 +1,207 @@
+//! The servo's task: builds the channel driver, puts the synchronous function on its processor's
+//! schedule, and brings the arm to rest when the app stops or a part of it is gone.
+
+use std::sync::Arc;
+
+use ctos::config::{App, Node, TaskConfig};
+use ctos::diagnostic::{Finding, Findings};
+use ctos::message::{Command, Message};
+use ctos::registry::Registry;
+use ctos::sync::{CyclicHandle, Tick};
+use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
+use serde::{Deserialize, Serialize};
+
+use super::args::{Law, ServoArgs};
+use super::{Link, SERVO, rows};
+use crate::arm::{DynamicsOptions, Joints};
+use crate::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
+use crate::driver::DriverRegistry;
+use crate::servo::{Servo, ServoCommand, ServoStatus};
+use crate::trajectory::Planner;
+
+/// The servo's status with what only its own task knows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ServoReport {
+    /// What the latest tick left.
+    pub status: ServoStatus,
+    /// Why power was taken away, in the driver's words where it was the driver.
+    pub fault: Option<String>,
+    /// `base_t_tool` at the joint positions read back: 4 by 4, row by row, lengths in m.
+    pub base_t_tool: [f64; 16],
+}
+
+/// Orders that anybody may give.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StopKind {
+    /// Brake along the path to rest, then hold.
+    Protective,
+    /// Drive power off now.
+    Emergency,
+}
+
+ctos::command! {
+    /// Reads what the servo's latest tick left.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadServo => ServoReport, 0x0321, "read_servo"
+}
+ctos::command! {
+    /// Stops the arm.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct StopServo {
+        /// How.
+        pub kind: StopKind,
+    } => (), 0x0322, "stop_servo"
+}
+
+pub(super) fn register(registry: &mut Registry, drivers: Arc<DriverRegistry>) {
+    let known = Arc::clone(&drivers);
+    registry
+        .handler(SERVO, &[ReadServo::INFO, StopServo::INFO], move |cx| {
+            ServoTask::new(cx, &drivers)
+        })
+        .check_in_app(move |task, app, findings| check(task, app, &known, findings));
+}
+
+fn driver_args(task: &TaskConfig) -> Node {
+    task.args
+        .get("driver_args")
+        .cloned()
+        .unwrap_or_else(Node::table)
+}
+
+fn check(task: &TaskConfig, app: &App, drivers: &DriverRegistry, findings: &mut Findings) {
+    let Some(args) = ServoArgs::read(task, findings) else {
+        return;
+    };
+    match drivers.kind(&args.driver) {
+        Some(kind) => kind.run_check(task, app, &driver_args(task), findings),
+        None => findings.push(unknown_driver(task, &args.driver, drivers)),
+    }
+}
+
+fn unknown_driver(task: &TaskConfig, name: &str, drivers: &DriverRegistry) -> Finding {
+    let text = format!(
+        "task `{}` names the channel driver `{name}`, which nobody registered",
+        task.name
+    );
+    let place = task
+        .args
+        .locate("driver")
+        .unwrap_or_else(|| task.place.clone());
+    Finding::error("mcs::unknown_driver", text)
+        .at(place)
+        .suggest(name, drivers.names())
+}
+
+struct ServoTask {
+    link: Arc<Link>,
+    /// Waits here for the first phase.
+    servo: Option<Servo>,
+    cyclic: Option<CyclicHandle>,
+}
+
+impl ServoTask {
+    fn new(cx: &Context, drivers: &DriverRegistry) -> Result<Self, HandlerError> {
+        let task = cx.config().ok_or("a servo task needs a configuration")?;
+        let mut findings = Findings::new();
+        let args = ServoArgs::read(task, &mut findings).ok_or_else(|| findings.to_string())?;
+        let kind = drivers.kind(&args.driver);
+        let kind = kind.ok_or_else(|| unknown_driver(task, &args.driver, drivers))?;
+        let driver = kind.build(cx, &driver_args(task))?;
+        let model = Arc::new(args.model());
+        let config = args.config();
+        let law: Box<dyn ControlLaw> = match args.law {
+            Law::Pid => {
+                let gains = JointGains::by_bandwidth(&model, args.bandwidth_hz, args.damping);
+                Box::new(PidGravity::new(Arc::clone(&model), gains))
+            }
+            Law::ComputedTorque => Box::new(ComputedTorque::new(
+                Arc::clone(&model),
+                args.bandwidth_hz,
+                args.damping,
+                DynamicsOptions::WITH_ROTORS,
+            )),
+        };
+        let (servo, port) = Servo::new(Arc::clone(&model), driver, law, config)?;
+        let setpoint_period = config.period.as_secs_f64() * f64::from(config.setpoint_every);
+        let planner = Planner::new(model, args.tool(), args.cartesian, setpoint_period);
+        let link = Arc::new(Link {
+            port,
+            planner,
+            config,
+        });
+        cx.share(&Link::key(cx.name()), Arc::clone(&link));
+        Ok(Self {
+            link,
+            servo: Some(servo),
+            cyclic: None,
+        })
+    }
+
+    fn report(&self) -> ServoReport {
+        let status = self.link.port.status();
+        let position: Joints = status.position;
+        ServoReport {
+            status,
+            fault: self.link.fault(),
+            base_t_tool: rows(&self.link.planner.tool_pose(&position)),
+        }
+    }
+
+    /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
+    async fn shut_down(&self, cx: &Context) -> Handled {
+        if self.cyclic.is_some() {
+            self.link.shut_down(cx).await?;
+        }
+        Ok(())
+    }
+}
+
+impl EventHandler for ServoTask {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            ReadServo::CODE => {
+                let (ReadServo {}, reply) = message.open::<ReadServo>()?;
+                reply.ok(self.report())
+            }
+            StopServo::CODE => {
+                let (StopServo { kind }, reply) = message.open::<StopServo>()?;
+                match kind {
+                    StopKind::Protective => self.link.port.order(ServoCommand::Stop)?,
+                    StopKind::Emergency => self.link.port.emergency_stop(),
+                }
+                reply.ok(())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Create
+            && let Some(mut servo) = self.servo.take()
+        {
+            let tick = move |tick: &Tick| servo.tick(tick.missed);
+            self.cyclic = Some(cx.cyclic(self.link.config.period, tick));
+        }
+        if phase == Phase::Connect {
+            // The first reading must be there before anybody plans from it.
+            let ticking = |status: &ServoStatus| status.ticks > 0;
+            let patience = self.link.rest_patience();
+            self.link.wait(cx, "begin", patience, ticking).await?;
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
+        self.shut_down(cx).await
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        tracing::warn!(
+            task = cx.name(),
+            chassis,
+            "a chassis is gone: the arm is stopped"
+        );
+        self.shut_down(cx).await
+    }
+}

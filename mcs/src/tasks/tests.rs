@@ -1,0 +1,426 @@
+//! MCS as an app, in virtual time, with an arm that obeys the equations of motion.
+
+use std::sync::atomic::Ordering;
+
+use ctos::boot::{End, Launcher, Outcome, boot};
+use ctos::message::{Command, Message};
+use ctos::system::AppResult;
+use ctos::task::{EventHandler, Handled, Phase, TaskRef};
+use futures_util::future::LocalBoxFuture;
+
+use super::*;
+use crate::arm::{ArmModel, Joints};
+use crate::client::*;
+use crate::driver::test_arm::{Knobs, START, TestArm};
+use crate::state::State;
+
+const GOAL: Joints = [-0.6, 1.4, -2.9, -0.4, 0.2, 1.1];
+
+const APP: &str = r#"
+app.until = "user"
+time.mode = "virtual"
+[chassis.cage]
+stop_first = true
+processors.servo = {}
+processors.main = {}
+[chassis.ws]
+[task.servo]
+handler = "mcs.servo"
+on = "cage/servo"
+args.driver = "test.arm"
+args.tool_xyz = [0.0, 0.0, 0.1]
+[task.state]
+handler = "mcs.state"
+on = "cage/main"
+args.servo = "servo"
+[task.planner]
+handler = "mcs.planner"
+on = "cage/main"
+args.servo = "servo"
+[task.mcs]
+handler = "mcs.client"
+on = "ws"
+args = { servo = "servo", state = "state", planner = "planner" }
+[task.user]
+handler = "test.user"
+on = "ws"
+[task.other]
+handler = "test.bystander"
+on = "ws"
+"#;
+
+type Script =
+    fn(Context, TaskRef, Arc<Knobs>) -> LocalBoxFuture<'static, Result<String, HandlerError>>;
+
+/// A task that does what a test's script says, and ends the app with its result.
+struct User(Script, Arc<Knobs>);
+
+impl EventHandler for User {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let client = cx.task("mcs").await?;
+            let script = (self.0)(cx.clone(), client, Arc::clone(&self.1));
+            let own = cx.clone();
+            cx.spawn(async move {
+                let result = script.await;
+                own.finish(AppResult {
+                    ok: result.is_ok(),
+                    text: result.unwrap_or_else(|error| error.to_string()),
+                    json: String::new(),
+                });
+            });
+        }
+        Ok(())
+    }
+}
+
+ctos::command! {
+    /// Asks the bystander to try to acquire the manipulator.
+    struct Try => String, 0x0001, "try"
+}
+
+fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
+    let mut registry = Registry::new();
+    let mut drivers = DriverRegistry::new();
+    let for_arm = Arc::clone(knobs);
+    drivers.driver("test.arm", move |_, _| {
+        Ok(Box::new(TestArm::new(ArmModel::puma560(), false, &for_arm)))
+    });
+    register(&mut registry, drivers);
+    let knobs = Arc::clone(knobs);
+    registry.handler("test.user", &[], move |_| {
+        Ok(User(script, Arc::clone(&knobs)))
+    });
+    registry.function::<Try, _, _>("test.bystander", |cx, Try {}| async move {
+        let client = cx.task("mcs").await?;
+        let refused = cx
+            .call(&client, Acquire {})
+            .await
+            .err()
+            .ok_or("was not refused")?;
+        Ok(refused.reason())
+    });
+    registry
+}
+
+fn run(script: Script, knobs: &Arc<Knobs>, sets: &[&str]) -> Outcome {
+    let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
+    let app = ctos::config::load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
+    let registry = registry(script, knobs);
+    let findings = registry.check(&app);
+    assert!(findings.is_empty(), "{findings}");
+    let launcher = Launcher {
+        program: "none".into(),
+        arguments: Vec::new(),
+    };
+    let observer: ctos::boot::Observer = Arc::new(|_| {});
+    boot(app, registry, &launcher, &observer).unwrap()
+}
+
+/// Runs a script and hands back the text it ended with.
+fn text_of(script: Script) -> String {
+    let outcome = run(script, &Arc::default(), &[]);
+    match outcome.end {
+        End::Finished(result) => {
+            assert!(result.ok, "{}", result.text);
+            result.text
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+async fn asked<C: Command>(
+    cx: &Context,
+    to: &TaskRef,
+    request: C,
+) -> Result<C::Reply, HandlerError> {
+    let call = cx.call(to, request).deadline(Duration::from_secs(60));
+    call.await
+        .map_err(|error| HandlerError::new(error.reason()))
+}
+
+/// The refusal that a request must meet.
+async fn refusal<C: Command>(
+    cx: &Context,
+    to: &TaskRef,
+    request: C,
+) -> Result<String, HandlerError> {
+    match asked(cx, to, request).await {
+        Ok(_) => Err("was not refused".into()),
+        Err(error) => Ok(error.to_string()),
+    }
+}
+
+fn to(target: Target) -> Move {
+    Move {
+        target,
+        path: PathKind::Joint,
+        speed: 0.5,
+        elbow: None,
+    }
+}
+
+#[test]
+fn a_user_acquires_moves_reads_back_and_releases() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            assert_eq!(asked(&cx, &mcs, Acquire {}).await?, State::Active);
+            let report = asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert!(report.max_tracking_error_rad < 4e-3, "{report:?}");
+            assert!(report.final_error_rad < 5e-4, "{report:?}");
+            let position = asked(&cx, &mcs, ReadPosition {}).await?;
+            for (read, goal) in position.joints.iter().zip(&GOAL) {
+                assert!((read - goal).abs() < 5e-4);
+            }
+            // Back, and on to a pose along a straight line.
+            asked(&cx, &mcs, to(Target::Joints(START))).await?;
+            let mut pose = asked(&cx, &mcs, ReadPosition {}).await?.base_t_tool;
+            pose[7] += 0.2;
+            let line = Move {
+                path: PathKind::StraightLine,
+                ..to(Target::Pose(pose))
+            };
+            asked(&cx, &mcs, line).await?;
+            let aside = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!((aside.base_t_tool[7] - pose[7]).abs() < 1e-3);
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!(status.holder.as_deref(), Some("user"));
+            assert_eq!(status.state, State::Motion);
+            assert_eq!(asked(&cx, &mcs, Release {}).await?, State::Cold);
+            Ok(format!("{report:?} {position:?}"))
+        })
+    });
+    assert!(text.contains("duration_s"));
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits() {
+    let once = || {
+        text_of(|cx, mcs, _| {
+            Box::pin(async move {
+                asked(&cx, &mcs, Acquire {}).await?;
+                let report = asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                Ok(format!("{report:?}"))
+            })
+        })
+    };
+    assert_eq!(once(), once());
+}
+
+#[test]
+fn bad_targets_are_refused_before_anything_moves_and_say_why() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Acquire {}).await?;
+            let mut beyond = START;
+            beyond[4] = 2.0;
+            let mut nan = START;
+            nan[0] = f64::NAN;
+            let far = [
+                1., 0., 0., 3., 0., 1., 0., 0., 0., 0., 1., 0.5, 0., 0., 0., 1.,
+            ];
+            let mut no_rotation = far;
+            no_rotation[0] = 2.0;
+            let mut lines = Vec::new();
+            for target in [
+                Target::Joints(beyond),
+                Target::Joints(nan),
+                Target::Pose(far),
+                Target::Pose(no_rotation),
+            ] {
+                lines.push(refusal(&cx, &mcs, to(target)).await?);
+            }
+            let fast = Move {
+                speed: 1.5,
+                ..to(Target::Joints(GOAL))
+            };
+            lines.push(refusal(&cx, &mcs, fast).await?);
+            let plan = Plan {
+                target: Target::Joints(beyond),
+                path: PathKind::Joint,
+                speed: 0.5,
+                elbow: None,
+            };
+            lines.push(refusal(&cx, &mcs, plan).await?);
+            let position = asked(&cx, &mcs, ReadPosition {}).await?;
+            for (read, start) in position.joints.iter().zip(&START) {
+                assert!((read - start).abs() < 1e-3);
+            }
+            Ok(lines.join("\n"))
+        })
+    });
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(
+        lines[0].contains("joint 5 would have to be at 2.0000 rad, its limits are"),
+        "{text}"
+    );
+    assert!(
+        lines[1].contains("the target of joint 1 is not a finite number"),
+        "{text}"
+    );
+    assert!(lines[2].contains("out of reach"), "{text}");
+    assert!(lines[3].contains("no rotation"), "{text}");
+    assert!(lines[4].contains("speed 1.5 is not a fraction"), "{text}");
+    assert!(lines[5].contains("joint 5"), "{text}");
+}
+
+#[test]
+fn only_the_holder_moves_and_only_after_acquiring() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            let cold = refusal(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            asked(&cx, &mcs, Acquire {}).await?;
+            let other = cx.task("other").await?;
+            let held = asked(&cx, &other, Try {}).await?;
+            Ok(format!("{cold}\n{held}"))
+        })
+    });
+    assert!(text.contains("acquire the manipulator first"), "{text}");
+    assert!(
+        text.contains(
+            "`reserve` by task `other` refused: the manipulator is reserved by task `user`"
+        ),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_stop_in_mid_motion_answers_the_mover_and_the_arm_can_move_on() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Acquire {}).await?;
+            let stopper = {
+                let (cx, mcs) = (cx.clone(), mcs.clone());
+                async move {
+                    cx.sleep(Duration::from_millis(300)).await;
+                    asked(&cx, &mcs, Stop {}).await
+                }
+            };
+            let moving = refusal(&cx, &mcs, to(Target::Joints(GOAL)));
+            let (stopped, moved) = futures_util::future::join(stopper, moving).await;
+            stopped?;
+            let moved = moved?;
+            let position = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!(position.at_rest);
+            assert!((position.joints[0] - GOAL[0]).abs() > 0.01);
+            asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(moved)
+        })
+    });
+    assert!(text.contains("protective stop"), "{text}");
+}
+
+#[test]
+fn after_an_emergency_stop_reset_and_a_new_reservation_are_needed() {
+    let text = text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Acquire {}).await?;
+            asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            asked(&cx, &mcs, EmergencyStop {}).await?;
+            cx.sleep(Duration::from_millis(20)).await;
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!(status.state, State::Estopped);
+            let first = refusal(&cx, &mcs, Acquire {}).await?;
+            assert_eq!(asked(&cx, &mcs, Reset {}).await?, State::Cold);
+            let second = refusal(&cx, &mcs, to(Target::Joints(START))).await?;
+            asked(&cx, &mcs, Acquire {}).await?;
+            asked(&cx, &mcs, to(Target::Joints(START))).await?;
+            Ok(format!("{first}\n{second}"))
+        })
+    });
+    assert!(text.contains("reset it, then acquire it anew"), "{text}");
+    assert!(text.contains("acquire the manipulator first"), "{text}");
+}
+
+#[test]
+fn a_driver_fault_in_mid_motion_is_told_to_the_mover_in_the_drivers_words() {
+    let text = text_of(|cx, mcs, knobs| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Acquire {}).await?;
+            let own = cx.clone();
+            cx.spawn(async move {
+                own.sleep(Duration::from_millis(300)).await;
+                knobs.fault.store(2, Ordering::Relaxed);
+            });
+            let told = refusal(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!(status.state, State::Estopped);
+            assert!(
+                status
+                    .fault
+                    .is_some_and(|fault| fault.contains("cable out"))
+            );
+            Ok(told)
+        })
+    });
+    assert!(text.contains("cable out"), "{text}");
+}
+
+#[test]
+fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
+    let knobs = Arc::<Knobs>::default();
+    let script: Script = |cx, mcs, _| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Acquire {}).await?;
+            let own = cx.clone();
+            cx.spawn(async move {
+                let _ = asked(&own, &mcs, to(Target::Joints(GOAL))).await;
+            });
+            cx.sleep(Duration::from_millis(300)).await;
+            Ok(String::new())
+        })
+    };
+    let outcome = run(script, &knobs, &[]);
+    assert!(matches!(outcome.end, End::Finished(_)));
+    assert_eq!(
+        *knobs.last_write.lock().unwrap(),
+        Some((Power::Off, [0.0; 6]))
+    );
+    // Braked along the path: never dropped while it moved.
+    assert!(
+        knobs
+            .speed_at_power_off
+            .lock()
+            .unwrap()
+            .is_some_and(|speed| speed < 5e-3)
+    );
+}
+
+fn findings_of(sets: &[&str]) -> String {
+    let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
+    let app = ctos::config::load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
+    let script: Script = |_, _, _| Box::pin(async { Ok(String::new()) });
+    registry(script, &Arc::default()).check(&app).to_string()
+}
+
+#[test]
+fn wrong_arguments_are_found_before_anything_starts() {
+    let cases = [
+        (
+            "task.servo.args.driver=test.amr",
+            "did you mean `test.arm`?",
+        ),
+        ("task.servo.args.period_ms=0", "`period_ms` is 0"),
+        ("task.servo.args.bandwidth_hz=40", "`bandwidth_hz` is 40"),
+        (
+            "task.servo.args.velocity=[9.0,1,1,1,1,1]",
+            "`velocity` is 9",
+        ),
+        ("task.servo.args.perod_ms=4.5", "did you mean `period_ms`?"),
+        ("task.state.args.servo=servos", "did you mean `servo`?"),
+        ("task.planner.on=ws", "must be on one chassis"),
+        (
+            "task.mcs.args.planner=state",
+            "no task with the handler `mcs.planner` is called `state`",
+        ),
+    ];
+    for (set, expected) in cases {
+        let found = findings_of(&[set]);
+        assert!(found.contains(expected), "{set}: {found}");
+        assert!(found.contains(':'), "{found}");
+    }
+}

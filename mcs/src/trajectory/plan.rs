@@ -1,0 +1,542 @@
+//! The planner: turns a target into a checked segment, or into a refusal that names what is wrong.
+//!
+//! Everything that could stop a motion half way (a limit, a pose out of reach, a joint that would have
+//! to turn too fast near a singularity) is found here, before anything moves.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Vector3};
+
+use super::segment::{Line, SegmentError};
+use super::{Path, Profile, ProfilePoint, Segment, Setpoint};
+use crate::arm::{ArmModel, DOF, Elbow, IkError, Joints, inverse};
+
+/// The least speed fraction accepted; slower motions would take hours.
+pub const SLOWEST: f64 = 1e-3;
+/// A line shorter than this (m, and rad of turn) is no motion.
+const NO_WAY: f64 = 1e-9;
+/// Fewest and most checks along one line.
+const CHECKS: (f64, f64) = (100.0, 20_000.0);
+
+/// Limits of the tool's motion along a straight line.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CartesianLimits {
+    /// Speed, m/s.
+    pub linear_speed: f64,
+    /// Acceleration, m/s^2.
+    pub linear_acceleration: f64,
+    /// Turning speed, rad/s.
+    pub angular_speed: f64,
+    /// Turning acceleration, rad/s^2.
+    pub angular_acceleration: f64,
+}
+
+impl Default for CartesianLimits {
+    /// Speeds that the PUMA's joints can follow over most of its work volume.
+    fn default() -> Self {
+        Self {
+            linear_speed: 0.5,
+            linear_acceleration: 1.5,
+            angular_speed: 1.0,
+            angular_acceleration: 3.0,
+        }
+    }
+}
+
+/// Why a motion is refused.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// The speed is not a usable fraction.
+    #[error("speed {given} is not a fraction of full speed; give a value from {SLOWEST} to 1")]
+    Speed {
+        /// What was given.
+        given: f64,
+    },
+    /// A joint target holds a NaN or an infinity.
+    #[error("the target of joint {joint} is not a finite number")]
+    NotFinite {
+        /// Joint number, from 1.
+        joint: usize,
+    },
+    /// The target itself is out of reach or beyond a joint's limits.
+    #[error("{0}; choose another target")]
+    Target(IkError),
+    /// The line leaves what the arm can reach.
+    #[error(
+        "the straight line cannot be followed at {percent:.0} % of its length: {reason}; move joint-interpolated or through another pose"
+    )]
+    Line {
+        /// Where on the line, percent of its length.
+        percent: f64,
+        /// What is wrong there.
+        reason: SegmentError,
+    },
+    /// A joint would have to turn too fast to follow the line.
+    #[error(
+        "joint {joint} would have to turn at {value:.3} rad/s at {percent:.0} % of the straight line, its limit is {limit:.3} rad/s; slow down or move joint-interpolated"
+    )]
+    JointSpeed {
+        /// Joint number, from 1.
+        joint: usize,
+        /// Speed needed, rad/s.
+        value: f64,
+        /// Limit, rad/s.
+        limit: f64,
+        /// Where on the line, percent of its length.
+        percent: f64,
+    },
+    /// A joint would have to accelerate (or brake in a protective stop) too hard to stay on the line.
+    #[error(
+        "joint {joint} would have to accelerate at {value:.3} rad/s^2 at {percent:.0} % of the straight line, its limit is {limit:.3} rad/s^2; slow down or move joint-interpolated"
+    )]
+    JointAcceleration {
+        /// Joint number, from 1.
+        joint: usize,
+        /// Acceleration needed, rad/s^2.
+        value: f64,
+        /// Limit, rad/s^2.
+        limit: f64,
+        /// Where on the line, percent of its length.
+        percent: f64,
+    },
+}
+
+/// Plans segments for one manipulator.
+#[derive(Debug, Clone)]
+pub struct Planner {
+    model: Arc<ArmModel>,
+    tool: Isometry3<f64>,
+    cartesian: CartesianLimits,
+    check_period: f64,
+}
+
+impl Planner {
+    /// A planner for `model` with a tool at `frame6_t_tool`; lines are checked every `check_period`
+    /// seconds of their motion (the setpoint period is the right one).
+    #[must_use]
+    pub fn new(
+        model: Arc<ArmModel>,
+        tool: Isometry3<f64>,
+        cartesian: CartesianLimits,
+        check_period: f64,
+    ) -> Self {
+        Self {
+            model,
+            tool,
+            cartesian,
+            check_period,
+        }
+    }
+
+    /// The arm planned for.
+    #[must_use]
+    pub fn model(&self) -> &Arc<ArmModel> {
+        &self.model
+    }
+
+    /// `base_t_tool` at joint positions `q` (rad).
+    #[must_use]
+    pub fn tool_pose(&self, q: &Joints) -> Isometry3<f64> {
+        self.model.forward(q) * self.tool
+    }
+
+    /// Joint positions (rad) that put the tool at `base_t_tool`, nearest to `near`.
+    ///
+    /// # Errors
+    /// [`PlanError::Target`] with the reason.
+    pub fn joints_for(
+        &self,
+        base_t_tool: &Isometry3<f64>,
+        near: &Joints,
+        elbow: Option<Elbow>,
+    ) -> Result<Joints, PlanError> {
+        let base_t_6 = base_t_tool * self.tool.inverse();
+        let found = self
+            .model
+            .inverse(&base_t_6, near)
+            .map_err(PlanError::Target)?;
+        let best = found
+            .nearest(&self.model, near, elbow)
+            .map_err(PlanError::Target)?;
+        Ok(best.joints)
+    }
+
+    /// A joint target itself, checked against the limits.
+    ///
+    /// # Errors
+    /// [`PlanError::NotFinite`] or [`PlanError::Target`].
+    pub fn check_joints(&self, q: &Joints) -> Result<(), PlanError> {
+        if let Some(index) = q.iter().position(|value| !value.is_finite()) {
+            return Err(PlanError::NotFinite { joint: index + 1 });
+        }
+        match self.model.joint_outside(q) {
+            None => Ok(()),
+            Some(index) => Err(PlanError::Target(inverse::limit_error(
+                &self.model,
+                q,
+                index,
+            ))),
+        }
+    }
+
+    /// A joint-interpolated motion: all joints start, cruise and stop together, the slowest of
+    /// them at `speed` (fraction of full speed; accelerations are scaled alike).
+    ///
+    /// # Errors
+    /// A speed that is no fraction, a target that is no number or beyond a limit.
+    pub fn joint(&self, start: &Joints, end: &Joints, speed: f64) -> Result<Segment, PlanError> {
+        check_speed(speed)?;
+        self.check_joints(end)?;
+        let mut velocity = f64::INFINITY;
+        let mut acceleration = f64::INFINITY;
+        for ((from, to), limit) in start.iter().zip(end).zip(&self.model.limits) {
+            let way = (to - from).abs();
+            if way > 0.0 {
+                velocity = velocity.min(limit.velocity / way);
+                acceleration = acceleration.min(limit.acceleration / way);
+            }
+        }
+        if velocity.is_infinite() {
+            return Ok(Segment::hold(Arc::clone(&self.model), *end));
+        }
+        let profile = Profile::trapezoid(1.0, velocity * speed, acceleration * speed);
+        let path = Path::Joint {
+            start: *start,
+            end: *end,
+        };
+        Ok(Segment::new(
+            Arc::clone(&self.model),
+            path,
+            profile,
+            acceleration,
+        ))
+    }
+
+    /// A straight line of the tool to `base_t_tool`, turning about one axis on the way, in the
+    /// posture of `start`, at `speed` (fraction of the Cartesian limits).
+    ///
+    /// # Errors
+    /// Everything that would stop it on the way, with joint, value and limit.
+    pub fn line(
+        &self,
+        start: &Joints,
+        base_t_tool: &Isometry3<f64>,
+        speed: f64,
+    ) -> Result<Segment, PlanError> {
+        check_speed(speed)?;
+        let start_pose = self.tool_pose(start);
+        let travel = base_t_tool.translation.vector - start_pose.translation.vector;
+        let turn = base_t_tool.rotation * start_pose.rotation.inverse();
+        let (axis, angle) = turn.axis_angle().unwrap_or((Vector3::z_axis(), 0.0));
+        let tool_inverse = self.tool.inverse();
+        let branch = self.model.branch_of(start);
+        let base_t_6 = base_t_tool * tool_inverse;
+        // The end first: a target out of reach is a clearer refusal than a line that leaves the reach.
+        let reachable = self.model.inverse_branch(&base_t_6, branch, start);
+        let end_joints = reachable.map_err(PlanError::Target)?;
+        let limits = &self.cartesian;
+        let scale = |linear: f64, angular: f64| (linear / travel.norm()).min(angular / angle);
+        let velocity = scale(limits.linear_speed, limits.angular_speed);
+        let acceleration = scale(limits.linear_acceleration, limits.angular_acceleration);
+        if travel.norm() < NO_WAY && angle < NO_WAY {
+            return Ok(Segment::hold(Arc::clone(&self.model), *start));
+        }
+        let line = Line {
+            start: start_pose,
+            travel,
+            axis,
+            angle,
+            tool: self.tool,
+            tool_inverse,
+            branch,
+            end_joints,
+        };
+        let braking = acceleration * speed;
+        let profile = Profile::trapezoid(1.0, velocity * speed, braking);
+        self.check_line(&line, &profile, start, braking)?;
+        Ok(Segment::new(
+            Arc::clone(&self.model),
+            Path::Line(line),
+            profile,
+            braking,
+        ))
+    }
+
+    /// Follows the line in thought, as planned and as braked from every point of it.
+    fn check_line(
+        &self,
+        line: &Line,
+        profile: &Profile,
+        start: &Joints,
+        braking: f64,
+    ) -> Result<(), PlanError> {
+        let duration = profile.duration();
+        let checks = (duration / self.check_period)
+            .ceil()
+            .clamp(CHECKS.0, CHECKS.1);
+        let step = duration / checks;
+        let mut near = *start;
+        let mut count = 0.0;
+        while count <= checks {
+            let along = profile.at(count * step);
+            let percent = 100.0 * along.position;
+            let evaluate = |along: ProfilePoint| {
+                let found = line.evaluate(&self.model, along, &near);
+                found.map_err(|reason| PlanError::Line { percent, reason })
+            };
+            let planned = evaluate(along)?;
+            let braked = evaluate(ProfilePoint {
+                acceleration: -braking,
+                ..along
+            })?;
+            self.check_setpoint(&planned, percent)?;
+            self.check_setpoint(&braked, percent)?;
+            self.check_step(&near, &planned.position, step, percent)?;
+            near = planned.position;
+            count += 1.0;
+        }
+        Ok(())
+    }
+
+    fn check_setpoint(&self, setpoint: &Setpoint, percent: f64) -> Result<(), PlanError> {
+        for index in 0..DOF {
+            let limit = &self.model.limits[index];
+            let value = setpoint.velocity[index].abs();
+            if value > limit.velocity {
+                return Err(PlanError::JointSpeed {
+                    joint: index + 1,
+                    value,
+                    limit: limit.velocity,
+                    percent,
+                });
+            }
+            let value = setpoint.acceleration[index].abs();
+            if value > limit.acceleration {
+                return Err(PlanError::JointAcceleration {
+                    joint: index + 1,
+                    value,
+                    limit: limit.acceleration,
+                    percent,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// A joint must get from check to check at its speed limit: a whole turn or another posture in
+    /// between shows here and not in the speeds at the checks.
+    fn check_step(
+        &self,
+        from: &Joints,
+        to: &Joints,
+        step: f64,
+        percent: f64,
+    ) -> Result<(), PlanError> {
+        for index in 0..DOF {
+            let limit = self.model.limits[index].velocity;
+            let way = (to[index] - from[index]).abs();
+            if way > limit * step + 1e-6 {
+                return Err(PlanError::JointSpeed {
+                    joint: index + 1,
+                    value: way / step,
+                    limit,
+                    percent,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_speed(speed: f64) -> Result<(), PlanError> {
+    if (SLOWEST..=1.0).contains(&speed) {
+        Ok(())
+    } else {
+        Err(PlanError::Speed { given: speed })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Translation3;
+    use proptest::prelude::*;
+
+    const READY: Joints = [0.1, 0.8, -2.6, 0.2, 0.7, 0.1];
+
+    fn planner() -> Planner {
+        let tool = Isometry3::translation(0.0, 0.0, 0.1);
+        Planner::new(
+            Arc::new(ArmModel::puma560()),
+            tool,
+            CartesianLimits::default(),
+            0.018,
+        )
+    }
+
+    fn within_limits() -> impl Strategy<Value = Joints> {
+        prop::array::uniform6(0.0..=1.0_f64).prop_map(|shares| {
+            let limits = ArmModel::puma560().limits;
+            std::array::from_fn(|i| {
+                limits[i].lower + shares[i] * (limits[i].upper - limits[i].lower)
+            })
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn joint_motion_keeps_every_limit_and_ends_exactly(
+            start in within_limits(), end in within_limits(), speed in 0.01..=1.0_f64,
+        ) {
+            let planner = planner();
+            let segment = planner.joint(&start, &end, speed).unwrap();
+            for step in 0..=200_u32 {
+                let t = segment.duration() * f64::from(step) / 200.0;
+                let setpoint = segment.at(t, &start).unwrap();
+                for index in 0..DOF {
+                    let limit = &planner.model().limits[index];
+                    prop_assert!(setpoint.velocity[index].abs() <= speed * limit.velocity + 1e-9);
+                    prop_assert!(setpoint.acceleration[index].abs() <= speed * limit.acceleration + 1e-9);
+                }
+            }
+            prop_assert_eq!(segment.at(0.0, &start).unwrap().position, start);
+            prop_assert_eq!(segment.end(&start).unwrap(), end);
+        }
+
+        #[test]
+        fn a_stop_from_anywhere_stays_on_the_path_and_within_limits(
+            start in within_limits(), end in within_limits(), share in 0.0..1.0_f64, speed in 0.05..=1.0_f64,
+        ) {
+            let planner = planner();
+            let segment = planner.joint(&start, &end, speed).unwrap();
+            let t = share * segment.duration();
+            let before = segment.at(t, &start).unwrap();
+            let stop = segment.braked_at(t);
+            let first = stop.at(0.0, &start).unwrap();
+            for index in 0..DOF {
+                prop_assert!((before.position[index] - first.position[index]).abs() < 1e-9);
+                prop_assert!((before.velocity[index] - first.velocity[index]).abs() < 1e-9);
+                let limit = &planner.model().limits[index];
+                prop_assert!(first.acceleration[index].abs() <= limit.acceleration * (1.0 + 1e-6));
+            }
+            prop_assert!(stop.profile().end() <= 1.0 + 1e-12);
+            let rest = stop.at(stop.duration(), &start).unwrap();
+            prop_assert_eq!(rest.velocity, [0.0; DOF]);
+        }
+    }
+
+    #[test]
+    fn the_slowest_joint_sets_the_time() {
+        let planner = planner();
+        let mut end = READY;
+        end[0] += 1.0;
+        let segment = planner.joint(&READY, &end, 1.0).unwrap();
+        let (v, a) = (1.9, 10.0);
+        assert!((segment.duration() - (1.0 / v + v / a)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_line_is_straight_in_space_and_turns_about_one_axis() {
+        let planner = planner();
+        let start = planner.tool_pose(&READY);
+        let goal = Isometry3::from_parts(
+            Translation3::from(start.translation.vector + Vector3::new(0.05, 0.2, -0.1)),
+            nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.1, 0.2, 0.0))
+                * start.rotation,
+        );
+        let segment = planner.line(&READY, &goal, 0.5).unwrap();
+        let mut near = READY;
+        for step in 0..=100_u32 {
+            let t = segment.duration() * f64::from(step) / 100.0;
+            let setpoint = segment.at(t, &near).unwrap();
+            let pose = planner.tool_pose(&setpoint.position);
+            let s = segment.profile().at(t).position;
+            let on_line = start.translation.vector + Vector3::new(0.05, 0.2, -0.1) * s;
+            assert!((pose.translation.vector - on_line).norm() < 1e-9);
+            near = setpoint.position;
+        }
+        let end = planner.tool_pose(&near);
+        assert!((end.translation.vector - goal.translation.vector).norm() < 1e-9);
+        assert!(end.rotation.angle_to(&goal.rotation) < 1e-8);
+    }
+
+    #[test]
+    fn the_joint_speeds_and_accelerations_of_a_line_are_the_derivatives_of_its_positions() {
+        let planner = planner();
+        let start = planner.tool_pose(&READY);
+        let goal = Translation3::new(0.05, 0.2, -0.1) * start;
+        let segment = planner.line(&READY, &goal, 0.5).unwrap();
+        let h = 1e-4;
+        for share in [0.1, 0.45, 0.6, 0.93] {
+            let t = share * segment.duration();
+            let [before, now, after] = [t - h, t, t + h].map(|t| segment.at(t, &READY).unwrap());
+            for index in 0..DOF {
+                let speed = (after.position[index] - before.position[index]) / (2.0 * h);
+                let rate = (after.velocity[index] - before.velocity[index]) / (2.0 * h);
+                assert!((now.velocity[index] - speed).abs() < 1e-5);
+                assert!((now.acceleration[index] - rate).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_done_is_refused_with_joint_value_and_limit() {
+        let planner = planner();
+        let beyond = [0.0, 0.0, 0.0, 0.0, 2.0, 0.0];
+        let refused = planner.joint(&READY, &beyond, 0.5).unwrap_err();
+        assert!(refused.to_string().starts_with(
+            "joint 5 would have to be at 2.0000 rad, its limits are -1.7453 to 1.7453 rad"
+        ));
+        for speed in [0.0, -1.0, 1.01, f64::NAN, f64::INFINITY] {
+            let refused = planner.joint(&READY, &READY, speed).unwrap_err();
+            assert!(matches!(refused, PlanError::Speed { .. }));
+        }
+        let mut nan = READY;
+        nan[3] = f64::NAN;
+        let refused = planner.joint(&READY, &nan, 0.5).unwrap_err();
+        assert_eq!(refused, PlanError::NotFinite { joint: 4 });
+        let far = Isometry3::translation(2.0, 0.0, 0.5);
+        let refused = planner.joints_for(&far, &READY, None).unwrap_err();
+        assert!(matches!(
+            refused,
+            PlanError::Target(IkError::OutOfReach { .. })
+        ));
+        let refused = planner.line(&READY, &far, 0.5).unwrap_err();
+        assert!(matches!(
+            refused,
+            PlanError::Target(IkError::OutOfReach { .. })
+        ));
+    }
+
+    #[test]
+    fn a_line_past_the_wrist_singularity_is_refused_before_it_moves() {
+        let planner = planner();
+        // Straight through a pose whose joint 5 is almost zero: joints 4 and 6 would have to spin.
+        let middle = planner.tool_pose(&[0.1, 0.8, -2.6, -1.0, 0.004, 0.1]);
+        let start_joints = [0.1, 0.8, -2.6, -1.0, 0.3, 0.1];
+        let start = planner.tool_pose(&start_joints);
+        let turn = middle.rotation * start.rotation.inverse();
+        let sideways = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.05, 0.0));
+        let goal = Isometry3::from_parts(
+            (middle.translation.vector * 2.0 - start.translation.vector).into(),
+            sideways * turn * turn * start.rotation,
+        );
+        let refused = planner.line(&start_joints, &goal, 1.0).unwrap_err();
+        assert!(
+            matches!(
+                refused,
+                PlanError::JointSpeed { .. } | PlanError::JointAcceleration { .. }
+            ),
+            "{refused}"
+        );
+    }
+
+    #[test]
+    fn a_motion_to_where_the_arm_is_takes_no_time() {
+        let planner = planner();
+        assert_eq!(planner.joint(&READY, &READY, 0.5).unwrap().duration(), 0.0);
+        let here = planner.tool_pose(&READY);
+        assert_eq!(planner.line(&READY, &here, 0.5).unwrap().duration(), 0.0);
+    }
+}

@@ -1,0 +1,173 @@
+//! The functions that a net names: actions and enabling functions over one state. Knows no net and
+//! no robot; a coordinator is a net and a library.
+
+use std::{
+    cell::RefCell,
+    collections::{BTreeMap, BTreeSet},
+    future::Future,
+    pin::Pin,
+    rc::Rc,
+};
+
+use ctos::task::{Context, HandlerError};
+
+use crate::check::FunctionNames;
+
+/// Something that ends later, on the task's processor.
+pub type Later<T> = Pin<Box<dyn Future<Output = T>>>;
+
+/// How an action ends; an error takes the failure branch and is told to whoever waits.
+pub type Acted = Result<(), HandlerError>;
+
+type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
+type Ask<S> = Box<dyn Fn(&S) -> bool>;
+
+/// Where data objects are kept. An app's data object manager task stands behind it.
+pub trait DataStore {
+    /// The bytes of an object.
+    fn get(&self, cx: &Context, object: &str) -> Later<Result<Vec<u8>, HandlerError>>;
+    /// Stores an object.
+    fn put(&self, cx: &Context, object: &str, bytes: Vec<u8>) -> Later<Acted>;
+    /// Says that an object is valid, or no longer, because its place says so.
+    fn validity(&self, cx: &Context, object: &str, valid: bool) -> Later<Acted>;
+}
+
+/// The command in progress when an action began.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CommandLine {
+    /// The input tape symbol.
+    pub symbol: String,
+    /// What came with it.
+    pub arguments: Vec<String>,
+}
+
+/// What an action can reach.
+pub struct Action<S> {
+    pub(crate) cx: Context,
+    pub(crate) state: Rc<RefCell<S>>,
+    pub(crate) transition: Rc<str>,
+    pub(crate) command: Option<CommandLine>,
+    pub(crate) data: Option<Rc<dyn DataStore>>,
+    pub(crate) notes: Rc<RefCell<Vec<String>>>,
+}
+
+impl<S> Action<S> {
+    /// The net's task: other tasks, time, randomness, arguments.
+    #[must_use]
+    pub fn cx(&self) -> &Context {
+        &self.cx
+    }
+
+    /// Reads or changes the library's state, which actions that run at the same time share. Panics
+    /// when called inside itself.
+    pub fn with_state<T>(&self, use_it: impl FnOnce(&mut S) -> T) -> T {
+        use_it(&mut self.state.borrow_mut())
+    }
+
+    /// The transition whose action this is.
+    #[must_use]
+    pub fn transition(&self) -> &str {
+        &self.transition
+    }
+
+    /// The command in progress when the action began.
+    #[must_use]
+    pub fn command(&self) -> Option<&CommandLine> {
+        self.command.as_ref()
+    }
+
+    /// The arguments of the command in progress.
+    #[must_use]
+    pub fn arguments(&self) -> &[String] {
+        self.command
+            .as_ref()
+            .map_or(&[], |command| &command.arguments)
+    }
+
+    /// Adds a line to the text of the answer to the command in progress, if there is one.
+    pub fn note(&self, line: impl Into<String>) {
+        self.notes.borrow_mut().push(line.into());
+    }
+
+    /// The bytes of a data object.
+    ///
+    /// # Errors
+    /// The store's, or that this net has none.
+    pub async fn get_data(&self, object: &str) -> Result<Vec<u8>, HandlerError> {
+        self.store()?.get(&self.cx, object).await
+    }
+
+    /// Stores a data object.
+    ///
+    /// # Errors
+    /// The store's, or that this net has none.
+    pub async fn put_data(&self, object: &str, bytes: Vec<u8>) -> Acted {
+        self.store()?.put(&self.cx, object, bytes).await
+    }
+
+    fn store(&self) -> Result<&Rc<dyn DataStore>, HandlerError> {
+        let none = || HandlerError::new("this net was given no store for data objects");
+        self.data.as_ref().ok_or_else(none)
+    }
+}
+
+/// Functions by the names that nets use, and the state they share.
+pub struct Library<S> {
+    pub(crate) state: Rc<RefCell<S>>,
+    actions: BTreeMap<String, Act<S>>,
+    enabling: BTreeMap<String, Ask<S>>,
+}
+
+impl<S: 'static> Library<S> {
+    /// A library without functions.
+    #[must_use]
+    pub fn new(state: S) -> Self {
+        Self {
+            state: Rc::new(RefCell::new(state)),
+            actions: BTreeMap::new(),
+            enabling: BTreeMap::new(),
+        }
+    }
+
+    /// Adds a local function for `do` lines. It may wait; other transitions fire meanwhile.
+    #[must_use]
+    pub fn action<F, Fut>(mut self, name: &str, function: F) -> Self
+    where
+        F: Fn(Action<S>) -> Fut + 'static,
+        Fut: Future<Output = Acted> + 'static,
+    {
+        let act: Act<S> = Rc::new(move |action| Box::pin(function(action)));
+        self.actions.insert(name.to_owned(), act);
+        self
+    }
+
+    /// Adds an enabling function for `when` lines. It is asked whenever something changes, so it
+    /// must be quick and depend on the state only.
+    #[must_use]
+    pub fn enabling(mut self, name: &str, function: impl Fn(&S) -> bool + 'static) -> Self {
+        self.enabling.insert(name.to_owned(), Box::new(function));
+        self
+    }
+
+    /// The names of all functions, for checking nets before anything starts.
+    #[must_use]
+    pub fn names(&self) -> FunctionNames {
+        let names = |keys: &mut dyn Iterator<Item = &String>| -> BTreeSet<String> {
+            keys.cloned().collect()
+        };
+        FunctionNames {
+            actions: names(&mut self.actions.keys()),
+            enabling: names(&mut self.enabling.keys()),
+        }
+    }
+
+    /// What an enabling function says; nothing when there is no such function.
+    pub(crate) fn ask(&self, name: &str) -> Option<bool> {
+        let function = self.enabling.get(name)?;
+        Some(function(&self.state.borrow()))
+    }
+
+    pub(crate) fn act(&self, name: &str) -> Option<Act<S>> {
+        self.actions.get(name).cloned()
+    }
+}

@@ -1,0 +1,123 @@
+//! The event handler that runs one net: commands come to its input tape, tokens from other nets to
+//! its places; actions run beside it as children; tokens for other nets go out as messages that are
+//! acknowledged. What cannot be delivered stops the net and tells whoever waits for an answer.
+//!
+//! A net's task bears the net's name: that is how other nets find its places.
+
+mod action;
+mod engine;
+mod journal;
+mod load;
+mod messages;
+
+#[cfg(test)]
+mod tests;
+
+use std::rc::Rc;
+
+use ctos::{
+    message::{Command as _, CommandInfo, Message},
+    task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
+};
+
+use crate::{
+    exec::Conflicts,
+    library::{DataStore, Library},
+    net::Net,
+};
+use engine::Engine;
+pub use load::{Settings, check_app, check_args, load, settings};
+pub use messages::{FiringEvent, Marking, PutTape, Snapshot, TapeAnswer, Tokens};
+
+/// The commands of every net task, for registration.
+pub const COMMANDS: [CommandInfo; 3] = [PutTape::INFO, Tokens::INFO, Marking::INFO];
+
+/// Runs one net.
+pub struct NetTask<S> {
+    engine: Rc<Engine<S>>,
+}
+
+impl<S: 'static> NetTask<S> {
+    /// A task for a net, with the functions it names and, if it has any data objects, their store.
+    #[must_use]
+    pub fn new(
+        cx: &Context,
+        net: Net,
+        library: Library<S>,
+        conflicts: Conflicts,
+        data: Option<Rc<dyn DataStore>>,
+    ) -> Self {
+        Self {
+            engine: Rc::new(Engine::new(cx.clone(), net, library, conflicts, data)),
+        }
+    }
+
+    /// The same, with the net and the rule for conflicts from the task's arguments (`net`,
+    /// `conflicts`; see [`settings`]).
+    ///
+    /// # Errors
+    /// What is wrong with the arguments or with the net.
+    pub fn from_args(
+        cx: &Context,
+        library: Library<S>,
+        data: Option<Rc<dyn DataStore>>,
+    ) -> Result<Self, HandlerError> {
+        let config = cx
+            .config()
+            .ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
+        let settings = settings(config)?;
+        let net = load(&cx.path(&settings.net))?;
+        let conflicts = if settings.random {
+            Conflicts::Random(Box::new(cx.rng("conflicts")))
+        } else {
+            Conflicts::Declared
+        };
+        Ok(Self::new(cx, net, library, conflicts, data))
+    }
+}
+
+impl<S: 'static> EventHandler for NetTask<S> {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            PutTape::CODE => {
+                let (request, reply) = message.open::<PutTape>()?;
+                self.engine.put_tape(request, reply)
+            }
+            Tokens::CODE => {
+                let (tokens, reply) = message.open::<Tokens>()?;
+                self.engine.put_tokens(&tokens)?;
+                reply.ok(())
+            }
+            Marking::CODE => {
+                let (Marking {}, reply) = message.open::<Marking>()?;
+                reply.ok(self.engine.snapshot())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, _cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            self.engine.begin();
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, _cx: &Context, reason: &StopReason) -> Handled {
+        self.engine.stop(&reason.to_string());
+        Ok(())
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let lost = |net: &str| {
+            cx.app()
+                .task(net)
+                .is_some_and(|task| task.chassis == chassis)
+        };
+        if let Some(net) = self.engine.partners().into_iter().find(|net| lost(net)) {
+            self.engine
+                .halt(&format!("net `{net}` is gone with chassis `{chassis}`"));
+        }
+        Ok(())
+    }
+}

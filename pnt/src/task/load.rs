@@ -1,0 +1,250 @@
+//! Reading and checking the nets of a configuration before anything starts.
+
+use std::{path::Path, sync::Arc};
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings, Source},
+    registry::Registry,
+};
+
+use crate::{
+    check::{self, FunctionNames, Report},
+    compile,
+    net::{Action, Net},
+    space::Limits,
+};
+
+/// What every net task reads from its arguments; a library may want more keys.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Settings {
+    /// `net`: the net's file, relative to the configuration's folder.
+    pub net: String,
+    /// `conflicts = "random"`: whether conflicts of equal priority are decided by chance.
+    pub random: bool,
+}
+
+/// Reads the keys `net` and `conflicts` (`"declared"`, which is the default, or `"random"`) of a
+/// task's arguments.
+///
+/// # Errors
+/// A finding at the key that is missing or wrong.
+pub fn settings(task: &TaskConfig) -> Result<Settings, Finding> {
+    let at = |finding: Finding, key: &str| {
+        let place = task.args.get(key).and_then(|node| node.place().cloned());
+        finding.at(place.unwrap_or_else(|| task.place.clone()))
+    };
+    let net = task
+        .args
+        .get("net")
+        .and_then(|node| node.as_str())
+        .ok_or_else(|| {
+            let text = format!("task `{}` runs a net and does not say which", task.name);
+            at(Finding::error("pnt::task::no_net", text), "net")
+                .help("add `net = \"FILE.net\"` to its arguments")
+        })?;
+    let random = match task.args.get("conflicts").map(|node| node.as_str()) {
+        None | Some(Some("declared")) => false,
+        Some(Some("random")) => true,
+        Some(_) => {
+            let text = format!("task `{}` has an unknown rule for conflicts", task.name);
+            let finding = Finding::error("pnt::task::conflicts", text);
+            return Err(at(finding, "conflicts").help("write \"declared\" or \"random\""));
+        }
+    };
+    Ok(Settings {
+        net: net.to_owned(),
+        random,
+    })
+}
+
+/// Reads one net.
+///
+/// # Errors
+/// All findings about the file and its text.
+pub fn load(path: &Path) -> Result<Net, Findings> {
+    compile::net(&Source::read(path)?)
+}
+
+/// The net of a task; findings about it are those of [`check_args`].
+fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
+    load(&app.folder.join(settings(task)?.net))
+}
+
+/// Checks one net task: its arguments, its net by itself, and that its library has every function
+/// the net names. For [`ctos::registry::HandlerKind::check_in_app`].
+pub fn check_args(
+    task: &TaskConfig,
+    app: &App,
+    functions: &FunctionNames,
+    findings: &mut Findings,
+) {
+    match net_of(task, app) {
+        Ok(net) => {
+            check::functions(&net, functions, findings);
+            if net.name() != task.name {
+                findings.push(
+                    Finding::error(
+                        "pnt::task::name",
+                        format!(
+                            "task `{}` runs net `{}`; the names must be the same",
+                            task.name,
+                            net.name()
+                        ),
+                    )
+                    .at(task.place.clone())
+                    .help(
+                        "rename one of them: other nets find this one's places by the task's name",
+                    ),
+                );
+            }
+        }
+        Err(found) => findings.extend(found),
+    }
+}
+
+/// Checks all nets of an app together: the tasks whose handlers are named in `handlers`. Nothing is
+/// said when one of the nets is wrong by itself ([`check_args`] tells), or when there is none. For
+/// [`Registry::app_check`].
+pub fn check_app(
+    app: &App,
+    registry: &Registry,
+    handlers: &[&str],
+    limits: &Limits,
+    findings: &mut Findings,
+) -> Option<Report> {
+    let tasks = app
+        .tasks
+        .iter()
+        .filter(|task| handlers.contains(&task.handler.as_str()));
+    let nets: Result<Vec<Arc<Net>>, Findings> =
+        tasks.map(|task| net_of(task, app).map(Arc::new)).collect();
+    let nets = nets.ok().filter(|nets| !nets.is_empty())?;
+    for net in &nets {
+        check_messages(net, app, registry, findings);
+    }
+    let (report, found) = check::check(&nets, limits);
+    findings.extend(found);
+    Some(report)
+}
+
+/// Every message action must go to a task that takes the command.
+fn check_messages(net: &Net, app: &App, registry: &Registry, findings: &mut Findings) {
+    for transition in net.transitions() {
+        if let Some(Action::Message {
+            task, command, at, ..
+        }) = &transition.action
+            && let Err(finding) = registry.command_of(app, task, command)
+        {
+            findings.push(finding.at(at.clone()));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ctos::config;
+
+    use super::*;
+    use crate::{library::Library, task};
+
+    ctos::command! {
+        /// Doubles.
+        struct Double => (), 0x0001, "double"
+    }
+
+    fn library() -> Library<()> {
+        Library::new(()).action("find_spot", |_| async { Ok(()) })
+    }
+
+    fn write_app(folder: &Path, files: &[(&str, &str)]) -> App {
+        for (name, text) in files {
+            std::fs::write(folder.join(name), text).unwrap();
+        }
+        config::load(&folder.join("app.toml"), &[], &[]).unwrap_or_else(|f| panic!("{f}"))
+    }
+
+    fn checked(app: &App) -> Findings {
+        let mut registry = Registry::new();
+        registry
+            .handler("test.net", &task::COMMANDS, |cx| {
+                task::NetTask::from_args(cx, library(), None)
+            })
+            .check_in_app(|task, app, findings| {
+                check_args(task, app, &library().names(), findings)
+            });
+        registry.function::<Double, _, _>("test.doubler", |_, Double {}| async move { Ok(()) });
+        registry.app_check(|app, registry, findings| {
+            check_app(app, registry, &["test.net"], &Limits::default(), findings);
+        });
+        registry.check(app)
+    }
+
+    #[test]
+    fn an_app_with_a_sound_net_has_no_findings_and_one_with_mistakes_has_them_where_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = "[app]\nname = \"t\"\n[chassis.a]\n[task.n]\nhandler = \"test.net\"\non = \"a\"\nargs = { net = \"n.net\" }\n[task.doubler]\nhandler = \"test.doubler\"\non = \"a\"\n";
+        let sound = "net n\nplace a = 1\ntransition t\n  in a\n  do find_spot\n  out a\ntransition u\n  in a\n  send doubler.double\n  out a\n";
+        let found = checked(&write_app(
+            folder.path(),
+            &[("app.toml", config), ("n.net", sound)],
+        ));
+        assert!(found.is_empty(), "{found}");
+
+        let wrong = sound
+            .replace("find_spot", "find_spott")
+            .replace("doubler.double", "doubler.dubble");
+        let shown = checked(&write_app(
+            folder.path(),
+            &[("app.toml", config), ("n.net", &wrong)],
+        ))
+        .to_string();
+        assert!(shown.contains("n.net:5:6: error: the library of net `n` has no local function `find_spott` (did you mean `find_spot`?)"), "{shown}");
+        assert!(
+            shown.contains(
+                "n.net:9:8: error: task `doubler` takes no command `dubble` (did you mean `double`?)"
+            ),
+            "{shown}"
+        );
+
+        let bad_text = checked(&write_app(
+            folder.path(),
+            &[("app.toml", config), ("n.net", "net n\nplase a\n")],
+        ))
+        .to_string();
+        assert_eq!(bad_text.lines().count(), 1, "{bad_text}");
+        assert!(
+            bad_text.contains("n.net:2:1: error: no line of net text begins with `plase`"),
+            "{bad_text}"
+        );
+
+        let other_name = checked(&write_app(
+            folder.path(),
+            &[
+                ("app.toml", config),
+                ("n.net", &sound.replace("net n", "net m")),
+            ],
+        ))
+        .to_string();
+        assert!(
+            other_name.contains("task `n` runs net `m`; the names must be the same"),
+            "{other_name}"
+        );
+
+        let no_file = checked(&write_app(
+            folder.path(),
+            &[("app.toml", &config.replace("n.net", "x.net"))],
+        ))
+        .to_string();
+        assert!(no_file.contains("x.net"), "{no_file}");
+        let no_net = checked(&write_app(
+            folder.path(),
+            &[("app.toml", &config.replace("net = ", "nett = "))],
+        ))
+        .to_string();
+        assert!(
+            no_net.contains("runs a net and does not say which"),
+            "{no_net}"
+        );
+    }
+}

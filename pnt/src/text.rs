@@ -1,0 +1,302 @@
+//! The parser of net text (`docs/net-text.md`): goes on after a mistake and gives all findings at
+//! once, each with its place and what to do. Knows how text looks, not what a net means.
+
+mod line;
+mod words;
+
+#[cfg(test)]
+mod tests;
+
+use ctos::diagnostic::{Finding, Findings, Source};
+
+use crate::draft::{
+    Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes, DraftTransition,
+    DraftWhen, Word,
+};
+use words::Words;
+
+/// Keywords that begin a line of the net itself.
+const DECLARATIONS: [&str; 6] = [
+    "net",
+    "place",
+    "command",
+    "coordinator",
+    "serves",
+    "transition",
+];
+
+/// Keywords that begin a line of a transition.
+const CLAUSES: [&str; 13] = [
+    "in", "read", "inhibit", "tape", "when", "do", "ask", "send", "out", "fail", "write",
+    "priority", "within",
+];
+
+/// Parses one net.
+///
+/// # Errors
+/// All findings, when at least one of them is an error.
+pub fn parse(source: &Source) -> Result<Draft, Findings> {
+    let mut parser = Parser {
+        source,
+        findings: Findings::new(),
+        draft: Draft::new(Word::new("", source.at(0..0))),
+        named: false,
+        in_transition: false,
+    };
+    let mut start = 0;
+    for with_end in source.text().split_inclusive('\n') {
+        parser.line(with_end.trim_end_matches(['\n', '\r']), start);
+        start += with_end.len();
+    }
+    if !parser.named {
+        parser.findings.push(
+            Finding::error("pnt::text::no_net", "this text names no net")
+                .at(source.at_line(1))
+                .help("begin with a line such as `net dispatcher \"what it does\"`"),
+        );
+    }
+    if parser.findings.has_errors() {
+        Err(parser.findings)
+    } else {
+        Ok(parser.draft)
+    }
+}
+
+struct Parser<'a> {
+    source: &'a Source,
+    findings: Findings,
+    draft: Draft,
+    named: bool,
+    in_transition: bool,
+}
+
+impl Parser<'_> {
+    /// Reads one line; what is wrong with it becomes one finding.
+    fn line(&mut self, text: &str, start: usize) {
+        let tokens = match line::cut(text, start) {
+            Ok(tokens) => tokens,
+            Err(bad) => {
+                self.findings.push(
+                    Finding::error("pnt::text::symbol", bad.message).at(self.source.at(bad.range)),
+                );
+                return;
+            }
+        };
+        let mut words = Words::new(self.source, &tokens, start + text.len());
+        if words.at_end() {
+            return;
+        }
+        let result = words
+            .name("a keyword")
+            .and_then(|keyword| self.statement(&keyword, &mut words))
+            .and_then(|()| words.end());
+        self.findings.keep(result);
+    }
+
+    fn statement(&mut self, keyword: &Word, words: &mut Words<'_>) -> Result<(), Finding> {
+        if DECLARATIONS.contains(&keyword.text.as_str()) {
+            self.in_transition = keyword.text == "transition";
+            return self.declaration(keyword, words);
+        }
+        if !CLAUSES.contains(&keyword.text.as_str()) {
+            let known = DECLARATIONS.iter().chain(&CLAUSES).copied();
+            return Err(Finding::error(
+                "pnt::text::keyword",
+                format!("no line of net text begins with `{keyword}`"),
+            )
+            .at(keyword.at.clone())
+            .suggest(&keyword.text, known));
+        }
+        match self.draft.transitions.last_mut() {
+            Some(transition) if self.in_transition => clause(transition, keyword, words),
+            _ => Err(Finding::error(
+                "pnt::text::clause_outside",
+                format!("`{keyword}` belongs to a transition, and none is open here"),
+            )
+            .at(keyword.at.clone())
+            .help("put it below the `transition` line it belongs to")),
+        }
+    }
+
+    fn declaration(&mut self, keyword: &Word, words: &mut Words<'_>) -> Result<(), Finding> {
+        match keyword.text.as_str() {
+            "net" => self.net(keyword, words),
+            "place" => self.places(words),
+            "command" => {
+                let symbol = words.name("the command's symbol")?;
+                words.mark("->")?;
+                let answers = words.names("an output symbol")?;
+                self.draft.commands.push(DraftCommand { symbol, answers });
+                Ok(())
+            }
+            "coordinator" => {
+                let net = words.name("the coordinator's net")?;
+                words.mark(":")?;
+                let requests = words.names("a request")?;
+                self.draft
+                    .coordinators
+                    .push(DraftCoordinator { net, requests });
+                Ok(())
+            }
+            "serves" => self.serves(words),
+            _ => {
+                // The transition is opened even if its line is bad, so that its clauses are read.
+                let name = words.name("the transition's name");
+                let shown = name.clone().unwrap_or_else(|_| keyword.clone());
+                self.draft.transitions.push(DraftTransition::new(shown));
+                name.map(|_| ())
+            }
+        }
+    }
+
+    fn net(&mut self, keyword: &Word, words: &mut Words<'_>) -> Result<(), Finding> {
+        if self.named {
+            return Err(Finding::error(
+                "pnt::text::second_net",
+                "a file holds one net, and this is the second `net` line",
+            )
+            .at(keyword.at.clone())
+            .help("move the second net into a file of its own"));
+        }
+        // Also after a bad name: one mistake, one finding.
+        self.named = true;
+        self.draft.name = words.name("the net's name")?;
+        self.draft.title = words.quoted();
+        Ok(())
+    }
+
+    fn places(&mut self, words: &mut Words<'_>) -> Result<(), Finding> {
+        loop {
+            let name = words.name("a place")?;
+            let tokens = if words.take("=") {
+                words.whole("the initial tokens", 0)?
+            } else {
+                0
+            };
+            let data = if words.keyword("data") {
+                Some(words.name("the data object")?)
+            } else {
+                None
+            };
+            self.draft.places.push(DraftPlace { name, tokens, data });
+            if !words.take(",") {
+                return Ok(());
+            }
+        }
+    }
+
+    fn serves(&mut self, words: &mut Words<'_>) -> Result<(), Finding> {
+        let net = words.name("the requester's net")?;
+        words.mark(":")?;
+        let requests = words.names("a request")?;
+        words.mark(";")?;
+        words.expect_keyword("done")?;
+        let done = words.name("the place of finished requests")?;
+        let failed = if words.take(";") {
+            words.expect_keyword("failed")?;
+            Some(words.name("the place of failed requests")?)
+        } else {
+            None
+        };
+        self.draft.serves.push(DraftServes {
+            net,
+            requests,
+            done,
+            failed,
+        });
+        Ok(())
+    }
+}
+
+fn clause(
+    transition: &mut DraftTransition,
+    keyword: &Word,
+    words: &mut Words<'_>,
+) -> Result<(), Finding> {
+    match keyword.text.as_str() {
+        "in" => transition.inputs.extend(words.arcs()?),
+        "read" => transition.reads.extend(words.arcs()?),
+        "inhibit" => transition.inhibitors.extend(words.arcs()?),
+        "out" => transition.outputs.extend(words.arcs()?),
+        "fail" => transition.fail.extend(words.arcs()?),
+        "tape" => once(&mut transition.tape, keyword, words.name("a symbol")?)?,
+        "write" => once(&mut transition.write, keyword, words.name("a symbol")?)?,
+        "within" => once(&mut transition.within, keyword, words.duration()?)?,
+        "priority" => transition.priority = words.whole("the priority", 0)?,
+        "when" => {
+            let first = words.name("an enabling function")?;
+            let negated = first.text == "not" && !words.at_end();
+            let function = if negated {
+                words.name("an enabling function")?
+            } else {
+                first
+            };
+            once(
+                &mut transition.when,
+                keyword,
+                DraftWhen { function, negated },
+            )?;
+        }
+        _ => {
+            let action = action(keyword, words)?;
+            once(&mut transition.action, keyword, action)?;
+        }
+    }
+    Ok(())
+}
+
+fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding> {
+    match keyword.text.as_str() {
+        "do" => Ok(DraftAction::Do(words.name("a local function")?)),
+        "ask" => Ok(DraftAction::Ask {
+            coordinator: words.name("a coordinator")?,
+            request: words.name("a request")?,
+        }),
+        _ => {
+            let task = words.name("a task")?;
+            words.mark(".")?;
+            let command = words.name("a command")?;
+            let (mut input, mut output) = (None, None);
+            if words.take("(") && !words.take(")") {
+                if !words.take("->") {
+                    input = Some(words.name("a data object")?);
+                    if words.take("->") {
+                        output = Some(words.name("a data object")?);
+                    }
+                } else {
+                    output = Some(words.name("a data object")?);
+                }
+                words.mark(")")?;
+            }
+            Ok(DraftAction::Send {
+                task,
+                command,
+                input,
+                output,
+            })
+        }
+    }
+}
+
+/// Sets what a transition can have once.
+fn once<T>(slot: &mut Option<T>, keyword: &Word, value: T) -> Result<(), Finding> {
+    if slot.is_some() {
+        let (what, help) = match keyword.text.as_str() {
+            "do" | "ask" | "send" => (
+                "this transition already has an action",
+                "split it into two transitions with a place between them",
+            ),
+            _ => (
+                "this transition already has such a line",
+                "remove one of the two",
+            ),
+        };
+        return Err(
+            Finding::error("pnt::text::twice", format!("`{keyword}`: {what}"))
+                .at(keyword.at.clone())
+                .help(help),
+        );
+    }
+    *slot = Some(value);
+    Ok(())
+}

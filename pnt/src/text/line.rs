@@ -1,0 +1,105 @@
+//! One line of net text as symbols with byte ranges. Knows no keyword.
+
+use std::ops::Range;
+
+/// A piece of a line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Symbol {
+    /// A name or keyword: a letter or `_`, then letters, digits and `_`.
+    Name(String),
+    /// Digits, possibly with one decimal point.
+    Number(String),
+    /// Text between double quotes.
+    Quoted(String),
+    /// One of `, = * @ : ; . ( ) ->`.
+    Mark(&'static str),
+}
+
+impl Symbol {
+    /// How a finding names it.
+    pub(super) fn shown(&self) -> String {
+        match self {
+            Self::Name(text) | Self::Number(text) => format!("`{text}`"),
+            Self::Quoted(text) => format!("`\"{text}\"`"),
+            Self::Mark(mark) => format!("`{mark}`"),
+        }
+    }
+}
+
+/// A symbol and the bytes of the whole text that it takes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Token {
+    pub(super) symbol: Symbol,
+    pub(super) range: Range<usize>,
+}
+
+/// What cannot be read, with its bytes of the whole text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct BadSymbol {
+    pub(super) message: String,
+    pub(super) range: Range<usize>,
+}
+
+const MARKS: [&str; 10] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")"];
+
+/// Cuts a line (without its end) that starts at byte `start` of the text into tokens.
+pub(super) fn cut(line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
+    let mut tokens = Vec::new();
+    let mut rest = line;
+    loop {
+        rest = rest.trim_start();
+        let at = start + (line.len() - rest.len());
+        let Some(first) = rest.chars().next() else {
+            return Ok(tokens);
+        };
+        if first == '#' {
+            return Ok(tokens);
+        }
+        let (symbol, length) = symbol(rest, first).map_err(|(message, length)| BadSymbol {
+            message,
+            range: at..at + length,
+        })?;
+        tokens.push(Token {
+            symbol,
+            range: at..at + length,
+        });
+        rest = rest.get(length..).unwrap_or_default();
+    }
+}
+
+/// The first symbol of `rest` and its length in bytes.
+fn symbol(rest: &str, first: char) -> Result<(Symbol, usize), (String, usize)> {
+    let run = |accept: fn(char) -> bool| rest.find(|c| !accept(c)).unwrap_or(rest.len());
+    let head = |length: usize| rest.get(..length).unwrap_or_default().to_owned();
+    if first.is_ascii_alphabetic() || first == '_' {
+        let length = run(|c| c.is_ascii_alphanumeric() || c == '_');
+        return Ok((Symbol::Name(head(length)), length));
+    }
+    if first.is_ascii_digit() {
+        let length = run(|c| c.is_ascii_digit() || c == '.');
+        let text = head(length);
+        if text.parse::<f64>().is_err() {
+            return Err((format!("`{text}` is not a number"), length));
+        }
+        return Ok((Symbol::Number(text), length));
+    }
+    if first == '"' {
+        let inner = rest.get(1..).unwrap_or_default();
+        return match inner.find('"') {
+            Some(end) => {
+                let text = inner.get(..end).unwrap_or_default();
+                Ok((Symbol::Quoted(text.to_owned()), end + 2))
+            }
+            None => Err(("this quotation has no end on its line".into(), rest.len())),
+        };
+    }
+    for mark in MARKS {
+        if rest.starts_with(mark) {
+            return Ok((Symbol::Mark(mark), mark.len()));
+        }
+    }
+    Err((
+        format!("`{first}` has no meaning in net text"),
+        first.len_utf8(),
+    ))
+}

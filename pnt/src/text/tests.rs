@@ -1,0 +1,244 @@
+use std::time::Duration;
+
+use proptest::{collection::vec, option, prelude::*};
+
+use super::*;
+use crate::draft::DraftArc;
+
+/// The findings about a text, one line each.
+fn findings(text: &str) -> Vec<String> {
+    match parse(&Source::new("a.net", text)) {
+        Ok(draft) => panic!("parsed: {draft}"),
+        Err(findings) => findings
+            .into_sorted()
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
+    }
+}
+
+#[test]
+fn every_line_of_the_grammar_is_read() {
+    let text = r#"
+net dispatcher "Translates commands" # and a comment
+place a = 2, b, c data path
+command go -> gone, not_gone
+coordinator vision : find_spot, find_blob
+serves planner : plan ; done plan_done ; failed plan_failed
+transition t
+  in a*2, b
+  read c
+  inhibit c*3
+  tape go
+  when not more
+  send operator.report(path -> receipt)
+  out p1@other, p2@other*2, b
+  fail a
+  write gone
+  priority 7
+  within 1.5 s
+transition u
+  in a
+  when more
+  ask vision find_spot
+  out b
+"#;
+    let draft = parse(&Source::new("a.net", text)).unwrap();
+    assert_eq!(draft.title.as_deref(), Some("Translates commands"));
+    assert_eq!(draft.places[0].tokens, 2);
+    assert_eq!(draft.places[2].data.as_ref().unwrap().text, "path");
+    assert_eq!(draft.serves[0].failed.as_ref().unwrap().text, "plan_failed");
+    let t = &draft.transitions[0];
+    assert_eq!(t.inputs[0].weight, 2);
+    assert_eq!(t.outputs[1].net.as_ref().unwrap().text, "other");
+    assert!(t.when.as_ref().unwrap().negated);
+    assert_eq!(t.within, Some(Duration::from_millis(1500)));
+    assert_eq!(t.priority, 7);
+    assert_eq!(
+        parse(&Source::new("b.net", draft.to_string())).unwrap(),
+        draft
+    );
+}
+
+#[test]
+fn all_mistakes_of_a_text_are_found_at_once_with_their_places() {
+    let text = "net n\nplase a\nplace b = x\nplace c ! d\ntransition t\n  in a b\n  wen x\n  do f\n  do g\n  in a*0\n  within 3 years\nout\n";
+    let found = findings(text);
+    let starts = [
+        "a.net:2:1: error: no line of net text begins with `plase` (did you mean `place`?)",
+        "a.net:3:11: error: expected the initial tokens, found `x`",
+        "a.net:4:9: error: `!` has no meaning in net text",
+        "a.net:6:8: error: expected the end of the line, found `b`",
+        "a.net:7:3: error: no line of net text begins with `wen` (did you mean `when`?)",
+        "a.net:9:3: error: `do`: this transition already has an action",
+        "a.net:10:8: error: the arc's weight cannot be 0",
+        "a.net:11:12: error: `years` is no unit of time here",
+        "a.net:12:4: error: expected a place, found the end of the line",
+    ];
+    assert_eq!(found.len(), starts.len(), "{found:#?}");
+    for (line, start) in found.iter().zip(starts) {
+        assert!(
+            line.starts_with(start),
+            "{line}\nshould start with\n{start}"
+        );
+    }
+}
+
+#[test]
+fn a_text_without_a_net_line_says_how_to_begin() {
+    let found = findings("place a\n");
+    assert!(found[0].contains("names no net") && found[0].contains("begin with"));
+}
+
+#[test]
+fn a_clause_outside_a_transition_is_refused() {
+    let found = findings("net n\ntransition t\n  in a\nplace a\n  out a\n");
+    assert!(found[0].starts_with("a.net:5:3: error: `out` belongs to a transition"));
+}
+
+#[test]
+fn numbers_that_cannot_be_meant_are_refused() {
+    for bad in [
+        "-2",
+        "18446744073709551616",
+        "1.5",
+        "1000001",
+        "1e3",
+        "0x10",
+    ] {
+        let text = format!("net n\nplace a = {bad}\n");
+        assert!(!findings(&text).is_empty(), "{bad}");
+    }
+}
+
+#[test]
+fn windows_line_ends_and_a_missing_last_one_do_not_matter() {
+    let draft = parse(&Source::new(
+        "a",
+        "net n\r\nplace a\r\ntransition t\r\n  in a",
+    ))
+    .unwrap();
+    assert_eq!(draft.transitions[0].inputs[0].place.text, "a");
+}
+
+fn name() -> impl Strategy<Value = Word> {
+    "[a-z_][a-zA-Z0-9_]{0,8}".prop_map(|text| Word::from(text.as_str()))
+}
+
+fn arc() -> impl Strategy<Value = DraftArc> {
+    (name(), option::of(name()), 1_u32..5).prop_map(|(place, net, weight)| DraftArc {
+        place,
+        net,
+        weight,
+    })
+}
+
+fn an_action() -> impl Strategy<Value = DraftAction> {
+    prop_oneof![
+        name().prop_map(DraftAction::Do),
+        (name(), name()).prop_map(|(coordinator, request)| DraftAction::Ask {
+            coordinator,
+            request
+        }),
+        (name(), name(), option::of(name()), option::of(name())).prop_map(
+            |(task, command, input, output)| DraftAction::Send {
+                task,
+                command,
+                input,
+                output
+            }
+        ),
+    ]
+}
+
+prop_compose! {
+    fn a_transition()(
+        (name, tape, write) in (name(), option::of(name()), option::of(name())),
+        (inputs, reads, inhibitors) in (vec(arc(), 0..4), vec(arc(), 0..2), vec(arc(), 0..2)),
+        (outputs, fail) in (vec(arc(), 0..4), vec(arc(), 0..2)),
+        when in option::of((name(), any::<bool>())),
+        action in option::of(an_action()),
+        priority in 0_u32..4,
+        within in option::of(1_u64..86_400_000_000),
+    ) -> DraftTransition {
+        DraftTransition {
+            name,
+            inputs,
+            reads,
+            inhibitors,
+            tape,
+            when: when.map(|(function, negated)| DraftWhen { function, negated }),
+            action,
+            outputs,
+            fail,
+            write,
+            priority,
+            within: within.map(Duration::from_micros),
+        }
+    }
+}
+
+prop_compose! {
+    fn a_draft()(
+        name in name(),
+        title in option::of("[^\"\\r\\n]{0,20}"),
+        places in vec((name(), 0_u32..4, option::of(name())), 0..5),
+        commands in vec((name(), vec(name(), 1..3)), 0..3),
+        coordinators in vec((name(), vec(name(), 1..3)), 0..3),
+        serves in vec((name(), vec(name(), 1..3), name(), option::of(name())), 0..2),
+        transitions in vec(a_transition(), 0..5),
+    ) -> Draft {
+        Draft {
+            name,
+            title,
+            places: places
+                .into_iter()
+                .map(|(name, tokens, data)| DraftPlace { name, tokens, data })
+                .collect(),
+            commands: commands
+                .into_iter()
+                .map(|(symbol, answers)| DraftCommand { symbol, answers })
+                .collect(),
+            coordinators: coordinators
+                .into_iter()
+                .map(|(net, requests)| DraftCoordinator { net, requests })
+                .collect(),
+            serves: serves
+                .into_iter()
+                .map(|(net, requests, done, failed)| DraftServes {
+                    net,
+                    requests,
+                    done,
+                    failed,
+                })
+                .collect(),
+            transitions,
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn what_is_printed_parses_to_the_same_net(draft in a_draft()) {
+        let text = draft.to_string();
+        prop_assert_eq!(parse(&Source::new("printed", text)).unwrap(), draft);
+    }
+
+    #[test]
+    fn no_text_makes_the_parser_panic(text in "\\PC*") {
+        let _ = parse(&Source::new("any", text));
+    }
+
+    #[test]
+    fn no_mixture_of_keywords_makes_parser_or_compiler_panic(
+        words in vec(prop::sample::select(vec![
+            "net ", "place ", "command ", "coordinator ", "serves ", "transition ", "in ", "read ",
+            "inhibit ", "tape ", "when ", "not ", "do ", "ask ", "send ", "out ", "fail ", "write ",
+            "priority ", "within ", "a", "b", ", ", "*2", "@", ": ", "; ", "done ", "failed ", "-> ",
+            "(", ")", ".", "= 1", "3 s", "\n", "\n", "\n", "\"", "#", "ä",
+        ]), 0..60),
+    ) {
+        let text = format!("net n\n{}", words.concat());
+        let _ = crate::compile::net(&Source::new("any", text));
+    }
+}
