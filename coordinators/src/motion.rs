@@ -137,7 +137,7 @@ async fn plan_path(action: Act) -> Acted {
     acquire(&action, &cx, &args).await?;
     let pose = Target::Pose(destination.base_t_tool);
     let mut first_refusal = None;
-    for elbow in [None, Some(Elbow::Up), Some(Elbow::Down)] {
+    for elbow in [None, Some(Elbow::Above), Some(Elbow::Below)] {
         match plan(&cx, &args, pose, PathKind::Joint, elbow).await {
             Ok(planned) => {
                 let path = PathSpec {

@@ -45,7 +45,7 @@ pub struct Settling {
 impl Default for Settling {
     fn default() -> Self {
         Self {
-            error: 5e-4,
+            error: 2e-4,
             speed: 5e-3,
             ticks: 20,
             patience: 667,

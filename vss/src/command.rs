@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     calibrate::{Calibration, LightPoint},
+    camera::Camera,
     frame::Frame,
     spot::{Spot, SpotFlags},
 };
@@ -106,6 +107,11 @@ ctos::command! {
         pub mark: Mark,
     } => (), 0x0433, "display_mark"
 
+    /// The world's own knowledge of its cameras. Only a stand-in for the world can answer, and only a judge of
+    /// results may ask; an estimator that asks is cheating.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct TrueCameras {} => Vec<NamedCamera>, 0x0440, "true_cameras"
+
     /// What the monitor shows of a camera.
     #[derive(Debug, Clone, PartialEq)]
     pub struct WhatIsShown {
@@ -161,4 +167,13 @@ pub struct Shown {
     pub frame: Frame,
     /// The markers on top of it.
     pub marks: Vec<Mark>,
+}
+
+/// A camera as it truly is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NamedCamera {
+    /// Its name.
+    pub name: String,
+    /// Its geometry.
+    pub camera: Camera,
 }

@@ -1,2 +1,7 @@
-//! The ctos command.
-fn main() {}
+//! The command `ctos`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    cli::commands::main()
+}

@@ -78,7 +78,7 @@ impl Rig {
 
 fn pid() -> PidGravity {
     let model = Arc::new(ArmModel::puma560());
-    let gains = JointGains::by_bandwidth(&model, 6.0, 1.0);
+    let gains = JointGains::by_bandwidth(&model, 8.0, 1.0);
     PidGravity::new(model, gains)
 }
 
@@ -102,7 +102,7 @@ fn pid_with_gravity_compensation_tracks_within_the_anchors_four_milliradians() {
 fn computed_torque_tracks_better_than_pid_with_the_same_bandwidth() {
     let law = ComputedTorque::new(
         Arc::new(ArmModel::puma560()),
-        6.0,
+        8.0,
         1.0,
         DynamicsOptions::WITH_ROTORS,
     );

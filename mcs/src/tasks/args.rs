@@ -77,7 +77,7 @@ fn setpoint_every() -> u32 {
 }
 
 fn bandwidth_hz() -> f64 {
-    6.0
+    8.0
 }
 
 fn damping() -> f64 {

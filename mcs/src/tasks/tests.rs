@@ -363,12 +363,13 @@ fn a_driver_fault_in_mid_motion_is_told_to_the_mover_in_the_drivers_words() {
 #[test]
 fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
     let knobs = Arc::<Knobs>::default();
-    let script: Script = |cx, mcs, _| {
+    let script: Script = |cx, mcs, knobs| {
         Box::pin(async move {
             asked(&cx, &mcs, Acquire {}).await?;
             let own = cx.clone();
             cx.spawn(async move {
-                let _ = asked(&own, &mcs, to(Target::Joints(GOAL))).await;
+                let told = refusal(&own, &mcs, to(Target::Joints(GOAL))).await.ok();
+                *knobs.told.lock().unwrap() = told;
             });
             cx.sleep(Duration::from_millis(300)).await;
             Ok(String::new())
@@ -379,6 +380,11 @@ fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
     assert_eq!(
         *knobs.last_write.lock().unwrap(),
         Some((Power::Off, [0.0; 6]))
+    );
+    let told = knobs.told.lock().unwrap().clone();
+    assert_eq!(
+        told.as_deref(),
+        Some("stopped because the app has finished")
     );
     // Braked along the path: never dropped while it moved.
     assert!(

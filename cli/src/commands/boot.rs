@@ -1,0 +1,163 @@
+//! `ctos boot`.
+
+use std::{ffi::OsString, sync::Arc};
+
+use clap::Args;
+use ctos::{
+    boot::{BootError, End, Launcher, Outcome},
+    config::TimeMode,
+    time::Clock,
+};
+
+use crate::{
+    commands::{AppArgs, LogArgs, progress::Display, start_log},
+    exit, program, show,
+};
+
+/// Check an app, start it, wait for its result and stop it
+///
+/// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in one
+/// process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  ctos boot configs/calibrate.toml
+  ctos boot configs/calibrate.toml -v
+  ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
+pub struct BootArgs {
+    /// Which app
+    #[command(flatten)]
+    pub app: AppArgs,
+    /// Print the result as one JSON object, last on standard output
+    #[arg(long)]
+    pub json: bool,
+    /// How much to say
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &BootArgs) -> u8 {
+    let registry = program::registry();
+    let (app, warnings) = match program::checked(&args.app.file, &args.app.sets, &registry) {
+        Ok(checked) => checked,
+        Err(findings) => {
+            let counted = show::counted(&findings);
+            show::findings(findings);
+            show::say(&format!(
+                "{}: {counted}; nothing was started",
+                args.app.file.display()
+            ));
+            return exit::CONFIG;
+        }
+    };
+    let clock = match app.time {
+        TimeMode::Real => Some(Clock::real()),
+        TimeMode::Virtual => None,
+    };
+    if let Err(code) = start_log(&args.log, clock, true) {
+        return code;
+    }
+    show::findings(warnings);
+    let program = match std::env::current_exe() {
+        Ok(program) => program,
+        Err(error) => {
+            show::say(&format!("error: cannot find this program's own file: {error}"));
+            return exit::UNREACHABLE;
+        }
+    };
+    let launcher = Launcher {
+        program,
+        arguments: child_arguments(args),
+    };
+    let display = Arc::new(Display::new(&app));
+    let observer = display.clone();
+    let outcome = ctos::boot::boot(app, registry, &launcher, &(Arc::new(move |event| {
+        observer.show(event);
+    }) as ctos::boot::Observer));
+    display.finish();
+    match outcome {
+        Ok(outcome) => report(&outcome, args.json),
+        Err(error) => {
+            show::say(&format!("error: {error}"));
+            match error {
+                BootError::Io { .. } => exit::FAILED,
+                _ => exit::UNREACHABLE,
+            }
+        }
+    }
+}
+
+fn child_arguments(args: &BootArgs) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = vec!["chassis".into(), args.app.file.clone().into()];
+    for set in &args.app.sets {
+        arguments.extend(["--set".into(), set.into()]);
+    }
+    arguments.extend((0..args.log.verbose).map(|_| OsString::from("-v")));
+    if let Some(filter) = &args.log.log {
+        arguments.extend(["--log".into(), filter.into()]);
+    }
+    arguments
+}
+
+/// Shows how the app ended.
+fn report(outcome: &Outcome, json: bool) -> u8 {
+    for (chassis, how) in &outcome.casualties {
+        show::say(&format!("chassis `{chassis}` {how}"));
+    }
+    let (code, reason) = match &outcome.end {
+        End::Finished(result) if result.ok => {
+            let shown = if json {
+                show::say(&result.text);
+                show::data(&result.json)
+            } else {
+                show::data(&result.text)
+            };
+            // A reader that went away has what it wanted.
+            let _ = shown;
+            return exit::OK;
+        }
+        End::Finished(result) => (exit::FAILED, result.text.clone()),
+        End::Interrupted => (exit::INTERRUPTED, "interrupted".to_owned()),
+        End::ChassisDown { chassis } => {
+            let mut casualties = outcome.casualties.iter();
+            let how = casualties.find(|(name, _)| name == chassis);
+            let how = how.map_or("went away", |(_, how)| how.as_str());
+            (
+                exit::FAILED,
+                format!("chassis `{chassis}` {how} while the app ran; its log above may tell why"),
+            )
+        }
+        End::TaskFailed { task, reason } => {
+            (exit::FAILED, format!("task `{task}` failed: {reason}"))
+        }
+        End::PhaseFailed { phase, failures } => {
+            let lines: Vec<String> = failures
+                .iter()
+                .map(|(task, reason)| format!("  task `{task}`: {reason}"))
+                .collect();
+            (
+                exit::FAILED,
+                format!(
+                    "startup phase `{phase}` failed and the boot was undone:\n{}",
+                    lines.join("\n")
+                ),
+            )
+        }
+        End::Stuck => (
+            exit::FAILED,
+            "every task waits for another one; `-vv` shows the last messages".to_owned(),
+        ),
+        _ => (exit::FAILED, "the app ended".to_owned()),
+    };
+    show::say(&format!("error: {reason}"));
+    if json {
+        let object = match &outcome.end {
+            End::Finished(result) => result.json.clone(),
+            _ => serde_json::json!({ "ok": false, "reason": reason }).to_string(),
+        };
+        // A reader that went away has what it wanted.
+        let _ = show::data(&object);
+    }
+    code
+}

@@ -1,0 +1,54 @@
+//! `ctos chassis`: the process of one chassis. People do not call it; `ctos boot` does.
+
+use std::net::SocketAddr;
+
+use clap::Args;
+use ctos::time::Clock;
+
+use crate::{
+    commands::{AppArgs, LogArgs, start_log},
+    exit, program, show,
+};
+
+/// Run one chassis of an app
+#[derive(Debug, Args)]
+pub struct ChassisArgs {
+    /// Which app
+    #[command(flatten)]
+    pub app: AppArgs,
+    /// How much to say
+    #[command(flatten)]
+    pub log: LogArgs,
+    /// Name of the chassis
+    #[arg(long)]
+    pub chassis: String,
+    /// Where the boot listens
+    #[arg(long)]
+    pub boot: SocketAddr,
+    /// Start of the app on the host's monotonic clock, ns
+    #[arg(long)]
+    pub origin: u64,
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &ChassisArgs) -> u8 {
+    if let Err(code) = start_log(&args.log, Some(Clock::real_from(args.origin)), false) {
+        return code;
+    }
+    let app = match program::app(&args.app.file, &args.app.sets) {
+        Ok(app) => app,
+        Err(findings) => {
+            show::findings(findings);
+            return exit::CONFIG;
+        }
+    };
+    let registry = program::registry();
+    match ctos::boot::run_chassis(app, registry, &args.chassis, args.boot, args.origin) {
+        Ok(code) => u8::try_from(code).unwrap_or(exit::FAILED),
+        Err(error) => {
+            show::say(&format!("error: chassis `{}`: {error}", args.chassis));
+            exit::UNREACHABLE
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! What a person sees while an app runs: phases, how far it is, its log, and how it stops.
+
+use std::{
+    io::IsTerminal,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use ctos::{boot::BootEvent, config::App, task::Phase};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::show;
+
+/// Off a terminal, progress is told every so many steps.
+const PLAIN_EVERY: u64 = 10;
+
+/// Shows events on standard error.
+pub(crate) struct Display {
+    bar: Mutex<Option<ProgressBar>>,
+    animated: bool,
+    stopping: AtomicBool,
+    told: AtomicU64,
+    width: usize,
+}
+
+impl Display {
+    /// A display for `app`; says what is being booted.
+    pub(crate) fn new(app: &App) -> Self {
+        show::say(&format!(
+            "boot     {} · {} chassis · {} tasks",
+            app.file.display(),
+            app.chassis.len(),
+            app.tasks.len()
+        ));
+        let names = app.chassis.iter().map(|chassis| chassis.name.len());
+        Self {
+            bar: Mutex::default(),
+            animated: std::io::stderr().is_terminal(),
+            stopping: AtomicBool::new(false),
+            told: AtomicU64::new(u64::MAX),
+            width: names.max().unwrap_or(0),
+        }
+    }
+
+    /// Shows one event.
+    pub(crate) fn show(&self, event: &BootEvent) {
+        match event {
+            BootEvent::Started { chassis, pid } => {
+                let pid = pid.map_or_else(|| "in this process".to_owned(), |pid| format!("pid {pid}"));
+                self.line(&format!("chassis  {chassis:<width$}  {pid}", width = self.width));
+            }
+            BootEvent::PhaseDone { phase, tasks, took } => {
+                let number = Phase::ALL.iter().position(|one| one == phase).unwrap_or(0) + 1;
+                self.line(&format!(
+                    "phase {number}  {phase:<8} ✓ {tasks}/{tasks}  {}",
+                    seconds(*took)
+                ));
+            }
+            BootEvent::Progress {
+                task,
+                done,
+                total,
+                what,
+            } => self.progress(task, *done, *total, what),
+            BootEvent::Log { chassis, line } => {
+                self.line(&format!("{chassis:<width$} │ {line}", width = self.width));
+            }
+            BootEvent::Stopping { reason } => {
+                self.stopping.store(true, Ordering::Relaxed);
+                self.line(&format!("stop     {reason}"));
+            }
+            BootEvent::Stopped { task, error } => {
+                if let Some(error) = error {
+                    self.line(&format!("stop     {task}: {error}"));
+                }
+            }
+            BootEvent::Signalled { chassis, signal } => {
+                self.line(&format!("stop     {chassis} does not end: {signal}"));
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes the bar away.
+    pub(crate) fn finish(&self) {
+        if let Some(bar) = self.bar.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            bar.finish_and_clear();
+        }
+    }
+
+    fn line(&self, text: &str) {
+        let bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
+        match bar.as_ref() {
+            Some(bar) => bar.suspend(|| show::say(text)),
+            None => show::say(text),
+        }
+    }
+
+    fn progress(&self, task: &str, done: u64, total: u64, what: &str) {
+        if !self.animated {
+            let step = done / PLAIN_EVERY;
+            let again = self.told.swap(step, Ordering::Relaxed) == step;
+            if !again || done == total || done == 1 {
+                self.line(&format!("run      {task}: {what} {done} of {total}"));
+            }
+            return;
+        }
+        let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
+        let bar = bar.get_or_insert_with(|| {
+            let style = ProgressStyle::with_template(
+                "run      {prefix} [{bar:30}] {pos} of {len}  {elapsed}  {wide_msg}",
+            );
+            let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+            ProgressBar::new(total).with_style(style.progress_chars("━╸ "))
+        });
+        bar.set_length(total);
+        bar.set_position(done);
+        bar.set_prefix(task.to_owned());
+        bar.set_message(what.to_owned());
+    }
+}
+
+fn seconds(duration: Duration) -> String {
+    format!("{:.2} s", duration.as_secs_f64())
+}

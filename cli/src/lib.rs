@@ -1,0 +1,11 @@
+//! The program `ctos`: checks and boots apps whose event handlers are those of this workspace.
+//!
+//! [`program`] gathers what every configuration can name; [`commands`] holds one file per command.
+//! A program with event handlers of its own does the same with its own registry.
+
+pub mod commands;
+pub mod exit;
+pub mod program;
+pub mod show;
+
+mod log;

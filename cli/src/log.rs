@@ -1,0 +1,59 @@
+//! Where log lines go: standard error, with the app's own time.
+
+use std::fmt;
+
+use ctos::time::Clock;
+use tracing_subscriber::{
+    EnvFilter,
+    fmt::{format::Writer, time::FormatTime},
+};
+
+use crate::show::colours;
+
+/// Seconds since the app was started.
+struct AppTime(Option<Clock>);
+
+impl FormatTime for AppTime {
+    fn format_time(&self, w: &mut Writer<'_>) -> fmt::Result {
+        match &self.0 {
+            Some(clock) => write!(w, "{:9.3}", clock.now().since_start().as_secs_f64()),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Starts logging. `verbosity` 0 shows warnings, 1 the firings of nets and other events of the app, 2
+/// what the runtime does, 3 everything; `filter` (as in `RUST_LOG`) overrides it. `clock` is `None` in
+/// virtual time, which has no single moment for the whole program.
+///
+/// # Errors
+/// What is wrong with the filter.
+pub(crate) fn start(
+    verbosity: u8,
+    filter: Option<&str>,
+    clock: Option<Clock>,
+    ansi: bool,
+) -> Result<(), String> {
+    let default = match verbosity {
+        0 => "warn",
+        1 => "info",
+        2 => "debug",
+        _ => "trace",
+    };
+    let filter = EnvFilter::try_new(filter.unwrap_or(default)).map_err(|error| {
+        format!("`--log` does not hold a filter: {error}; write for example `--log pnt=debug`")
+    })?;
+    let subscriber = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(ansi && colours())
+        .with_timer(AppTime(clock))
+        .compact()
+        .finish();
+    // Only the first call of a program counts; a second one finds logging started already.
+    let _ = tracing::subscriber::set_global_default(subscriber);
+    std::panic::set_hook(Box::new(|panic| {
+        tracing::debug!("{panic}");
+    }));
+    Ok(())
+}

@@ -1,0 +1,47 @@
+//! What configurations can name: every event handler, channel driver, frame source and expander.
+
+use std::path::Path;
+
+use ctos::{
+    config::{App, Expander, load},
+    diagnostic::Findings,
+    registry::Registry,
+};
+use mcs::driver::DriverRegistry;
+use vss::{catalog::VssExpander, source::FrameSources};
+
+/// Every event handler of the workspace.
+#[must_use]
+pub fn registry() -> Registry {
+    let mut registry = Registry::new();
+    let mut drivers = DriverRegistry::new();
+    let mut sources = FrameSources::new();
+    sim::register(&mut registry, &mut drivers, &mut sources);
+    mcs::register(&mut registry, drivers);
+    vss::register(&mut registry, sources);
+    coordinators::register(&mut registry);
+    registry
+}
+
+/// Reads an app's configuration.
+///
+/// # Errors
+/// Everything that is wrong with the file, what it includes, and the overrides.
+pub fn app(file: &Path, sets: &[String]) -> Result<App, Findings> {
+    let vss: &dyn Expander = &VssExpander;
+    load(file, sets, &[("vss", vss)])
+}
+
+/// Reads an app and checks all of it: configuration, names, handlers, arguments, nets.
+///
+/// # Errors
+/// All findings, when one of them is an error.
+pub fn checked(file: &Path, sets: &[String], registry: &Registry) -> Result<(App, Findings), Findings> {
+    let app = app(file, sets)?;
+    let findings = registry.check(&app);
+    if findings.has_errors() {
+        Err(findings)
+    } else {
+        Ok((app, findings))
+    }
+}

@@ -1,0 +1,32 @@
+//! Takes one picture with every camera of a cell, for looking at.
+//!
+//! `cargo run -p sim --example look -- CELL.toml OUT_FOLDER [six joint angles in degrees]`
+//!
+//! With no angles the arm stands at its start. The pictures are `OUT_FOLDER/NAME.png`.
+
+use std::{error::Error, path::PathBuf};
+
+use sim::{camera::Renderer, cell::Cell, picture};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let usage = "usage: look CELL.toml OUT_FOLDER [six joint angles in degrees]";
+    let cell = Cell::read(&PathBuf::from(arguments.next().ok_or(usage)?))?;
+    let folder = PathBuf::from(arguments.next().ok_or(usage)?);
+    let angles: Vec<f64> = arguments
+        .map(|angle| angle.parse().map(f64::to_radians))
+        .collect::<Result<_, _>>()?;
+    let joints = match angles.as_slice() {
+        [] => cell.start,
+        angles => angles.try_into().map_err(|_| usage)?,
+    };
+    std::fs::create_dir_all(&folder)?;
+    let scene = cell.scene(&joints);
+    for camera in &cell.cameras {
+        let mut renderer = Renderer::new(&cell, camera, 1);
+        let pixels = renderer.render(&scene, 0);
+        let path = folder.join(format!("{}.png", camera.truth.name));
+        picture::write_png(&path, camera.truth.width, camera.truth.height, &pixels)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,367 @@
+//! Solids seen along the rays of a camera: exact hits, and the part of the picture a solid can be in.
+//!
+//! Everything here is in the camera frame (origin at the camera's centre), so a ray is a direction.
+//! The tests are analytic; no ray goes through the physics engine.
+
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
+use super::truth::CameraTruth;
+use crate::shapes::{Shape, Solid};
+
+/// Light from the lamps of the room, world frame: mostly from above.
+const LIGHT: [f64; 3] = [0.25, 0.35, 0.9];
+
+/// Share of the light that comes from everywhere.
+const AMBIENT: f64 = 0.35;
+
+/// A shape put before a camera.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    form: Form,
+    grey: f64,
+    light: Vector3<f64>,
+}
+
+#[derive(Debug, Clone)]
+enum Form {
+    Capsule {
+        a: Vector3<f64>,
+        b: Vector3<f64>,
+        radius: f64,
+    },
+    Block {
+        /// Camera to block axes.
+        turn: Matrix3<f64>,
+        /// The camera's centre in the block's frame.
+        eye: Vector3<f64>,
+        half: Vector3<f64>,
+    },
+}
+
+/// Columns and rows `[first, end)` of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Window {
+    pub columns: [usize; 2],
+    pub rows: [usize; 2],
+}
+
+impl Seen {
+    /// A shape in a frame with pose `camera_t_frame`, lit in the world behind `camera_t_world`.
+    pub(super) fn new(
+        shape: &Shape,
+        camera_t_frame: &Isometry3<f64>,
+        camera_t_world: &Isometry3<f64>,
+    ) -> Self {
+        let form = match shape.solid {
+            Solid::Capsule { a, b, radius } => Form::Capsule {
+                a: (camera_t_frame * a).coords,
+                b: (camera_t_frame * b).coords,
+                radius,
+            },
+            Solid::Block { centre, half } => {
+                let back = camera_t_frame.inverse();
+                Form::Block {
+                    turn: back.rotation.to_rotation_matrix().into_inner(),
+                    eye: back.translation.vector - centre.coords,
+                    half,
+                }
+            }
+        };
+        Self {
+            form,
+            grey: shape.grey,
+            light: camera_t_world * Vector3::from(LIGHT).normalize(),
+        }
+    }
+
+    /// Distance along the unit direction `ray` to the first point of the solid.
+    pub(super) fn hit(&self, ray: &Vector3<f64>) -> Option<f64> {
+        match &self.form {
+            Form::Capsule { a, b, radius } => hit_capsule(a, b, *radius, ray),
+            Form::Block { turn, eye, half } => hit_block(eye, half, &(turn * ray)),
+        }
+    }
+
+    /// Grey of the point at `distance` along `ray`, by Lambert's law.
+    pub(super) fn shade(&self, ray: &Vector3<f64>, distance: f64) -> f64 {
+        let point = ray * distance;
+        let normal = match &self.form {
+            Form::Capsule { a, b, .. } => {
+                let axis = b - a;
+                let length = axis.norm_squared();
+                let along = if length > 0.0 {
+                    ((point - a).dot(&axis) / length).clamp(0.0, 1.0)
+                } else {
+                    0.0
+                };
+                (point - a - axis * along).normalize()
+            }
+            Form::Block { turn, eye, half } => {
+                let local = (eye + turn * point).component_div(half);
+                let mut normal = Vector3::zeros();
+                let face = local.iamax();
+                normal[face] = local[face].signum();
+                turn.transpose() * normal
+            }
+        };
+        lambert(self.grey, normal.dot(&self.light))
+    }
+
+    /// The part of the picture outside which the solid cannot be seen; `None` when it cannot be
+    /// seen at all.
+    pub(super) fn window(&self, camera: &CameraTruth) -> Option<Window> {
+        let whole = Window {
+            columns: [0, camera.width],
+            rows: [0, camera.height],
+        };
+        let Form::Capsule { a, b, radius } = &self.form else {
+            return Some(whole);
+        };
+        let mut low = [f64::INFINITY; 2];
+        let mut high = [f64::NEG_INFINITY; 2];
+        let mut behind = 0;
+        // The solid lies in the hull of the cubes about its two ends, and so does its ideal image.
+        for corner in 0..16_u32 {
+            let sign = |bit: u32| {
+                if corner >> bit & 1 == 0 {
+                    -radius
+                } else {
+                    *radius
+                }
+            };
+            let end = if corner >> 3 == 0 { a } else { b };
+            let p = end + Vector3::new(sign(0), sign(1), sign(2));
+            if p.z < 1e-3 {
+                behind += 1;
+                continue;
+            }
+            for (axis, value) in [p.x / p.z, p.y / p.z].into_iter().enumerate() {
+                low[axis] = low[axis].min(value);
+                high[axis] = high[axis].max(value);
+            }
+        }
+        match behind {
+            0 => distorted(camera, low, high, whole),
+            16 => None,
+            _ => Some(whole),
+        }
+    }
+}
+
+/// The window of an ideal rectangle after distortion: the lens model is continuous, so the border of
+/// the rectangle becomes the border of its image.
+fn distorted(camera: &CameraTruth, low: [f64; 2], high: [f64; 2], whole: Window) -> Option<Window> {
+    const STEPS: u32 = 16;
+    let reach = low[0]
+        .abs()
+        .max(high[0].abs())
+        .hypot(low[1].abs().max(high[1].abs()));
+    if reach >= camera.valid_radius {
+        return Some(whole);
+    }
+    let mut from = [f64::INFINITY; 2];
+    let mut to = [f64::NEG_INFINITY; 2];
+    for step in 0..=STEPS {
+        let t = f64::from(step) / f64::from(STEPS);
+        let x = low[0] + t * (high[0] - low[0]);
+        let y = low[1] + t * (high[1] - low[1]);
+        for (x, y) in [(x, low[1]), (x, high[1]), (low[0], y), (high[0], y)] {
+            let (u, v) = camera.pixel(x, y);
+            from = [from[0].min(u), from[1].min(v)];
+            to = [to[0].max(u), to[1].max(v)];
+        }
+    }
+    // Between two of the border's points the curve bulges by far less than these two pixels. A
+    // float becomes an index with saturation at 0.
+    let first = |value: f64| (value - 2.0).floor() as usize;
+    let end = |value: f64, size: usize| ((value + 3.0).ceil() as usize).min(size);
+    let columns = [first(from[0]), end(to[0], camera.width)];
+    let rows = [first(from[1]), end(to[1], camera.height)];
+    (columns[0] < columns[1] && rows[0] < rows[1]).then_some(Window { columns, rows })
+}
+
+/// Grey of a surface whose unit normal has `cosine` with the light.
+fn lambert(grey: f64, cosine: f64) -> f64 {
+    grey * (AMBIENT + (1.0 - AMBIENT) * cosine.max(0.0))
+}
+
+/// The floor, z = 0 in the world, with the joints between its tiles; `None` above the horizon.
+pub(super) fn floor(
+    camera_t_world: &Isometry3<f64>,
+    ray: &Vector3<f64>,
+    grey: f64,
+) -> Option<(f64, f64)> {
+    let eye = camera_t_world.inverse() * Point3::origin();
+    let down = camera_t_world.inverse() * ray;
+    let distance = -eye.z / down.z;
+    if down.z >= -1e-9 || distance <= 0.0 {
+        return None;
+    }
+    let point = eye + down * distance;
+    let joint = |x: f64| ((x / TILE).rem_euclid(1.0) - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
+    let grey = if joint(point.x) || joint(point.y) {
+        grey * 0.8
+    } else {
+        grey
+    };
+    let up = Vector3::from(LIGHT).normalize().z;
+    Some((distance, lambert(grey, up)))
+}
+
+/// Edge of a floor tile and width of the joints, m.
+const TILE: f64 = 0.5;
+const JOINT_WIDTH: f64 = 0.012;
+
+fn hit_capsule(a: &Vector3<f64>, b: &Vector3<f64>, radius: f64, ray: &Vector3<f64>) -> Option<f64> {
+    let axis = b - a;
+    let length = axis.norm_squared();
+    let along = axis.dot(ray);
+    let start = -axis.dot(a);
+    // Side of the cylinder: at^2 + 2bt + c = 0, from the distance of the ray to the axis.
+    let qa = length - along * along;
+    if qa > 1e-12 * length {
+        let qb = -length * a.dot(ray) - start * along;
+        let qc = length * (a.norm_squared() - radius * radius) - start * start;
+        let h = qb * qb - qa * qc;
+        if h < 0.0 {
+            return None;
+        }
+        let t = (-qb - h.sqrt()) / qa;
+        let place = start + t * along;
+        if place > 0.0 && place < length {
+            return (t > 0.0).then_some(t);
+        }
+        return hit_ball(if place <= 0.0 { a } else { b }, radius, ray);
+    }
+    // Along the axis, or a ball: the end that faces the camera.
+    hit_ball(if along >= 0.0 { a } else { b }, radius, ray)
+}
+
+fn hit_ball(centre: &Vector3<f64>, radius: f64, ray: &Vector3<f64>) -> Option<f64> {
+    let b = centre.dot(ray);
+    let h = b * b - centre.norm_squared() + radius * radius;
+    if h < 0.0 {
+        return None;
+    }
+    let t = b - h.sqrt();
+    (t > 0.0).then_some(t)
+}
+
+fn hit_block(eye: &Vector3<f64>, half: &Vector3<f64>, ray: &Vector3<f64>) -> Option<f64> {
+    let mut enter = 0.0_f64;
+    let mut leave = f64::INFINITY;
+    for axis in 0..3 {
+        if ray[axis].abs() < 1e-15 {
+            if eye[axis].abs() > half[axis] {
+                return None;
+            }
+            continue;
+        }
+        let one = (-half[axis] - eye[axis]) / ray[axis];
+        let other = (half[axis] - eye[axis]) / ray[axis];
+        enter = enter.max(one.min(other));
+        leave = leave.min(one.max(other));
+    }
+    (enter <= leave && enter > 0.0).then_some(enter)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Distance of a point to a segment, the definition of a capsule.
+    fn to_segment(p: &Vector3<f64>, a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
+        let axis = b - a;
+        let along = ((p - a).dot(&axis) / axis.norm_squared().max(1e-300)).clamp(0.0, 1.0);
+        (p - a - axis * along).norm()
+    }
+
+    fn near() -> impl Strategy<Value = Vector3<f64>> {
+        (-0.5..0.5_f64, -0.5..0.5_f64, 1.5..2.5_f64).prop_map(|(x, y, z)| Vector3::new(x, y, z))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn a_capsule_is_hit_where_the_ray_first_comes_within_its_radius(
+            a in near(), b in near(), radius in 0.02..0.2_f64, target in near(),
+        ) {
+            let ray = target.normalize();
+            // Sphere tracing finds the first point at distance `radius` by the definition alone.
+            let mut t = 0.0;
+            let mut expected = None;
+            while t < 5.0 {
+                let gap = to_segment(&(ray * t), &a, &b) - radius;
+                if gap < 1e-10 {
+                    expected = Some(t);
+                    break;
+                }
+                t += gap;
+            }
+            match (hit_capsule(&a, &b, radius, &ray), expected) {
+                (Some(hit), Some(t)) => prop_assert!((hit - t).abs() < 1e-4, "{hit} {t}"),
+                (None, None) => {}
+                // A grazing ray may go either way by rounding.
+                (hit, _) => {
+                    let closest = (0..5000).map(|i| to_segment(&(ray * (f64::from(i) * 1e-3)), &a, &b))
+                        .fold(f64::INFINITY, f64::min);
+                    prop_assert!((closest - radius).abs() < 1e-3, "{hit:?} {expected:?}");
+                }
+            }
+        }
+
+        #[test]
+        fn a_block_is_hit_on_its_surface(target in near(), half in 0.05..0.3_f64) {
+            let half = Vector3::new(half, half * 0.5, half * 1.5);
+            let eye = Vector3::new(0.1, 0.2, -2.0);
+            let ray = target.normalize();
+            if let Some(t) = hit_block(&eye, &half, &ray) {
+                let depth = (eye + ray * t).component_div(&half).amax();
+                prop_assert!((depth - 1.0).abs() < 1e-9);
+            } else {
+                for i in 0..4000 {
+                    let point = eye + ray * (f64::from(i) * 1e-3);
+                    prop_assert!(point.component_div(&half).amax() > 1.0 - 1e-9);
+                }
+            }
+        }
+
+        #[test]
+        fn nothing_of_a_capsule_is_seen_outside_its_window(
+            a in near(), b in near(), radius in 0.02..0.2_f64,
+        ) {
+            let distortion = super::super::truth::Distortion {
+                k1: -0.15, k2: 0.04, p1: 5e-4, p2: -5e-4, k3: 0.0,
+            };
+            let camera = CameraTruth {
+                name: "c".into(),
+                width: 60,
+                height: 40,
+                focal: [45.0, 46.0],
+                principal: [31.0, 18.0],
+                distortion,
+                camera_t_world: Isometry3::identity(),
+                valid_radius: distortion.monotonic_radius(),
+            };
+            let shape = Shape {
+                solid: Solid::Capsule { a: a.into(), b: b.into(), radius },
+                grey: 100.0,
+            };
+            let seen = Seen::new(&shape, &Isometry3::identity(), &Isometry3::identity());
+            let window = seen.window(&camera);
+            for row in 0..camera.height {
+                for column in 0..camera.width {
+                    let ray = camera.direction(column as f64, row as f64).unwrap().normalize();
+                    let inside = window.is_some_and(|w| {
+                        (w.columns[0]..w.columns[1]).contains(&column)
+                            && (w.rows[0]..w.rows[1]).contains(&row)
+                    });
+                    prop_assert!(inside || seen.hit(&ray).is_none());
+                }
+            }
+        }
+    }
+}
