@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ctos::{
-    config::{Expander, GeneratedTask, Node},
+    config::{Expander, GeneratedTask, Node, Value},
     diagnostic::{Finding, Findings, Place, Source},
 };
 use serde::Deserialize;
@@ -262,31 +262,46 @@ impl<'a> Expansion<'a> {
             return;
         };
         for (task, _, camera) in self.tasks_of(vm, entry) {
-            let mut args = Node::table();
-            if let Some(camera) = camera
-                && let Some(table) = self
-                    .table
-                    .get("cameras")
-                    .and_then(|cameras| cameras.entry(camera))
-            {
-                // `source` and `args` keep the places where they were written.
-                let own = table.value.entries().iter();
-                args = own.fold(args, |args, entry| {
-                    args.with(&entry.key, entry.value.clone())
-                });
-                args = args.with("camera", camera);
-            }
+            // The camera's own table stays, so that findings point into it.
+            let cameras = self.table.get("cameras");
+            let own = camera.and_then(|camera| cameras?.entry(camera));
+            let args = own.map_or_else(Node::table, |entry| entry.value.clone());
+            let args = camera
+                .into_iter()
+                .fold(args, |args, name| args.with("camera", name));
             self.add(&task, &entry.handler, args);
         }
     }
 
-    /// Adds a task where `place` or `on` says, with what `args` says for it on top.
+    /// What the app says for a task with what the catalog says for it; they may not contradict each other.
+    fn layered(&mut self, name: &str, generated: Node) -> Node {
+        let table = self.table;
+        let Some(own) = table.get("args").and_then(|all| all.entry(name)) else {
+            return generated;
+        };
+        let mut args = own.value.clone();
+        if !matches!(args.value(), Value::Table(_)) {
+            let text = format!("the arguments of `{name}` are {}, not a table", args.kind());
+            self.report(
+                Finding::error("vss::args::no_table", text),
+                args.place().cloned(),
+            );
+            return generated;
+        }
+        for entry in generated.entries() {
+            if let Some(taken) = args.entry(&entry.key) {
+                let text = format!("`{}` of `{name}` is set by the catalog", entry.key);
+                let finding = Finding::error("vss::args::taken", text).help("leave it out");
+                self.report(finding, taken.key_place.clone());
+            }
+            args = args.with(&entry.key, entry.value.clone());
+        }
+        args
+    }
+
+    /// Adds a task where `place` or `on` says.
     fn add(&mut self, name: &str, handler: &str, args: Node) {
-        let own = self.table.get("args").and_then(|all| all.entry(name));
-        let own = own.map_or(&[][..], |entry| entry.value.entries());
-        let args = own.iter().fold(args, |args, entry| {
-            args.with(&entry.key, entry.value.clone())
-        });
+        let args = self.layered(name, args);
         let on = self.parsed.place.get(name).unwrap_or(&self.parsed.on);
         let written = self
             .table
@@ -447,6 +462,10 @@ max_sigma_px = 4.0
         assert_eq!(
             first("[args.toolSpotFind]", "[args.toolSpotFnd]"),
             "app.toml:10:7: error: the services of this app have no task `toolSpotFnd` (did you mean `toolSpotFind`?)"
+        );
+        assert_eq!(
+            first("max_sigma_px = 4.0", "[args.toolSnap]\nvmm = \"x\""),
+            "app.toml:12:1: error: `vmm` of `toolSnap` is set by the catalog (leave it out)"
         );
         let unknown = first("[cameras.right]", "[cameras.right]\nsuorce = 1");
         assert!(unknown.starts_with("app.toml:9:1: error:"), "{unknown}");

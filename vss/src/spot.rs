@@ -51,7 +51,7 @@ impl Default for SpotOptions {
         Self {
             min_sigma_px: 0.3,
             max_sigma_px: 8.0,
-            min_contrast_sd: 6.0,
+            min_contrast_sd: 8.0,
             elongated_ratio: 1.5,
             max_ratio: 3.0,
             max_sd_px: 1.0,
@@ -362,12 +362,15 @@ impl Search<'_> {
                 options.max_sd_px
             ));
         }
-        // A lamp's picture is a little flatter than a Gaussian; an edge or a corner is not like one at all.
-        let allowed = (2.0 * self.noise).max(0.15 * fit.amplitude);
-        if fit.residual > allowed {
+        // What is left beyond the noise: a lamp's picture is a little flatter than a Gaussian; a corner or an end
+        // of something else is not like one at all. The noise's own estimate scatters by sqrt(2/n) of its square.
+        let scatter = 4.0 * (2.0 / fit.degrees_of_freedom).sqrt() * self.noise.powi(2);
+        let allowed = (0.1 * fit.amplitude).powi(2) + scatter + self.noise.powi(2);
+        if fit.residual.powi(2) > allowed {
             return Err(format!(
-                "a Gaussian leaves {:.1} grey values, more than {allowed:.1}",
-                fit.residual
+                "a Gaussian leaves {:.1} grey values, more than {:.1}",
+                fit.residual,
+                allowed.sqrt()
             ));
         }
         Ok(())

@@ -404,7 +404,7 @@ fn arguments_that_no_handler_takes_are_found_before_anything_starts() {
     assert_eq!(
         source,
         [
-            "app.toml:18:10: error: no frame source is called `test.camrea` (did you mean `test.camera`?)"
+            "app.toml:17:10: error: no frame source is called `test.camrea` (did you mean `test.camera`?)"
         ]
     );
     let options = found(
@@ -412,14 +412,14 @@ fn arguments_that_no_handler_takes_are_found_before_anything_starts() {
         "[vss.args.toolSpotFind]\nmax_sigma = 3.0\n[vss.cameras.left]",
     );
     assert!(
-        options[0].starts_with("app.toml:18:1: error:") && options[0].contains("max_sigma_px"),
+        options[0].starts_with("app.toml:17:1: error:") && options[0].contains("max_sigma_px"),
         "{options:?}"
     );
     let file = found(
         "[vss.cameras.left]",
         "[vss.args.vmSpotDisp]\nfile = 3\n[vss.cameras.left]",
     );
-    assert!(file[0].starts_with("app.toml:18:"), "{file:?}");
+    assert!(file[0].starts_with("app.toml:17:"), "{file:?}");
 }
 
 #[test]

@@ -90,10 +90,12 @@ pub(super) fn fit(
         camera: start,
         cauchy,
     };
-    let (problem, report) = LevenbergMarquardt::new()
-        .with_ftol(1e-12)
-        .with_xtol(1e-12)
-        .minimize(problem);
+    // A robust fit is only where the next one starts from.
+    let tolerance = if cauchy.is_some() { 1e-5 } else { 1e-10 };
+    let method = LevenbergMarquardt::new()
+        .with_ftol(tolerance)
+        .with_xtol(tolerance);
+    let (problem, report) = method.minimize(problem);
     match report.termination {
         TerminationReason::User(_)
         | TerminationReason::Numerical(_)

@@ -40,6 +40,8 @@ pub(super) struct Fit {
     pub noise: f64,
     /// Root mean square of what the fit left, grey values.
     pub residual: f64,
+    /// Pixels used beyond the parameters.
+    pub degrees_of_freedom: f64,
     /// Pixels left out because they were saturated.
     pub saturated: usize,
     pub window: Window,
@@ -247,7 +249,8 @@ fn fit_in_window(frame: &Frame, guess: Guess, picture_noise: f64) -> Result<Fit,
         return Err("its fit left the window".to_owned());
     }
     let (normal, squares) = problem.normal_matrix();
-    let residual = (squares / (problem.used.saturating_sub(5)).max(1) as f64).sqrt();
+    let degrees_of_freedom = problem.used.saturating_sub(5).max(1) as f64;
+    let residual = (squares / degrees_of_freedom).sqrt();
     let noise = picture_noise.max(residual);
     let covariance = normal.try_inverse().ok_or("its fit is not determined")?;
     let (sd_u, sd_v) = (
@@ -268,6 +271,7 @@ fn fit_in_window(frame: &Frame, guess: Guess, picture_noise: f64) -> Result<Fit,
         background,
         noise,
         residual,
+        degrees_of_freedom,
         saturated,
         window,
     })

@@ -147,6 +147,36 @@ fn a_bright_wall_without_a_lamp_is_no_spot_and_the_reason_says_so() {
     }
 }
 
+/// A bar with a round end, as a lit arm looks from above, brightest at its end.
+#[test]
+fn the_end_of_an_arm_is_no_spot() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let options = SpotOptions {
+        max_sigma_px: 4.0,
+        ..SpotOptions::default()
+    };
+    for trial in 0..40 {
+        let half = 5.0 + 0.1 * f64::from(trial);
+        let pixels = (0..150 * 150).map(|k| {
+            let (u, v) = (f64::from(k % 150), f64::from(k / 150));
+            let away = (u - 75.0).hypot((v - 60.0).min(0.0));
+            let arm = if away < half {
+                40.0 - 0.2 * (v - 60.0).abs()
+            } else {
+                0.0
+            };
+            let deviate: f64 = StandardNormal.sample(&mut rng);
+            (40.0 + arm + 11.0 * deviate).round().clamp(0.0, 255.0) as u8
+        });
+        let picture = frame(150, 150, pixels.collect());
+        let refused = find_spot(&picture, &options);
+        assert!(
+            matches!(refused, Err(NoSpot::NotASpot { .. })),
+            "{refused:?}"
+        );
+    }
+}
+
 #[test]
 fn noise_alone_is_no_spot() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
