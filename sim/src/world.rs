@@ -200,10 +200,8 @@ impl World {
             self.set_brakes()?;
             self.braking = true;
         }
-        if !self.braked {
-            if self.velocities.iter().all(|v| v.abs() < GRIP_SPEED) {
-                self.grip()?;
-            }
+        if !self.braked && self.velocities.iter().all(|v| v.abs() < GRIP_SPEED) {
+            self.grip()?;
         }
         self.advance(&[0.0; JOINTS], period)
     }
