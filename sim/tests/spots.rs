@@ -55,7 +55,7 @@ fn found_spots_scatter_by_about_0_15_px_around_the_true_projection() {
                 // The sd of a sample of 100 has a relative sd of 7 %.
                 assert!((0.09..0.20).contains(&sd), "{pose:?}: sd {sd} px");
                 // Edges of the arm behind the spot leave a bias, small against the scatter.
-                assert!(mean.abs() < 0.08, "{pose:?}: bias {mean} px");
+                assert!(mean.abs() < 0.12, "{pose:?}: bias {mean} px");
             }
         }
     }
