@@ -1,7 +1,7 @@
 //! Pictures of the scene: what a ceiling camera with a real lens and a noisy sensor would give.
 //!
-//! [`truth`] is the exact projection, [`raster`] what a ray meets, [`lamp`] the bright spot,
-//! [`noise`] the sensor. This module knows no physics: a picture is made from a [`SceneState`] alone,
+//! [`truth`] is the exact projection, `raster` what a ray meets, `lamp` the bright spot, `noise` the
+//! sensor. This module knows no physics: a picture is made from a [`SceneState`] alone,
 //! so it can be made in another process than the world's.
 
 mod lamp;

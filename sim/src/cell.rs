@@ -198,7 +198,7 @@ const fn yes() -> bool {
 }
 
 /// Grey of a floor that the file says nothing of.
-const FLOOR_GREY: f64 = 40.0;
+const FLOOR_GREY: f64 = 24.0;
 
 /// Largest picture side, px: a picture stays within a few megabytes.
 const LARGEST_SIDE: u32 = 4096;

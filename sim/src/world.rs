@@ -31,8 +31,9 @@ pub const GRAVITY: f64 = 9.81;
 /// The longest time step given to the engine, s; a servo period is divided into equal steps.
 const MAX_STEP: f64 = 1.5e-3;
 
-/// Substeps of the engine per step; each rebuilds the mass matrix. With [`MAX_STEP`] this keeps a
-/// driven swing within 2.5 mrad of an exact integration after 2 s.
+/// Substeps of the engine per step; each rebuilds the mass matrix, and the error is first order in
+/// their length. Largest joint error against an exact integration, 2 s of driven swing in 1.5 ms
+/// steps: 10.7, 2.7, 1.35, 0.68 mrad with 1, 4, 8, 16.
 const SUBSTEPS: usize = 8;
 
 /// Braking torque as a multiple of the largest drive torque of the joint.
@@ -200,10 +201,8 @@ impl World {
             self.set_brakes()?;
             self.braking = true;
         }
-        if !self.braked {
-            if self.velocities.iter().all(|v| v.abs() < GRIP_SPEED) {
-                self.grip()?;
-            }
+        if !self.braked && self.velocities.iter().all(|v| v.abs() < GRIP_SPEED) {
+            self.grip()?;
         }
         self.advance(&[0.0; JOINTS], period)
     }

@@ -12,7 +12,7 @@ use crate::shapes::{Shape, Solid};
 const LIGHT: [f64; 3] = [0.25, 0.35, 0.9];
 
 /// Share of the light that comes from everywhere.
-const AMBIENT: f64 = 0.35;
+const AMBIENT: f64 = 0.75;
 
 /// A shape put before a camera.
 #[derive(Debug, Clone)]
@@ -200,7 +200,7 @@ pub(super) fn floor(
     let point = eye + down * distance;
     let joint = |x: f64| ((x / TILE).rem_euclid(1.0) - 0.5).abs() > 0.5 - JOINT_WIDTH / TILE / 2.0;
     let grey = if joint(point.x) || joint(point.y) {
-        grey * 0.8
+        grey * 0.93
     } else {
         grey
     };

@@ -94,8 +94,8 @@ fn spots_are_as_wide_and_as_bright_as_centroids_of_0_15_px_need() {
             for sd in [sd.0, sd.1] {
                 assert!((1.4..2.6).contains(&sd), "{place:?}: sd {sd} px");
             }
-            // Facts on spots: the bound per coordinate is 1.13 * noise / amplitude, px.
-            let bound = 1.13 * cell.cameras[camera].read_noise / peak;
+            // Cramer-Rao for a Gaussian spot: sqrt(2/pi) * noise / amplitude per coordinate, px.
+            let bound = std::f64::consts::FRAC_2_PI.sqrt() * cell.cameras[camera].read_noise / peak;
             assert!((0.10..0.20).contains(&bound), "{place:?}: bound {bound} px");
         }
     }

@@ -212,3 +212,39 @@ fn arguments_are_checked_with_their_cell_file_before_anything_starts() {
         "{findings}"
     );
 }
+
+#[test]
+fn a_camera_whose_world_or_name_is_not_in_the_app_is_found_before_anything_starts() {
+    let check = |camera: &str, world: &str| {
+        let text = format!(
+            r#"
+            [app]
+            name = "look"
+            [chassis.one]
+            [task.world]
+            handler = "sim.world"
+            on = "one"
+            [task.vm]
+            handler = "vss.vm_snap"
+            on = "one"
+            [task.vm.args]
+            camera = "{camera}"
+            source = "sim.camera"
+            args = {{ cell = '{CELL}', world = "{world}" }}
+            "#
+        );
+        let app = load_texts(&[("app.toml", text.as_str())], &[], &[]).unwrap();
+        let mut findings = Findings::new();
+        check_cameras(&app, &mut findings);
+        findings.to_string()
+    };
+    assert_eq!(check("ceiling_west", "world"), "");
+    let found = check("ceiling_west", "vm");
+    assert!(
+        found.contains("asks `vm`") && found.starts_with("app.toml:"),
+        "{found}"
+    );
+    let found = check("ceiling_north", "world");
+    assert!(found.contains("no camera `ceiling_north`"), "{found}");
+    assert!(found.starts_with("app.toml:14:"), "{found}");
+}
