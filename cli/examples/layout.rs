@@ -71,7 +71,14 @@ impl Layout {
                 }
                 let cost = self.cost(&joints, near) + lean / 100.0;
                 if best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                    best = Some((cost, Placed { pose, degrees, joints }));
+                    best = Some((
+                        cost,
+                        Placed {
+                            pose,
+                            degrees,
+                            joints,
+                        },
+                    ));
                 }
             }
         }
@@ -87,10 +94,15 @@ impl Layout {
     fn seen(&mut self, joints: &Joints) -> bool {
         let scene = SceneState::at(joints, &self.cell.lamp.offset, true);
         self.renderers.iter_mut().all(|renderer| {
-            let (width, height) = (renderer.truth().width as f64, renderer.truth().height as f64);
+            let (width, height) = (
+                renderer.truth().width as f64,
+                renderer.truth().height as f64,
+            );
             renderer.lamp_view(&scene).is_some_and(|view| {
                 let inside = |value: f64, size: f64| value > BORDER_PX && value < size - BORDER_PX;
-                view.visible > SEEN_MIN && inside(view.centre.0, width) && inside(view.centre.1, height)
+                view.visible > SEEN_MIN
+                    && inside(view.centre.0, width)
+                    && inside(view.centre.1, height)
             })
         })
     }
@@ -124,7 +136,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (height, radii) in SHELLS {
             for radius in radii {
                 let angle = direction / 360.0 * TAU;
-                points.push(Point3::new(radius * angle.cos(), radius * angle.sin(), height));
+                points.push(Point3::new(
+                    radius * angle.cos(),
+                    radius * angle.sin(),
+                    height,
+                ));
             }
         }
         if column % 2 == 1 {
@@ -140,7 +156,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
     }
-    println!("# Lamp positions (m) and tool orientation (degrees) in the base frame, over the work volume.");
+    println!(
+        "# Lamp positions (m) and tool orientation (degrees) in the base frame, over the work volume."
+    );
     println!("x,y,z,roll,pitch,yaw");
     for found in &placed {
         let p = found.pose.translation;
@@ -165,7 +183,10 @@ fn judge(layout: &Layout, placed: &[Placed]) -> Result<(), Box<dyn Error>> {
         seconds += layout.cost(&found.joints, &from);
         from = found.joints;
     }
-    eprintln!("{} positions, {seconds:.0} s of motion at full speed", placed.len());
+    eprintln!(
+        "{} positions, {seconds:.0} s of motion at full speed",
+        placed.len()
+    );
     let turned = placed.iter().filter(|found| found.degrees[1] > 0.0).count();
     eprintln!("{turned} of them with the tool leaning");
     let points: Vec<Point3<f64>> = placed

@@ -11,6 +11,8 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand};
 
+use ctos::registry::Registry;
+
 use crate::{exit, show};
 
 /// Event handlers, booted from a file and sequenced by Petri nets
@@ -67,15 +69,15 @@ pub struct LogArgs {
     pub log: Option<String>,
 }
 
-/// Runs the command line of this process.
+/// Runs the command line of this process for the event handlers of `registry`.
 #[must_use]
-pub fn main() -> ExitCode {
+pub fn main(registry: Registry) -> ExitCode {
     let cli = Cli::parse();
     let code = match cli.command {
-        Command::Check(args) => check::run(&args),
-        Command::Boot(args) => boot::run(&args),
+        Command::Check(args) => check::run(&args, &registry),
+        Command::Boot(args) => boot::run(&args, registry),
         Command::Completions(args) => completions::run(&args),
-        Command::Chassis(args) => chassis::run(&args),
+        Command::Chassis(args) => chassis::run(&args, registry),
     };
     ExitCode::from(code)
 }

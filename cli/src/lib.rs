@@ -1,7 +1,7 @@
 //! The program `ctos`: checks and boots apps whose event handlers are those of this workspace.
 //!
 //! [`program`] gathers what every configuration can name; [`commands`] holds one file per command.
-//! A program with event handlers of its own does the same with its own registry.
+//! A program with event handlers of its own calls [`commands::main`] with its own registry.
 
 pub mod commands;
 pub mod exit;

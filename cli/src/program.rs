@@ -36,7 +36,11 @@ pub fn app(file: &Path, sets: &[String]) -> Result<App, Findings> {
 ///
 /// # Errors
 /// All findings, when one of them is an error.
-pub fn checked(file: &Path, sets: &[String], registry: &Registry) -> Result<(App, Findings), Findings> {
+pub fn checked(
+    file: &Path,
+    sets: &[String],
+    registry: &Registry,
+) -> Result<(App, Findings), Findings> {
     let app = app(file, sets)?;
     let findings = registry.check(&app);
     if findings.has_errors() {

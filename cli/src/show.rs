@@ -67,9 +67,10 @@ struct Drawn<'a> {
 
 impl<'a> Drawn<'a> {
     fn new(finding: &'a Finding) -> Self {
-        let source = finding.place.as_ref().map(|place| {
-            NamedSource::new(place.source.name(), place.source.text().to_owned())
-        });
+        let source = finding
+            .place
+            .as_ref()
+            .map(|place| NamedSource::new(place.source.name(), place.source.text().to_owned()));
         Self { finding, source }
     }
 }

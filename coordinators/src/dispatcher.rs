@@ -219,7 +219,9 @@ async fn store_point(action: Act) -> Acted {
     let position = store.fetch::<ReachedPosition>(&cx, POSITION).await;
     let lamp = position.ok().filter(|position| position.index == index);
     let spots = store.fetch::<Spots>(&cx, SPOTS).await;
-    let spots = spots.ok().filter(|spots| spots.index == index && lamp.is_some());
+    let spots = spots
+        .ok()
+        .filter(|spots| spots.index == index && lamp.is_some());
     let observations = action.with_state(|state| {
         let observations = &mut state.observations;
         observations.reached += u32::from(lamp.is_some());
@@ -271,7 +273,10 @@ fn progress(observations: &Observations, spots: Option<&Spots>) -> String {
     match spots {
         None => "skipped".to_owned(),
         Some(spots) if spots.reasons.is_empty() => {
-            format!("position, spot seen by {} cameras", observations.cameras.len())
+            format!(
+                "position, spot seen by {} cameras",
+                observations.cameras.len()
+            )
         }
         Some(spots) => format!("position, {}", spots.reasons.join("; ")),
     }
@@ -330,7 +335,9 @@ async fn compute_calib(action: Act) -> Acted {
             action.note(format!("written: {}", file.display()));
         }
     }
-    store.store(&cx, CALIBRATIONS, &Calibrations { cameras }).await
+    store
+        .store(&cx, CALIBRATIONS, &Calibrations { cameras })
+        .await
 }
 
 /// Writes a ROS `camera_info` per camera and the poses of all of them. A file that was there before

@@ -18,7 +18,12 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 pub const HANDLER: &str = "coordinators.dom";
 
 /// The commands it takes.
-pub const COMMANDS: &[CommandInfo] = &[PutData::INFO, GetData::INFO, SetValidity::INFO, ListData::INFO];
+pub const COMMANDS: &[CommandInfo] = &[
+    PutData::INFO,
+    GetData::INFO,
+    SetValidity::INFO,
+    ListData::INFO,
+];
 
 ctos::command! {
     /// Stores a data object.
@@ -87,7 +92,11 @@ impl EventHandler for Dom {
             }
             GetData::CODE => {
                 let (GetData { name }, reply) = message.open::<GetData>()?;
-                match self.objects.get(&name).and_then(|entry| entry.bytes.clone()) {
+                match self
+                    .objects
+                    .get(&name)
+                    .and_then(|entry| entry.bytes.clone())
+                {
                     Some(bytes) => reply.ok(bytes),
                     None => reply.fail(format!("there is no data object `{name}`")),
                 }

@@ -58,7 +58,10 @@ pub(crate) fn need_task(
         findings.push(
             Finding::error(
                 "ctos::config::unknown_task",
-                format!("task `{}` needs a task `{name}`, which the app does not have", task.name),
+                format!(
+                    "task `{}` needs a task `{name}`, which the app does not have",
+                    task.name
+                ),
             )
             .at(place)
             .label(format!("`{key}` of `{}`", task.name))

@@ -209,7 +209,9 @@ async fn move_manip(action: Act) -> Acted {
     let log = action.with_state(|motion| {
         let log = &mut motion.log;
         log.moves += 1;
-        log.max_tracking_error_rad = log.max_tracking_error_rad.max(report.max_tracking_error_rad);
+        log.max_tracking_error_rad = log
+            .max_tracking_error_rad
+            .max(report.max_tracking_error_rad);
         log.max_final_error_rad = log.max_final_error_rad.max(report.final_error_rad);
         *log
     });

@@ -5,7 +5,10 @@ use mcs::{
     client::{PathKind, Target},
 };
 use serde::{Deserialize, Serialize};
-use vss::{calibrate::{Calibration, LightPoint}, command::SpotReport};
+use vss::{
+    calibrate::{Calibration, LightPoint},
+    command::SpotReport,
+};
 
 /// Where the lamp shall go next: written by the Dispatcher, read by the Motion Coordinator.
 pub const DESTINATION: &str = "destination";

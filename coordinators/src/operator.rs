@@ -133,6 +133,14 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
     };
     let judge = cx.task(judge).await?;
     let seconds = cx.now().since(began).as_secs_f64();
-    let judged = cx.call(&judge, Judge { seconds, notes: text }).await;
+    let judged = cx
+        .call(
+            &judge,
+            Judge {
+                seconds,
+                notes: text,
+            },
+        )
+        .await;
     judged.map_err(|error| HandlerError::new(error.reason()))
 }

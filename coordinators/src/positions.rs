@@ -153,7 +153,10 @@ fn row(
             _ => None,
         };
         let column = field.and_then(|field| record.get(field));
-        let shown = column.map_or_else(|| error.to_string(), |text| format!("`{text}` is no number"));
+        let shown = column.map_or_else(
+            || error.to_string(),
+            |text| format!("`{text}` is no number"),
+        );
         finding(shown, column)
     })?;
     row.pose().ok_or_else(|| {
@@ -231,7 +234,9 @@ fn reach(
 
 /// How positions fail to fill space, if they do.
 fn flat(positions: &[Position]) -> Option<&'static str> {
-    let points = positions.iter().map(|position| position.pose.translation.vector);
+    let points = positions
+        .iter()
+        .map(|position| position.pose.translation.vector);
     let points = Matrix3xX::from_columns(&points.collect::<Vec<_>>());
     let mean = points.column_mean();
     let centred = Matrix3xX::from_columns(

@@ -214,25 +214,49 @@ fn write_table(text: &mut String, verdict: &Verdict, notes: &str) -> std::fmt::R
         }
         writeln!(text)
     };
-    row("spots used / rejected", &|c| format!("{} / {}", c.spots, c.rejected))?;
+    row("spots used / rejected", &|c| {
+        format!("{} / {}", c.spots, c.rejected)
+    })?;
     row("lens model", &|c| c.model.clone())?;
     row("reprojection RMS, px", &|c| format!("{:.4}", c.rms_px))?;
-    row("  same spots, true camera", &|c| format!("{:.4}", c.rms_true_px))?;
+    row("  same spots, true camera", &|c| {
+        format!("{:.4}", c.rms_true_px)
+    })?;
     for (index, axis) in ["x", "y", "z"].into_iter().enumerate() {
         let part = |values: &[f64; 3]| values.get(index).copied().unwrap_or(f64::NAN);
-        row(&format!("position {axis}, m: estimate"), &|c| format!("{:.4}", part(&c.position_m)))?;
-        row("               truth", &|c| format!("{:.4}", part(&c.true_position_m)))?;
+        row(&format!("position {axis}, m: estimate"), &|c| {
+            format!("{:.4}", part(&c.position_m))
+        })?;
+        row("               truth", &|c| {
+            format!("{:.4}", part(&c.true_position_m))
+        })?;
     }
     row("position error ± sd, mm", &|c| {
-        format!("{:.2} ± {:.2}", c.position_error_m * 1e3, c.position_sd_m * 1e3)
+        format!(
+            "{:.2} ± {:.2}",
+            c.position_error_m * 1e3,
+            c.position_sd_m * 1e3
+        )
     })?;
     row("rotation error ± sd, mrad", &|c| {
-        format!("{:.2} ± {:.2}", c.rotation_error_rad * 1e3, c.rotation_sd_rad * 1e3)
+        format!(
+            "{:.2} ± {:.2}",
+            c.rotation_error_rad * 1e3,
+            c.rotation_sd_rad * 1e3
+        )
     })?;
-    row("focal length, px: estimate", &|c| format!("{:.2}", c.focal_px))?;
-    row("                  truth", &|c| format!("{:.2}", c.true_focal_px))?;
+    row("focal length, px: estimate", &|c| {
+        format!("{:.2}", c.focal_px)
+    })?;
+    row("                  truth", &|c| {
+        format!("{:.2}", c.true_focal_px)
+    })?;
     row("focal length error ± sd, %", &|c| {
-        format!("{:.3} ± {:.3}", c.focal_error_rel * 1e2, c.focal_sd_rel * 1e2)
+        format!(
+            "{:.3} ± {:.3}",
+            c.focal_error_rel * 1e2,
+            c.focal_sd_rel * 1e2
+        )
     })?;
     writeln!(text)?;
     writeln!(

@@ -136,7 +136,12 @@ async fn look(action: &Action<Vision>, cx: &Context, store: &DomStore) -> Acted 
     });
     let vsm = cx.task(&vsm).await?;
     let asked = missing.into_iter().map(|camera| {
-        let call = cx.call(&vsm, SpotFind { camera: camera.clone() });
+        let call = cx.call(
+            &vsm,
+            SpotFind {
+                camera: camera.clone(),
+            },
+        );
         async move { (camera, call.await) }
     });
     let mut misses = Vec::new();

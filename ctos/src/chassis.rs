@@ -6,7 +6,10 @@
 use std::{
     any::Any,
     collections::BTreeMap,
-    sync::{Arc, Mutex, PoisonError, RwLock},
+    sync::{
+        Arc, Mutex, PoisonError, RwLock,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use crate::{
@@ -55,6 +58,8 @@ pub struct Chassis {
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) known: Mutex<BTreeMap<String, Tid>>,
     on_exit: Mutex<Option<OnExit>>,
+    /// Set by the first order to stop: from then on a chassis that goes is no news.
+    stopping: AtomicBool,
 }
 
 /// What the sender of a message waits for.
@@ -122,6 +127,7 @@ impl Chassis {
             shared: Mutex::default(),
             known: Mutex::default(),
             on_exit: Mutex::default(),
+            stopping: AtomicBool::new(false),
         })
     }
 
@@ -369,6 +375,11 @@ impl Chassis {
         lock(&self.links).up.insert(peer, link);
     }
 
+    /// The app is being taken down.
+    pub(crate) fn set_stopping(&self) {
+        self.stopping.store(true, Ordering::Release);
+    }
+
     /// Gives up all links without telling anybody, so that their writers end.
     pub(crate) fn drop_links(&self) {
         lock(&self.links).up.clear();
@@ -402,6 +413,9 @@ impl Chassis {
             promise.fulfil(Err(self.peer_down_fault(peer)));
         }
         lock(&self.known).retain(|_, tid| tid.chassis() != peer);
+        if self.stopping.load(Ordering::Acquire) && peer != 0 {
+            return;
+        }
         let chassis = self.name_of(peer).to_owned();
         tracing::debug!(chassis = %chassis, "link down");
         let tids: Vec<Tid> = {

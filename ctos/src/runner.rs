@@ -175,6 +175,7 @@ impl Runner {
 
     async fn stop(&mut self, message: Message) -> Handled {
         let (StopTask { reason }, reply) = message.open::<StopTask>()?;
+        self.cx.chassis().set_stopping();
         self.handler.stop(&self.cx, &reason).await?;
         reply.ok(())
     }

@@ -102,9 +102,11 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
 
 fn register_world(registry: &mut Registry) {
     registry
-        .handler(WORLD, &[GetScene::INFO, SetLamp::INFO, TrueCameras::INFO], |_| {
-            Ok(WorldTask)
-        })
+        .handler(
+            WORLD,
+            &[GetScene::INFO, SetLamp::INFO, TrueCameras::INFO],
+            |_| Ok(WorldTask),
+        )
         .check(|task, findings| {
             #[derive(Deserialize)]
             #[serde(deny_unknown_fields)]

@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    cli::commands::main()
+    cli::commands::main(cli::program::registry())
 }

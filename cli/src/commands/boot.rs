@@ -3,6 +3,7 @@
 use std::{ffi::OsString, sync::Arc};
 
 use clap::Args;
+use ctos::registry::Registry;
 use ctos::{
     boot::{BootError, BootEvent, End, Launcher, Observer, Outcome},
     config::TimeMode,
@@ -37,8 +38,7 @@ pub struct BootArgs {
 
 /// Runs the command.
 #[must_use]
-pub fn run(args: &BootArgs) -> u8 {
-    let registry = program::registry();
+pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     let (app, warnings) = match program::checked(&args.app.file, &args.app.sets, &registry) {
         Ok(checked) => checked,
         Err(findings) => {
@@ -62,7 +62,9 @@ pub fn run(args: &BootArgs) -> u8 {
     let program = match std::env::current_exe() {
         Ok(program) => program,
         Err(error) => {
-            show::say(&format!("error: cannot find this program's own file: {error}"));
+            show::say(&format!(
+                "error: cannot find this program's own file: {error}"
+            ));
             return exit::UNREACHABLE;
         }
     };

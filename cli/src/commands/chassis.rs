@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 
 use clap::Args;
+use ctos::registry::Registry;
 use ctos::time::Clock;
 
 use crate::{
@@ -32,7 +33,7 @@ pub struct ChassisArgs {
 
 /// Runs the command.
 #[must_use]
-pub fn run(args: &ChassisArgs) -> u8 {
+pub fn run(args: &ChassisArgs, registry: Registry) -> u8 {
     if let Err(code) = start_log(&args.log, Some(Clock::real_from(args.origin)), false) {
         return code;
     }
@@ -43,7 +44,6 @@ pub fn run(args: &ChassisArgs) -> u8 {
             return exit::CONFIG;
         }
     };
-    let registry = program::registry();
     match ctos::boot::run_chassis(app, registry, &args.chassis, args.boot, args.origin) {
         Ok(code) => u8::try_from(code).unwrap_or(exit::FAILED),
         Err(error) => {

@@ -1,6 +1,7 @@
 //! `ctos check`.
 
 use clap::Args;
+use ctos::registry::Registry;
 
 use crate::{commands::AppArgs, exit, program, show};
 
@@ -22,9 +23,8 @@ pub struct CheckArgs {
 
 /// Runs the command.
 #[must_use]
-pub fn run(args: &CheckArgs) -> u8 {
-    let registry = program::registry();
-    let (found, code) = match program::checked(&args.app.file, &args.app.sets, &registry) {
+pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
+    let (found, code) = match program::checked(&args.app.file, &args.app.sets, registry) {
         Ok((_, warnings)) => (warnings, exit::OK),
         Err(findings) => (findings, exit::CONFIG),
     };

@@ -49,8 +49,12 @@ impl Display {
     pub(crate) fn show(&self, event: &BootEvent) {
         match event {
             BootEvent::Started { chassis, pid } => {
-                let pid = pid.map_or_else(|| "in this process".to_owned(), |pid| format!("pid {pid}"));
-                self.line(&format!("chassis  {chassis:<width$}  {pid}", width = self.width));
+                let pid =
+                    pid.map_or_else(|| "in this process".to_owned(), |pid| format!("pid {pid}"));
+                self.line(&format!(
+                    "chassis  {chassis:<width$}  {pid}",
+                    width = self.width
+                ));
             }
             BootEvent::PhaseDone { phase, tasks, took } => {
                 let number = Phase::ALL.iter().position(|one| one == phase).unwrap_or(0) + 1;
@@ -86,7 +90,12 @@ impl Display {
 
     /// Takes the bar away.
     pub(crate) fn finish(&self) {
-        if let Some(bar) = self.bar.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        if let Some(bar) = self
+            .bar
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+        {
             bar.finish_and_clear();
         }
     }
