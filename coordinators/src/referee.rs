@@ -1,5 +1,9 @@
 //! The referee: holds the result of a calibration against the truth, which only a stand-in for the
 //! world can know. It runs when everything is done; nothing that estimates may ask it.
+//!
+//! A spot counts as rejected when a camera missed it at a position that the arm reached (after all
+//! retries), or when it was seen and is an outlier of the fit. For each camera used and rejected spots
+//! together are the reached positions; `rejected` of the whole verdict is the sum over cameras.
 
 mod table;
 

@@ -51,6 +51,8 @@ pub(crate) enum Answer {
     Refuse,
     /// Not at all.
     Silent,
+    /// Not at all, having done the work.
+    Lost,
     /// Long after everybody's patience.
     Late,
     /// With a panic.
@@ -416,7 +418,7 @@ impl StandIn {
         let (request, reply) = message.open::<C>()?;
         let detail = detail(&request);
         match self.answer(C::NAME, &detail) {
-            Answer::Work => {
+            answer @ (Answer::Work | Answer::Lost) => {
                 let (child, world) = (cx.clone(), self.world.clone());
                 cx.spawn(async move {
                     let begin = child.now().since_start().as_secs_f64();
@@ -427,6 +429,9 @@ impl StandIn {
                     locked.log.push(entry);
                     let worked = work(&mut locked, request);
                     drop(locked);
+                    if answer == Answer::Lost {
+                        return;
+                    }
                     let _ = match worked {
                         Ok(done) => reply.ok(done),
                         Err(reason) => reply.fail(reason),

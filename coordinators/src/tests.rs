@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ctos::diagnostic::Findings;
 use pnt::{check, space::Limits, task};
+use proptest::prelude::*;
 
 use crate::{
     NET_HANDLERS,
@@ -252,8 +253,10 @@ fn failing(
 #[test]
 fn whatever_fails_once_the_command_is_answered_and_everything_is_given_back() {
     for request in REQUESTS {
-        for how in [Answer::Refuse, Answer::Silent, Answer::Late] {
-            if how == Answer::Late && ["put", "get"].contains(&request.0) {
+        for how in [Answer::Refuse, Answer::Silent, Answer::Lost, Answer::Late] {
+            // The DOM is the real one: it says no, or nothing.
+            let dom = ["put", "get"].contains(&request.0);
+            if dom && [Answer::Lost, Answer::Late].contains(&how) {
                 continue;
             }
             for occurrence in [0, 1, 2, 3, 7, 11, 20, 40, 70] {
@@ -283,6 +286,38 @@ fn what_fails_always_fails_the_command_with_its_reason_and_the_rest_is_given_bac
             at_rest(&run, &case);
             assert_eq!(run.answer().0, "calibration_failed", "{case}");
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    #[test]
+    fn whatever_fails_together_the_command_is_answered_and_everything_is_given_back(
+        seed in 0_u64..1000,
+        faults in prop::collection::btree_map(
+            (0..REQUESTS.len(), 0..20_usize),
+            prop::sample::select(vec![Answer::Refuse, Answer::Silent, Answer::Lost, Answer::Late]),
+            0..30,
+        ),
+    ) {
+        let shown = format!("{faults:?} with seed {seed}");
+        let rig = Rig {
+            positions: rig::positions(12),
+            seed,
+            script: Arc::new(move |command, detail, occurrence| {
+                let request = REQUESTS.iter().position(|one| *one == (command, detail));
+                // Giving back is tried three times; that a person has to help then is tested elsewhere.
+                let gives_back = [("release", ""), ("set_lamp", "false")];
+                if occurrence == 2 && gives_back.contains(&(command, detail)) {
+                    return Answer::Work;
+                }
+                let fault = request.and_then(|request| faults.get(&(request, occurrence)));
+                fault.copied().unwrap_or(Answer::Work)
+            }),
+            ..Rig::default()
+        };
+        at_rest(&run(&rig), &shown);
     }
 }
 

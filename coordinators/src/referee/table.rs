@@ -119,7 +119,7 @@ fn ratio(error: f64, sd: f64) -> String {
 fn write_run(text: &mut String, verdict: &Verdict) -> fmt::Result {
     let rows = [
         (
-            "positions used",
+            "positions reached",
             format!("{} of {}", verdict.positions, verdict.positions_wanted),
         ),
         ("spots rejected", verdict.rejected.to_string()),

@@ -73,7 +73,7 @@ orientation                                     0.61 mrad    0.55 mrad      1.11
 focal length, px          417.93     417.85       0.019 %      0.040 %      0.48
 reprojection RMS, px      0.2042     0.2101
 
-positions used          76 of 77
+positions reached       76 of 77
 spots rejected          6
 moves                   76 in 143.3 s
 joint tracking error    at most 12.30 mrad
