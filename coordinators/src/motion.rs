@@ -248,6 +248,11 @@ async fn acquire(action: &Act, cx: &Context, args: &MotionArgs) -> Acted {
     }
     action.with_state(|motion| motion.log = MotionLog::default());
     let mcs = cx.task(&args.mcs).await?;
+    if action.with_state(|motion| motion.to_release) {
+        // A reservation that was never answered, or not given back, would stand in the way. If there
+        // is none after all, this is refused and does no harm.
+        let _ = cx.call(&mcs, Release {}).deadline(STATE_LIMIT).await;
+    }
     let acquired = cx.call(&mcs, Acquire {}).deadline(STATE_LIMIT).await;
     // Without an answer it may be reserved all the same, and is to be given back at the end.
     let refused = |error: &CallError| matches!(error.fault, Fault::Refused { .. });

@@ -39,6 +39,21 @@ fn the_manipulator_is_reserved_once_and_given_back_once_per_command() {
 }
 
 #[test]
+fn a_reservation_whose_answer_is_lost_costs_one_position_and_not_the_command() {
+    let run = run(&Rig {
+        script: Arc::new(|command, _, occurrence| match (command, occurrence) {
+            ("acquire", 0) => Answer::Lost,
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    });
+    assert_eq!(run.answer().0, "calibration_done");
+    let observations: Observations = run.object(crate::objects::OBSERVATIONS).unwrap();
+    assert_eq!(observations.reached, 15);
+    assert!(!lock(&run.world).reserved);
+}
+
+#[test]
 fn a_move_that_is_not_answered_is_stopped_before_the_next_one() {
     let run = run(&Rig {
         script: Arc::new(|command, _, occurrence| match (command, occurrence) {
