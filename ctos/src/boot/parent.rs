@@ -1,20 +1,23 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    cell::RefCell,
+    collections::{BTreeMap, BTreeSet, VecDeque},
     net::SocketAddr,
+    ops::ControlFlow,
     process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
     time::Duration,
 };
 
+use futures_util::future::try_join_all;
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::{
     io::{AsyncBufReadExt, BufReader},
-    net::{TcpListener, TcpStream},
+    net::TcpListener,
     process::{Child, Command},
     signal::unix::{SignalKind, signal},
-    sync::{mpsc, oneshot},
+    sync::oneshot,
     task::JoinHandle,
 };
 
@@ -24,7 +27,7 @@ use crate::{
     call::lock,
     chassis::Chassis,
     config::App,
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token},
+    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
     registry::Registry,
     system,
     time::Clock,
@@ -81,14 +84,16 @@ async fn run(
     }
     // From here on a failure drops `processes`, which kills them.
     let limit = chassis.app.phase_timeout;
+    let mut missing: BTreeSet<u8> = chassis.others().collect();
     let writers = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, &mut processes)) => {
+        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, &mut processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
-                Err(_) => return Err(late(chassis, limit)),
+                Err(_) => return Err(late(chassis, &missing, limit)),
             }
         }
-        _ = interrupt.recv() => return Ok(Outcome { end: End::Interrupted, casualties: Vec::new(), took: chassis.clock.now().since_start() }),
+        _ = interrupt.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => return Ok(interrupted(chassis)),
     };
     let end_slot = EndSlot::default();
     let (sender, mut exited) = oneshot::channel();
@@ -97,7 +102,7 @@ async fn run(
         let _ = sender.send(code);
     });
     boot::start_system_tasks(chassis, observer, &end_slot);
-    let threads = boot::start_processors(chassis);
+    let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
         tokio::select! {
@@ -116,8 +121,9 @@ async fn run(
     chassis.stop_processors();
     for thread in threads {
         // The service is the last thing that ran on it.
-        let _ = thread.join();
+        let _ = thread.ended.await;
     }
+    chassis.close();
     Ok(Outcome {
         end,
         casualties,
@@ -125,14 +131,20 @@ async fn run(
     })
 }
 
-fn late(chassis: &Arc<Chassis>, limit: Duration) -> BootError {
-    let missing = chassis
-        .others()
-        .filter(|index| !chassis.is_linked(*index))
-        .map(|index| format!("`{}`", chassis.name_of(index)))
-        .collect();
+fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
+    Outcome {
+        end: End::Interrupted,
+        casualties: Vec::new(),
+        took: chassis.clock.now().since_start(),
+    }
+}
+
+fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> BootError {
+    let missing = missing
+        .iter()
+        .map(|index| format!("`{}`", chassis.name_of(*index)));
     BootError::Late {
-        chassis: missing,
+        chassis: missing.collect(),
         limit_s: limit.as_secs_f64(),
     }
 }
@@ -190,56 +202,63 @@ fn start(
 }
 
 /// Waits until all chassis have called, lets them call each other, and turns the calls into links.
+/// `missing` says at any time who is not connected yet.
 async fn connect(
     chassis: &Arc<Chassis>,
     listener: &TcpListener,
     token: &Token,
     processes: &mut [Process],
+    missing: &mut BTreeSet<u8>,
 ) -> Result<Vec<JoinHandle<()>>, BootError> {
+    if missing.is_empty() {
+        return Ok(Vec::new());
+    }
     let mut connections: BTreeMap<u8, (Connection, SocketAddr)> = BTreeMap::new();
-    // Callers are heard side by side, so that a stranger who says nothing delays nobody.
-    let (heard, mut hellos) = mpsc::channel(16);
-    while connections.len() < processes.len() {
-        tokio::select! {
-            accepted = listener.accept() => {
-                let (stream, _) = accepted.map_err(io("cannot accept a chassis"))?;
-                let token = token.clone();
-                let heard = heard.clone();
-                tokio::spawn(async move {
-                    // The receiver is gone only when the boot has failed already.
-                    let _ = heard.send(hello(stream, &token).await).await;
-                });
-            }
-            Some(hello) = hellos.recv() => match hello {
-                Ok((index, address, connection)) => {
-                    connections.insert(index, (connection, address));
-                }
-                Err(HandshakeError::Refused(reason)) => return Err(refused(processes, reason).await),
-                Err(error) => tracing::warn!(error = %error, "a stranger called"),
-            },
-            ended = first_exit(processes) => return Err(ended),
+    let called = callers(listener, token, |caller| {
+        if let Some(listen) = caller.listen
+            && missing.remove(&caller.chassis)
+        {
+            connections.insert(caller.chassis, (caller.connection, listen));
         }
+        if missing.is_empty() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    });
+    let called = tokio::select! {
+        called = called => called,
+        ended = first_exit(processes) => return Err(ended),
+    };
+    if let Err(error) = called {
+        return Err(refused(processes, error.to_string()).await);
     }
     let peers: Vec<(u8, SocketAddr)> = connections
         .iter()
         .map(|(index, (_, address))| (*index, *address))
         .collect();
-    for (index, (connection, _)) in &mut connections {
-        let told = connection.tell(&Handshake::Peers(peers.clone())).await;
-        told.map_err(|error| failed(chassis, *index, &error))?;
-    }
-    for (index, (connection, _)) in &mut connections {
-        match connection.hear().await {
-            Ok(Handshake::Ready) => {}
-            Ok(other) => {
-                let error = HandshakeError::Unexpected(Box::new(other));
-                return Err(failed(chassis, *index, &error));
-            }
-            Err(error) => return Err(failed(chassis, *index, &error)),
+    missing.extend(connections.keys());
+    let waiting = RefCell::new(missing);
+    let introduced =
+        try_join_all(connections.into_iter().map(|(index, (connection, _))| {
+            introduce(chassis, index, connection, &peers, &waiting)
+        }));
+    let connections = tokio::select! {
+        // The process first: that it ended says more than that its connection did.
+        biased;
+        ended = first_exit(processes) => return Err(ended),
+        introduced = introduced => introduced,
+    };
+    let connections = match connections {
+        Ok(connections) => connections,
+        // A connection that breaks off mostly belongs to a process that is just ending.
+        Err(error) => {
+            let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+            return Err(ended.unwrap_or(error));
         }
-    }
+    };
     let mut writers = Vec::new();
-    for (index, (mut connection, _)) in connections {
+    for (index, mut connection) in connections {
         let told = connection.tell(&Handshake::Go).await;
         told.map_err(|error| failed(chassis, index, &error))?;
         writers.push(connection.into_link(chassis, index));
@@ -247,14 +266,27 @@ async fn connect(
     Ok(writers)
 }
 
-async fn hello(
-    stream: TcpStream,
-    token: &Token,
-) -> Result<(u8, SocketAddr, Connection), HandshakeError> {
-    let mut connection = Connection::new(stream)?;
-    let (index, listen) = connection.hear_hello(token).await?;
-    let listen = listen.ok_or(HandshakeError::Closed)?;
-    Ok((index, listen, connection))
+/// Tells chassis `index` where the others listen, and waits until it is connected to all of them.
+async fn introduce(
+    chassis: &Arc<Chassis>,
+    index: u8,
+    mut connection: Connection,
+    peers: &[(u8, SocketAddr)],
+    waiting: &RefCell<&mut BTreeSet<u8>>,
+) -> Result<(u8, Connection), BootError> {
+    let told = connection.tell(&Handshake::Peers(peers.to_vec())).await;
+    told.map_err(|error| failed(chassis, index, &error))?;
+    match connection.hear().await {
+        Ok(Handshake::Ready) => {
+            waiting.borrow_mut().remove(&index);
+            Ok((index, connection))
+        }
+        Ok(other) => {
+            let error = HandshakeError::Unexpected(Box::new(other));
+            Err(failed(chassis, index, &error))
+        }
+        Err(error) => Err(failed(chassis, index, &error)),
+    }
 }
 
 fn failed(chassis: &Arc<Chassis>, index: u8, error: &HandshakeError) -> BootError {
