@@ -41,6 +41,21 @@ struct Process {
     name: String,
     child: Child,
     last_lines: Arc<Mutex<VecDeque<String>>>,
+    /// Reads its log; `None` when that is read to its end.
+    log: Option<JoinHandle<()>>,
+}
+
+impl Process {
+    /// Waits until it has ended and its last words are known.
+    async fn ended(&mut self) -> std::io::Result<ExitStatus> {
+        let status = self.child.wait().await;
+        if let Some(log) = &mut self.log
+            && tokio::time::timeout(FLUSH_LIMIT, log).await.is_ok()
+        {
+            self.log = None;
+        }
+        status
+    }
 }
 
 /// Boots `app` with one process per chassis.
@@ -70,6 +85,24 @@ async fn run(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
+    let mut processes = Vec::new();
+    let outcome = run_processes(chassis, launcher, observer, &mut processes).await;
+    // Those that are still in the list were not brought up: nothing moves yet, and nobody may be left.
+    for mut process in processes {
+        // An error says that it has ended already.
+        let _ = process.child.kill().await;
+    }
+    outcome
+}
+
+/// Starts the processes and runs the app to its end. Those that have not been seen to end are left in
+/// `processes`.
+async fn run_processes(
+    chassis: &Arc<Chassis>,
+    launcher: &Launcher,
+    observer: &Observer,
+    processes: &mut Vec<Process>,
+) -> Result<Outcome, BootError> {
     let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
     let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
         .await
@@ -77,16 +110,14 @@ async fn run(
     let address = listener.local_addr().map_err(io("cannot listen"))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
-    let mut processes = Vec::new();
     for config in &chassis.app.chassis {
         let process = start(&config.name, launcher, address, &token, chassis, observer)?;
         processes.push(process);
     }
-    // From here on a failure drops `processes`, which kills them.
     let limit = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
     let writers = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, &mut processes, &mut missing)) => {
+        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
                 Err(_) => return Err(late(chassis, &missing, limit)),
@@ -117,6 +148,7 @@ async fn run(
     let flushed = futures_util::future::join_all(writers);
     // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
     let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
+    let processes = std::mem::take(processes);
     let casualties = end_processes(processes, chassis.app.stop_timeout, &end, observer).await;
     chassis.stop_processors();
     for thread in threads {
@@ -176,7 +208,7 @@ fn start(
         pid: child.id(),
     });
     let last_lines = Arc::new(Mutex::new(VecDeque::new()));
-    if let Some(stderr) = child.stderr.take() {
+    let log = child.stderr.take().map(|stderr| {
         let kept = last_lines.clone();
         let observer = observer.clone();
         let chassis = name.to_owned();
@@ -192,12 +224,13 @@ fn start(
                 let chassis = chassis.clone();
                 observer(&BootEvent::Log { chassis, line });
             }
-        });
-    }
+        })
+    });
     Ok(Process {
         name: name.to_owned(),
         child,
         last_lines,
+        log,
     })
 }
 
@@ -311,8 +344,7 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
     let waits = processes.iter_mut().map(|process| {
         let name = process.name.clone();
         let lines = process.last_lines.clone();
-        let child = &mut process.child;
-        Box::pin(async move { (name, child.wait().await, lines) })
+        Box::pin(async move { (name, process.ended().await, lines) })
     });
     let ((chassis, status, lines), _, _) = futures_util::future::select_all(waits).await;
     let how = status.map_or_else(|error| error.to_string(), |status| describe(&status));
@@ -349,7 +381,7 @@ async fn end_processes(
     let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
     let mut casualties = Vec::new();
     for mut process in processes {
-        let mut status = tokio::time::timeout(limit, process.child.wait()).await;
+        let mut status = tokio::time::timeout(limit, process.ended()).await;
         for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
             if status.is_ok() {
                 break;
@@ -363,7 +395,7 @@ async fn end_processes(
                 // It may have ended just now; the wait below tells.
                 let _ = kill_process(pid, number);
             }
-            status = tokio::time::timeout(limit, process.child.wait()).await;
+            status = tokio::time::timeout(limit, process.ended()).await;
         }
         match status {
             Ok(Ok(status)) if status.code() == Some(expected) => {}
