@@ -4,7 +4,8 @@ use std::rc::Rc;
 
 use ctos::{
     call::{CallError, Fault},
-    diagnostic::Finding,
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
     registry::Registry,
     task::{Context, HandlerError},
 };
@@ -78,12 +79,34 @@ pub(crate) fn register(registry: &mut Registry) {
                             .help("name at least one camera of [vss.cameras]"),
                     );
                 }
+                check_cameras(task, app, &args.cameras, findings);
                 let names = library(args.clone(), DomStore::new(&args.dom)).names();
                 check_args(task, app, &names, findings);
                 crate::need_task(task, app, "vsm", &args.vsm, findings);
                 crate::need_task(task, app, "dom", &args.dom, findings);
             }
         });
+}
+
+/// Where the app has a vision system, each camera named must be one of its own.
+fn check_cameras(task: &TaskConfig, app: &App, cameras: &[String], findings: &mut Findings) {
+    let Some(known) = app.root().get("vss.cameras") else {
+        return;
+    };
+    for (index, camera) in cameras.iter().enumerate() {
+        if known.entry(camera).is_none() {
+            let place = task.args.locate(&format!("cameras.{index}"));
+            let names = known.entries().iter().map(|entry| entry.key.as_str());
+            findings.push(
+                Finding::error(
+                    "coordinators::vision::unknown_camera",
+                    format!("the vision system has no camera `{camera}`"),
+                )
+                .at(place.unwrap_or_else(|| task.place.clone()))
+                .suggest(camera, names),
+            );
+        }
+    }
 }
 
 fn library(args: VisionArgs, store: DomStore) -> Library<Vision> {

@@ -4,7 +4,7 @@ use std::{
     io::IsTerminal,
     sync::{
         Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicU64, Ordering},
     },
     time::Duration,
 };
@@ -21,7 +21,6 @@ const PLAIN_EVERY: u64 = 10;
 pub(crate) struct Display {
     bar: Mutex<Option<ProgressBar>>,
     animated: bool,
-    stopping: AtomicBool,
     told: AtomicU64,
     width: usize,
 }
@@ -39,7 +38,6 @@ impl Display {
         Self {
             bar: Mutex::default(),
             animated: std::io::stderr().is_terminal(),
-            stopping: AtomicBool::new(false),
             told: AtomicU64::new(u64::MAX),
             width: names.max().unwrap_or(0),
         }
@@ -73,14 +71,12 @@ impl Display {
                 self.line(&format!("{chassis:<width$} │ {line}", width = self.width));
             }
             BootEvent::Stopping { reason } => {
-                self.stopping.store(true, Ordering::Relaxed);
                 self.line(&format!("stop     {reason}"));
             }
-            BootEvent::Stopped { task, error } => {
-                if let Some(error) = error {
-                    self.line(&format!("stop     {task}: {error}"));
-                }
-            }
+            BootEvent::Stopped {
+                task,
+                error: Some(error),
+            } => self.line(&format!("stop     {task}: {error}")),
             BootEvent::Signalled { chassis, signal } => {
                 self.line(&format!("stop     {chassis} does not end: {signal}"));
             }

@@ -38,7 +38,7 @@ fn every_bad_value_is_found_at_once_with_its_place() {
     let text = TEXT
         .replace("radius = 0.012", "radius = nan  ")
         .replace("[0.0, 45.0, -90.0", "[0.0, 45.0, -300.0")
-        .replace("read_noise = 12.0\n", "read_noise = -1.0\n");
+        .replace("read_noise = 13.0\n", "read_noise = -1.0\n");
     let found = findings(&text);
     assert_eq!(found.len(), 4, "{found:?}");
     assert!(found[0].starts_with(&place("[0.0, 45.0")), "{}", found[0]);
