@@ -53,11 +53,11 @@ type Data = [u64; 8];
 
 ctos::command! {
     /// Answers with one number.
-    pub struct Ask { pub data: Data } => u64, 1, "ask"
+    struct Ask { data: Data } => u64, 1, "ask"
 }
 ctos::command! {
     /// Is taken, and that is all.
-    pub struct Tell { pub data: Data } => (), 2, "tell"
+    struct Tell { data: Data } => (), 2, "tell"
 }
 
 struct Far;

@@ -62,26 +62,36 @@ struct Lane {
     waiting: VecDeque<(Message, Acceptance)>,
 }
 
+/// A message that its task takes, and what that means for those who wait for room.
+struct Taken {
+    message: Message,
+    /// Has its message in the queue now.
+    admitted: Acceptance,
+    /// Gave up before there was room.
+    given_up: Vec<(Message, Acceptance)>,
+}
+
 impl Lane {
     /// Takes the first message and moves the first sender that still waits into its room.
-    fn take(
-        &mut self,
-        capacity: usize,
-    ) -> Option<(Message, Vec<(Message, Acceptance)>, Acceptance)> {
-        let message = self.queue.pop_front()?;
-        let mut given_up = Vec::new();
+    fn take(&mut self, capacity: usize) -> Option<Taken> {
+        let mut taken = Taken {
+            message: self.queue.pop_front()?,
+            admitted: Acceptance::Silent,
+            given_up: Vec::new(),
+        };
         while self.queue.len() < capacity {
-            let Some((next, acceptance)) = self.waiting.pop_front() else {
+            let Some((message, acceptance)) = self.waiting.pop_front() else {
                 break;
             };
             if acceptance.is_abandoned() {
-                given_up.push((next, acceptance));
+                taken.given_up.push((message, acceptance));
                 continue;
             }
-            self.queue.push_back(next);
-            return Some((message, given_up, acceptance));
+            self.queue.push_back(message);
+            taken.admitted = acceptance;
+            break;
         }
-        Some((message, given_up, Acceptance::Silent))
+        Some(taken)
     }
 }
 
@@ -206,7 +216,12 @@ impl Mailbox {
                 Some(taken) => Some(taken),
                 None => lanes.normal.take(self.capacity),
             };
-            let Some((message, given_up, admitted)) = taken else {
+            let Some(Taken {
+                message,
+                admitted,
+                given_up,
+            }) = taken
+            else {
                 lanes.receiver = Some(Receiver::Idle(cx.waker().clone()));
                 return Poll::Pending;
             };

@@ -134,6 +134,9 @@ impl Drop for CyclicHandle {
     }
 }
 
+/// Called with what a function's panic said.
+type PanicHook = Box<dyn FnOnce(&str)>;
+
 /// One function on a processor's schedule.
 pub(crate) struct CyclicEntry {
     function: Box<dyn Cyclic>,
@@ -142,7 +145,7 @@ pub(crate) struct CyclicEntry {
     next: u64,
     wanted: Arc<AtomicBool>,
     statistics: Arc<CyclicStatistics>,
-    on_panic: Option<Box<dyn FnOnce(&str)>>,
+    on_panic: Option<PanicHook>,
 }
 
 impl CyclicEntry {

@@ -4,6 +4,13 @@
 //! Each trial boots an app of its own. Its own `main`, because the chassis of the real placements are
 //! processes of this program.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
+)]
+
 mod app;
 mod cases;
 mod peer;
