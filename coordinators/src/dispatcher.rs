@@ -248,14 +248,11 @@ async fn store_point(action: Act) -> Acted {
     let what = match (&problem, &spots) {
         (Some(problem), _) => format!("skipped: {problem}"),
         (None, Some(spots)) if spots.reasons.is_empty() => {
-            format!("position, spot seen by {} cameras", spots.seen.len())
+            format!("spot seen by {} cameras", spots.seen.len())
         }
-        (None, spots) => {
-            let why = spots.as_ref().map_or_else(String::new, Spots::why);
-            format!("position, {why}")
-        }
+        (None, spots) => spots.as_ref().map_or_else(String::new, Spots::why),
     };
-    cx.progress(done, total, &what);
+    cx.progress(done, total, "position", &what);
     observations.hopeful(spots.as_ref())
 }
 

@@ -429,12 +429,14 @@ impl Context {
 
     // -- the person who booted the app ------------------------------------------------------
 
-    /// Shows how far the task is.
-    pub fn progress(&self, done: u64, total: u64, what: &str) {
+    /// Shows how far the task is: `done` of `total` steps, each of which is a `step` ("position"), and
+    /// what happened at this one.
+    pub fn progress(&self, done: u64, total: u64, step: &str, what: &str) {
         let progress = system::Progress {
             task: self.name().to_owned(),
             done,
             total,
+            step: step.to_owned(),
             what: what.to_owned(),
         };
         self.inner.chassis.post_system(system::BOOTSTRAP, progress);
