@@ -48,6 +48,9 @@ pub(crate) fn start(
         .with_writer(std::io::stderr)
         .with_ansi(ansi && colours())
         .with_timer(AppTime(clock))
+        // A log that nobody reads any more (the boot was killed) must not make its writer panic: the arm
+        // still has to be stopped.
+        .log_internal_errors(false)
         .compact()
         .finish();
     // Only the first call of a program counts; a second one finds logging started already.

@@ -70,8 +70,11 @@ impl Agent {
                         name: config.name.clone(),
                         tid,
                     };
-                    cx.call(&server, RegisterTid { task: task.clone() }).await?;
-                    self.tasks.push(task);
+                    // It runs, so it is stopped with the others even if its name cannot be had.
+                    self.tasks.push(task.clone());
+                    if let Err(error) = cx.call(&server, RegisterTid { task }).await {
+                        failed.push((config.name.clone(), error.reason()));
+                    }
                 }
                 Err(reason) => failed.push((config.name.clone(), reason)),
             }
@@ -144,7 +147,7 @@ async fn create_one(
         );
     });
     let limit = cx.app().phase_timeout.max(Duration::from_millis(1));
-    match cx.timeout(limit, Waiting(built)).await {
+    match cx.timeout(limit, Waiting::here(built)).await {
         Ok(Ok(_)) => Ok(tid),
         Ok(Err(Fault::Refused { text })) => Err(text),
         Ok(Err(_)) => Err("its processor has stopped".to_owned()),

@@ -3,7 +3,9 @@
 mod child;
 mod parent;
 
-use std::{ffi::OsString, num::NonZeroU64, path::PathBuf, sync::Arc, thread::JoinHandle};
+use std::{ffi::OsString, num::NonZeroU64, panic::AssertUnwindSafe, path::PathBuf, sync::Arc};
+
+use tokio::sync::oneshot;
 
 use crate::{
     agent::{self, Agent},
@@ -12,11 +14,12 @@ use crate::{
     config::{App, ProcessorConfig, TimeMode},
     message::{CommandInfo, Tid},
     names::{self, TidServer},
-    processor::Processor,
+    processor::{Processor, panic_text},
     registry::Registry,
     runner::{TaskSpec, mailbox, start_task},
     simulation, system,
     task::{Context, EventHandler},
+    time::Instant,
 };
 
 pub use crate::bootstrap::{BootEvent, End, Observer};
@@ -57,6 +60,14 @@ pub enum BootError {
         /// What the system said.
         error: std::io::Error,
     },
+    /// A mishap names a chassis that the app has not, or the one that boots where that cannot be.
+    #[error("there is no chassis `{chassis}` to which {what} could happen")]
+    NoChassis {
+        /// The name.
+        chassis: String,
+        /// What should have happened to it.
+        what: &'static str,
+    },
     /// A chassis ended, or said no, before it was connected.
     #[error("chassis `{chassis}` did not start: {reason}")]
     Chassis {
@@ -85,19 +96,60 @@ pub fn boot(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    let app = Arc::new(app);
-    let registry = Arc::new(registry);
     match app.time {
-        TimeMode::Real => parent::boot(&app, &registry, launcher, observer),
-        TimeMode::Virtual => {
-            let (end, took) = simulation::run(app, registry, observer);
-            Ok(Outcome {
-                end,
-                casualties: Vec::new(),
-                took,
-            })
+        TimeMode::Real => {
+            let observer = contained(observer);
+            parent::boot(&Arc::new(app), &Arc::new(registry), launcher, &observer)
         }
+        TimeMode::Virtual => simulate(app, registry, &[], observer),
     }
+}
+
+/// What goes wrong in a simulated app, and when: for tests of what the others make of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Mishap {
+    /// The process of a chassis ends at once, as by `kill -9`.
+    Kill {
+        /// Its name.
+        chassis: String,
+        /// When.
+        at: Instant,
+    },
+    /// The link between two chassis breaks for good; what is under way is lost. Each then holds the
+    /// other for gone. `boot` is the name of the chassis that boots.
+    Cut {
+        /// One end.
+        one: String,
+        /// The other end.
+        other: String,
+        /// When.
+        at: Instant,
+    },
+    /// The link between two chassis stands still; what is sent meanwhile arrives afterwards.
+    Stall {
+        /// One end.
+        one: String,
+        /// The other end.
+        other: String,
+        /// From when.
+        at: Instant,
+        /// Until when.
+        until: Instant,
+    },
+}
+
+/// Runs `app` to its end in one thread on the virtual clock, whatever its `time.mode` is, and lets
+/// `mishaps` happen to it.
+///
+/// # Errors
+/// [`BootError::NoChassis`] when a mishap names a chassis that the app has not.
+pub fn simulate(
+    app: App,
+    registry: Registry,
+    mishaps: &[Mishap],
+    observer: &Observer,
+) -> Result<Outcome, BootError> {
+    simulation::run(app, registry, mishaps, &contained(observer))
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
@@ -151,8 +203,17 @@ fn start<H: EventHandler>(
     });
 }
 
+/// A processor's thread, from outside.
+pub(crate) struct ProcessorThread {
+    /// Ends, one way or the other, when the thread has dropped everything it ran.
+    pub(crate) ended: oneshot::Receiver<()>,
+}
+
 /// Starts a thread for each processor of `chassis`.
-pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> Vec<JoinHandle<()>> {
+///
+/// # Errors
+/// When the system refuses a thread; those that were started are stopped.
+pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<ProcessorThread>> {
     let configured = chassis
         .app
         .chassis
@@ -165,9 +226,11 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> Vec<JoinHandle<()>> {
         let config = configured
             .and_then(|config| config.processors.iter().find(|one| one.name == *name))
             .cloned();
-        let thread = std::thread::Builder::new()
+        let (ending, ended) = oneshot::channel::<()>();
+        let started = std::thread::Builder::new()
             .name(format!("{}/{name}", chassis.name()))
             .spawn(move || {
+                let _ending = ending;
                 // Timers of this thread end at their deadline and not up to 50 us after it.
                 let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
                 if let Some(config) = config {
@@ -175,12 +238,26 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> Vec<JoinHandle<()>> {
                 }
                 Processor::new(handle, clock).run();
             });
-        match thread {
-            Ok(thread) => threads.push(thread),
-            Err(error) => tracing::error!(processor = %name, error = %error, "no thread"),
+        if let Err(error) = started {
+            chassis.stop_processors();
+            return Err(error);
         }
+        threads.push(ProcessorThread { ended });
     }
-    threads
+    Ok(threads)
+}
+
+/// An observer whose panics (a closed terminal, say) do not take the boot with them: the app must
+/// still be stopped in order.
+fn contained(observer: &Observer) -> Observer {
+    let observer = observer.clone();
+    Arc::new(move |event| {
+        let shown = AssertUnwindSafe(|| observer(event));
+        if let Err(panic) = std::panic::catch_unwind(shown) {
+            let text = panic_text(panic.as_ref());
+            tracing::error!(panic = %text, "whoever watches the boot panicked");
+        }
+    })
 }
 
 /// Pins the calling thread and makes it real-time, where the configuration asks for it and the

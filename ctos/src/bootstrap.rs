@@ -3,7 +3,7 @@
 
 use std::{
     cell::RefCell,
-    collections::VecDeque,
+    collections::{BTreeMap, VecDeque},
     rc::Rc,
     sync::{Arc, Mutex},
     time::Duration,
@@ -61,7 +61,9 @@ pub enum BootEvent {
         done: u64,
         /// Steps in all.
         total: u64,
-        /// What is being done.
+        /// What a step is.
+        step: String,
+        /// What happened at this one.
         what: String,
     },
     /// A line that a chassis wrote to its log.
@@ -82,6 +84,11 @@ pub enum BootEvent {
         task: String,
         /// What went wrong, if anything did.
         error: Option<String>,
+    },
+    /// A chassis with `stop_first` has stopped: whatever it moves is at rest.
+    AtRest {
+        /// The chassis.
+        chassis: String,
     },
     /// A process was sent a signal because it did not end by itself.
     Signalled {
@@ -199,6 +206,7 @@ impl EventHandler for Bootstrap {
                     task: progress.task,
                     done: progress.done,
                     total: progress.total,
+                    step: progress.step,
                     what: progress.what,
                 });
                 Ok(())
@@ -343,10 +351,17 @@ impl Sequence {
             .iter()
             .rev()
             .partition(|task| self.stops_first(task));
-        for task in first.into_iter().chain(rest) {
-            if !self.cx.chassis().is_linked(task.tid.chassis()) {
-                continue;
-            }
+        let mut at_rest = BTreeMap::new();
+        for task in first {
+            let chassis = task.tid.chassis();
+            let stopped = self.stop_task(task, &reason).await;
+            *at_rest.entry(chassis).or_insert(true) &= stopped;
+        }
+        for (chassis, _) in at_rest.into_iter().filter(|(_, stopped)| *stopped) {
+            let chassis = self.cx.chassis().name_of(chassis).to_owned();
+            self.event(&BootEvent::AtRest { chassis });
+        }
+        for task in rest {
             self.stop_task(task, &reason).await;
         }
         let code = i32::from(!matches!(end, End::Finished(result) if result.ok));
@@ -367,8 +382,12 @@ impl Sequence {
         configured.any(|config| config.name == chassis && config.stop_first)
     }
 
-    /// Stops one task; a further interrupt goes on to the next one at once.
-    async fn stop_task(&self, task: &TaskName, reason: &StopReason) {
+    /// Stops one task, unless its chassis is gone; a further interrupt goes on to the next one at
+    /// once. Whether it has stopped in order.
+    async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
+        if !self.cx.chassis().is_linked(task.tid.chassis()) {
+            return false;
+        }
         let reference = TaskRef::new(task.name.as_str(), task.tid);
         let request = StopTask {
             reason: reason.clone(),
@@ -387,10 +406,12 @@ impl Sequence {
             Either::Left((Err(error), _)) => Some(error.reason()),
             Either::Right(((), _)) => Some("skipped at a second interrupt".to_owned()),
         };
+        let stopped = error.is_none();
         self.event(&BootEvent::Stopped {
             task: task.name.clone(),
             error,
         });
+        stopped
     }
 }
 

@@ -15,8 +15,8 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    chassis::Chassis,
-    message::{Data, Header},
+    chassis::{Chassis, Inbound, Outbound},
+    message::Data,
 };
 
 /// Why a message did not lead to a reply, without the names of the tasks.
@@ -63,6 +63,11 @@ pub enum Fault {
     },
     /// The receiver is being stopped.
     Stopping,
+    /// Whether there is room cannot be seen from here: the receiver is on another chassis.
+    Elsewhere {
+        /// Its name.
+        chassis: String,
+    },
 }
 
 /// A call or a send that failed: who asked whom for what, and why it failed.
@@ -146,6 +151,10 @@ impl fmt::Display for CallError {
                 f,
                 "the handler of `{to}` panicked at `{command}` from `{from}`: {text}"
             ),
+            Fault::Elsewhere { chassis } => write!(
+                f,
+                "`{to}` is on chassis `{chassis}`, so `{from}` cannot see whether it has room for `{command}`; use `send`, which waits"
+            ),
             Fault::Stopping => {
                 write!(
                     f,
@@ -184,6 +193,11 @@ pub(crate) struct Promise {
 }
 
 impl Promise {
+    /// Whether nobody waits any more.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Acquire)
+    }
+
     /// Gives the answer; later ones are ignored.
     pub(crate) fn fulfil(&self, answer: Answer) {
         let mut state = lock(&self.state);
@@ -198,14 +212,44 @@ impl Promise {
     }
 }
 
-/// The waiting end of a [`Promise`]. Dropping it tells the receiver that nobody waits.
-pub(crate) struct Waiting(pub(crate) Arc<Promise>);
+/// The waiting end of a [`Promise`]. Dropping it tells the receiver, also behind a link, that nobody
+/// waits.
+pub(crate) struct Waiting {
+    promise: Arc<Promise>,
+    /// The call, when it went over a link.
+    outbound: Option<Outbound>,
+}
+
+impl Waiting {
+    /// Waits for an answer of this chassis.
+    pub(crate) fn here(promise: Arc<Promise>) -> Self {
+        Self {
+            promise,
+            outbound: None,
+        }
+    }
+
+    /// Waits for an answer that comes over a link.
+    pub(crate) fn there(promise: Arc<Promise>, outbound: Outbound) -> Self {
+        Self {
+            promise,
+            outbound: Some(outbound),
+        }
+    }
+
+    /// Lets the message go its way without anybody who waits for it.
+    pub(crate) fn forget(mut self) {
+        if let Some(outbound) = self.outbound.take() {
+            outbound.forget();
+        }
+    }
+}
 
 impl Future for Waiting {
     type Output = Answer;
 
     fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Answer> {
-        let mut state = lock(&self.0.state);
+        let mut state = lock(&self.promise.state);
         match std::mem::replace(&mut *state, PromiseState::Taken) {
             PromiseState::Answered(answer) => Poll::Ready(answer),
             PromiseState::Taken => Poll::Ready(Err(Fault::NoReply)),
@@ -219,7 +263,10 @@ impl Future for Waiting {
 
 impl Drop for Waiting {
     fn drop(&mut self) {
-        self.0.abandoned.store(true, Ordering::Release);
+        self.promise.abandoned.store(true, Ordering::Release);
+        if let Some(outbound) = self.outbound.take() {
+            outbound.abandon();
+        }
     }
 }
 
@@ -227,11 +274,10 @@ impl Drop for Waiting {
 enum ReplyTo {
     /// To a future of this chassis.
     Local(Arc<Promise>),
-    /// Over a link, under the caller's number for the call.
+    /// Over a link.
     Remote {
         chassis: Arc<Chassis>,
-        request: Header,
-        call: u64,
+        request: Inbound,
     },
 }
 
@@ -253,11 +299,7 @@ impl SlotInner {
         }
         match &self.to {
             ReplyTo::Local(promise) => promise.fulfil(answer),
-            ReplyTo::Remote {
-                chassis,
-                request,
-                call,
-            } => chassis.post_reply(request, *call, answer),
+            ReplyTo::Remote { chassis, request } => chassis.post_reply(request, answer),
         }
     }
 }
@@ -272,12 +314,8 @@ impl ReplySlot {
         Self::new(ReplyTo::Local(promise))
     }
 
-    pub(crate) fn remote(chassis: Arc<Chassis>, request: Header, call: u64) -> Self {
-        Self::new(ReplyTo::Remote {
-            chassis,
-            request,
-            call,
-        })
+    pub(crate) fn remote(chassis: Arc<Chassis>, request: Inbound) -> Self {
+        Self::new(ReplyTo::Remote { chassis, request })
     }
 
     fn new(to: ReplyTo) -> Self {
@@ -293,8 +331,8 @@ impl ReplySlot {
 
     pub(crate) fn is_abandoned(&self) -> bool {
         match &self.0.to {
-            ReplyTo::Local(promise) => promise.abandoned.load(Ordering::Acquire),
-            ReplyTo::Remote { .. } => false,
+            ReplyTo::Local(promise) => promise.is_abandoned(),
+            ReplyTo::Remote { request, .. } => request.is_abandoned(),
         }
     }
 }
@@ -318,7 +356,7 @@ mod tests {
         let slot = ReplySlot::local(promise.clone());
         slot.answer(Ok(Data::of(1_u8)));
         slot.answer(Ok(Data::of(2_u8)));
-        let answer = Waiting(promise).now_or_never().unwrap().unwrap();
+        let answer = Waiting::here(promise).now_or_never().unwrap().unwrap();
         assert_eq!(answer.take::<u8>().unwrap(), 1);
     }
 
@@ -328,7 +366,7 @@ mod tests {
         let slot = ReplySlot::local(promise.clone());
         let kept = slot.clone();
         drop(slot);
-        let mut waiting = Waiting(promise);
+        let mut waiting = Waiting::here(promise);
         assert!((&mut waiting).now_or_never().is_none());
         drop(kept);
         let answer = (&mut waiting).now_or_never().unwrap();
@@ -340,7 +378,7 @@ mod tests {
         let promise = Arc::new(Promise::default());
         let slot = ReplySlot::local(promise.clone());
         assert!(!slot.is_abandoned());
-        drop(Waiting(promise));
+        drop(Waiting::here(promise));
         assert!(slot.is_abandoned());
     }
 }

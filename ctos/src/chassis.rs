@@ -15,7 +15,7 @@ use std::{
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::App,
-    link::{Frame, Link},
+    link::{BODY_LIMIT, Frame, Link},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
     processor::ProcessorHandle,
@@ -27,9 +27,6 @@ use crate::{
 /// The name of the chassis that boots the others; its number is 0.
 pub const BOOT_CHASSIS: &str = "boot";
 
-/// How many calls may wait before those that nobody waits for are swept out.
-const PENDING_SWEEP: usize = 256;
-
 struct Pending {
     promise: Arc<Promise>,
     peer: u8,
@@ -38,8 +35,62 @@ struct Pending {
 #[derive(Default)]
 struct Links {
     up: BTreeMap<u8, Arc<dyn Link>>,
+    /// What this chassis asked others and has no answer to yet.
     pending: BTreeMap<u64, Pending>,
     next_call: u64,
+    /// What others asked this chassis, by chassis and its number for the call: the flag is set when
+    /// nobody waits for the answer any more.
+    inbound: BTreeMap<(u8, u64), Arc<AtomicBool>>,
+}
+
+/// A request that came over a link and waits for its answer.
+#[derive(Clone)]
+pub(crate) struct Inbound {
+    header: Header,
+    call: u64,
+    abandoned: Arc<AtomicBool>,
+}
+
+impl Inbound {
+    /// Whether the caller, or its chassis, is gone.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Acquire)
+    }
+}
+
+/// A request that went over a link and waits for its answer.
+pub(crate) struct Outbound {
+    chassis: Arc<Chassis>,
+    header: Header,
+    call: u64,
+}
+
+impl Outbound {
+    /// The sender waits no longer: the receiver need not begin, if it has not.
+    pub(crate) fn abandon(self) {
+        let peer = self.header.to.chassis();
+        let link = {
+            let mut links = lock(&self.chassis.links);
+            if links.pending.remove(&self.call).is_none() {
+                return;
+            }
+            links.up.get(&peer).cloned()
+        };
+        if let Some(link) = link {
+            link.post(Frame {
+                header: Header {
+                    flags: Flags::ABANDONED,
+                    size: 0,
+                    ..self.header
+                },
+                call: self.call,
+                body: Vec::new(),
+            });
+        }
+    }
+
+    /// The sender never waited; the message goes its way.
+    pub(crate) fn forget(self) {}
 }
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
@@ -197,14 +248,19 @@ impl Chassis {
     }
 
     /// Sends; the returned future ends with what `wait` names, or with a fault.
-    pub(crate) fn dispatch(&self, envelope: Envelope, wait: WaitFor) -> Waiting {
+    pub(crate) fn dispatch(self: &Arc<Self>, envelope: Envelope, wait: WaitFor) -> Waiting {
         let promise = Arc::new(Promise::default());
         if envelope.to.chassis() == self.index {
             self.dispatch_here(envelope, wait, &promise);
-        } else if let Err(fault) = self.dispatch_there(envelope, wait, &promise) {
-            promise.fulfil(Err(fault));
+            return Waiting::here(promise);
         }
-        Waiting(promise)
+        match self.dispatch_there(envelope, wait, &promise) {
+            Ok(outbound) => Waiting::there(promise, outbound),
+            Err(fault) => {
+                promise.fulfil(Err(fault));
+                Waiting::here(promise)
+            }
+        }
     }
 
     fn dispatch_here(&self, envelope: Envelope, wait: WaitFor, promise: &Arc<Promise>) {
@@ -228,29 +284,23 @@ impl Chassis {
     }
 
     fn dispatch_there(
-        &self,
+        self: &Arc<Self>,
         mut envelope: Envelope,
         wait: WaitFor,
         promise: &Arc<Promise>,
-    ) -> Result<(), Fault> {
+    ) -> Result<Outbound, Fault> {
         let flag = match wait {
             WaitFor::Reply => Flags::REPLY_WAIT,
             WaitFor::Acceptance => Flags::ACCEPT_WAIT,
         };
         let data = std::mem::replace(&mut envelope.data, Data::Bytes(Vec::new()));
-        let body = data.into_bytes().map_err(|error| Fault::BadPayload {
-            text: error.to_string(),
-        })?;
+        let body = body_of(data)?;
+        let header = envelope.header(flag, body.len());
         let peer = envelope.to.chassis();
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
             return Err(self.peer_down_fault(peer));
         };
-        if links.pending.len() >= PENDING_SWEEP {
-            links
-                .pending
-                .retain(|_, pending| Arc::strong_count(&pending.promise) > 1);
-        }
         links.next_call += 1;
         let call = links.next_call;
         links.pending.insert(
@@ -261,16 +311,21 @@ impl Chassis {
             },
         );
         drop(links);
-        link.post(Frame {
-            header: envelope.header(flag, body.len()),
+        link.post(Frame { header, call, body });
+        Ok(Outbound {
+            chassis: self.clone(),
+            header,
             call,
-            body,
-        });
-        Ok(())
+        })
     }
 
     /// Sends only if the receiver is on this chassis and has room now.
     pub(crate) fn try_dispatch_here(&self, envelope: Envelope) -> Result<(), Fault> {
+        let there = envelope.to.chassis();
+        if there != self.index {
+            let chassis = self.name_of(there).to_owned();
+            return Err(Fault::Elsewhere { chassis });
+        }
         let mailbox = self.mailbox(envelope.to).ok_or(Fault::UnknownTask)?;
         mailbox.try_put(Message {
             header: envelope.header(Flags::NONE, 0),
@@ -281,7 +336,7 @@ impl Chassis {
 
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
     /// receiver.
-    pub(crate) fn post_system<C: crate::message::Command>(&self, to: Tid, request: C) {
+    pub(crate) fn post_system<C: crate::message::Command>(self: &Arc<Self>, to: Tid, request: C) {
         let envelope = Envelope {
             to,
             from: system::agent_tid(self.index),
@@ -289,21 +344,28 @@ impl Chassis {
             flags: Flags::HIGH_PRIORITY,
             data: Data::of(request),
         };
-        drop(self.dispatch(envelope, WaitFor::Acceptance));
+        self.dispatch(envelope, WaitFor::Acceptance).forget();
     }
 
-    /// Sends an answer back over the link that the request came by.
-    pub(crate) fn post_reply(&self, request: &Header, call: u64, answer: Answer) {
-        let link = lock(&self.links).up.get(&request.from.chassis()).cloned();
+    /// Sends an answer back over the link that the request came by, if anybody waits for it.
+    pub(crate) fn post_reply(&self, inbound: &Inbound, answer: Answer) {
+        let Inbound {
+            header: request,
+            call,
+            ..
+        } = inbound;
+        let peer = request.from.chassis();
+        let link = {
+            let mut links = lock(&self.links);
+            if links.inbound.remove(&(peer, *call)).is_none() {
+                return;
+            }
+            links.up.get(&peer).cloned()
+        };
         let Some(link) = link else {
             return;
         };
-        let encoded = answer.and_then(|data| {
-            data.into_bytes().map_err(|error| Fault::BadPayload {
-                text: error.to_string(),
-            })
-        });
-        let (flags, body) = match encoded {
+        let (flags, body) = match answer.and_then(body_of) {
             Ok(body) => (Flags::REPLY, body),
             Err(fault) => (
                 Flags::REPLY.with(Flags::FAULT),
@@ -319,7 +381,7 @@ impl Chassis {
                 flags,
                 size: u32::try_from(body.len()).unwrap_or(u32::MAX),
             },
-            call,
+            call: *call,
             body,
         });
     }
@@ -328,39 +390,42 @@ impl Chassis {
     pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
         let Frame { header, call, body } = frame;
         if header.flags.contains(Flags::REPLY) {
-            let pending = lock(&self.links).pending.remove(&call);
-            let Some(pending) = pending.filter(|pending| pending.peer == peer) else {
-                return;
-            };
-            let answer = if header.flags.contains(Flags::FAULT) {
-                Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
-            } else {
-                Ok(Data::Bytes(body))
-            };
-            return pending.promise.fulfil(answer);
+            return self.receive_reply(peer, call, header.flags, body);
         }
-        let waits_for_reply = header.flags.contains(Flags::REPLY_WAIT);
-        let waits = waits_for_reply || header.flags.contains(Flags::ACCEPT_WAIT);
-        let Some(mailbox) = self.mailbox(header.to) else {
-            if waits {
-                self.post_reply(&header, call, Err(Fault::UnknownTask));
+        if header.from.chassis() != peer || header.to.chassis() != self.index {
+            tracing::error!(
+                peer = self.name_of(peer),
+                from = %header.from,
+                to = %header.to,
+                "a frame on the wrong link"
+            );
+            return;
+        }
+        if header.flags.contains(Flags::ABANDONED) {
+            let abandoned = lock(&self.links).inbound.remove(&(peer, call));
+            if let Some(abandoned) = abandoned {
+                abandoned.store(true, Ordering::Release);
             }
             return;
+        }
+        let request = Inbound {
+            header,
+            call,
+            abandoned: Arc::default(),
         };
-        let (reply, acceptance) = if waits_for_reply {
-            let slot = ReplySlot::remote(self.clone(), header, call);
+        lock(&self.links)
+            .inbound
+            .insert((peer, call), request.abandoned.clone());
+        let Some(mailbox) = self.mailbox(header.to) else {
+            return self.post_reply(&request, Err(Fault::UnknownTask));
+        };
+        // Every request between chassis waits for one or the other, so that none is lost unseen.
+        let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
+            let slot = ReplySlot::remote(self.clone(), request);
             (Some(slot), Acceptance::Silent)
-        } else if waits {
-            (
-                None,
-                Acceptance::Remote {
-                    chassis: self.clone(),
-                    request: header,
-                    call,
-                },
-            )
         } else {
-            (None, Acceptance::Silent)
+            let chassis = self.clone();
+            (None, Acceptance::Remote { chassis, request })
         };
         let message = Message {
             header,
@@ -368,6 +433,25 @@ impl Chassis {
             reply,
         };
         mailbox.put(message, acceptance);
+    }
+
+    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Vec<u8>) {
+        let pending = {
+            let mut links = lock(&self.links);
+            // A reply counts only when it comes from the chassis that was asked.
+            match links.pending.get(&call) {
+                Some(pending) if pending.peer == peer => links.pending.remove(&call),
+                _ => None,
+            }
+        };
+        let Some(pending) = pending else {
+            return;
+        };
+        pending.promise.fulfil(if flags.contains(Flags::FAULT) {
+            Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
+        } else {
+            Ok(Data::Bytes(body))
+        });
     }
 
     /// Connects chassis `peer`.
@@ -390,13 +474,20 @@ impl Chassis {
         lock(&self.links).up.contains_key(&peer)
     }
 
-    /// Chassis `peer` is gone: every call that waits for it ends, and every task here is told.
-    pub(crate) fn link_down(&self, peer: u8) {
+    /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
+    /// dropped, and every task here is told.
+    pub(crate) fn link_down(self: &Arc<Self>, peer: u8) {
         let ended: Vec<Arc<Promise>> = {
             let mut links = lock(&self.links);
             if links.up.remove(&peer).is_none() {
                 return;
             }
+            links.inbound.retain(|(from, _), abandoned| {
+                if *from == peer {
+                    abandoned.store(true, Ordering::Release);
+                }
+                *from != peer
+            });
             let of_peer: Vec<u64> = links
                 .pending
                 .iter()
@@ -451,12 +542,44 @@ impl Chassis {
         }
     }
 
+    /// Forgets all tasks and links. What waits in the queues is answered; what waits for others is told
+    /// that they are gone. Without it a chassis that ends inside a process that goes on would keep
+    /// itself alive through its messages.
+    pub(crate) fn close(&self) {
+        let tasks =
+            std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
+        for mailbox in tasks.values() {
+            mailbox.close();
+        }
+        let links = std::mem::take(&mut *lock(&self.links));
+        for pending in links.pending.into_values() {
+            let fault = self.peer_down_fault(pending.peer);
+            pending.promise.fulfil(Err(fault));
+        }
+        lock(&self.shared).clear();
+    }
+
     /// Stops the threads of its processors.
     pub(crate) fn stop_processors(&self) {
         for (_, handle) in &self.processors {
             handle.stop();
         }
     }
+}
+
+/// The data of a frame.
+fn body_of(data: Data) -> Result<Vec<u8>, Fault> {
+    let body = data.into_bytes().map_err(|error| Fault::BadPayload {
+        text: error.to_string(),
+    })?;
+    if body.len() > BODY_LIMIT {
+        let text = format!(
+            "{} bytes of data; a message between chassis holds at most {BODY_LIMIT}",
+            body.len()
+        );
+        return Err(Fault::BadPayload { text });
+    }
+    Ok(body)
 }
 
 impl std::fmt::Debug for Chassis {

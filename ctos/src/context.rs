@@ -2,6 +2,7 @@
 
 use std::{
     cell::RefCell,
+    collections::BTreeMap,
     fmt,
     future::{Future, IntoFuture},
     path::PathBuf,
@@ -89,7 +90,14 @@ struct Inner {
     processor: Rc<Processor>,
     config: Option<TaskConfig>,
     commands: Vec<CommandInfo>,
-    children: RefCell<Vec<u64>>,
+    children: RefCell<Children>,
+}
+
+/// The children of a task that have not ended, by number, with what cancels them.
+#[derive(Default)]
+struct Children {
+    running: BTreeMap<u64, u64>,
+    next: u64,
 }
 
 /// A task's door to the rest of the app. Cheap to clone; stays on its processor.
@@ -180,6 +188,9 @@ impl Context {
 
     /// Asks a task and waits for its reply. Ends with the reply or an error, always: 10 s after the
     /// call at the latest, unless [`Call::deadline`] or the task's `call_deadline_s` says otherwise.
+    ///
+    /// A request that its caller no longer waits for (the deadline passed, the call was dropped) is not
+    /// begun any more, wherever the receiver runs.
     pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
         let deadline = self
             .inner
@@ -197,6 +208,7 @@ impl Context {
     }
 
     /// Sends a message that needs no reply, and waits until the receiver's queue has taken it.
+    /// A message that was given up before it was taken is not delivered.
     pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Send<C> {
         Send {
             call: self.call(to, request),
@@ -206,7 +218,7 @@ impl Context {
     /// Sends only if the receiver is on this chassis and has room now.
     ///
     /// # Errors
-    /// [`Fault::Full`] and the like, with both names.
+    /// [`Fault::Full`], [`Fault::Elsewhere`] and the like, with both names.
     pub fn try_send<C: Command>(&self, to: &TaskRef, request: C) -> Result<(), CallError> {
         let envelope = self.envelope(to, C::CODE, Flags::NONE, Data::of(request));
         self.inner
@@ -336,10 +348,12 @@ impl Context {
     }
 
     /// Calls a synchronous function every `period` on this task's processor, until the handle is
-    /// dropped.
+    /// dropped. If it panics, it is taken off the schedule and the task has failed.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
-        let entry = CyclicEntry::new(Box::new(function), period, self.now());
+        let mut entry = CyclicEntry::new(Box::new(function), period, self.now());
+        let cx = self.clone();
+        entry.on_panic(move |text| cx.fail(&format!("a synchronous function panicked: {text}")));
         self.inner.processor.add_cyclic(entry)
     }
 
@@ -350,14 +364,23 @@ impl Context {
     pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
         let cx = self.clone();
         let on_panic = move |text: String| cx.fail(&format!("a child panicked: {text}"));
-        let id = self.inner.processor.spawn(future, Some(Rc::new(on_panic)));
-        self.inner.children.borrow_mut().push(id);
+        let mut children = self.inner.children.borrow_mut();
+        let number = children.next;
+        children.next += 1;
+        let cx = self.clone();
+        let child = async move {
+            future.await;
+            cx.inner.children.borrow_mut().running.remove(&number);
+        };
+        let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
+        children.running.insert(number, id);
     }
 
     /// Ends all children.
     pub(crate) fn cancel_children(&self) {
-        let children = std::mem::take(&mut *self.inner.children.borrow_mut());
-        for child in children {
+        // Not held while they are dropped: their destructors may reach the task.
+        let children = std::mem::take(&mut self.inner.children.borrow_mut().running);
+        for child in children.into_values() {
             self.inner.processor.cancel(child);
         }
     }
@@ -406,12 +429,14 @@ impl Context {
 
     // -- the person who booted the app ------------------------------------------------------
 
-    /// Shows how far the task is.
-    pub fn progress(&self, done: u64, total: u64, what: &str) {
+    /// Shows how far the task is: `done` of `total` steps, each of which is a `step` ("position"), and
+    /// what happened at this one.
+    pub fn progress(&self, done: u64, total: u64, step: &str, what: &str) {
         let progress = system::Progress {
             task: self.name().to_owned(),
             done,
             total,
+            step: step.to_owned(),
             what: what.to_owned(),
         };
         self.inner.chassis.post_system(system::BOOTSTRAP, progress);

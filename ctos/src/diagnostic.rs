@@ -236,14 +236,18 @@ impl Findings {
         Self::default()
     }
 
-    /// Adds one.
+    /// Adds one. A finding that is here already is not added again: several tasks may read the same file.
     pub fn push(&mut self, finding: Finding) {
-        self.list.push(finding);
+        if !self.list.contains(&finding) {
+            self.list.push(finding);
+        }
     }
 
     /// Adds all of another list.
     pub fn extend(&mut self, other: Self) {
-        self.list.extend(other.list);
+        for finding in other.list {
+            self.push(finding);
+        }
     }
 
     /// Keeps the value of a result and adds its finding.
@@ -328,6 +332,16 @@ mod tests {
         assert_eq!(close.help.as_deref(), Some("did you mean `camera`?"));
         let far = Finding::error("t", "unknown").suggest("zzz", ["camera", "arm"]);
         assert_eq!(far.help.as_deref(), Some("known here: arm, camera"));
+    }
+
+    #[test]
+    fn the_same_finding_made_twice_is_kept_once() {
+        let read = || Source::new("a", "one two");
+        let mut findings = Findings::new();
+        findings.push(Finding::error("t", "wrong").at(read().at(0..3)));
+        findings.extend(Finding::error("t", "wrong").at(read().at(0..3)).into());
+        findings.push(Finding::error("t", "wrong").at(read().at(4..7)));
+        assert_eq!(findings.iter().count(), 2);
     }
 
     #[test]

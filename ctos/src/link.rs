@@ -10,6 +10,9 @@ use crate::message::Header;
 /// The largest frame that is sent or accepted, bytes.
 pub(crate) const FRAME_LIMIT: usize = 64 * 1024 * 1024;
 
+/// The most data that one message carries between chassis, bytes.
+pub(crate) const BODY_LIMIT: usize = FRAME_LIMIT - Header::BYTES - 8;
+
 /// A message on its way between two chassis: the 16-byte header, the number of the call it asks or
 /// answers, and the data.
 #[derive(Debug, Clone, PartialEq, Eq)]

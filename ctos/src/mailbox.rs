@@ -1,19 +1,21 @@
 //! A task's bounded queue: a high-priority lane and a normal one, and senders that wait for room.
 //!
-//! First in, first out per lane, so also per pair of sender and receiver. Messages of the runtime
-//! itself (phases, stop, a dead chassis) travel in the high-priority lane and are never refused.
+//! First in, first out per lane, so also per pair of sender and receiver. Each lane has its own room
+//! and its own line of waiting senders: a flood of normal messages cannot keep an urgent one out.
+//! Messages of the runtime itself (phases, stop, a dead chassis) travel in the high-priority lane and
+//! are never refused.
 
 use std::{
     collections::VecDeque,
     future::poll_fn,
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, MutexGuard},
     task::{Poll, Waker},
 };
 
 use crate::{
     call::{Fault, Promise, lock},
-    chassis::Chassis,
-    message::{Command, Data, Flags, Header, Message, SYSTEM_COMMANDS},
+    chassis::{Chassis, Inbound},
+    message::{Command, Data, Flags, Message, SYSTEM_COMMANDS},
     system::StopTask,
 };
 
@@ -29,8 +31,7 @@ pub(crate) enum Acceptance {
     /// A sender behind a link.
     Remote {
         chassis: Arc<Chassis>,
-        request: Header,
-        call: u64,
+        request: Inbound,
     },
 }
 
@@ -40,22 +41,96 @@ impl Acceptance {
         match self {
             Self::Silent => {}
             Self::Local(promise) => promise.fulfil(answer),
-            Self::Remote {
-                chassis,
-                request,
-                call,
-            } => chassis.post_reply(&request, call, answer),
+            Self::Remote { chassis, request } => chassis.post_reply(&request, answer),
+        }
+    }
+
+    /// Whether the sender has been told already that its message was not taken.
+    fn is_abandoned(&self) -> bool {
+        match self {
+            Self::Silent => false,
+            Self::Local(promise) => promise.is_abandoned(),
+            Self::Remote { request, .. } => request.is_abandoned(),
         }
     }
 }
 
 #[derive(Default)]
-struct Lanes {
-    urgent: VecDeque<Message>,
-    normal: VecDeque<Message>,
+struct Lane {
+    queue: VecDeque<Message>,
+    /// Never holds anybody while the queue has room.
     waiting: VecDeque<(Message, Acceptance)>,
-    receiver: Option<Waker>,
+}
+
+/// A message that its task takes, and what that means for those who wait for room.
+struct Taken {
+    message: Message,
+    /// Has its message in the queue now.
+    admitted: Acceptance,
+    /// Gave up before there was room.
+    given_up: Vec<(Message, Acceptance)>,
+}
+
+impl Lane {
+    /// Takes the first message and moves the first sender that still waits into its room.
+    fn take(&mut self, capacity: usize) -> Option<Taken> {
+        let mut taken = Taken {
+            message: self.queue.pop_front()?,
+            admitted: Acceptance::Silent,
+            given_up: Vec::new(),
+        };
+        while self.queue.len() < capacity {
+            let Some((message, acceptance)) = self.waiting.pop_front() else {
+                break;
+            };
+            if acceptance.is_abandoned() {
+                taken.given_up.push((message, acceptance));
+                continue;
+            }
+            self.queue.push_back(message);
+            taken.admitted = acceptance;
+            break;
+        }
+        Some(taken)
+    }
+}
+
+/// What the task's loop wants to be woken for.
+enum Receiver {
+    /// The next message.
+    Idle(Waker),
+    /// An order to stop; its handler is at work.
+    Busy(Waker),
+}
+
+#[derive(Default)]
+struct Lanes {
+    urgent: Lane,
+    normal: Lane,
+    receiver: Option<Receiver>,
     closed: bool,
+}
+
+impl Lanes {
+    fn lane_of(&mut self, message: &Message) -> &mut Lane {
+        if message.header.flags.contains(Flags::HIGH_PRIORITY) {
+            &mut self.urgent
+        } else {
+            &mut self.normal
+        }
+    }
+
+    /// Whom to wake for a message of `command`.
+    fn wakes(&mut self, command: u16) -> Option<Waker> {
+        match self.receiver.take() {
+            Some(Receiver::Busy(waker)) if command != StopTask::CODE => {
+                self.receiver = Some(Receiver::Busy(waker));
+                None
+            }
+            Some(Receiver::Idle(waker) | Receiver::Busy(waker)) => Some(waker),
+            None => None,
+        }
+    }
 }
 
 /// The queue of one task.
@@ -65,6 +140,7 @@ pub(crate) struct Mailbox {
 }
 
 impl Mailbox {
+    /// A queue with room for `capacity` messages of each priority.
     pub(crate) fn new(capacity: usize) -> Self {
         Self {
             lanes: Mutex::new(Lanes::default()),
@@ -76,57 +152,57 @@ impl Mailbox {
     /// A refused message that waits for a reply is answered with the reason.
     pub(crate) fn put(&self, message: Message, acceptance: Acceptance) {
         let mut lanes = lock(&self.lanes);
-        let refusal = if lanes.closed {
-            Some(Fault::Stopping)
-        } else if message.header.command >= SYSTEM_COMMANDS {
-            lanes.urgent.push_back(message);
-            return Self::accepted(lanes, acceptance);
-        } else if lanes.urgent.len() + lanes.normal.len() < self.capacity
-            && lanes.waiting.is_empty()
-        {
-            if message.header.flags.contains(Flags::HIGH_PRIORITY) {
-                lanes.urgent.push_back(message);
-            } else {
-                lanes.normal.push_back(message);
-            }
-            return Self::accepted(lanes, acceptance);
-        } else if lanes.waiting.len() < self.capacity.saturating_mul(WAITING_FACTOR) {
-            lanes.waiting.push_back((message, acceptance));
-            return;
+        if lanes.closed {
+            drop(lanes);
+            return refuse(message, acceptance, &Fault::Stopping);
+        }
+        let system = message.header.command >= SYSTEM_COMMANDS;
+        let lane = if system {
+            &mut lanes.urgent
         } else {
-            Some(Fault::Full {
-                capacity: self.capacity,
-            })
+            lanes.lane_of(&message)
         };
-        drop(lanes);
-        refuse(message, acceptance, refusal.unwrap_or(Fault::NoReply));
+        if system || lane.queue.len() < self.capacity {
+            Self::accepted(lanes, message, system);
+            acceptance.tell(Ok(()));
+        } else if lane.waiting.len() < self.capacity.saturating_mul(WAITING_FACTOR) {
+            lane.waiting.push_back((message, acceptance));
+        } else {
+            drop(lanes);
+            refuse(message, acceptance, &self.full());
+        }
     }
 
     /// Puts a message in only if there is room now.
     pub(crate) fn try_put(&self, message: Message) -> Result<(), Fault> {
-        {
-            let lanes = lock(&self.lanes);
-            if lanes.closed {
-                return Err(Fault::Stopping);
-            }
-            if lanes.urgent.len() + lanes.normal.len() >= self.capacity || !lanes.waiting.is_empty()
-            {
-                return Err(Fault::Full {
-                    capacity: self.capacity,
-                });
-            }
+        let mut lanes = lock(&self.lanes);
+        if lanes.closed {
+            return Err(Fault::Stopping);
         }
-        self.put(message, Acceptance::Silent);
+        if lanes.lane_of(&message).queue.len() >= self.capacity {
+            return Err(self.full());
+        }
+        Self::accepted(lanes, message, false);
         Ok(())
     }
 
-    fn accepted(mut lanes: std::sync::MutexGuard<'_, Lanes>, acceptance: Acceptance) {
-        let receiver = lanes.receiver.take();
-        drop(lanes);
-        if let Some(receiver) = receiver {
-            receiver.wake();
+    fn full(&self) -> Fault {
+        Fault::Full {
+            capacity: self.capacity,
         }
-        acceptance.tell(Ok(()));
+    }
+
+    fn accepted(mut lanes: MutexGuard<'_, Lanes>, message: Message, system: bool) {
+        let waker = lanes.wakes(message.header.command);
+        if system {
+            lanes.urgent.queue.push_back(message);
+        } else {
+            lanes.lane_of(&message).queue.push_back(message);
+        }
+        drop(lanes);
+        if let Some(waker) = waker {
+            waker.wake();
+        }
     }
 
     /// The next message, high priority first; `None` once the mailbox is closed.
@@ -136,19 +212,23 @@ impl Mailbox {
             if lanes.closed {
                 return Poll::Ready(None);
             }
-            let message = lanes
-                .urgent
-                .pop_front()
-                .or_else(|| lanes.normal.pop_front());
-            let Some(message) = message else {
-                lanes.receiver = Some(cx.waker().clone());
+            let taken = match lanes.urgent.take(self.capacity) {
+                Some(taken) => Some(taken),
+                None => lanes.normal.take(self.capacity),
+            };
+            let Some(Taken {
+                message,
+                admitted,
+                given_up,
+            }) = taken
+            else {
+                lanes.receiver = Some(Receiver::Idle(cx.waker().clone()));
                 return Poll::Pending;
             };
-            let moved = self.admit_one(&mut lanes);
             drop(lanes);
-            if let Some(acceptance) = moved {
-                acceptance.tell(Ok(()));
-            }
+            // Outside the lock: what is dropped and told here may run code of others.
+            drop(given_up);
+            admitted.tell(Ok(()));
             Poll::Ready(Some(message))
         })
         .await
@@ -159,27 +239,13 @@ impl Mailbox {
         poll_fn(|cx| {
             let mut lanes = lock(&self.lanes);
             let stop = |message: &Message| message.header.command == StopTask::CODE;
-            if lanes.closed || lanes.urgent.iter().any(stop) {
+            if lanes.closed || lanes.urgent.queue.iter().any(stop) {
                 return Poll::Ready(());
             }
-            lanes.receiver = Some(cx.waker().clone());
+            lanes.receiver = Some(Receiver::Busy(cx.waker().clone()));
             Poll::Pending
         })
         .await;
-    }
-
-    /// Moves the first waiting message into the room that a taken one left.
-    fn admit_one(&self, lanes: &mut Lanes) -> Option<Acceptance> {
-        if lanes.urgent.len() + lanes.normal.len() >= self.capacity {
-            return None;
-        }
-        let (message, acceptance) = lanes.waiting.pop_front()?;
-        if message.header.flags.contains(Flags::HIGH_PRIORITY) {
-            lanes.urgent.push_back(message);
-        } else {
-            lanes.normal.push_back(message);
-        }
-        Some(acceptance)
     }
 
     /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
@@ -188,35 +254,44 @@ impl Mailbox {
         lanes.closed = true;
         let urgent = std::mem::take(&mut lanes.urgent);
         let normal = std::mem::take(&mut lanes.normal);
-        let waiting = std::mem::take(&mut lanes.waiting);
         let receiver = lanes.receiver.take();
         drop(lanes);
-        for message in urgent.into_iter().chain(normal) {
-            refuse(message, Acceptance::Silent, Fault::Stopping);
+        for lane in [urgent, normal] {
+            for message in lane.queue {
+                refuse(message, Acceptance::Silent, &Fault::Stopping);
+            }
+            for (message, acceptance) in lane.waiting {
+                refuse(message, acceptance, &Fault::Stopping);
+            }
         }
-        for (message, acceptance) in waiting {
-            refuse(message, acceptance, Fault::Stopping);
-        }
-        if let Some(receiver) = receiver {
-            receiver.wake();
+        if let Some(Receiver::Idle(waker) | Receiver::Busy(waker)) = receiver {
+            waker.wake();
         }
     }
 }
 
-fn refuse(message: Message, acceptance: Acceptance, fault: Fault) {
+fn refuse(message: Message, acceptance: Acceptance, fault: &Fault) {
     if let Some(slot) = message.reply {
         slot.answer(Err(fault.clone()));
     }
-    acceptance.tell(Err(fault));
+    acceptance.tell(Err(fault.clone()));
 }
 
 #[cfg(test)]
 mod tests {
+    use std::{
+        future::Future,
+        sync::atomic::{AtomicUsize, Ordering},
+    };
+
     use futures_util::FutureExt;
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{call::Waiting, message::Tid};
+    use crate::{
+        call::Waiting,
+        message::{Header, Tid},
+    };
 
     fn message(number: u32, flags: Flags) -> Message {
         Message {
@@ -267,9 +342,65 @@ mod tests {
         let promise = Arc::new(Promise::default());
         mailbox.put(message(2, Flags::NONE), Acceptance::Local(promise.clone()));
         mailbox.close();
-        let answer = Waiting(promise).now_or_never().unwrap();
+        let answer = Waiting::here(promise).now_or_never().unwrap();
         assert_eq!(answer.unwrap_err(), Fault::Stopping);
         assert!(mailbox.next().now_or_never().unwrap().is_none());
+    }
+
+    #[test]
+    fn a_flood_of_normal_messages_keeps_no_urgent_one_out() {
+        let mailbox = Mailbox::new(2);
+        for number in 0..34 {
+            mailbox.put(message(number, Flags::NONE), Acceptance::Silent);
+        }
+        let fault = mailbox.try_put(message(90, Flags::NONE)).unwrap_err();
+        assert_eq!(fault, Fault::Full { capacity: 2 });
+        mailbox.try_put(message(99, Flags::HIGH_PRIORITY)).unwrap();
+        let order: Vec<_> = std::iter::from_fn(|| take(&mailbox)).collect();
+        let expected: Vec<u32> = std::iter::once(99).chain(0..34).collect();
+        assert_eq!(order, expected);
+    }
+
+    #[test]
+    fn a_message_whose_sender_gave_up_waiting_is_never_delivered() {
+        let mailbox = Mailbox::new(1);
+        mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
+        let promise = Arc::new(Promise::default());
+        mailbox.put(message(2, Flags::NONE), Acceptance::Local(promise.clone()));
+        mailbox.put(message(3, Flags::NONE), Acceptance::Silent);
+        drop(Waiting::here(promise));
+        let order: Vec<_> = std::iter::from_fn(|| take(&mailbox)).collect();
+        assert_eq!(order, [1, 3]);
+    }
+
+    #[test]
+    fn a_busy_task_is_woken_by_an_order_to_stop_only() {
+        let mailbox = Mailbox::new(4);
+        let woken = Arc::new(Count::default());
+        let waker = Waker::from(woken.clone());
+        let mut stop = Box::pin(mailbox.stop_waits());
+        let mut poll = || {
+            stop.as_mut()
+                .poll(&mut std::task::Context::from_waker(&waker))
+        };
+        assert!(poll().is_pending());
+        mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
+        mailbox.put(message(2, Flags::HIGH_PRIORITY), Acceptance::Silent);
+        assert_eq!(woken.0.load(Ordering::Relaxed), 0);
+        let mut order = message(3, Flags::HIGH_PRIORITY);
+        order.header.command = StopTask::CODE;
+        mailbox.put(order, Acceptance::Silent);
+        assert_eq!(woken.0.load(Ordering::Relaxed), 1);
+        assert!(poll().is_ready());
+    }
+
+    #[derive(Default)]
+    struct Count(AtomicUsize);
+
+    impl std::task::Wake for Count {
+        fn wake(self: Arc<Self>) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
     }
 
     proptest! {
@@ -284,7 +415,7 @@ mod tests {
             for number in 0..count {
                 let promise = Arc::new(Promise::default());
                 mailbox.put(message(number, Flags::NONE), Acceptance::Local(promise.clone()));
-                accepted.push(Waiting(promise));
+                accepted.push(Waiting::here(promise));
                 if takes.next().unwrap_or(false) {
                     received.extend(take(&mailbox));
                 }
@@ -292,10 +423,8 @@ mod tests {
             received.extend(std::iter::from_fn(|| take(&mailbox)));
             let refused = accepted
                 .into_iter()
-                .filter(|waiting| matches!(
-                    Waiting(waiting.0.clone()).now_or_never(),
-                    Some(Err(Fault::Full { .. }))
-                ))
+                .filter_map(FutureExt::now_or_never)
+                .filter(|answer| matches!(answer, Err(Fault::Full { .. })))
                 .count();
             prop_assert!(received.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert_eq!(received.len() + refused, count as usize);

@@ -85,6 +85,8 @@ impl Flags {
     pub const FAULT: Self = Self(1 << 4);
     /// A one-way message whose sender waits until the receiver's queue has taken it.
     pub const ACCEPT_WAIT: Self = Self(1 << 5);
+    /// The sender of a request no longer waits for its answer. Between chassis only.
+    pub const ABANDONED: Self = Self(1 << 6);
 
     /// Whether all of `flags` are set.
     #[must_use]

@@ -148,7 +148,7 @@ impl Processor {
     pub(crate) fn cancel(&self, id: u64) {
         let entry = self.futures.borrow_mut().remove(&id);
         // Dropped outside the borrow: destructors may spawn, wake or cancel.
-        drop(entry);
+        drop_contained(entry);
     }
 
     /// A future that ends at `deadline`.
@@ -190,7 +190,9 @@ impl Processor {
         let taken = {
             let mut futures = self.futures.borrow_mut();
             futures.get_mut(&id).and_then(|entry| {
-                entry.waker.queued.store(false, Ordering::Release);
+                // A swap, so that what a waker that comes too late to queue again has written is
+                // seen by the poll below.
+                entry.waker.queued.swap(false, Ordering::AcqRel);
                 let future = entry.future.take()?;
                 Some((future, entry.waker.clone(), entry.on_panic.clone()))
             })
@@ -204,10 +206,17 @@ impl Processor {
             Ok(Poll::Pending) => {
                 if let Some(entry) = self.futures.borrow_mut().get_mut(&id) {
                     entry.future = Some(future);
+                    return true;
                 }
+                // It was cancelled while it was polled.
+                drop_contained(future);
             }
-            Ok(Poll::Ready(())) => self.cancel(id),
+            Ok(Poll::Ready(())) => {
+                drop_contained(future);
+                self.cancel(id);
+            }
             Err(panic) => {
+                drop_contained(future);
                 self.cancel(id);
                 if let Some(on_panic) = on_panic {
                     on_panic(panic_text(panic.as_ref()));
@@ -229,6 +238,9 @@ impl Processor {
 
     /// Wakes the timers that are due.
     pub(crate) fn fire_timers(&self) {
+        if self.timers.borrow().queue.is_empty() {
+            return;
+        }
         let now = self.now();
         loop {
             let waker = {
@@ -245,16 +257,37 @@ impl Processor {
         }
     }
 
-    /// Calls the synchronous functions that are due, in the order in which they were added.
+    /// Calls the synchronous functions that are due, in the order in which they were added. One that
+    /// panics is taken off the schedule and reported.
     pub(crate) fn run_cyclics(&self) {
+        // Out of the cell while they run, because a function may add another one.
+        let mut running = std::mem::take(&mut *self.cyclics.borrow_mut());
+        if running.is_empty() {
+            return;
+        }
         let now = self.now();
-        let mut cyclics = self.cyclics.borrow_mut();
-        cyclics.retain(CyclicEntry::is_wanted);
-        for entry in cyclics.iter_mut() {
-            if entry.due() <= now {
-                entry.run(&self.clock);
+        let mut index = 0;
+        while let Some(entry) = running.get_mut(index) {
+            if !entry.is_wanted() {
+                drop_contained(running.remove(index));
+                continue;
+            }
+            if entry.due() > now {
+                index += 1;
+                continue;
+            }
+            match catch_unwind(AssertUnwindSafe(|| entry.run(&self.clock))) {
+                Ok(()) => index += 1,
+                Err(panic) => {
+                    let mut entry = running.remove(index);
+                    entry.report_panic(&panic_text(panic.as_ref()));
+                    drop_contained(entry);
+                }
             }
         }
+        let mut cyclics = self.cyclics.borrow_mut();
+        running.append(&mut cyclics);
+        *cyclics = running;
     }
 
     /// The processor's thread: returns after [`ProcessorHandle::stop`].
@@ -282,10 +315,29 @@ impl Processor {
 
     /// Drops every future, so that what they own is released and answered.
     pub(crate) fn clear(&self) {
-        let futures = std::mem::take(&mut *self.futures.borrow_mut());
-        drop(futures);
-        let cyclics = std::mem::take(&mut *self.cyclics.borrow_mut());
-        drop(cyclics);
+        loop {
+            let futures = std::mem::take(&mut *self.futures.borrow_mut());
+            let cyclics = std::mem::take(&mut *self.cyclics.borrow_mut());
+            let jobs = std::mem::take(&mut *lock(&self.handle.jobs));
+            if futures.is_empty() && cyclics.is_empty() && jobs.is_empty() {
+                return;
+            }
+            for (_, entry) in futures {
+                drop_contained(entry);
+            }
+            for entry in cyclics {
+                drop_contained(entry);
+            }
+            drop_contained(jobs);
+        }
+    }
+}
+
+/// Drops what may hold code of others: a destructor that panics must not end the thread.
+fn drop_contained<T>(value: T) {
+    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(value))) {
+        let text = panic_text(panic.as_ref());
+        tracing::error!(panic = %text, "a destructor panicked");
     }
 }
 
@@ -338,6 +390,11 @@ impl Drop for Sleep {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        call::{Promise, Waiting},
+        message::Data,
+        sync::Tick,
+    };
 
     fn processor() -> (Rc<Processor>, Clock) {
         let clock = Clock::virtual_clock();
@@ -397,6 +454,108 @@ mod tests {
         assert!(processor.next_deadline().is_some());
         processor.cancel(id);
         assert!(processor.next_deadline().is_none());
+    }
+
+    #[test]
+    fn a_synchronous_function_that_panics_is_reported_and_the_others_go_on() {
+        let (processor, clock) = processor();
+        let period = Duration::from_nanos(1_000);
+        let said = Rc::new(RefCell::new(String::new()));
+        let heard = said.clone();
+        let mut bad =
+            CyclicEntry::new(Box::new(|_: &Tick| panic!("boom")), period, processor.now());
+        bad.on_panic(move |text| *heard.borrow_mut() = text.to_owned());
+        let _bad = processor.add_cyclic(bad);
+        let ticks = Rc::new(Cell::new(0));
+        let count = ticks.clone();
+        let good = Box::new(move |_: &Tick| count.set(count.get() + 1));
+        let good = processor.add_cyclic(CyclicEntry::new(good, period, processor.now()));
+        for tick in 1..=3 {
+            clock.advance_to(Instant::from_nanos(tick * 1_000));
+            processor.run_cyclics();
+        }
+        assert_eq!((said.borrow().as_str(), ticks.get()), ("boom", 3));
+        drop(good);
+        clock.advance_to(Instant::from_nanos(9_000));
+        processor.run_cyclics();
+        assert_eq!((ticks.get(), processor.next_deadline()), (3, None));
+    }
+
+    #[test]
+    fn a_synchronous_function_may_add_another_one() {
+        let (processor, clock) = processor();
+        let period = Duration::from_nanos(1_000);
+        let added = Rc::new(RefCell::new(Vec::new()));
+        let (inner, keep) = (processor.clone(), added.clone());
+        let adds = move |_: &Tick| {
+            let entry = CyclicEntry::new(Box::new(|_: &Tick| ()), period, inner.now());
+            keep.borrow_mut().push(inner.add_cyclic(entry));
+        };
+        let _handle =
+            processor.add_cyclic(CyclicEntry::new(Box::new(adds), period, processor.now()));
+        clock.advance_to(Instant::from_nanos(1_000));
+        processor.run_cyclics();
+        assert_eq!(processor.cyclics.borrow().len(), 2);
+        added.borrow_mut().clear();
+        processor.clear();
+    }
+
+    #[test]
+    fn a_destructor_that_panics_does_not_end_the_processor() {
+        struct Bad;
+        impl Drop for Bad {
+            fn drop(&mut self) {
+                if !std::thread::panicking() {
+                    panic!("in a destructor");
+                }
+            }
+        }
+        let (processor, _) = processor();
+        let bad = Bad;
+        let id = processor.spawn(
+            async move {
+                let _bad = bad;
+                std::future::pending::<()>().await;
+            },
+            None,
+        );
+        run_until_idle(&processor);
+        processor.cancel(id);
+        let done = Rc::new(Cell::new(false));
+        let flag = done.clone();
+        processor.spawn(async move { flag.set(true) }, None);
+        run_until_idle(&processor);
+        assert!(done.get());
+    }
+
+    #[test]
+    fn wakes_from_other_threads_are_never_lost() {
+        // Each round trip parks the processor; a lost wake-up would hang the test.
+        let handle = Arc::new(ProcessorHandle::default());
+        let (ask, asked) = std::sync::mpsc::channel::<Arc<Promise>>();
+        let answering = std::thread::spawn(move || {
+            for promise in asked {
+                promise.fulfil(Ok(Data::Bytes(Vec::new())));
+            }
+        });
+        let run = handle.clone();
+        let thread = std::thread::spawn(move || Processor::new(run, Clock::real()).run());
+        let stopper = handle.clone();
+        handle.inject(move |processor| {
+            processor.spawn(
+                async move {
+                    for _ in 0..20_000 {
+                        let promise = Arc::new(Promise::default());
+                        ask.send(promise.clone()).unwrap();
+                        Waiting::here(promise).await.unwrap();
+                    }
+                    stopper.stop();
+                },
+                None,
+            );
+        });
+        thread.join().unwrap();
+        answering.join().unwrap();
     }
 
     #[test]

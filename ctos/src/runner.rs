@@ -49,6 +49,8 @@ struct Runner {
     restarts: u32,
     /// The last phase that was entered: a restarted handler is brought back to it.
     phase: Option<Phase>,
+    /// It was told to stop: nothing more is begun, or hardware at rest would move again.
+    stopped: bool,
 }
 
 /// Builds a handler and starts its task on `processor`.
@@ -75,15 +77,22 @@ pub(crate) fn start_task(
     let handler = build_contained(&spec.build, &cx)?;
     chassis.add_task(spec.tid, spec.mailbox.clone());
     let runner = Runner {
-        cx,
+        cx: cx.clone(),
         mailbox: spec.mailbox,
         build: spec.build,
         handler,
         restart,
         restarts: 0,
         phase: None,
+        stopped: false,
     };
-    processor.spawn(runner.run(), None);
+    // Panics of the handler are caught where it is called. What is left is its destructor.
+    let on_panic = move |text: String| {
+        cx.fail(&format!("it panicked while it ended: {text}"));
+        cx.cancel_children();
+        cx.chassis().remove_task(cx.tid());
+    };
+    processor.spawn(runner.run(), Some(Rc::new(on_panic)));
     Ok(())
 }
 
@@ -99,8 +108,16 @@ fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, H
 impl Runner {
     async fn run(mut self) {
         while let Some(message) = self.mailbox.next().await {
-            if message.reply.as_ref().is_some_and(ReplySlot::is_abandoned) {
+            let abandoned = message.reply.as_ref().is_some_and(ReplySlot::is_abandoned);
+            // A stop is carried out even when whoever ordered it had to go on.
+            if abandoned && message.command() != StopTask::CODE {
                 tracing::debug!(task = %self.cx.name(), command = message.command(), "caller gave up");
+                continue;
+            }
+            if self.stopped && message.command() < SYSTEM_COMMANDS {
+                if let Some(slot) = message.reply {
+                    slot.answer(Err(Fault::Stopping));
+                }
                 continue;
             }
             if !self.take(message).await {
@@ -175,6 +192,7 @@ impl Runner {
 
     async fn stop(&mut self, message: Message) -> Handled {
         let (StopTask { reason }, reply) = message.open::<StopTask>()?;
+        self.stopped = true;
         self.cx.chassis().set_stopping();
         self.handler.stop(&self.cx, &reason).await?;
         reply.ok(())
@@ -191,7 +209,7 @@ impl Runner {
             Restart::Never => 0,
             Restart::Always { max } => max,
         };
-        if self.restarts >= allowed {
+        if self.stopped || self.restarts >= allowed {
             let tried = match self.restarts {
                 0 => String::new(),
                 restarts => format!(" (after {restarts} restarts)"),
@@ -201,17 +219,25 @@ impl Runner {
             return false;
         }
         self.restarts += 1;
-        match self.rebuild().await {
-            Ok(()) => {
-                tracing::warn!(task = %self.cx.name(), restarts = self.restarts, "restarted");
-                true
+        let restarts = self.restarts;
+        let limit = self.cx.app().phase_timeout;
+        let (cx, mailbox) = (self.cx.clone(), self.mailbox.clone());
+        let rebuilt = AssertUnwindSafe(cx.timeout(limit, self.rebuild())).catch_unwind();
+        let why = match select(pin!(rebuilt), pin!(mailbox.stop_waits())).await {
+            Either::Left((Ok(Ok(Ok(()))), _)) => {
+                tracing::warn!(task = %cx.name(), restarts, "restarted");
+                return true;
             }
-            Err(error) => {
-                self.cx
-                    .fail(&format!("could not be restarted after a panic: {error}"));
-                false
+            // Half rebuilt, but what can be stopped of it is stopped next.
+            Either::Right(((), _)) => return true,
+            Either::Left((Ok(Ok(Err(error))), _)) => error.to_string(),
+            Either::Left((Ok(Err(elapsed)), _)) => elapsed.to_string(),
+            Either::Left((Err(panic), _)) => {
+                format!("it panicked again: {}", panic_text(panic.as_ref()))
             }
-        }
+        };
+        cx.fail(&format!("could not be restarted after a panic: {why}"));
+        false
     }
 
     /// Builds the handler anew and brings it to the phase that the old one had reached. Messages

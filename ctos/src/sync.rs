@@ -134,6 +134,10 @@ impl Drop for CyclicHandle {
     }
 }
 
+/// Called with what a function's panic said.
+type PanicHook = Box<dyn FnOnce(&str)>;
+
+
 /// One function on a processor's schedule.
 pub(crate) struct CyclicEntry {
     function: Box<dyn Cyclic>,
@@ -142,6 +146,7 @@ pub(crate) struct CyclicEntry {
     next: u64,
     wanted: Arc<AtomicBool>,
     statistics: Arc<CyclicStatistics>,
+    on_panic: Option<PanicHook>,
 }
 
 impl CyclicEntry {
@@ -153,6 +158,19 @@ impl CyclicEntry {
             next: 1,
             wanted: Arc::new(AtomicBool::new(true)),
             statistics: Arc::default(),
+            on_panic: None,
+        }
+    }
+
+    /// Whom to tell when the function panics.
+    pub(crate) fn on_panic(&mut self, hook: impl FnOnce(&str) + 'static) {
+        self.on_panic = Some(Box::new(hook));
+    }
+
+    pub(crate) fn report_panic(&mut self, text: &str) {
+        match self.on_panic.take() {
+            Some(hook) => hook(text),
+            None => tracing::error!(panic = text, "a synchronous function panicked"),
         }
     }
 

@@ -100,6 +100,7 @@ command! {
         pub(crate) task: String,
         pub(crate) done: u64,
         pub(crate) total: u64,
+        pub(crate) step: String,
         pub(crate) what: String,
     } => (), 0xff30, "progress"
 }

@@ -42,7 +42,7 @@ pub struct LampSpec {
     pub offset: Point3<f64>,
     /// Its radius, m.
     pub radius: f64,
-    /// Grey levels of its surface; the peak of a blurred spot is lower.
+    /// Grey levels of its surface, 0 for a lamp that is broken; the peak of a blurred spot is lower.
     pub brightness: f64,
     /// Whether it shines at the start.
     pub on: bool,
@@ -336,7 +336,7 @@ impl LampText {
                 &self.brightness,
                 "the lamp's brightness",
                 "grey levels",
-                [1.0, 255.0],
+                GREY,
             ),
             on: self.on,
         }

@@ -309,7 +309,7 @@ impl<'a> Expansion<'a> {
             .and_then(|places| places.entry(name));
         let place = match written {
             Some(entry) => entry.value.place().cloned(),
-            None => self.table.locate("on"),
+            None => self.table.get("on").and_then(|on| on.place().cloned()),
         };
         let place = place.or_else(|| self.table.place().cloned());
         self.tasks.push(GeneratedTask {

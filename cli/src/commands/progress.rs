@@ -65,8 +65,9 @@ impl Display {
                 task,
                 done,
                 total,
+                step,
                 what,
-            } => self.progress(task, *done, *total, what),
+            } => self.progress(task, *done, *total, step, what),
             BootEvent::Log { chassis, line } => {
                 self.line(&format!("{chassis:<width$} │ {line}", width = self.width));
             }
@@ -77,6 +78,9 @@ impl Display {
                 task,
                 error: Some(error),
             } => self.line(&format!("stop     {task}: {error}")),
+            BootEvent::AtRest { chassis } => {
+                self.line(&format!("stop     {chassis} is at rest"));
+            }
             BootEvent::Signalled { chassis, signal } => {
                 self.line(&format!("stop     {chassis} does not end: {signal}"));
             }
@@ -104,26 +108,28 @@ impl Display {
         }
     }
 
-    fn progress(&self, task: &str, done: u64, total: u64, what: &str) {
+    fn progress(&self, task: &str, done: u64, total: u64, step: &str, what: &str) {
         if !self.animated {
             let step = done / PLAIN_EVERY;
             let again = self.told.swap(step, Ordering::Relaxed) == step;
             if !again || done == total || done == 1 {
-                self.line(&format!("run      {task}: {what} {done} of {total}"));
+                self.line(&format!(
+                    "run      {task}: {step} {done} of {total}, {what}"
+                ));
             }
             return;
         }
         let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
         let bar = bar.get_or_insert_with(|| {
             let style = ProgressStyle::with_template(
-                "run      {prefix} [{bar:30}] {pos} of {len}  {elapsed}  {wide_msg}",
+                "run      {prefix} {pos} of {len} [{bar:30}] {elapsed}  {wide_msg}",
             );
             let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
             ProgressBar::new(total).with_style(style.progress_chars("━╸ "))
         });
         bar.set_length(total);
         bar.set_position(done);
-        bar.set_prefix(task.to_owned());
+        bar.set_prefix(format!("{task}: {step}"));
         bar.set_message(what.to_owned());
     }
 }

@@ -1,6 +1,11 @@
 //! The process of one chassis: connects to the others, runs its processors until it is told to end.
 
-use std::{collections::BTreeMap, net::SocketAddr, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    net::SocketAddr,
+    ops::ControlFlow,
+    sync::Arc,
+};
 
 use tokio::{
     net::{TcpListener, TcpStream},
@@ -13,7 +18,7 @@ use crate::{
     bootstrap::EndSlot,
     chassis::Chassis,
     config::App,
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, VERSION},
+    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, VERSION, callers},
     registry::Registry,
     time::Clock,
 };
@@ -84,18 +89,20 @@ async fn serve(chassis: &Arc<Chassis>, boot: SocketAddr, token: &Token) -> Resul
     });
     let silent: Observer = Arc::new(|_| ());
     boot::start_system_tasks(chassis, &silent, &EndSlot::default());
-    let writers = connect(chassis, boot, token).await?;
-    let threads = boot::start_processors(chassis);
+    let limit = chassis.app.phase_timeout;
+    let connected = tokio::time::timeout(limit, connect(chassis, boot, token)).await;
+    let writers = connected.map_err(|_| ChildError::Connect {
+        what: "the other chassis".to_owned(),
+        reason: format!("not done within {:.3} s", limit.as_secs_f64()),
+    })??;
+    let threads = boot::start_processors(chassis)?;
     // Without a sender left, every chassis thread is gone: an error exit.
     let code = exited.await.unwrap_or(1);
     finish(chassis, writers).await;
     chassis.stop_processors();
-    for thread in threads {
-        // A processor that is stuck in a handler must not keep the process; it ends with it.
-        if thread.is_finished() {
-            let _ = thread.join();
-        }
-    }
+    // A processor that is stuck in a handler must not keep the process; it ends with it.
+    let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
+    let _ = tokio::time::timeout(FLUSH_LIMIT, ended).await;
     Ok(code)
 }
 
@@ -125,7 +132,11 @@ async fn connect(
         Ok(listener) => listener,
         Err(error) => {
             // The boot shows the reason; if it cannot be told, it sees the process end.
-            let _ = parent.tell(&Handshake::Refused(error.to_string())).await;
+            let refused = Handshake::Refused {
+                token: token.clone(),
+                reason: error.to_string(),
+            };
+            let _ = parent.tell(&refused).await;
             return Err(error);
         }
     };
@@ -162,14 +173,32 @@ async fn connect(
             connections.insert(*peer, connection);
         }
     }
-    while connections.len() < peers.len().saturating_sub(1) {
-        let (stream, _) = listener.accept().await?;
-        let mut connection = Connection::new(stream)?;
-        match connection.hear_hello(token).await {
-            Ok((peer, _)) => {
-                connections.insert(peer, connection);
+    let mut missing: BTreeSet<u8> = peers
+        .iter()
+        .map(|(peer, _)| *peer)
+        .filter(|peer| *peer > chassis.index())
+        .collect();
+    if !missing.is_empty() {
+        let called = callers(&listener, token, |caller| {
+            if missing.remove(&caller.chassis) {
+                connections.insert(caller.chassis, caller.connection);
             }
-            Err(error) => tracing::warn!(error = %error, "a stranger called"),
+            if missing.is_empty() {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        });
+        // The boot says nothing until all are connected; if it does, or is gone, there is no app.
+        tokio::select! {
+            called = called => called.map_err(|error| failed("the other chassis", error))?,
+            heard = parent.hear() => {
+                let error = heard.map_or_else(
+                    |error| error,
+                    |other| HandshakeError::Unexpected(Box::new(other)),
+                );
+                return Err(failed("the boot", error));
+            }
         }
     }
     let told = parent.tell(&Handshake::Ready).await;
@@ -206,3 +235,6 @@ async fn listen(chassis: &Arc<Chassis>) -> Result<TcpListener, ChildError> {
             reason: error.to_string(),
         })
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,20 +1,23 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    cell::RefCell,
+    collections::{BTreeMap, BTreeSet, VecDeque},
     net::SocketAddr,
+    ops::ControlFlow,
     process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
     time::Duration,
 };
 
+use futures_util::future::try_join_all;
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::{
     io::{AsyncBufReadExt, BufReader},
-    net::{TcpListener, TcpStream},
+    net::TcpListener,
     process::{Child, Command},
     signal::unix::{SignalKind, signal},
-    sync::{mpsc, oneshot},
+    sync::oneshot,
     task::JoinHandle,
 };
 
@@ -24,7 +27,7 @@ use crate::{
     call::lock,
     chassis::Chassis,
     config::App,
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token},
+    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
     registry::Registry,
     system,
     time::Clock,
@@ -38,6 +41,21 @@ struct Process {
     name: String,
     child: Child,
     last_lines: Arc<Mutex<VecDeque<String>>>,
+    /// Reads its log; `None` when that is read to its end.
+    log: Option<JoinHandle<()>>,
+}
+
+impl Process {
+    /// Waits until it has ended and its last words are known.
+    async fn ended(&mut self) -> std::io::Result<ExitStatus> {
+        let status = self.child.wait().await;
+        if let Some(log) = &mut self.log
+            && tokio::time::timeout(FLUSH_LIMIT, log).await.is_ok()
+        {
+            self.log = None;
+        }
+        status
+    }
 }
 
 /// Boots `app` with one process per chassis.
@@ -67,6 +85,24 @@ async fn run(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
+    let mut processes = Vec::new();
+    let outcome = run_processes(chassis, launcher, observer, &mut processes).await;
+    // Those that are still in the list were not brought up: nothing moves yet, and nobody may be left.
+    for mut process in processes {
+        // An error says that it has ended already.
+        let _ = process.child.kill().await;
+    }
+    outcome
+}
+
+/// Starts the processes and runs the app to its end. Those that have not been seen to end are left in
+/// `processes`.
+async fn run_processes(
+    chassis: &Arc<Chassis>,
+    launcher: &Launcher,
+    observer: &Observer,
+    processes: &mut Vec<Process>,
+) -> Result<Outcome, BootError> {
     let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
     let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
         .await
@@ -74,21 +110,21 @@ async fn run(
     let address = listener.local_addr().map_err(io("cannot listen"))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
-    let mut processes = Vec::new();
     for config in &chassis.app.chassis {
         let process = start(&config.name, launcher, address, &token, chassis, observer)?;
         processes.push(process);
     }
-    // From here on a failure drops `processes`, which kills them.
     let limit = chassis.app.phase_timeout;
+    let mut missing: BTreeSet<u8> = chassis.others().collect();
     let writers = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, &mut processes)) => {
+        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
-                Err(_) => return Err(late(chassis, limit)),
+                Err(_) => return Err(late(chassis, &missing, limit)),
             }
         }
-        _ = interrupt.recv() => return Ok(Outcome { end: End::Interrupted, casualties: Vec::new(), took: chassis.clock.now().since_start() }),
+        _ = interrupt.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => return Ok(interrupted(chassis)),
     };
     let end_slot = EndSlot::default();
     let (sender, mut exited) = oneshot::channel();
@@ -97,7 +133,7 @@ async fn run(
         let _ = sender.send(code);
     });
     boot::start_system_tasks(chassis, observer, &end_slot);
-    let threads = boot::start_processors(chassis);
+    let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
         tokio::select! {
@@ -112,12 +148,14 @@ async fn run(
     let flushed = futures_util::future::join_all(writers);
     // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
     let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
+    let processes = std::mem::take(processes);
     let casualties = end_processes(processes, chassis.app.stop_timeout, &end, observer).await;
     chassis.stop_processors();
     for thread in threads {
         // The service is the last thing that ran on it.
-        let _ = thread.join();
+        let _ = thread.ended.await;
     }
+    chassis.close();
     Ok(Outcome {
         end,
         casualties,
@@ -125,14 +163,20 @@ async fn run(
     })
 }
 
-fn late(chassis: &Arc<Chassis>, limit: Duration) -> BootError {
-    let missing = chassis
-        .others()
-        .filter(|index| !chassis.is_linked(*index))
-        .map(|index| format!("`{}`", chassis.name_of(index)))
-        .collect();
+fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
+    Outcome {
+        end: End::Interrupted,
+        casualties: Vec::new(),
+        took: chassis.clock.now().since_start(),
+    }
+}
+
+fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> BootError {
+    let missing = missing
+        .iter()
+        .map(|index| format!("`{}`", chassis.name_of(*index)));
     BootError::Late {
-        chassis: missing,
+        chassis: missing.collect(),
         limit_s: limit.as_secs_f64(),
     }
 }
@@ -164,7 +208,7 @@ fn start(
         pid: child.id(),
     });
     let last_lines = Arc::new(Mutex::new(VecDeque::new()));
-    if let Some(stderr) = child.stderr.take() {
+    let log = child.stderr.take().map(|stderr| {
         let kept = last_lines.clone();
         let observer = observer.clone();
         let chassis = name.to_owned();
@@ -180,66 +224,74 @@ fn start(
                 let chassis = chassis.clone();
                 observer(&BootEvent::Log { chassis, line });
             }
-        });
-    }
+        })
+    });
     Ok(Process {
         name: name.to_owned(),
         child,
         last_lines,
+        log,
     })
 }
 
 /// Waits until all chassis have called, lets them call each other, and turns the calls into links.
+/// `missing` says at any time who is not connected yet.
 async fn connect(
     chassis: &Arc<Chassis>,
     listener: &TcpListener,
     token: &Token,
     processes: &mut [Process],
+    missing: &mut BTreeSet<u8>,
 ) -> Result<Vec<JoinHandle<()>>, BootError> {
+    if missing.is_empty() {
+        return Ok(Vec::new());
+    }
     let mut connections: BTreeMap<u8, (Connection, SocketAddr)> = BTreeMap::new();
-    // Callers are heard side by side, so that a stranger who says nothing delays nobody.
-    let (heard, mut hellos) = mpsc::channel(16);
-    while connections.len() < processes.len() {
-        tokio::select! {
-            accepted = listener.accept() => {
-                let (stream, _) = accepted.map_err(io("cannot accept a chassis"))?;
-                let token = token.clone();
-                let heard = heard.clone();
-                tokio::spawn(async move {
-                    // The receiver is gone only when the boot has failed already.
-                    let _ = heard.send(hello(stream, &token).await).await;
-                });
-            }
-            Some(hello) = hellos.recv() => match hello {
-                Ok((index, address, connection)) => {
-                    connections.insert(index, (connection, address));
-                }
-                Err(HandshakeError::Refused(reason)) => return Err(refused(processes, reason).await),
-                Err(error) => tracing::warn!(error = %error, "a stranger called"),
-            },
-            ended = first_exit(processes) => return Err(ended),
+    let called = callers(listener, token, |caller| {
+        if let Some(listen) = caller.listen
+            && missing.remove(&caller.chassis)
+        {
+            connections.insert(caller.chassis, (caller.connection, listen));
         }
+        if missing.is_empty() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    });
+    let called = tokio::select! {
+        called = called => called,
+        ended = first_exit(processes) => return Err(ended),
+    };
+    if let Err(error) = called {
+        return Err(refused(processes, error.to_string()).await);
     }
     let peers: Vec<(u8, SocketAddr)> = connections
         .iter()
         .map(|(index, (_, address))| (*index, *address))
         .collect();
-    for (index, (connection, _)) in &mut connections {
-        let told = connection.tell(&Handshake::Peers(peers.clone())).await;
-        told.map_err(|error| failed(chassis, *index, &error))?;
-    }
-    for (index, (connection, _)) in &mut connections {
-        match connection.hear().await {
-            Ok(Handshake::Ready) => {}
-            Ok(other) => {
-                let error = HandshakeError::Unexpected(Box::new(other));
-                return Err(failed(chassis, *index, &error));
-            }
-            Err(error) => return Err(failed(chassis, *index, &error)),
+    missing.extend(connections.keys());
+    let waiting = RefCell::new(missing);
+    let introduced =
+        try_join_all(connections.into_iter().map(|(index, (connection, _))| {
+            introduce(chassis, index, connection, &peers, &waiting)
+        }));
+    let connections = tokio::select! {
+        // The process first: that it ended says more than that its connection did.
+        biased;
+        ended = first_exit(processes) => return Err(ended),
+        introduced = introduced => introduced,
+    };
+    let connections = match connections {
+        Ok(connections) => connections,
+        // A connection that breaks off mostly belongs to a process that is just ending.
+        Err(error) => {
+            let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+            return Err(ended.unwrap_or(error));
         }
-    }
+    };
     let mut writers = Vec::new();
-    for (index, (mut connection, _)) in connections {
+    for (index, mut connection) in connections {
         let told = connection.tell(&Handshake::Go).await;
         told.map_err(|error| failed(chassis, index, &error))?;
         writers.push(connection.into_link(chassis, index));
@@ -247,14 +299,27 @@ async fn connect(
     Ok(writers)
 }
 
-async fn hello(
-    stream: TcpStream,
-    token: &Token,
-) -> Result<(u8, SocketAddr, Connection), HandshakeError> {
-    let mut connection = Connection::new(stream)?;
-    let (index, listen) = connection.hear_hello(token).await?;
-    let listen = listen.ok_or(HandshakeError::Closed)?;
-    Ok((index, listen, connection))
+/// Tells chassis `index` where the others listen, and waits until it is connected to all of them.
+async fn introduce(
+    chassis: &Arc<Chassis>,
+    index: u8,
+    mut connection: Connection,
+    peers: &[(u8, SocketAddr)],
+    waiting: &RefCell<&mut BTreeSet<u8>>,
+) -> Result<(u8, Connection), BootError> {
+    let told = connection.tell(&Handshake::Peers(peers.to_vec())).await;
+    told.map_err(|error| failed(chassis, index, &error))?;
+    match connection.hear().await {
+        Ok(Handshake::Ready) => {
+            waiting.borrow_mut().remove(&index);
+            Ok((index, connection))
+        }
+        Ok(other) => {
+            let error = HandshakeError::Unexpected(Box::new(other));
+            Err(failed(chassis, index, &error))
+        }
+        Err(error) => Err(failed(chassis, index, &error)),
+    }
 }
 
 fn failed(chassis: &Arc<Chassis>, index: u8, error: &HandshakeError) -> BootError {
@@ -279,8 +344,7 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
     let waits = processes.iter_mut().map(|process| {
         let name = process.name.clone();
         let lines = process.last_lines.clone();
-        let child = &mut process.child;
-        Box::pin(async move { (name, child.wait().await, lines) })
+        Box::pin(async move { (name, process.ended().await, lines) })
     });
     let ((chassis, status, lines), _, _) = futures_util::future::select_all(waits).await;
     let how = status.map_or_else(|error| error.to_string(), |status| describe(&status));
@@ -317,7 +381,7 @@ async fn end_processes(
     let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
     let mut casualties = Vec::new();
     for mut process in processes {
-        let mut status = tokio::time::timeout(limit, process.child.wait()).await;
+        let mut status = tokio::time::timeout(limit, process.ended()).await;
         for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
             if status.is_ok() {
                 break;
@@ -331,7 +395,7 @@ async fn end_processes(
                 // It may have ended just now; the wait below tells.
                 let _ = kill_process(pid, number);
             }
-            status = tokio::time::timeout(limit, process.child.wait()).await;
+            status = tokio::time::timeout(limit, process.ended()).await;
         }
         match status {
             Ok(Ok(status)) if status.code() == Some(expected) => {}

@@ -139,15 +139,17 @@ impl de::Error for NodeError {
 
     fn invalid_type(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
         Self::new(Kind::Other(format!(
-            "expected {expected}, found {}",
+            "expected {}, found {}",
+            wanted(expected),
             describe(found)
         )))
     }
 
     fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
         Self::new(Kind::Other(format!(
-            "{} does not fit, expected {expected}",
-            describe(found)
+            "{} does not fit, expected {}",
+            describe(found),
+            wanted(expected)
         )))
     }
 
@@ -164,7 +166,19 @@ impl de::Error for NodeError {
     }
 }
 
-/// serde's words in the words of a TOML file.
+/// What serde wants, in the words of a TOML file.
+fn wanted(expected: &dyn de::Expected) -> String {
+    match expected.to_string().as_str() {
+        "f32" | "f64" => "a number".to_owned(),
+        "i8" | "i16" | "i32" | "i64" | "i128" | "isize" => "a whole number".to_owned(),
+        "u8" => "a whole number from 0 to 255".to_owned(),
+        "u16" => "a whole number from 0 to 65535".to_owned(),
+        "u32" | "u64" | "u128" | "usize" => "a whole number from 0".to_owned(),
+        other => other.to_owned(),
+    }
+}
+
+/// What serde found, in the words of a TOML file.
 fn describe(found: Unexpected<'_>) -> String {
     match found {
         Unexpected::Map => "a table".to_owned(),

@@ -414,6 +414,12 @@ fn syntax_finding(error: &toml::de::Error, source: &Source, offset: usize) -> Fi
         "ctos::config::syntax",
         format!("this is not valid TOML: {}", error.message()),
     );
+    let finding = match error.message() {
+        "duplicate key" => {
+            finding.help("a key, or a table, stands once in a file: rename it or take it out")
+        }
+        _ => finding,
+    };
     let end = source.text().len();
     let span = error.span().unwrap_or(end..end);
     finding.at(source.at((span.start + offset).min(end)..(span.end + offset).min(end)))

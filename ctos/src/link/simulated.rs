@@ -20,17 +20,20 @@ const DELAY_MIN: Duration = Duration::from_micros(50);
 /// How much longer it may take.
 const DELAY_SPREAD_NS: u64 = 100_000;
 
-/// A frame on its way.
+/// What is on its way from one chassis to another.
 pub(crate) struct InFlight {
     pub(crate) from: u8,
     pub(crate) to: u8,
-    pub(crate) frame: Frame,
+    /// `None` tells that the sender's end of the link is closed.
+    pub(crate) frame: Option<Frame>,
 }
 
 struct State {
     flights: BTreeMap<(Instant, u64), InFlight>,
     /// When the last frame of each direction arrives, so that none overtakes another.
     last: BTreeMap<(u8, u8), Instant>,
+    /// Links that stand still, in both directions, and until when.
+    stalls: Vec<([u8; 2], Instant)>,
     next: u64,
     rng: ChaCha8Rng,
 }
@@ -48,6 +51,7 @@ impl Network {
             state: Arc::new(Mutex::new(State {
                 flights: BTreeMap::new(),
                 last: BTreeMap::new(),
+                stalls: Vec::new(),
                 next: 0,
                 rng,
             })),
@@ -78,6 +82,48 @@ impl Network {
     }
 }
 
+impl Network {
+    /// Draws the moment at which what is posted now arrives.
+    fn put(&self, from: u8, to: u8, frame: Option<Frame>) {
+        let mut state = lock(&self.state);
+        let spread = Duration::from_nanos(state.rng.random_range(0..DELAY_SPREAD_NS));
+        let now = self.clock.now();
+        let stalled = state
+            .stalls
+            .iter()
+            .filter(|(ends, until)| *until > now && (*ends == [from, to] || *ends == [to, from]));
+        let start = stalled.map(|(_, until)| *until).max().unwrap_or(now);
+        let wanted = start + DELAY_MIN + spread;
+        let arrival = state
+            .last
+            .get(&(from, to))
+            .map_or(wanted, |last| wanted.max(*last));
+        state.last.insert((from, to), arrival);
+        let number = state.next;
+        state.next += 1;
+        let flight = InFlight { from, to, frame };
+        state.flights.insert((arrival, number), flight);
+    }
+
+    /// Chassis `from` closed its end of the link to `to`; what it sent before still arrives.
+    pub(crate) fn hang_up(&self, from: u8, to: u8) {
+        self.put(from, to, None);
+    }
+
+    /// Breaks a link: what is under way in either direction is lost.
+    pub(crate) fn cut(&self, one: u8, other: u8) {
+        lock(&self.state).flights.retain(|_, flight| {
+            let ends = (flight.from, flight.to);
+            ends != (one, other) && ends != (other, one)
+        });
+    }
+
+    /// From now until `until` nothing that is posted on a link arrives.
+    pub(crate) fn stall(&self, one: u8, other: u8, until: Instant) {
+        lock(&self.state).stalls.push(([one, other], until));
+    }
+}
+
 struct SimulatedLink {
     network: Network,
     from: u8,
@@ -86,25 +132,7 @@ struct SimulatedLink {
 
 impl Link for SimulatedLink {
     fn post(&self, frame: Frame) {
-        let mut state = lock(&self.network.state);
-        let spread = Duration::from_nanos(state.rng.random_range(0..DELAY_SPREAD_NS));
-        let wanted = self.network.clock.now() + DELAY_MIN + spread;
-        let direction = (self.from, self.to);
-        let arrival = state
-            .last
-            .get(&direction)
-            .map_or(wanted, |last| wanted.max(*last));
-        state.last.insert(direction, arrival);
-        let number = state.next;
-        state.next += 1;
-        state.flights.insert(
-            (arrival, number),
-            InFlight {
-                from: self.from,
-                to: self.to,
-                frame,
-            },
-        );
+        self.network.put(self.from, self.to, Some(frame));
     }
 }
 

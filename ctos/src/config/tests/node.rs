@@ -84,15 +84,15 @@ fn what_does_not_fit_a_type_is_an_error_at_its_exact_place() {
         ),
         (
             "speed = \"fast\"",
-            "arm.toml:1:9: error: `speed`: expected f64, found the string \"fast\"",
+            "arm.toml:1:9: error: `speed`: expected a number, found the string \"fast\"",
         ),
         (
             "speed = 1\n[[joints]]\nlimit = [0, 1]\ngain = 256",
-            "arm.toml:4:8: error: `joints.0.gain`: the integer 256 does not fit, expected u8",
+            "arm.toml:4:8: error: `joints.0.gain`: the integer 256 does not fit, expected a whole number from 0 to 255",
         ),
         (
             "speed = 1\n[[joints]]\nlimit = [0, true]\ngain = 1",
-            "arm.toml:3:13: error: `joints.0.limit.1`: expected f64, found the boolean true",
+            "arm.toml:3:13: error: `joints.0.limit.1`: expected a number, found the boolean true",
         ),
         (
             "speed = 1\n[[joints]]\nlimit = [0, 1]\ngian = 1",

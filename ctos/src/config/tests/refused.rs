@@ -18,7 +18,9 @@ fn toml_errors_come_all_at_once_with_their_places() {
     let lines = refused(load_one("[app]\nseed = 1\nseed = 2\n"));
     assert_eq!(
         lines,
-        ["app.toml:3:1: error: this is not valid TOML: duplicate key"]
+        [
+            "app.toml:3:1: error: this is not valid TOML: duplicate key (a key, or a table, stands once in a file: rename it or take it out)"
+        ]
     );
 }
 

@@ -1,0 +1,240 @@
+//! The stand-ins of the rig: they do what they are asked, or fail as the script says.
+
+use std::time::Duration;
+
+use ctos::{
+    message::{Command, CommandInfo, Message},
+    task::{Context, EventHandler, Handled},
+};
+use mcs::{
+    client::{
+        Acquire, Move, MoveReport, Plan, PlanReport, Position, ReadPosition, Release, Stop, Target,
+    },
+    state::State,
+};
+use nalgebra::Matrix4;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use vss::{
+    calibrate::calibrate,
+    camera::Camera,
+    command::{Calibrate, NamedCamera, SpotFind, TrueCameras},
+};
+
+use super::{Answer, Script, SetLamp, Shared, World, cameras, lock, spot};
+use crate::dom::{Dom, GetData, PutData, SetValidity};
+
+#[derive(Clone)]
+pub(super) struct StandIn {
+    pub(super) world: Shared,
+    pub(super) script: Script,
+}
+
+impl StandIn {
+    fn answer(&self, command: &str, detail: &str) -> Answer {
+        let occurrence = {
+            let mut world = lock(&self.world);
+            let key = (command.to_owned(), detail.to_owned());
+            let asked = world.asked.entry(key).or_default();
+            *asked += 1;
+            *asked - 1
+        };
+        (self.script)(command, detail, occurrence)
+    }
+
+    /// Answers by the script; work takes `seconds`.
+    fn play<C: Command>(
+        &self,
+        cx: &Context,
+        message: Message,
+        seconds: f64,
+        detail: impl FnOnce(&C) -> String,
+        work: impl FnOnce(&mut World, C) -> Result<C::Reply, String> + 'static,
+    ) -> Handled {
+        let (request, reply) = message.open::<C>()?;
+        let detail = detail(&request);
+        match self.answer(C::NAME, &detail) {
+            answer @ (Answer::Work | Answer::Lost) => {
+                let (child, world) = (cx.clone(), self.world.clone());
+                cx.spawn(async move {
+                    let begin = child.now().since_start().as_secs_f64();
+                    child.sleep(Duration::from_secs_f64(seconds)).await;
+                    let end = child.now().since_start().as_secs_f64();
+                    let mut locked = lock(&world);
+                    let entry = (C::NAME.to_owned(), detail, begin, end);
+                    locked.log.push(entry);
+                    let worked = work(&mut locked, request);
+                    drop(locked);
+                    if answer == Answer::Lost {
+                        return;
+                    }
+                    let _ = match worked {
+                        Ok(done) => reply.ok(done),
+                        Err(reason) => reply.fail(reason),
+                    };
+                });
+                Ok(())
+            }
+            Answer::Refuse => reply.fail(format!("{} {detail}: refused on purpose", C::NAME)),
+            Answer::Silent => Ok(()),
+            Answer::Late => {
+                let child = cx.clone();
+                cx.spawn(async move {
+                    child.sleep(Duration::from_secs(600)).await;
+                    let _ = reply.fail("too late anyway");
+                });
+                Ok(())
+            }
+            Answer::Crash => panic!("{} {detail}: crashed on purpose", C::NAME),
+        }
+    }
+}
+
+fn none<C>(_: &C) -> String {
+    String::new()
+}
+
+pub(super) struct Mcs(pub(super) StandIn);
+
+impl EventHandler for Mcs {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Acquire::CODE => self.0.play::<Acquire>(cx, message, 0.1, none, |world, _| {
+                if world.reserved {
+                    return Err("reserved already".to_owned());
+                }
+                world.reserved = true;
+                Ok(State::Active)
+            }),
+            Plan::CODE => self.0.play::<Plan>(
+                cx,
+                message,
+                0.01,
+                |plan| match (&plan.target, plan.elbow) {
+                    (Target::Joints(_), _) => "joints".to_owned(),
+                    (_, elbow) => format!("{elbow:?}"),
+                },
+                |world, plan| {
+                    let joints = match plan.target {
+                        Target::Joints(joints) => joints,
+                        Target::Pose(pose) => {
+                            world.planned.push(pose);
+                            [world.planned.len() as f64, 0.0, 0.0, 0.0, 0.0, 0.0]
+                        }
+                    };
+                    Ok(PlanReport {
+                        joints,
+                        duration_s: 1.0,
+                    })
+                },
+            ),
+            Move::CODE => self
+                .0
+                .play::<Move>(cx, message, 1.2, none, |world, request| {
+                    if !world.reserved {
+                        return Err("not reserved".to_owned());
+                    }
+                    world.pose = match request.target {
+                        Target::Pose(pose) => pose,
+                        Target::Joints([number, ..]) => world.planned[number as usize - 1],
+                    };
+                    Ok(MoveReport {
+                        duration_s: 1.2,
+                        max_tracking_error_rad: 0.01,
+                        final_error_rad: 0.001,
+                        joints: [0.0; 6],
+                    })
+                }),
+            ReadPosition::CODE => {
+                self.0
+                    .play::<ReadPosition>(cx, message, 0.2, none, |world, _| {
+                        Ok(Position {
+                            joints: [0.0; 6],
+                            base_t_tool: world.pose,
+                            at_rest: true,
+                        })
+                    })
+            }
+            Stop::CODE => self.0.play::<Stop>(cx, message, 0.1, none, |_, _| Ok(())),
+            Release::CODE => self.0.play::<Release>(cx, message, 0.1, none, |world, _| {
+                world.reserved = false;
+                Ok(State::Cold)
+            }),
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+pub(super) struct Vsm(pub(super) StandIn);
+
+impl EventHandler for Vsm {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            SpotFind::CODE => {
+                let detail = |request: &SpotFind| request.camera.clone();
+                self.0
+                    .play(cx, message, 0.4, detail, |world, request: SpotFind| {
+                        if !world.lamp_on {
+                            return Err(format!("camera `{}`: too dark", request.camera));
+                        }
+                        let lamp = Matrix4::from_row_slice(&world.pose).column(3).xyz();
+                        let mut known = cameras().into_iter();
+                        let camera = known.find(|(name, _)| *name == request.camera);
+                        let (_, camera) = camera.ok_or("no such camera")?;
+                        let pixel = camera.project(&lamp.into()).ok_or("behind the camera")?;
+                        Ok(spot(&request.camera, pixel.x, pixel.y))
+                    })
+            }
+            Calibrate::CODE => {
+                let detail = |request: &Calibrate| request.camera.clone();
+                self.0
+                    .play(cx, message, 1.0, detail, |_, request: Calibrate| {
+                        let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
+                        calibrate(&request.points, request.width, request.height, &mut rng)
+                            .map_err(|error| error.to_string())
+                    })
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+pub(super) struct Lamp(pub(super) StandIn);
+
+impl EventHandler for Lamp {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            SetLamp::CODE => {
+                let detail = |request: &SetLamp| request.on.to_string();
+                self.0
+                    .play(cx, message, 0.1, detail, |world, request: SetLamp| {
+                        world.lamp_on = request.on;
+                        Ok(())
+                    })
+            }
+            TrueCameras::CODE => self.0.play::<TrueCameras>(cx, message, 0.1, none, |_, _| {
+                let named = |(name, camera): (&str, Camera)| NamedCamera {
+                    name: name.to_owned(),
+                    camera,
+                };
+                Ok(cameras().map(named).into())
+            }),
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+/// The real DOM, which fails on demand.
+pub(super) struct FaultyDom(pub(super) StandIn, pub(super) Dom);
+
+impl EventHandler for FaultyDom {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        let commands: [CommandInfo; 3] = [PutData::INFO, GetData::INFO, SetValidity::INFO];
+        let known = commands.iter().find(|info| info.code == message.command());
+        let answer = known.map_or(Answer::Work, |info| self.0.answer(info.name, ""));
+        match answer {
+            Answer::Work => self.1.handle(cx, message).await,
+            Answer::Silent => Ok(()),
+            _ => Err("the DOM refused on purpose".into()),
+        }
+    }
+}

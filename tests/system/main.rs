@@ -1,0 +1,10 @@
+//! Tests of the whole system: the real program on the real configuration, copied into a folder of its
+//! own, with real processes where processes matter and in virtual time where they do not.
+
+mod bad_input;
+mod faults;
+mod harness;
+mod kills;
+mod main_job;
+mod manners;
+mod startup;
