@@ -26,8 +26,10 @@ use crate::{exit, show};
   ctos boot configs/calibrate.toml
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json
 
-Exit codes: 0 fine, 1 failed, 2 wrong command line, 3 wrong configuration, 5 a chassis cannot be started,
-130 interrupted.")]
+Exit codes:
+  0 fine                  3 wrong configuration
+  1 failed                5 a chassis cannot be started
+  2 wrong command line    130 interrupted")]
 pub struct Cli {
     /// What to do
     #[command(subcommand)]

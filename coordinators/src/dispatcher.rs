@@ -5,11 +5,7 @@
 //! where each camera saw it, and has the Vision Services System compute the cameras. Nothing here knows
 //! where the cameras really are.
 
-use std::{
-    path::{Path, PathBuf},
-    rc::Rc,
-    time::Duration,
-};
+use std::{path::PathBuf, rc::Rc, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
@@ -24,26 +20,21 @@ use pnt::{
     task::{COMMANDS, NetTask, check_args},
 };
 use serde::Deserialize;
-use vss::{
-    calibrate::{Calibration, LightPoint},
-    camera_info::{CameraInfo, CameraPose, poses_to_yaml},
-    command::Calibrate,
-};
+use vss::command::Calibrate;
 
 use crate::{
     dom::DomStore,
+    motion,
     objects::{
-        CALIBRATIONS, Calibrations, CameraTable, DESTINATION, Destination, OBSERVATIONS,
-        Observations, POSITION, ReachedPosition, SPOTS, Spots,
+        CALIBRATIONS, Calibrations, DESTINATION, Destination, OBSERVATIONS, Observations, POSITION,
+        PROBLEM, Problem, ReachedPosition, SPOTS, Spots, Stamp,
     },
     positions::{self, Position},
+    results,
 };
 
 /// The handler's name.
 pub const HANDLER: &str = "coordinators.dispatcher";
-
-/// A camera that has seen no spot at so many positions is given up.
-const HOPELESS_AFTER: u32 = 10;
 
 /// How long computing one camera may take.
 const CALIBRATE_LIMIT: Duration = Duration::from_secs(60);
@@ -80,6 +71,8 @@ struct Dispatcher {
     args: Rc<DispatcherArgs>,
     store: DomStore,
     positions: Rc<[Position]>,
+    /// Number of the command in work, from 1.
+    command: u32,
     /// The loop variable: positions that have not been read yet.
     left: usize,
     observations: Observations,
@@ -89,6 +82,14 @@ impl Dispatcher {
     /// Number of the position in work, from 0.
     fn index(&self) -> usize {
         self.positions.len().saturating_sub(self.left + 1)
+    }
+
+    /// Stamp of the position in work.
+    fn stamp(&self) -> Stamp {
+        Stamp {
+            command: self.command,
+            index: self.index(),
+        }
     }
 }
 
@@ -141,8 +142,9 @@ fn check_positions(task: &TaskConfig, app: &App, file: &str, findings: &mut Find
     // The servo's own arguments are reported by its own check.
     let servo = servo.and_then(|servo| ServoArgs::read(servo, &mut Findings::new()));
     if let Some(servo) = servo {
-        positions::check(&positions, &source, &servo.model(), &servo.tool(), findings);
+        positions::check_reach(&positions, &source, &servo.model(), &servo.tool(), findings);
     }
+    positions::check_spread(&positions, &source, findings);
 }
 
 fn library(args: DispatcherArgs, store: DomStore) -> Library<Dispatcher> {
@@ -150,6 +152,7 @@ fn library(args: DispatcherArgs, store: DomStore) -> Library<Dispatcher> {
         args: Rc::new(args),
         store,
         positions: Rc::from([]),
+        command: 0,
         left: 0,
         observations: Observations::default(),
     };
@@ -174,6 +177,7 @@ fn parts(action: &Act) -> (Context, Rc<DispatcherArgs>, DomStore) {
 /// Prepares: lamp on, positions read, loop variable set.
 async fn init_calib(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
+    action.with_state(|state| state.command = state.command.wrapping_add(1));
     let positions = positions::read(&cx.path(&args.positions))?;
     set_lamp(&cx, &args.lamp, true).await?;
     action.with_state(|state| {
@@ -199,109 +203,68 @@ async fn set_lamp(cx: &Context, task: &str, on: bool) -> Acted {
 /// Counts the loop variable down and makes the next position the destination.
 async fn read_next_pos(action: Act) -> Acted {
     let (cx, _, store) = parts(&action);
-    let (index, position) = action.with_state(|state| {
+    let (stamp, position) = action.with_state(|state| {
         state.left = state.left.saturating_sub(1);
-        (state.index(), state.positions.get(state.index()).copied())
+        (state.stamp(), state.positions.get(state.index()).copied())
     });
     let position = position.ok_or("the file of positions is empty")?;
     let destination = Destination {
-        index,
+        stamp,
         base_t_tool: position.row_major(),
     };
     store.store(&cx, DESTINATION, &destination).await
 }
 
-/// Adds this position's lamp and spots to the table. Data of an earlier position (this one was
-/// skipped) counts as missed.
+/// Adds this position's lamp and spots to the table. Data of an earlier position means that this one
+/// was skipped.
 async fn store_point(action: Act) -> Acted {
     let (cx, _, store) = parts(&action);
-    let index = action.with_state(|state| state.index());
-    let position = store.fetch::<ReachedPosition>(&cx, POSITION).await;
-    let lamp = position.ok().filter(|position| position.index == index);
+    let (stamp, line) = action.with_state(|state| {
+        let position = state.positions.get(state.index());
+        (state.stamp(), position.map_or(0, |position| position.line))
+    });
+    let lamp = store.fetch::<ReachedPosition>(&cx, POSITION).await;
+    let lamp = lamp.ok().filter(|lamp| lamp.stamp == stamp);
     let spots = store.fetch::<Spots>(&cx, SPOTS).await;
-    let spots = spots
-        .ok()
-        .filter(|spots| spots.index == index && lamp.is_some());
+    let spots = spots.ok().filter(|spots| spots.stamp == stamp);
+    if let Some(failure) = spots.as_ref().and_then(|spots| spots.failure.as_deref()) {
+        return Err(format!("the vision system has failed: {failure}").into());
+    }
+    let problem = match &lamp {
+        Some(_) => None,
+        None => Some(problem(&cx, &store, stamp).await),
+    };
     let observations = action.with_state(|state| {
         let observations = &mut state.observations;
-        observations.reached += u32::from(lamp.is_some());
         match (&lamp, &spots) {
-            (Some(lamp), Some(spots)) => add_point(observations, lamp, spots),
-            _ => {
-                for table in &mut observations.cameras {
-                    table.missed += 1;
-                }
-            }
+            (Some(lamp), Some(spots)) => observations.add(line, lamp, spots),
+            (Some(_), None) => return Err("the Vision Coordinator left no answer"),
+            (None, _) => observations.skip(line, problem.as_deref().unwrap_or_default()),
         }
-        observations.clone()
-    });
+        Ok(observations.clone())
+    })?;
     store.store(&cx, OBSERVATIONS, &observations).await?;
-    let (done, total) = (index as u64 + 1, u64::from(observations.wanted));
-    cx.progress(done, total, &progress(&observations, spots.as_ref()));
-    hopeless(&observations, spots.as_ref())
+    let (done, total) = (stamp.index as u64 + 1, u64::from(observations.wanted));
+    let what = match (&problem, &spots) {
+        (Some(problem), _) => format!("skipped: {problem}"),
+        (None, Some(spots)) if spots.reasons.is_empty() => {
+            format!("position, spot seen by {} cameras", spots.seen.len())
+        }
+        (None, spots) => {
+            let why = spots.as_ref().map_or_else(String::new, Spots::why);
+            format!("position, {why}")
+        }
+    };
+    cx.progress(done, total, &what);
+    observations.hopeful(spots.as_ref())
 }
 
-fn add_point(observations: &mut Observations, lamp: &ReachedPosition, spots: &Spots) {
-    let [x, y, z] = lamp.lamp;
-    for (camera, spot) in &spots.seen {
-        let known = observations
-            .cameras
-            .iter()
-            .position(|table| table.camera == *camera);
-        let place = known.unwrap_or_else(|| {
-            observations.cameras.push(CameraTable {
-                camera: camera.clone(),
-                ..CameraTable::default()
-            });
-            observations.cameras.len() - 1
-        });
-        let Some(table) = observations.cameras.get_mut(place) else {
-            continue;
-        };
-        match spot {
-            Some(spot) => {
-                (table.width, table.height) = (spot.width, spot.height);
-                let (u, v) = (spot.u, spot.v);
-                table.points.push(LightPoint { x, y, z, u, v });
-            }
-            None => table.missed += 1,
-        }
-    }
-}
-
-fn progress(observations: &Observations, spots: Option<&Spots>) -> String {
-    match spots {
-        None => "skipped".to_owned(),
-        Some(spots) if spots.reasons.is_empty() => {
-            format!(
-                "position, spot seen by {} cameras",
-                observations.cameras.len()
-            )
-        }
-        Some(spots) => format!("position, {}", spots.reasons.join("; ")),
-    }
-}
-
-/// Gives up early when a camera has seen nothing at all.
-fn hopeless(observations: &Observations, spots: Option<&Spots>) -> Acted {
-    let blind = observations
-        .cameras
-        .iter()
-        .find(|table| table.points.is_empty() && table.missed >= HOPELESS_AFTER);
-    match blind {
-        None => Ok(()),
-        Some(table) => {
-            let why = spots.map_or_else(String::new, |spots| {
-                let own = format!("`{}`", table.camera);
-                let mut reasons = spots.reasons.iter();
-                let reason = reasons.find(|reason| reason.contains(&own));
-                reason.map_or_else(String::new, |reason| format!(" ({reason})"))
-            });
-            Err(HandlerError::new(format!(
-                "camera `{}` has seen no spot at {} positions{why}: is the lamp on, and does the camera look at the work volume?",
-                table.camera, table.missed
-            )))
-        }
+/// Why the Motion Coordinator did not do what was asked at this position.
+async fn problem(cx: &Context, store: &DomStore, stamp: Stamp) -> String {
+    let problem = store.fetch::<Problem>(cx, PROBLEM).await;
+    match problem.ok().filter(|problem| problem.stamp == stamp) {
+        Some(problem) => problem.reason,
+        None => "the Motion Coordinator gave no reason".to_owned(),
     }
 }
 
@@ -309,6 +272,11 @@ fn hopeless(observations: &Observations, spots: Option<&Spots>) -> Acted {
 async fn compute_calib(action: Act) -> Acted {
     let (cx, args, store) = parts(&action);
     let observations: Observations = store.fetch(&cx, OBSERVATIONS).await?;
+    if observations.cameras.is_empty() {
+        let last = observations.unused.last();
+        let why = last.map_or("", |unused| unused.reason.as_str());
+        return Err(format!("the arm took none of the positions ({why})").into());
+    }
     let vsm = cx.task(&args.vsm).await?;
     let seed = cx.app().seed;
     let calls = observations.cameras.into_iter().map(|table| {
@@ -324,14 +292,12 @@ async fn compute_calib(action: Act) -> Acted {
     });
     let mut cameras = Vec::new();
     for (camera, answer) in join_all(calls).await {
-        let calibration = answer.map_err(|error| HandlerError::new(error.reason()))?;
+        let calibration = answer
+            .map_err(|error| HandlerError::new(format!("camera `{camera}`: {}", error.reason())))?;
         cameras.push((camera, calibration));
     }
-    if cameras.is_empty() {
-        return Err("no camera saw anything: no position was reached".into());
-    }
     if let Some(folder) = &args.results {
-        for file in write_results(folder, &cameras)? {
+        for file in results::write(folder, &cameras)? {
             action.note(format!("written: {}", file.display()));
         }
     }
@@ -340,36 +306,18 @@ async fn compute_calib(action: Act) -> Acted {
         .await
 }
 
-/// Writes a ROS `camera_info` per camera and the poses of all of them. A file that was there before
-/// is replaced only when the new one is complete.
-fn write_results(
-    folder: &Path,
-    cameras: &[(String, Calibration)],
-) -> Result<Vec<PathBuf>, HandlerError> {
-    let failed = |path: &Path, error: std::io::Error| {
-        HandlerError::new(format!("cannot write `{}`: {error}", path.display()))
-    };
-    std::fs::create_dir_all(folder).map_err(|error| failed(folder, error))?;
-    let mut texts = Vec::new();
-    for (name, calibration) in cameras {
-        let info = CameraInfo::of(name, calibration).to_yaml()?;
-        texts.push((folder.join(format!("{name}.yaml")), info));
+/// Lamp off. Tells also when the robot could not be given back.
+async fn end_calib(action: Act) -> Acted {
+    let (cx, args, store) = parts(&action);
+    let command = action.with_state(|state| state.command);
+    if let Ok(problem) = store.fetch::<Problem>(&cx, PROBLEM).await
+        && problem.stamp.command == command
+        && problem.transition == motion::RELEASE
+    {
+        action.note(problem.reason);
     }
-    let poses: Vec<CameraPose> = cameras
-        .iter()
-        .map(|(name, calibration)| CameraPose::of(name, calibration))
-        .collect();
-    texts.push((folder.join("poses.yaml"), poses_to_yaml(&poses)?));
-    for (path, text) in &texts {
-        let half = path.with_extension("yaml.part");
-        std::fs::write(&half, text).map_err(|error| failed(&half, error))?;
-        std::fs::rename(&half, path).map_err(|error| failed(path, error))?;
-    }
-    Ok(texts.into_iter().map(|(path, _)| path).collect())
+    crate::insist(|| set_lamp(&cx, &args.lamp, false)).await
 }
 
-/// Lamp off.
-async fn end_calib(action: Act) -> Acted {
-    let (cx, args, _) = parts(&action);
-    set_lamp(&cx, &args.lamp, false).await
-}
+#[cfg(test)]
+mod tests;

@@ -154,9 +154,17 @@ impl DomStore {
         name: &str,
     ) -> Result<T, HandlerError> {
         let bytes = fetch_bytes(cx, &self.task, name).await?;
-        postcard::from_bytes(&bytes).map_err(|error| {
-            HandlerError::new(format!("data object `{name}` is of another type: {error}"))
-        })
+        typed(name, &bytes)
+    }
+}
+
+fn typed<T: DeserializeOwned>(name: &str, bytes: &[u8]) -> Result<T, HandlerError> {
+    let another =
+        |why: &str| HandlerError::new(format!("data object `{name}` is of another type: {why}"));
+    match postcard::take_from_bytes(bytes) {
+        Ok((value, [])) => Ok(value),
+        Ok((_, rest)) => Err(another(&format!("{} bytes too long", rest.len()))),
+        Err(error) => Err(another(&error.to_string())),
     }
 }
 
@@ -187,5 +195,108 @@ impl DataStore for DomStore {
             let dom = cx.task(&dom).await?;
             Ok(cx.call(&dom, SetValidity { name, valid }).await?)
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use ctos::{registry::Registry, system::AppResult, task::Phase};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::rig;
+
+    type Steps = Arc<Mutex<Vec<String>>>;
+
+    /// Uses a DOM on another chassis and writes down what it says.
+    struct User(Steps);
+
+    impl EventHandler for User {
+        async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+            cx.default_processing(message)
+        }
+
+        async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+            if phase == Phase::Run {
+                let (child, steps) = (cx.clone(), self.0.clone());
+                cx.spawn(async move {
+                    let used = use_it(&child, &steps).await;
+                    child.finish(AppResult {
+                        ok: used.is_ok(),
+                        text: used
+                            .err()
+                            .map_or_else(String::new, |error| error.to_string()),
+                        json: String::new(),
+                    });
+                });
+            }
+            Ok(())
+        }
+    }
+
+    async fn use_it(cx: &Context, steps: &Steps) -> Handled {
+        let say = |step: String| steps.lock().unwrap().push(step);
+        let dom = DomStore::new("dom");
+        let unknown = dom.fetch::<u8>(cx, "path").await;
+        say(unknown.unwrap_err().to_string());
+        dom.validity(cx, "spots", true).await?;
+        let valid_without_value = dom.fetch::<u8>(cx, "spots").await;
+        say(valid_without_value.unwrap_err().to_string());
+        dom.store(cx, "path", &(7_u8, "old".to_owned())).await?;
+        dom.store(cx, "path", &(7_u8, "new".to_owned())).await?;
+        dom.validity(cx, "path", true).await?;
+        dom.validity(cx, "path", false).await?;
+        let value: (u8, String) = dom.fetch(cx, "path").await?;
+        say(format!("{value:?}"));
+        say(dom.fetch::<u8>(cx, "path").await.unwrap_err().to_string());
+        let longer = dom.fetch::<[f64; 16]>(cx, "path").await;
+        say(longer.unwrap_err().to_string());
+        dom.put(cx, "bytes", vec![1, 2, 3]).await?;
+        say(format!("{:?}", dom.get(cx, "bytes").await?));
+        let task = cx.task("dom").await?;
+        for DataObject { name, bytes, valid } in cx.call(&task, ListData {}).await? {
+            say(format!("{name} {bytes:?} {valid:?}"));
+        }
+        let nobody = DomStore::new("nobody").fetch::<u8>(cx, "path").await;
+        say(nobody.unwrap_err().to_string());
+        Ok(())
+    }
+
+    #[test]
+    fn objects_are_put_got_listed_and_told_apart_by_name_type_and_validity() {
+        let text = "[app]\nname = \"t\"\nuntil = \"user\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[chassis.b]\n[task.user]\nhandler = \"user\"\non = \"a\"\n[task.dom]\nhandler = \"coordinators.dom\"\non = \"b\"\n";
+        let folder = tempfile::tempdir().unwrap();
+        let steps = Steps::default();
+        let kept = steps.clone();
+        let mut registry = Registry::new();
+        crate::register(&mut registry);
+        registry.handler("user", &[], move |_| Ok(User(kept.clone())));
+        let world = rig::Shared::default();
+        let end = rig::boot(rig::load(text, folder.path()), registry, &world);
+        let steps = steps.lock().unwrap();
+        let expected = [
+            "there is no data object `path`",
+            "there is no data object `spots`",
+            "(7, \"new\")",
+            "data object `path` is of another type: 4 bytes too long",
+            "data object `path` is of another type: Hit the end of buffer, expected more data",
+            "[1, 2, 3]",
+            "bytes Some(3) None",
+            "path Some(5) Some(false)",
+            "spots None Some(true)",
+        ];
+        let (nobody, steps) = steps.split_last().unwrap();
+        assert_eq!(steps, expected, "{end:?}");
+        assert!(nobody.contains("no task is called `nobody`"), "{nobody}");
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_bytes_are_an_object_or_an_error(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let _ = typed::<crate::objects::Spots>("spots", &bytes);
+            let _ = typed::<crate::objects::Observations>("observations", &bytes);
+        }
     }
 }

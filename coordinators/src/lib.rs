@@ -9,17 +9,26 @@ pub mod dispatcher;
 pub mod dom;
 pub mod motion;
 pub mod objects;
+mod observations;
 pub mod operator;
 pub mod positions;
 pub mod referee;
+mod results;
 pub mod vision;
+
+#[cfg(test)]
+mod rig;
+#[cfg(test)]
+mod tests;
+
+use std::future::Future;
 
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
     registry::Registry,
 };
-use pnt::space::Limits;
+use pnt::{library::Acted, space::Limits};
 
 /// The handlers that run nets, for the check of the composed app.
 pub const NET_HANDLERS: [&str; 3] = [dispatcher::HANDLER, motion::HANDLER, vision::HANDLER];
@@ -42,6 +51,21 @@ pub fn register(registry: &mut Registry) {
 /// The task of the data object manager, unless arguments say otherwise.
 pub(crate) fn dom_task() -> String {
     "dom".to_owned()
+}
+
+/// How often giving something back is tried before a person has to see to it.
+const GIVE_BACK_TRIES: u32 = 3;
+
+/// Tries to give something back until it succeeds, a few times.
+pub(crate) async fn insist<F: Future<Output = Acted>>(give_back: impl Fn() -> F) -> Acted {
+    let mut given = give_back().await;
+    for _ in 1..GIVE_BACK_TRIES {
+        if given.is_ok() {
+            break;
+        }
+        given = give_back().await;
+    }
+    given
 }
 
 /// A finding when `task` names a task that the app does not have.

@@ -3,16 +3,17 @@
 //! It knows more than one way to take a pose: the elbow posture nearest to the present joints first,
 //! the others when that one is refused. Only what none of them solves is passed up.
 
-use std::rc::Rc;
+use std::{rc::Rc, time::Duration};
 
 use ctos::{
+    call::{CallError, Fault},
     diagnostic::Finding,
     registry::Registry,
     task::{Context, HandlerError},
 };
 use mcs::{
     arm::Elbow,
-    client::{Acquire, Move, PathKind, Plan, PlanReport, ReadPosition, Release, Target},
+    client::{Acquire, Move, PathKind, Plan, PlanReport, ReadPosition, Release, Stop, Target},
 };
 use pnt::{
     library::{Acted, Action, Library},
@@ -23,7 +24,8 @@ use serde::Deserialize;
 use crate::{
     dom::DomStore,
     objects::{
-        DESTINATION, Destination, MOTIONS, MotionLog, PATH, POSITION, PathSpec, ReachedPosition,
+        DESTINATION, Destination, GIVEN_PATH, GivenPath, MOTIONS, MotionLog, PATH, POSITION,
+        PROBLEM, PathSpec, Problem, ReachedPosition,
     },
 };
 
@@ -32,6 +34,12 @@ pub const HANDLER: &str = "coordinators.motion";
 
 /// How much longer than planned a motion may take, to settle and to be waited for.
 const MOVE_MARGIN_S: f64 = 10.0;
+
+/// How long the manipulator may take to come to rest and change its power state.
+const STATE_LIMIT: Duration = Duration::from_secs(40);
+
+/// The transition that gives the manipulator back.
+pub(crate) const RELEASE: &str = "do_release_robot";
 
 /// Arguments.
 #[derive(Debug, Clone, Deserialize)]
@@ -63,8 +71,11 @@ fn speed() -> f64 {
 struct Motion {
     args: Rc<MotionArgs>,
     store: DomStore,
+    /// Whether the manipulator is known to be reserved for this task.
     acquired: bool,
-    /// Whether a path was given with the request instead of being planned here.
+    /// Whether it is, or may be.
+    to_release: bool,
+    /// Whether a path to the destination was given beforehand, so that none has to be planned.
     path_given: bool,
     log: MotionLog,
 }
@@ -103,11 +114,13 @@ fn library(args: MotionArgs, store: DomStore) -> Library<Motion> {
         args: Rc::new(args),
         store,
         acquired: false,
+        to_release: false,
         path_given: false,
         log: MotionLog::default(),
     };
     Library::new(state)
         .enabling("path_given", |motion: &Motion| motion.path_given)
+        .action("look_for_path", look_for_path)
         .action("validate_path", validate_path)
         .action("plan_path", plan_path)
         .action("move_manip", move_manip)
@@ -122,23 +135,85 @@ fn parts(action: &Act) -> (Context, Rc<MotionArgs>, DomStore) {
     (action.cx().clone(), args, store)
 }
 
-/// Checks that a path given beforehand can still be driven from where the arm is.
+/// Tells the Dispatcher why a request could not be done.
+async fn pass_up(action: &Act, acted: Acted) -> Acted {
+    let Err(error) = acted else { return acted };
+    let (cx, _, store) = parts(action);
+    if let Ok(destination) = store.fetch::<Destination>(&cx, DESTINATION).await {
+        let problem = Problem {
+            stamp: destination.stamp,
+            transition: action.transition().to_owned(),
+            reason: error.to_string(),
+        };
+        if let Err(untold) = store.store(&cx, PROBLEM, &problem).await {
+            tracing::warn!(%error, %untold, "why a request failed could not be passed up");
+        }
+    }
+    Err(error)
+}
+
+/// Sees whether a path to this destination was given beforehand.
+async fn look_for_path(action: Act) -> Acted {
+    let (cx, _, store) = parts(&action);
+    let looked = async {
+        let destination: Destination = store.fetch(&cx, DESTINATION).await?;
+        let given = store.fetch::<GivenPath>(&cx, GIVEN_PATH).await;
+        let fits = given.is_ok_and(|path| path.base_t_tool == destination.base_t_tool);
+        action.with_state(|motion| motion.path_given = fits);
+        Ok(())
+    };
+    let looked = looked.await;
+    pass_up(&action, looked).await
+}
+
+/// Checks that a path given beforehand can still be driven from where the arm is. One that cannot is
+/// not given: a path is then planned.
 async fn validate_path(action: Act) -> Acted {
     let (cx, args, store) = parts(&action);
-    let path: PathSpec = store.fetch(&cx, PATH).await?;
-    plan(&cx, &args, path.target, path.kind, None).await?;
-    Ok(())
+    let validated = async {
+        let path: GivenPath = store.fetch(&cx, GIVEN_PATH).await?;
+        acquire(&action, &cx, &args).await?;
+        let request = Plan {
+            target: path.target,
+            path: path.kind,
+            speed: path.speed,
+            elbow: None,
+        };
+        let planned = plan(&cx, &args, request).await?;
+        let path = PathSpec {
+            target: path.target,
+            kind: path.kind,
+            speed: path.speed,
+            duration_s: planned.duration_s,
+        };
+        store.store(&cx, PATH, &path).await
+    };
+    let validated = validated.await;
+    if validated.is_err() {
+        action.with_state(|motion| motion.path_given = false);
+    }
+    validated
 }
 
 /// Plans from the manipulator's present position to the destination, and stores the path.
 async fn plan_path(action: Act) -> Acted {
-    let (cx, args, store) = parts(&action);
+    let planned = plan_to_destination(&action).await;
+    pass_up(&action, planned).await
+}
+
+async fn plan_to_destination(action: &Act) -> Acted {
+    let (cx, args, store) = parts(action);
     let destination: Destination = store.fetch(&cx, DESTINATION).await?;
-    acquire(&action, &cx, &args).await?;
-    let pose = Target::Pose(destination.base_t_tool);
+    acquire(action, &cx, &args).await?;
     let mut first_refusal = None;
     for elbow in [None, Some(Elbow::Above), Some(Elbow::Below)] {
-        match plan(&cx, &args, pose, PathKind::Joint, elbow).await {
+        let request = Plan {
+            target: Target::Pose(destination.base_t_tool),
+            path: PathKind::Joint,
+            speed: args.speed,
+            elbow,
+        };
+        match plan(&cx, &args, request).await {
             Ok(planned) => {
                 let path = PathSpec {
                     target: Target::Joints(planned.joints),
@@ -156,45 +231,45 @@ async fn plan_path(action: Act) -> Acted {
     let reason = first_refusal.map_or_else(String::new, |refusal| refusal.to_string());
     Err(HandlerError::new(format!(
         "position {} cannot be reached: {reason}",
-        destination.index + 1
+        destination.stamp.index + 1
     )))
 }
 
-async fn plan(
-    cx: &Context,
-    args: &MotionArgs,
-    target: Target,
-    path: PathKind,
-    elbow: Option<Elbow>,
-) -> Result<PlanReport, HandlerError> {
+async fn plan(cx: &Context, args: &MotionArgs, request: Plan) -> Result<PlanReport, HandlerError> {
     let mcs = cx.task(&args.mcs).await?;
-    let speed = args.speed;
-    let request = Plan {
-        target,
-        path,
-        speed,
-        elbow,
-    };
     let planned = cx.call(&mcs, request).await;
     planned.map_err(|error| HandlerError::new(error.reason()))
 }
 
 /// Reserves the manipulator, once per command.
 async fn acquire(action: &Act, cx: &Context, args: &MotionArgs) -> Acted {
-    if !action.with_state(|motion| motion.acquired) {
-        let mcs = cx.task(&args.mcs).await?;
-        cx.call(&mcs, Acquire {}).await?;
-        action.with_state(|motion| {
-            motion.acquired = true;
-            motion.log = MotionLog::default();
-        });
+    if action.with_state(|motion| motion.acquired) {
+        return Ok(());
     }
-    Ok(())
+    action.with_state(|motion| motion.log = MotionLog::default());
+    let mcs = cx.task(&args.mcs).await?;
+    let acquired = cx.call(&mcs, Acquire {}).deadline(STATE_LIMIT).await;
+    // Without an answer it may be reserved all the same, and is to be given back at the end.
+    let refused = |error: &CallError| matches!(error.fault, Fault::Refused { .. });
+    let ours = !acquired.as_ref().is_err_and(refused);
+    action.with_state(|motion| {
+        motion.acquired = acquired.is_ok();
+        motion.to_release |= ours;
+    });
+    match acquired {
+        Ok(_) => Ok(()),
+        Err(error) => Err(HandlerError::new(error.reason())),
+    }
 }
 
 /// Drives the path, and waits until the arm has settled.
 async fn move_manip(action: Act) -> Acted {
-    let (cx, args, store) = parts(&action);
+    let moved = drive(&action).await;
+    pass_up(&action, moved).await
+}
+
+async fn drive(action: &Act) -> Acted {
+    let (cx, args, store) = parts(action);
     let path: PathSpec = store.fetch(&cx, PATH).await?;
     let mcs = cx.task(&args.mcs).await?;
     let request = Move {
@@ -203,9 +278,17 @@ async fn move_manip(action: Act) -> Acted {
         speed: path.speed,
         elbow: None,
     };
-    let limit = std::time::Duration::from_secs_f64(path.duration_s + MOVE_MARGIN_S);
-    let moved = cx.call(&mcs, request).deadline(limit).await;
-    let report = moved.map_err(|error| HandlerError::new(error.reason()))?;
+    let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S)?;
+    let report = match cx.call(&mcs, request).deadline(limit).await {
+        Ok(report) => report,
+        Err(error) => {
+            if !matches!(error.fault, Fault::Refused { .. }) {
+                // Nobody knows whether it still moves. It must not when the next position begins.
+                cx.call(&mcs, Stop {}).await?;
+            }
+            return Err(HandlerError::new(error.reason()));
+        }
+    };
     let log = action.with_state(|motion| {
         let log = &mut motion.log;
         log.moves += 1;
@@ -220,13 +303,19 @@ async fn move_manip(action: Act) -> Acted {
 
 /// Reads the joints back and stores where the tool is by forward kinematics.
 async fn find_pos(action: Act) -> Acted {
-    let (cx, args, store) = parts(&action);
+    let found = read_back(&action).await;
+    pass_up(&action, found).await
+}
+
+async fn read_back(action: &Act) -> Acted {
+    let (cx, args, store) = parts(action);
     let destination: Destination = store.fetch(&cx, DESTINATION).await?;
     let mcs = cx.task(&args.mcs).await?;
-    let position = cx.call(&mcs, ReadPosition {}).await?;
+    let position = cx.call(&mcs, ReadPosition {}).await;
+    let position = position.map_err(|error| HandlerError::new(error.reason()))?;
     let [_, _, _, x, _, _, _, y, _, _, _, z, ..] = position.base_t_tool;
     let reached = ReachedPosition {
-        index: destination.index,
+        stamp: destination.stamp,
         joints: position.joints,
         lamp: [x, y, z],
     };
@@ -236,9 +325,28 @@ async fn find_pos(action: Act) -> Acted {
 /// Brings the arm to rest, switches it off and gives it back.
 async fn release_robot(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
-    if action.with_state(|motion| std::mem::take(&mut motion.acquired)) {
-        let mcs = cx.task(&args.mcs).await?;
-        cx.call(&mcs, Release {}).await?;
+    if !action.with_state(|motion| motion.to_release) {
+        return Ok(());
     }
-    Ok(())
+    let released = crate::insist(|| async {
+        let mcs = cx.task(&args.mcs).await?;
+        let released = cx.call(&mcs, Release {}).deadline(STATE_LIMIT).await;
+        released.map_err(|error| {
+            HandlerError::new(format!(
+                "the manipulator could not be given back: {}",
+                error.reason()
+            ))
+        })?;
+        Ok(())
+    });
+    let released = released.await;
+    // What could not be given back now is tried again after the next command.
+    action.with_state(|motion| {
+        motion.acquired = false;
+        motion.to_release = released.is_err();
+    });
+    pass_up(&action, released).await
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,12 +12,17 @@ use vss::{
 
 /// Where the lamp shall go next: written by the Dispatcher, read by the Motion Coordinator.
 pub const DESTINATION: &str = "destination";
+/// A path prepared beforehand for one destination: written by whoever prepared it, validated by the
+/// Motion Coordinator instead of planning.
+pub const GIVEN_PATH: &str = "given_path";
 /// How the manipulator gets there: written by path planning, read by `move_manip`.
 pub const PATH: &str = "path";
 /// What the cameras saw at this position: written by the Vision Coordinator.
 pub const SPOTS: &str = "spots";
 /// Where the manipulator really is: written by the Motion Coordinator.
 pub const POSITION: &str = "position";
+/// Why the Motion Coordinator could not do its latest failed request.
+pub const PROBLEM: &str = "problem";
 /// How all motions of a command went: kept by the Motion Coordinator.
 pub const MOTIONS: &str = "motions";
 /// The table of all points of a calibration: kept by the Dispatcher.
@@ -25,13 +30,36 @@ pub const OBSERVATIONS: &str = "observations";
 /// The result: one calibration per camera.
 pub const CALIBRATIONS: &str = "calibrations";
 
+/// What belongs to the same position of the same command has the same stamp, so that nothing left over
+/// from an earlier one is taken for new.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stamp {
+    /// Number of the command since the Dispatcher started, from 1.
+    pub command: u32,
+    /// Number of the position in its file, from 0.
+    pub index: usize,
+}
+
 /// [`DESTINATION`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Destination {
-    /// Number of the position in its file, from 0: what belongs together has the same.
-    pub index: usize,
+    /// Which position of which command it is.
+    pub stamp: Stamp,
     /// `base_t_tool`, row by row, m.
     pub base_t_tool: [f64; 16],
+}
+
+/// [`GIVEN_PATH`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct GivenPath {
+    /// The destination that it leads to, `base_t_tool`, row by row, m.
+    pub base_t_tool: [f64; 16],
+    /// Its end.
+    pub target: Target,
+    /// Which way.
+    pub kind: PathKind,
+    /// Fraction of full speed.
+    pub speed: f64,
 }
 
 /// [`PATH`]: a motion that the client interface has accepted for planning.
@@ -50,23 +78,36 @@ pub struct PathSpec {
 /// [`SPOTS`]: one entry per camera of the app, in the order of its configuration.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spots {
-    /// Number of the position in its file, from 0: what belongs together has the same.
-    pub index: usize,
+    /// The destination's stamp.
+    pub stamp: Stamp,
     /// Camera and what it saw.
     pub seen: Vec<(String, Option<SpotReport>)>,
-    /// Why cameras saw nothing.
-    pub reasons: Vec<String>,
+    /// Camera and why it saw nothing.
+    pub reasons: Vec<(String, String)>,
+    /// Set when the vision system itself failed, which no other position will mend.
+    pub failure: Option<String>,
 }
 
 /// [`POSITION`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ReachedPosition {
-    /// Number of the position in its file, from 0: what belongs together has the same.
-    pub index: usize,
+    /// The destination's stamp.
+    pub stamp: Stamp,
     /// Joint positions as read back, rad.
     pub joints: Joints,
     /// Origin of the tool frame (the lamp) in the base frame, m.
     pub lamp: [f64; 3],
+}
+
+/// [`PROBLEM`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Problem {
+    /// The destination's stamp.
+    pub stamp: Stamp,
+    /// The transition that failed.
+    pub transition: String,
+    /// Why.
+    pub reason: String,
 }
 
 /// [`MOTIONS`].
@@ -91,8 +132,17 @@ pub struct CameraTable {
     pub height: usize,
     /// Lamp positions and their spots.
     pub points: Vec<LightPoint>,
-    /// Positions at which it saw nothing that could be used.
+    /// Positions at which the lamp stood and it saw nothing that could be used.
     pub missed: u32,
+}
+
+/// A position that no camera's table has a point of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnusedPosition {
+    /// Its line in the file of positions, from 1.
+    pub line: usize,
+    /// Why.
+    pub reason: String,
 }
 
 /// [`OBSERVATIONS`].
@@ -102,8 +152,10 @@ pub struct Observations {
     pub wanted: u32,
     /// Positions at which the arm stood and was read back.
     pub reached: u32,
-    /// One table per camera.
+    /// One table per camera. In each, points and misses together are the reached positions.
     pub cameras: Vec<CameraTable>,
+    /// Positions at which nothing could be used.
+    pub unused: Vec<UnusedPosition>,
 }
 
 /// [`CALIBRATIONS`].

@@ -144,3 +144,121 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
         .await;
     judged.map_err(|error| HandlerError::new(error.reason()))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use ctos::boot::End;
+
+    use super::*;
+    use crate::rig::{self, Answer, Rig, Shared};
+
+    /// The rig's app with the real operator, and with the referee that it asks.
+    fn operated(rig: &Rig, more: &str) -> AppResult {
+        let folder = tempfile::tempdir().unwrap();
+        let text = rig::app_text(rig, folder.path()).replace(
+            "handler = \"test.operator\"\non = \"ws1\"\n",
+            &format!(
+                "handler = \"coordinators.operator\"\non = \"ws1\"\n[task.operator.args]\ncommand = \"calibrate_camera\"\nsuccess = \"calibration_done\"\n{more}\n[task.referee]\nhandler = \"coordinators.referee\"\non = \"ws1\"\n"
+            ),
+        );
+        let world = Shared::default();
+        let registry = rig::registry(rig, &world);
+        let app = rig::load(&text, folder.path());
+        let findings = registry.check(&app);
+        assert!(findings.is_empty(), "{findings}");
+        match rig::boot(app, registry, &world) {
+            End::Finished(result) => result,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn refusing(what: &'static str, occurrence: usize) -> Rig {
+        Rig {
+            script: Arc::new(
+                move |command, _, n| match command == what && n == occurrence {
+                    true => Answer::Refuse,
+                    false => Answer::Work,
+                },
+            ),
+            ..Rig::default()
+        }
+    }
+
+    #[test]
+    fn a_command_that_succeeds_ends_the_app_with_the_judges_verdict() {
+        let result = operated(&refusing("move", 2), "judge = \"referee\"");
+        assert!(result.ok, "{}", result.text);
+        let json: serde_json::Value = serde_json::from_str(&result.json).unwrap();
+        assert_eq!(json["positions"], 15);
+        assert_eq!(json["rejected"], 0);
+        assert!(json["seconds"].as_f64().unwrap() > 15.0);
+        for camera in json["cameras"].as_array().unwrap() {
+            assert!(
+                camera["position_error_m"].as_f64().unwrap() < 1e-6,
+                "{camera}"
+            );
+            assert!(camera["rms_true_px"].as_f64().unwrap() < 1e-6, "{camera}");
+        }
+        let skipped = "  line 5: move : refused on purpose\n";
+        assert!(result.text.contains(skipped), "{}", result.text);
+    }
+
+    #[test]
+    fn rejected_spots_are_counted_over_all_cameras() {
+        let rig = Rig {
+            script: Arc::new(|command, camera, n| match (command, camera) {
+                ("spot_find", "west") if n < 3 => Answer::Refuse,
+                ("spot_find", "east") if n < 6 => Answer::Refuse,
+                _ => Answer::Work,
+            }),
+            ..Rig::default()
+        };
+        let result = operated(&rig, "judge = \"referee\"");
+        let json: serde_json::Value = serde_json::from_str(&result.json).unwrap();
+        // Three looks are one miss.
+        assert_eq!(json["rejected"], 3, "{}", result.text);
+        assert_eq!(json["cameras"][0]["rejected"], 1);
+        assert_eq!(json["cameras"][1]["missed"], 2);
+    }
+
+    #[test]
+    fn without_a_judge_the_answer_itself_ends_the_app() {
+        let result = operated(&Rig::default(), "");
+        assert!(
+            result.ok && result.text.starts_with("calibration_done"),
+            "{}",
+            result.text
+        );
+    }
+
+    #[test]
+    fn a_command_that_fails_ends_the_app_with_its_reason() {
+        let result = operated(&refusing("calibrate", 0), "judge = \"referee\"");
+        assert!(!result.ok);
+        let json: serde_json::Value = serde_json::from_str(&result.json).unwrap();
+        assert_eq!(json["ok"], false);
+        let reason = json["reason"].as_str().unwrap();
+        assert!(reason.starts_with("calibration_failed: "), "{reason}");
+        assert!(reason.contains("refused on purpose"), "{reason}");
+    }
+
+    #[test]
+    fn a_command_that_takes_too_long_ends_the_app_with_the_limit() {
+        let result = operated(&Rig::default(), "within_s = 5.0");
+        assert!(!result.ok);
+        assert!(result.text.contains("within 5.000 s"), "{}", result.text);
+    }
+
+    #[test]
+    fn a_judge_that_cannot_judge_ends_the_app_with_its_reason() {
+        let result = operated(&refusing("true_cameras", 0), "judge = \"referee\"");
+        assert!(!result.ok);
+        assert!(
+            result.text.contains("true_cameras : refused on purpose"),
+            "{}",
+            result.text
+        );
+    }
+}

@@ -8,8 +8,7 @@ use std::path::Path;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::arm::{ArmModel, IkError};
-use nalgebra::{Isometry3, Matrix3xX, Translation3, UnitQuaternion};
-use serde::Deserialize;
+use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 
 /// Fewer positions cannot determine a camera with distortion (`2 n` equations for 15 unknowns), and
 /// leave nothing to judge the fit by.
@@ -18,32 +17,13 @@ pub const POSITIONS_MIN: usize = 12;
 /// A set of points is flat when its smallest extent is below this part of its largest.
 const FLAT: f64 = 1e-3;
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Row {
-    x: f64,
-    y: f64,
-    z: f64,
-    roll: f64,
-    pitch: f64,
-    yaw: f64,
-}
+/// Below this part of the largest coordinate, extents are rounding errors.
+const ROUNDING: f64 = 1e-7;
 
-impl Row {
-    fn pose(&self) -> Option<Isometry3<f64>> {
-        let numbers = [self.x, self.y, self.z, self.roll, self.pitch, self.yaw];
-        numbers.iter().all(|number| number.is_finite()).then(|| {
-            Isometry3::from_parts(
-                Translation3::new(self.x, self.y, self.z),
-                UnitQuaternion::from_euler_angles(
-                    self.roll.to_radians(),
-                    self.pitch.to_radians(),
-                    self.yaw.to_radians(),
-                ),
-            )
-        })
-    }
-}
+/// The columns.
+const COLUMNS: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
+
+const HELP: &str = "write six numbers, separated by commas: x,y,z in m, roll,pitch,yaw in degrees";
 
 /// A pose of the file and the line it stands in, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,49 +58,30 @@ pub fn read(path: &Path) -> Result<Vec<Position>, Findings> {
 /// # Errors
 /// As [`read`].
 pub fn parse(source: &Source) -> Result<Vec<Position>, Findings> {
-    let mut reader = csv::ReaderBuilder::new()
-        .comment(Some(b'#'))
-        .trim(csv::Trim::All)
-        .from_reader(source.text().as_bytes());
     let mut findings = Findings::new();
     let mut positions = Vec::new();
-    let headers = reader.headers().cloned().unwrap_or_default();
-    if headers.iter().ne(["x", "y", "z", "roll", "pitch", "yaw"]) {
-        let text = "the first line must be the header `x,y,z,roll,pitch,yaw`";
-        let line = headers.position().map_or(1, csv::Position::line);
-        let place = source.at_line(usize::try_from(line).unwrap_or(1));
-        findings.push(Finding::error("coordinators::positions::header", text).at(place));
+    let mut rows = rows(source.text());
+    let header = rows.next();
+    let names = header.iter().flat_map(|row| row.fields());
+    if !names.map(|(_, name)| name).eq(COLUMNS) {
+        let line = header.map_or(1, |row| row.line);
+        findings.push(
+            Finding::error(
+                "coordinators::positions::header",
+                "the first line must be the header `x,y,z,roll,pitch,yaw`",
+            )
+            .at(source.at_line(line))
+            .help("put the header above the positions; only comments may stand before it"),
+        );
         return Err(findings);
     }
-    let mut record = csv::StringRecord::new();
-    loop {
-        let line = usize::try_from(reader.position().line()).unwrap_or(1);
-        match reader.read_record(&mut record) {
-            Ok(false) => break,
-            Ok(true) => {
-                let line = record
-                    .position()
-                    .and_then(|position| usize::try_from(position.line()).ok())
-                    .unwrap_or(line);
-                match row(source, &record, &headers, line) {
-                    Ok(pose) => positions.push(Position { pose, line }),
-                    Err(finding) => findings.push(finding),
-                }
-            }
-            Err(error) => {
-                let line = error
-                    .position()
-                    .and_then(|position| usize::try_from(position.line()).ok())
-                    .unwrap_or(line);
-                findings.push(
-                    Finding::error(
-                        "coordinators::positions::row",
-                        format!("line {line} cannot be read: {error}"),
-                    )
-                    .at(source.at_line(line))
-                    .help("write six numbers, separated by commas: x,y,z,roll,pitch,yaw"),
-                );
-            }
+    for row in rows {
+        match pose(source, &row) {
+            Ok(pose) => positions.push(Position {
+                pose,
+                line: row.line,
+            }),
+            Err(found) => findings.extend(found),
         }
     }
     if findings.has_errors() {
@@ -130,55 +91,94 @@ pub fn parse(source: &Source) -> Result<Vec<Position>, Findings> {
     }
 }
 
-fn row(
-    source: &Source,
-    record: &csv::StringRecord,
-    headers: &csv::StringRecord,
+/// A line that is neither empty nor a comment.
+struct FileRow<'a> {
+    /// Counted from 1.
     line: usize,
-) -> Result<Isometry3<f64>, Finding> {
-    let help = "write six numbers, separated by commas: x,y,z in m, roll,pitch,yaw in degrees";
-    let finding = |text: String, column: Option<&str>| {
-        let place = column
-            .and_then(|column| place_of(source, line, column))
-            .unwrap_or_else(|| source.at_line(line));
-        Finding::error("coordinators::positions::row", text)
-            .at(place)
-            .help(help)
-    };
-    let row: Row = record.deserialize(Some(headers)).map_err(|error| {
-        let field = match error.kind() {
-            csv::ErrorKind::Deserialize { err, .. } => {
-                err.field().and_then(|field| usize::try_from(field).ok())
-            }
-            _ => None,
-        };
-        let column = field.and_then(|field| record.get(field));
-        let shown = column.map_or_else(
-            || error.to_string(),
-            |text| format!("`{text}` is no number"),
-        );
-        finding(shown, column)
-    })?;
-    row.pose().ok_or_else(|| {
-        let bad = record
-            .iter()
-            .find(|text| text.parse::<f64>().is_ok_and(|number| !number.is_finite()));
-        let shown = bad.unwrap_or("a number");
-        finding(format!("`{shown}` is not a finite number"), bad)
+    /// Byte offset in the file.
+    start: usize,
+    text: &'a str,
+}
+
+impl<'a> FileRow<'a> {
+    /// Byte offsets in the file and texts of the fields, without the blanks around them.
+    fn fields(&self) -> impl Iterator<Item = (usize, &'a str)> + use<'a> {
+        let mut start = self.start;
+        self.text.split(',').map(move |field| {
+            let shown = field.trim();
+            let blanks = match shown {
+                "" => 0,
+                _ => field.len() - field.trim_start().len(),
+            };
+            let at = start + blanks;
+            start += field.len() + 1;
+            (at, shown)
+        })
+    }
+}
+
+fn rows(text: &str) -> impl Iterator<Item = FileRow<'_>> {
+    let mut end = 0;
+    let lines = text.split_inclusive('\n').enumerate();
+    lines.filter_map(move |(index, text)| {
+        let mut start = end;
+        end += text.len();
+        let mut text = text;
+        // Some editors put a byte order mark before everything else.
+        if let (0, Some(rest)) = (index, text.strip_prefix('\u{feff}')) {
+            start += text.len() - rest.len();
+            text = rest;
+        }
+        let content = text.trim();
+        let line = index + 1;
+        (!content.is_empty() && !content.starts_with('#')).then_some(FileRow { line, start, text })
     })
 }
 
-/// Where `text` stands in a line.
-fn place_of(source: &Source, line: usize, text: &str) -> Option<ctos::diagnostic::Place> {
-    let whole = source.at_line(line);
-    let content = source.text().get(whole.range.clone())?;
-    let start = whole.range.start + content.find(text)?;
-    Some(source.at(start..start + text.len()))
+fn pose(source: &Source, row: &FileRow<'_>) -> Result<Isometry3<f64>, Findings> {
+    let mut findings = Findings::new();
+    let error = |text: String, place| {
+        Finding::error("coordinators::positions::row", text)
+            .at(place)
+            .help(HELP)
+    };
+    let mut numbers = Vec::with_capacity(COLUMNS.len());
+    for (at, field) in row.fields() {
+        let wrong = match field.parse::<f64>() {
+            Ok(number) if number.is_finite() => {
+                numbers.push(number);
+                continue;
+            }
+            Ok(_) => format!("`{field}` is not a finite number"),
+            Err(_) if field.is_empty() => "a number is missing".to_owned(),
+            Err(_) => format!("`{field}` is no number"),
+        };
+        findings.push(error(wrong, source.at(at..at + field.len())));
+    }
+    let count = row.fields().count();
+    if count != COLUMNS.len() {
+        let text = format!(
+            "a position has {} numbers, and here are {count}",
+            COLUMNS.len()
+        );
+        findings.push(error(text, source.at_line(row.line)));
+    }
+    match numbers.as_slice() {
+        [x, y, z, roll, pitch, yaw] if findings.is_empty() => Ok(Isometry3::from_parts(
+            Translation3::new(*x, *y, *z),
+            UnitQuaternion::from_euler_angles(
+                roll.to_radians(),
+                pitch.to_radians(),
+                yaw.to_radians(),
+            ),
+        )),
+        _ => Err(findings),
+    }
 }
 
-/// Checks that positions can be reached and determine a camera: enough of them, not all in one plane,
-/// each within the arm's reach and joint limits with `tool` (`frame_6_T_tool`) in its hand.
-pub fn check(
+/// Checks that each pose is within the arm's reach and joint limits with `tool` (`frame_6_T_tool`) in
+/// its hand.
+pub fn check_reach(
     positions: &[Position],
     source: &Source,
     arm: &ArmModel,
@@ -197,6 +197,10 @@ pub fn check(
             );
         }
     }
+}
+
+/// Checks that positions determine a camera: enough of them, and not all in one plane.
+pub fn check_spread(positions: &[Position], source: &Source, findings: &mut Findings) {
     let all = source.at_line(1);
     if positions.len() < POSITIONS_MIN {
         findings.push(
@@ -234,23 +238,33 @@ fn reach(
 
 /// How positions fail to fill space, if they do.
 fn flat(positions: &[Position]) -> Option<&'static str> {
-    let points = positions
+    let points: Vec<Vector3<f64>> = positions
         .iter()
-        .map(|position| position.pose.translation.vector);
-    let points = Matrix3xX::from_columns(&points.collect::<Vec<_>>());
-    let mean = points.column_mean();
-    let centred = Matrix3xX::from_columns(
-        &points
-            .column_iter()
-            .map(|point| point - mean)
-            .collect::<Vec<_>>(),
-    );
-    let mut extents: Vec<f64> = centred.singular_values().iter().copied().collect();
+        .map(|position| position.pose.translation.vector)
+        .collect();
+    // Extents are judged relative to the largest one, so that no square overflows.
+    let largest = points.iter().map(Vector3::amax).fold(0.0, f64::max);
+    let scale = if largest > 0.0 { largest } else { 1.0 };
+    let points: Vec<Vector3<f64>> = points.iter().map(|point| point / scale).collect();
+    let mean = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    let scatter: Matrix3<f64> = points
+        .iter()
+        .map(|point| (point - mean) * (point - mean).transpose())
+        .sum();
+    // Singular values of the centred points are the roots of these; rounding may make them negative.
+    let mut extents: Vec<f64> = scatter
+        .symmetric_eigenvalues()
+        .iter()
+        .map(|square| square.max(0.0).sqrt())
+        .collect();
     extents.sort_by(|a, b| b.total_cmp(a));
     match extents.as_slice() {
-        [first, ..] if *first <= 0.0 => Some("at one point"),
+        [first, ..] if *first <= ROUNDING => Some("at one point"),
         [first, second, _] if second / first < FLAT => Some("on one line"),
         [first, _, third] if third / first < FLAT => Some("in one plane"),
         _ => None,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,7 @@
 //! The referee: holds the result of a calibration against the truth, which only a stand-in for the
 //! world can know. It runs when everything is done; nothing that estimates may ask it.
 
-use std::fmt::Write;
+mod table;
 
 use ctos::{
     message::{Command, Message},
@@ -53,14 +53,23 @@ fn world_task() -> String {
     "world".to_owned()
 }
 
-/// One camera's verdict, as it stands in the JSON.
+/// One camera's verdict, as it stands in the JSON. Spots used and rejected together are the
+/// positions that were reached.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct CameraVerdict {
     name: String,
+    /// Spots that the estimate stands on.
     spots: usize,
+    /// Missed spots and outliers together.
     rejected: usize,
+    /// Reached positions at which no spot was seen.
+    missed: usize,
+    /// Spots that do not fit the estimate.
+    outliers: usize,
     model: String,
+    /// Root of the mean over the used spots of du2 + dv2 against the estimate.
     rms_px: f64,
+    /// The same spots against the true camera.
     rms_true_px: f64,
     position_m: [f64; 3],
     true_position_m: [f64; 3],
@@ -78,7 +87,11 @@ struct CameraVerdict {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct Verdict {
     ok: bool,
+    /// Positions that the arm reached.
     positions: u32,
+    /// Positions in the file.
+    positions_wanted: u32,
+    /// Rejected spots of all cameras: missed ones and outliers.
     rejected: usize,
     seconds: f64,
     moves: u32,
@@ -132,11 +145,12 @@ impl Referee {
             let table = tables
                 .find(|table| table.camera == *name)
                 .ok_or_else(|| HandlerError::new(format!("camera `{name}` has no table")))?;
-            cameras.push(verdict(name, calibration, truth, table)?);
+            cameras.push(verdict_of(name, calibration, truth, table)?);
         }
         let verdict = Verdict {
             ok: true,
             positions: observations.reached,
+            positions_wanted: observations.wanted,
             rejected: cameras.iter().map(|camera| camera.rejected).sum(),
             seconds: request.seconds,
             moves: motions.moves,
@@ -146,7 +160,7 @@ impl Referee {
         };
         Ok(AppResult {
             ok: true,
-            text: table(&verdict, &request.notes),
+            text: table::text(&verdict, &observations.unused, &request.notes),
             json: serde_json::to_string(&verdict)?,
         })
     }
@@ -160,7 +174,7 @@ fn named<'a>(truths: &'a [NamedCamera], name: &str) -> Result<&'a Camera, Handle
         .ok_or_else(|| HandlerError::new(format!("the world has no camera `{name}`")))
 }
 
-fn verdict(
+fn verdict_of(
     name: &str,
     calibration: &Calibration,
     truth: &Camera,
@@ -171,10 +185,13 @@ fn verdict(
     let rms_true_px = calibration
         .rms_against(truth, &table.points)
         .ok_or("a spot cannot have been seen by the true camera")?;
+    let (missed, outliers) = (table.missed as usize, calibration.rejected.len());
     Ok(CameraVerdict {
         name: name.to_owned(),
         spots: calibration.used,
-        rejected: table.missed as usize + calibration.rejected.len(),
+        rejected: missed + outliers,
+        missed,
+        outliers,
         model: format!("{:?}", calibration.model),
         rms_px: calibration.rms_px,
         rms_true_px,
@@ -191,86 +208,5 @@ fn verdict(
     })
 }
 
-/// The table that a person reads at the end.
-fn table(verdict: &Verdict, notes: &str) -> String {
-    let mut text = String::new();
-    // Writing to a string cannot fail.
-    let _ = write_table(&mut text, verdict, notes);
-    text
-}
-
-fn write_table(text: &mut String, verdict: &Verdict, notes: &str) -> std::fmt::Result {
-    let width = 18;
-    write!(text, "{:<34}", "Camera calibration")?;
-    for camera in &verdict.cameras {
-        write!(text, "{:>width$}", camera.name)?;
-    }
-    writeln!(text)?;
-    writeln!(text, "{}", "─".repeat(34 + width * verdict.cameras.len()))?;
-    let mut row = |label: &str, value: &dyn Fn(&CameraVerdict) -> String| {
-        write!(text, "{label:<34}")?;
-        for camera in &verdict.cameras {
-            write!(text, "{:>width$}", value(camera))?;
-        }
-        writeln!(text)
-    };
-    row("spots used / rejected", &|c| {
-        format!("{} / {}", c.spots, c.rejected)
-    })?;
-    row("lens model", &|c| c.model.clone())?;
-    row("reprojection RMS, px", &|c| format!("{:.4}", c.rms_px))?;
-    row("  same spots, true camera", &|c| {
-        format!("{:.4}", c.rms_true_px)
-    })?;
-    for (index, axis) in ["x", "y", "z"].into_iter().enumerate() {
-        let part = |values: &[f64; 3]| values.get(index).copied().unwrap_or(f64::NAN);
-        row(&format!("position {axis}, m: estimate"), &|c| {
-            format!("{:.4}", part(&c.position_m))
-        })?;
-        row("               truth", &|c| {
-            format!("{:.4}", part(&c.true_position_m))
-        })?;
-    }
-    row("position error ± sd, mm", &|c| {
-        format!(
-            "{:.2} ± {:.2}",
-            c.position_error_m * 1e3,
-            c.position_sd_m * 1e3
-        )
-    })?;
-    row("rotation error ± sd, mrad", &|c| {
-        format!(
-            "{:.2} ± {:.2}",
-            c.rotation_error_rad * 1e3,
-            c.rotation_sd_rad * 1e3
-        )
-    })?;
-    row("focal length, px: estimate", &|c| {
-        format!("{:.2}", c.focal_px)
-    })?;
-    row("                  truth", &|c| {
-        format!("{:.2}", c.true_focal_px)
-    })?;
-    row("focal length error ± sd, %", &|c| {
-        format!(
-            "{:.3} ± {:.3}",
-            c.focal_error_rel * 1e2,
-            c.focal_sd_rel * 1e2
-        )
-    })?;
-    writeln!(text)?;
-    writeln!(
-        text,
-        "{} positions, {} rejected spots, {} moves in {:.1} s; joint tracking error at most {:.2} mrad, {:.3} mrad after settling",
-        verdict.positions,
-        verdict.rejected,
-        verdict.moves,
-        verdict.seconds,
-        verdict.max_tracking_error_rad * 1e3,
-        verdict.final_error_rad * 1e3,
-    )?;
-    for note in notes.lines() {
-        writeln!(text, "{note}")?;
-    }
-    Ok(())
-}
+#[cfg(test)]
+mod tests;

@@ -130,9 +130,9 @@ async fn find_spot(action: Action<Vision>) -> Acted {
         vision.tries_left = vision.args.retries;
         let none = |camera: &String| (camera.clone(), None);
         vision.spots = Spots {
-            index: destination.index,
+            stamp: destination.stamp,
             seen: vision.args.cameras.iter().map(none).collect(),
-            reasons: Vec::new(),
+            ..Spots::default()
         };
     });
     look(&action, &cx, &store).await
@@ -152,59 +152,110 @@ fn store_of(action: &Action<Vision>) -> DomStore {
 /// Asks VSS for the spot in the cameras that have not seen it yet, all at once, and stores what is
 /// known then. Fails while a camera has not seen it.
 async fn look(action: &Action<Vision>, cx: &Context, store: &DomStore) -> Acted {
+    let looks = ask(action, cx).await;
+    let spots = action.with_state(|vision| {
+        vision.spots.reasons.clear();
+        vision.spots.failure = None;
+        for (camera, look) in looks {
+            vision.take(camera, look);
+        }
+        vision.spots.clone()
+    });
+    store.store(cx, SPOTS, &spots).await?;
+    if spots.reasons.is_empty() {
+        Ok(())
+    } else {
+        Err(HandlerError::new(spots.why()))
+    }
+}
+
+async fn ask(action: &Action<Vision>, cx: &Context) -> Vec<(String, Look)> {
     let (vsm, missing) = action.with_state(|vision| {
         let unseen = vision.spots.seen.iter().filter(|(_, spot)| spot.is_none());
         let missing: Vec<String> = unseen.map(|(camera, _)| camera.clone()).collect();
         (vision.args.vsm.clone(), missing)
     });
-    let vsm = cx.task(&vsm).await?;
-    let asked = missing.into_iter().map(|camera| {
-        let call = cx.call(
-            &vsm,
-            SpotFind {
-                camera: camera.clone(),
-            },
-        );
-        async move { (camera, call.await) }
-    });
-    let mut misses = Vec::new();
-    for (camera, answer) in join_all(asked).await {
-        match useful(answer)? {
-            Ok(spot) => action.with_state(|vision| {
-                let mut seen = vision.spots.seen.iter_mut();
-                if let Some((_, slot)) = seen.find(|(name, _)| *name == camera) {
-                    *slot = Some(spot);
-                }
-            }),
-            Err(reason) => misses.push(reason),
+    let vsm = match cx.task(&vsm).await {
+        Ok(vsm) => vsm,
+        Err(error) => {
+            let gone = |camera| (camera, Look::gone(error.to_string()));
+            return missing.into_iter().map(gone).collect();
         }
-    }
-    let spots = action.with_state(|vision| {
-        vision.spots.reasons.clone_from(&misses);
-        vision.spots.clone()
+    };
+    let asked = missing.into_iter().map(|camera| {
+        let request = SpotFind {
+            camera: camera.clone(),
+        };
+        let call = cx.call(&vsm, request);
+        async move { (camera, Look::from(call.await)) }
     });
-    store.store(cx, SPOTS, &spots).await?;
-    if misses.is_empty() {
-        Ok(())
-    } else {
-        Err(HandlerError::new(misses.join("; ")))
+    join_all(asked).await
+}
+
+impl Vision {
+    /// Takes note of what a camera saw.
+    fn take(&mut self, camera: String, look: Look) {
+        match look {
+            Look::Seen(spot) => {
+                let mut seen = self.spots.seen.iter_mut();
+                if let Some((_, slot)) = seen.find(|(name, _)| *name == camera) {
+                    *slot = Some(*spot);
+                }
+            }
+            Look::Missed { reason } => self.spots.reasons.push((camera, reason)),
+            Look::Failed { reason, gone } => {
+                self.spots.failure = Some(reason.clone());
+                self.spots.reasons.push((camera, reason));
+                if gone {
+                    self.tries_left = 0;
+                }
+            }
+        }
     }
 }
 
-/// A spot, or why it was missed. What is no miss but a failure of the vision system is the error.
-fn useful(
-    answer: Result<SpotReport, CallError>,
-) -> Result<Result<SpotReport, String>, HandlerError> {
-    match answer {
-        Ok(spot) if spot.flags.touches_border => Ok(Err(format!(
-            "camera `{}`: the spot at {:.1}, {:.1} touches the border",
-            spot.camera, spot.u, spot.v
-        ))),
-        Ok(spot) => Ok(Ok(spot)),
-        Err(CallError {
-            fault: Fault::Refused { text },
-            ..
-        }) => Ok(Err(text)),
-        Err(error) => Err(error.into()),
+/// How one look through a camera ended.
+#[derive(Debug, PartialEq)]
+enum Look {
+    Seen(Box<SpotReport>),
+    /// The next picture, or the next position, may be better.
+    Missed {
+        reason: String,
+    },
+    /// The vision system did not do its work; if it is gone, asking again is no use.
+    Failed {
+        reason: String,
+        gone: bool,
+    },
+}
+
+impl Look {
+    fn gone(reason: String) -> Self {
+        Self::Failed { reason, gone: true }
     }
 }
+
+impl From<Result<SpotReport, CallError>> for Look {
+    fn from(answer: Result<SpotReport, CallError>) -> Self {
+        match answer {
+            Ok(spot) if spot.flags.touches_border => Self::Missed {
+                reason: format!(
+                    "camera `{}`: the spot at {:.1}, {:.1} touches the border",
+                    spot.camera, spot.u, spot.v
+                ),
+            },
+            Ok(spot) => Self::Seen(Box::new(spot)),
+            Err(CallError {
+                fault: Fault::Refused { text },
+                ..
+            }) => Self::Missed { reason: text },
+            Err(error) => Self::Failed {
+                reason: error.to_string(),
+                gone: error.is_gone(),
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

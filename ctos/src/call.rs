@@ -63,6 +63,11 @@ pub enum Fault {
     },
     /// The receiver is being stopped.
     Stopping,
+    /// Whether there is room cannot be seen from here: the receiver is on another chassis.
+    Elsewhere {
+        /// Its name.
+        chassis: String,
+    },
 }
 
 /// A call or a send that failed: who asked whom for what, and why it failed.
@@ -145,6 +150,10 @@ impl fmt::Display for CallError {
             Fault::Panicked { text } => write!(
                 f,
                 "the handler of `{to}` panicked at `{command}` from `{from}`: {text}"
+            ),
+            Fault::Elsewhere { chassis } => write!(
+                f,
+                "`{to}` is on chassis `{chassis}`, so `{from}` cannot see whether it has room for `{command}`; use `send`, which waits"
             ),
             Fault::Stopping => {
                 write!(

@@ -321,6 +321,11 @@ impl Chassis {
 
     /// Sends only if the receiver is on this chassis and has room now.
     pub(crate) fn try_dispatch_here(&self, envelope: Envelope) -> Result<(), Fault> {
+        let there = envelope.to.chassis();
+        if there != self.index {
+            let chassis = self.name_of(there).to_owned();
+            return Err(Fault::Elsewhere { chassis });
+        }
         let mailbox = self.mailbox(envelope.to).ok_or(Fault::UnknownTask)?;
         mailbox.try_put(Message {
             header: envelope.header(Flags::NONE, 0),

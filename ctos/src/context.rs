@@ -218,7 +218,7 @@ impl Context {
     /// Sends only if the receiver is on this chassis and has room now.
     ///
     /// # Errors
-    /// [`Fault::Full`] and the like, with both names.
+    /// [`Fault::Full`], [`Fault::Elsewhere`] and the like, with both names.
     pub fn try_send<C: Command>(&self, to: &TaskRef, request: C) -> Result<(), CallError> {
         let envelope = self.envelope(to, C::CODE, Flags::NONE, Data::of(request));
         self.inner

@@ -192,6 +192,10 @@ pub struct CameraPose {
     pub position_sd_m: [f64; 3],
     /// Standard deviations of the rotation vector about the camera's axes, rad.
     pub rotation_sd_rad: [f64; 3],
+    /// Standard deviations of fx, fy, cx, cy, px.
+    pub intrinsics_sd_px: [f64; 4],
+    /// Standard deviations of k1, k2, p1, p2, k3; 0 for terms that the lens model leaves out.
+    pub distortion_sd: [f64; 5],
     /// Relative standard deviation of the focal length.
     pub focal_sd_rel: f64,
     /// Root of the mean over the points of du² + dv², px.
@@ -202,13 +206,16 @@ impl CameraPose {
     /// The pose of a calibrated camera.
     #[must_use]
     pub fn of(name: &str, calibration: &Calibration) -> Self {
-        let [rx, ry, rz, x, y, z, ..] = calibration.uncertainty.parameter_sd;
+        let [rx, ry, rz, x, y, z, fx, fy, cx, cy, k1, k2, p1, p2, k3] =
+            calibration.uncertainty.parameter_sd;
         Self {
             name: name.to_owned(),
             rotation: calibration.camera.rotation,
             centre: calibration.camera.centre,
             position_sd_m: [x, y, z],
             rotation_sd_rad: [rx, ry, rz],
+            intrinsics_sd_px: [fx, fy, cx, cy],
+            distortion_sd: [k1, k2, p1, p2, k3],
             focal_sd_rel: calibration.uncertainty.focal_sd_rel,
             rms_px: calibration.rms_px,
         }
@@ -231,6 +238,8 @@ struct PoseEntry {
     position_m: FlowSeq<Vec<f64>>,
     position_sd_m: FlowSeq<Vec<f64>>,
     rotation_sd_rad: FlowSeq<Vec<f64>>,
+    intrinsics_sd_px: FlowSeq<Vec<f64>>,
+    distortion_sd: FlowSeq<Vec<f64>>,
     focal_sd_rel: f64,
     rms_px: f64,
 }
@@ -258,6 +267,8 @@ pub fn poses_to_yaml(poses: &[CameraPose]) -> Result<String, CameraFileError> {
             position_m: FlowSeq(pose.centre.coords.iter().copied().collect()),
             position_sd_m: FlowSeq(pose.position_sd_m.to_vec()),
             rotation_sd_rad: FlowSeq(pose.rotation_sd_rad.to_vec()),
+            intrinsics_sd_px: FlowSeq(pose.intrinsics_sd_px.to_vec()),
+            distortion_sd: FlowSeq(pose.distortion_sd.to_vec()),
             focal_sd_rel: pose.focal_sd_rel,
             rms_px: pose.rms_px,
         }
@@ -298,6 +309,8 @@ fn pose_of(entry: PoseEntry) -> Result<CameraPose, CameraFileError> {
         centre,
         position_sd_m: fixed("position_sd_m", &entry.position_sd_m)?,
         rotation_sd_rad: fixed("rotation_sd_rad", &entry.rotation_sd_rad)?,
+        intrinsics_sd_px: fixed("intrinsics_sd_px", &entry.intrinsics_sd_px)?,
+        distortion_sd: fixed("distortion_sd", &entry.distortion_sd)?,
         focal_sd_rel: entry.focal_sd_rel,
         rms_px: entry.rms_px,
     })
@@ -320,7 +333,11 @@ fn fixed<const N: usize>(
     key: &'static str,
     numbers: &FlowSeq<Vec<f64>>,
 ) -> Result<[f64; N], CameraFileError> {
-    let expected = if N == 4 { "4 numbers" } else { "3 numbers" };
+    let expected = match N {
+        3 => "3 numbers",
+        4 => "4 numbers",
+        _ => "5 numbers",
+    };
     let found = numbers.0.len();
     let wrong = CameraFileError::Shape {
         key,
@@ -480,7 +497,8 @@ projection_matrix:
             prop_assert_eq!(CameraInfo::from_yaml(&info.to_yaml().unwrap()).unwrap(), info);
             let pose = CameraPose {
                 name: "a: #b".into(), rotation: UnitQuaternion::new(axis.into()), centre: centre.into(),
-                position_sd_m: [1e-3, tiny.abs(), 2e-3], rotation_sd_rad: [tiny.abs(); 3], focal_sd_rel: 1e-4, rms_px: 0.2,
+                position_sd_m: [1e-3, tiny.abs(), 2e-3], rotation_sd_rad: [tiny.abs(); 3],
+                intrinsics_sd_px: [tiny.abs(); 4], distortion_sd: [tiny.abs(), 0.0, 1e-3, 2e-4, 0.0], focal_sd_rel: 1e-4, rms_px: 0.2,
             };
             let poses = vec![pose.clone(), pose];
             prop_assert_eq!(poses_from_yaml(&poses_to_yaml(&poses).unwrap()).unwrap(), poses);

@@ -235,3 +235,6 @@ async fn listen(chassis: &Arc<Chassis>) -> Result<TcpListener, ChildError> {
             reason: error.to_string(),
         })
 }
+
+#[cfg(test)]
+mod tests;

@@ -253,3 +253,6 @@ impl Caller {
 
 /// How long the last frames may take when a process ends.
 pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,66 @@
+//! The smallest app: it runs over two processes and on the virtual clock, and a task moves by its `on`.
+
+#![allow(clippy::expect_used, reason = "a test ends when it cannot start")]
+
+mod common;
+
+use common::{good, hello};
+
+/// The transitions of the log's firings, each with its phase, in order.
+fn firings(log: &str) -> Vec<(&str, &str)> {
+    log.lines()
+        .filter(|line| line.contains("pnt::firing"))
+        .filter_map(|line| Some((quoted(line, "transition=")?, quoted(line, "phase=")?)))
+        .collect()
+}
+
+fn quoted<'a>(line: &'a str, key: &str) -> Option<&'a str> {
+    line.split_once(key)?.1.split('"').nth(1)
+}
+
+const ALL_FIRINGS: [(&str, &str); 4] = [
+    ("greet", "started"),
+    ("greet", "completed"),
+    ("count", "started"),
+    ("count", "completed"),
+];
+
+#[test]
+fn hello_runs_over_two_processes_and_shows_its_net_at_work() {
+    let (out, err) = good(&hello(&["-v"]));
+    assert_eq!(out, "hello_done\nHello, world, from shelf!\n");
+    assert_eq!(firings(&err), ALL_FIRINGS, "{err}");
+    for chassis in ["desk", "shelf"] {
+        let started = |line: &&str| {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            words.starts_with(&["chassis", chassis, "pid"])
+        };
+        assert_eq!(err.lines().filter(started).count(), 1, "{err}");
+    }
+}
+
+#[test]
+fn hello_runs_on_the_virtual_clock_in_one_process_and_the_same_every_time() {
+    let virtual_time = ["-v", "--set", "time.mode=virtual"];
+    let (out, err) = good(&hello(&virtual_time));
+    assert_eq!(out, "hello_done\nHello, world, from shelf!\n");
+    assert_eq!(firings(&err), ALL_FIRINGS, "{err}");
+    assert!(!err.contains("pid"), "{err}");
+    let (again, _) = good(&hello(&virtual_time));
+    assert_eq!(out, again);
+}
+
+#[test]
+fn a_task_moves_to_another_process_by_its_on_alone() {
+    let (out, _) = good(&hello(&["--set", "task.greeter.on=desk"]));
+    assert_eq!(out, "hello_done\nHello, world, from desk!\n");
+}
+
+#[test]
+fn a_handler_that_the_program_does_not_have_is_found_before_anything_starts() {
+    let output = hello(&["--set", "task.greeter.handler=hello.greter"]);
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{err}");
+    assert!(err.contains("hello.greeter"), "{err}");
+    assert!(err.contains("nothing was started"), "{err}");
+}

@@ -1,0 +1,106 @@
+//! One suite for every way in which two tasks can be placed: what holds on one processor must hold
+//! between threads, over simulated links and over TCP between processes.
+//!
+//! Each trial boots an app of its own. Its own `main`, because the chassis of the real placements are
+//! processes of this program.
+
+mod app;
+mod cases;
+mod peer;
+
+use std::{
+    ffi::OsString,
+    net::SocketAddr,
+    panic::AssertUnwindSafe,
+    process::ExitCode,
+    sync::{Arc, mpsc},
+    time::Duration,
+};
+
+use ctos::boot::{BootEvent, End, Launcher, Observer, boot, run_chassis};
+use libtest_mimic::{Arguments, Failed, Trial};
+
+use app::Placement;
+use cases::{CASES, Case};
+
+/// The first argument of a process that is a chassis and not the tests.
+const CHASSIS: &str = "conformance-chassis";
+
+/// A trial that takes longer hangs.
+const WATCHDOG: Duration = Duration::from_secs(120);
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    if arguments.first().is_some_and(|first| first == CHASSIS) {
+        return chassis(&arguments);
+    }
+    let trials = Placement::ALL.iter().flat_map(|placement| {
+        CASES.iter().map(move |case| {
+            let name = format!("{}::{}", placement.name, case.name);
+            Trial::test(name, move || watched(placement, case))
+        })
+    });
+    libtest_mimic::run(&Arguments::from_args(), trials.collect()).exit_code()
+}
+
+/// Runs a trial on a thread of its own and gives up on it when it hangs.
+fn watched(placement: &'static Placement, case: &'static Case) -> Result<(), Failed> {
+    let (sender, done) = mpsc::channel();
+    std::thread::spawn(move || {
+        let result = std::panic::catch_unwind(AssertUnwindSafe(|| run(placement, case)));
+        let _ = sender.send(result.unwrap_or_else(|_| Err("the boot panicked".into())));
+    });
+    done.recv_timeout(WATCHDOG)
+        .unwrap_or_else(|_| Err(format!("hangs; nothing came for {WATCHDOG:?}").into()))
+}
+
+fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
+    let launcher = Launcher {
+        program: std::env::current_exe()?,
+        arguments: [CHASSIS, placement.name, case.name]
+            .map(OsString::from)
+            .to_vec(),
+    };
+    // A schedule drawn from another seed is another interleaving.
+    for seed in placement.seeds.clone() {
+        let log: Arc<std::sync::Mutex<Vec<String>>> = Arc::default();
+        let lines = log.clone();
+        let observer: Observer = Arc::new(move |event| {
+            if let BootEvent::Log { line, .. } = event {
+                lines.lock().unwrap().push(line.clone());
+            }
+        });
+        let app = placement.app(seed, case.name);
+        let outcome = boot(app, app::registry(), &launcher, &observer)?;
+        let log = log.lock().unwrap().join("\n");
+        match outcome.end {
+            End::Finished(result) if result.ok => {}
+            End::Finished(result) => {
+                return Err(format!("seed {seed}: {}\n{log}", result.text).into());
+            }
+            end => return Err(format!("seed {seed}: the app ended with {end:?}\n{log}").into()),
+        }
+        if !outcome.casualties.is_empty() {
+            return Err(format!("seed {seed}: {:?}\n{log}", outcome.casualties).into());
+        }
+    }
+    Ok(())
+}
+
+/// The process of one chassis: `conformance-chassis PLACEMENT CASE --chassis NAME --boot ADDRESS --origin NS`.
+fn chassis(arguments: &[String]) -> ExitCode {
+    let [_, placement, case, _, name, _, address, _, origin] = arguments else {
+        return ExitCode::from(2);
+    };
+    let placement = Placement::ALL.iter().find(|one| one.name == *placement);
+    let (Some(placement), Ok(address), Ok(origin)) =
+        (placement, address.parse::<SocketAddr>(), origin.parse())
+    else {
+        return ExitCode::from(2);
+    };
+    let app = placement.app(1, case);
+    match run_chassis(app, app::registry(), name, address, origin) {
+        Ok(code) => ExitCode::from(u8::try_from(code).unwrap_or(255)),
+        Err(_) => ExitCode::from(4),
+    }
+}
