@@ -6,6 +6,12 @@
 //! cargo run --release -p cli --example layout > configs/positions.csv
 //! ```
 
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a small program whose output is a file"
+)]
+
 use std::{error::Error, f64::consts::TAU, path::Path};
 
 use mcs::arm::{ArmModel, Joints};
