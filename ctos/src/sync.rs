@@ -137,7 +137,6 @@ impl Drop for CyclicHandle {
 /// Called with what a function's panic said.
 type PanicHook = Box<dyn FnOnce(&str)>;
 
-
 /// One function on a processor's schedule.
 pub(crate) struct CyclicEntry {
     function: Box<dyn Cyclic>,

@@ -110,8 +110,8 @@ impl Display {
 
     fn progress(&self, task: &str, done: u64, total: u64, step: &str, what: &str) {
         if !self.animated {
-            let step = done / PLAIN_EVERY;
-            let again = self.told.swap(step, Ordering::Relaxed) == step;
+            let part = done / PLAIN_EVERY;
+            let again = self.told.swap(part, Ordering::Relaxed) == part;
             if !again || done == total || done == 1 {
                 self.line(&format!(
                     "run      {task}: {step} {done} of {total}, {what}"
