@@ -64,7 +64,7 @@ impl Scratch {
         assert!(kept.len() >= 13, "too few positions for a short run");
         scratch.write(
             "configs/positions.csv",
-            &format!("{header}\n{}\n", kept.join("\n")),
+            format!("{header}\n{}\n", kept.join("\n")),
         );
         scratch
     }

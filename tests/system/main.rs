@@ -1,6 +1,12 @@
 //! Tests of the whole system: the real program on the real configuration, copied into a folder of its
 //! own, with real processes where processes matter and in virtual time where they do not.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "all of this is test code, helpers too, which fails by panicking"
+)]
+
 mod bad_input;
 mod faults;
 mod harness;
