@@ -11,11 +11,7 @@ use ctos::{
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError},
 };
-use pnt::{
-    library::{Acted, Action, Library},
-    space::Limits,
-    task::{COMMANDS, NetTask, check_app, check_args},
-};
+use pnt::library::{Acted, Action, Library};
 
 ctos::command! {
     /// Greets somebody.
@@ -68,13 +64,6 @@ fn main() -> ExitCode {
     let mut registry: Registry = cli::program::registry();
     registry.function("hello.greeter", greet);
     registry.handler("hello.counter", &[Count::INFO], |_| Ok(Counter(0)));
-    registry
-        .handler("hello.net", &COMMANDS, |cx| {
-            NetTask::from_args(cx, library(), None)
-        })
-        .check_in_app(|task, app, findings| check_args(task, app, &library().names(), findings));
-    registry.app_check(|app, registry, findings| {
-        check_app(app, registry, &["hello.net"], &Limits::default(), findings);
-    });
+    pnt::task::register(&mut registry, "hello.net", library);
     cli::commands::main(registry)
 }

@@ -102,7 +102,7 @@ pub(crate) fn register(registry: &mut Registry) {
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
         })
         .check_in_app(check);
-    registry.app_check(|app, registry, findings| {
+    registry.app_check("coordinators::lamp", |app, registry, findings| {
         for task in app.tasks.iter().filter(|task| task.handler == HANDLER) {
             if let Ok(args) = task.args.parse::<DispatcherArgs>()
                 && let Err(finding) = registry.command_of(app, &args.lamp, "set_lamp")

@@ -28,10 +28,7 @@ use ctos::{
     diagnostic::{Finding, Findings},
     registry::Registry,
 };
-use pnt::{library::Acted, space::Limits};
-
-/// The handlers that run nets, for the check of the composed app.
-pub const NET_HANDLERS: [&str; 3] = [dispatcher::HANDLER, motion::HANDLER, vision::HANDLER];
+use pnt::library::Acted;
 
 /// Registers every event handler of the Coordination Level, and the check of all nets of an app
 /// together.
@@ -42,10 +39,7 @@ pub fn register(registry: &mut Registry) {
     vision::register(registry);
     operator::register(registry);
     referee::register(registry);
-    registry.app_check(|app, registry, findings| {
-        let limits = Limits::default();
-        pnt::task::check_app(app, registry, &NET_HANDLERS, &limits, findings);
-    });
+    pnt::task::check_nets(registry);
 }
 
 /// The task of the data object manager, unless arguments say otherwise.

@@ -75,7 +75,7 @@ impl std::fmt::Debug for HandlerKind {
 #[derive(Default)]
 pub struct Registry {
     kinds: BTreeMap<String, HandlerKind>,
-    app_checks: Vec<CheckApp>,
+    app_checks: BTreeMap<&'static str, CheckApp>,
 }
 
 impl Registry {
@@ -126,12 +126,14 @@ impl Registry {
         })
     }
 
-    /// Adds a check of the whole app that runs before anything starts.
+    /// Adds a check of the whole app that runs before anything starts. A later one of the same name
+    /// replaces the earlier one, so that several crates may ask for the same check.
     pub fn app_check(
         &mut self,
+        name: &'static str,
         check: impl Fn(&App, &Self, &mut Findings) + Send + Sync + 'static,
     ) {
-        self.app_checks.push(Box::new(check));
+        self.app_checks.insert(name, Box::new(check));
     }
 
     /// The kind of handler called `name`.
@@ -199,7 +201,7 @@ impl Registry {
                 ),
             }
         }
-        for check in &self.app_checks {
+        for check in self.app_checks.values() {
             check(app, self, &mut findings);
         }
         findings

@@ -17,6 +17,7 @@ use std::rc::Rc;
 
 use ctos::{
     message::{Command as _, CommandInfo, Message},
+    registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
 
@@ -26,11 +27,29 @@ use crate::{
     net::Net,
 };
 use engine::Engine;
-pub use load::{Settings, check_app, check_args, load, settings};
+pub use load::{Settings, check_app, check_args, check_nets, load, settings};
 pub use messages::{FiringEvent, Marking, PutTape, Snapshot, TapeAnswer, Tokens};
 
 /// The commands of every net task, for registration.
 pub const COMMANDS: [CommandInfo; 3] = [PutTape::INFO, Tokens::INFO, Marking::INFO];
+
+/// Registers a handler that runs a net with the functions of `library`, whose only arguments are those
+/// of [`settings`], with all checks: of the task, and of all nets of the app together.
+pub fn register<S: 'static>(
+    registry: &mut Registry,
+    name: &str,
+    library: impl Fn() -> Library<S> + Clone + Send + Sync + 'static,
+) {
+    let build = library.clone();
+    registry
+        .handler(name, &COMMANDS, move |cx| {
+            NetTask::from_args(cx, build(), None)
+        })
+        .check_in_app(move |task, app, findings| {
+            check_args(task, app, &library().names(), findings);
+        });
+    check_nets(registry);
+}
 
 /// Runs one net.
 pub struct NetTask<S> {

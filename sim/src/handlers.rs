@@ -97,7 +97,9 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
         Ok(source)
     });
     // A frame source's own check does not know the configuration's folder, where cell files are.
-    registry.app_check(|app, _, findings| check_cameras(app, findings));
+    registry.app_check("sim::cameras", |app, _, findings| {
+        check_cameras(app, findings)
+    });
 }
 
 fn register_world(registry: &mut Registry) {

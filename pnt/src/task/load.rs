@@ -13,6 +13,7 @@ use crate::{
     compile,
     net::{Action, Net},
     space::Limits,
+    task::COMMANDS,
 };
 
 /// What every net task reads from its arguments; a library may want more keys.
@@ -108,20 +109,31 @@ pub fn check_args(
     }
 }
 
-/// Checks all nets of an app together: the tasks whose handlers are named in `handlers`. Nothing is
-/// said when one of the nets is wrong by itself ([`check_args`] tells), or when there is none. For
-/// [`Registry::app_check`].
+/// Has all nets of every app checked together before it starts ([`check_app`]).
+pub fn check_nets(registry: &mut Registry) {
+    registry.app_check("pnt::nets", |app, registry, findings| {
+        check_app(app, registry, &Limits::default(), findings);
+    });
+}
+
+/// Whether the handler of `task` runs a net: it takes what nets take.
+fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
+    registry.kind(&task.handler).is_some_and(|kind| {
+        COMMANDS
+            .iter()
+            .all(|command| kind.commands().contains(command))
+    })
+}
+
+/// Checks all nets of an app together, whichever handlers run them. Nothing is said when one of the
+/// nets is wrong by itself ([`check_args`] tells), or when there is none.
 pub fn check_app(
     app: &App,
     registry: &Registry,
-    handlers: &[&str],
     limits: &Limits,
     findings: &mut Findings,
 ) -> Option<Report> {
-    let tasks = app
-        .tasks
-        .iter()
-        .filter(|task| handlers.contains(&task.handler.as_str()));
+    let tasks = app.tasks.iter().filter(|task| runs_net(task, registry));
     let nets: Result<Vec<Arc<Net>>, Findings> =
         tasks.map(|task| net_of(task, app).map(Arc::new)).collect();
     let nets = nets.ok().filter(|nets| !nets.is_empty())?;
@@ -171,17 +183,8 @@ mod tests {
 
     fn checked(app: &App) -> Findings {
         let mut registry = Registry::new();
-        registry
-            .handler("test.net", &task::COMMANDS, |cx| {
-                task::NetTask::from_args(cx, library(), None)
-            })
-            .check_in_app(|task, app, findings| {
-                check_args(task, app, &library().names(), findings)
-            });
+        task::register(&mut registry, "test.net", library);
         registry.function::<Double, _, _>("test.doubler", |_, Double {}| async move { Ok(()) });
-        registry.app_check(|app, registry, findings| {
-            check_app(app, registry, &["test.net"], &Limits::default(), findings);
-        });
         registry.check(app)
     }
 
