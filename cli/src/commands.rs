@@ -85,7 +85,7 @@ pub fn main(registry: Registry) -> ExitCode {
 }
 
 /// Starts logging or says why it cannot; the exit code then.
-fn start_log(args: &LogArgs, clock: Option<ctos::time::Clock>, ansi: bool) -> Result<(), u8> {
+fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(), u8> {
     crate::log::start(args.verbose, args.log.as_deref(), clock, ansi).map_err(|error| {
         show::say(&format!("error: {error}"));
         exit::USAGE

@@ -11,27 +11,24 @@ use tracing_subscriber::{
 use crate::show::colours;
 
 /// Seconds since the app was started.
-struct AppTime(Option<Clock>);
+struct AppTime(Clock);
 
 impl FormatTime for AppTime {
     fn format_time(&self, w: &mut Writer<'_>) -> fmt::Result {
-        match &self.0 {
-            Some(clock) => write!(w, "{:9.3}", clock.now().since_start().as_secs_f64()),
-            None => Ok(()),
-        }
+        write!(w, "{:9.3}", self.0.now().since_start().as_secs_f64())
     }
 }
 
 /// Starts logging. `verbosity` 0 shows warnings, 1 the firings of nets and other events of the app, 2
-/// what the runtime does, 3 everything; `filter` (as in `RUST_LOG`) overrides it. `clock` is `None` in
-/// virtual time, which has no single moment for the whole program.
+/// what the runtime does, 3 everything; `filter` (as in `RUST_LOG`) overrides it. `clock` is the
+/// app's.
 ///
 /// # Errors
 /// What is wrong with the filter.
 pub(crate) fn start(
     verbosity: u8,
     filter: Option<&str>,
-    clock: Option<Clock>,
+    clock: Clock,
     ansi: bool,
 ) -> Result<(), String> {
     let default = match verbosity {

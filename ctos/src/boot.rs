@@ -19,7 +19,7 @@ use crate::{
     runner::{TaskSpec, mailbox, start_task},
     simulation, system,
     task::{Context, EventHandler},
-    time::Instant,
+    time::{Clock, Instant},
 };
 
 pub use crate::bootstrap::{BootEvent, End, Observer};
@@ -86,6 +86,15 @@ pub enum BootError {
     },
 }
 
+/// The clock that an app of this mode runs on, at its start.
+#[must_use]
+pub fn clock(mode: TimeMode) -> Clock {
+    match mode {
+        TimeMode::Real => Clock::real(),
+        TimeMode::Virtual => Clock::virtual_clock(),
+    }
+}
+
 /// Boots `app`, waits for its end and takes it down. In virtual time `launcher` is not used.
 ///
 /// # Errors
@@ -96,12 +105,28 @@ pub fn boot(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    match app.time {
-        TimeMode::Real => {
-            let observer = contained(observer);
-            parent::boot(&Arc::new(app), &Arc::new(registry), launcher, &observer)
-        }
-        TimeMode::Virtual => simulate(app, registry, &[], observer),
+    let clock = clock(app.time);
+    boot_on(&clock, app, registry, launcher, observer)
+}
+
+/// [`boot`] on a [`clock`] that the caller can read too, for the time in its log. The clock decides
+/// between real and virtual time.
+///
+/// # Errors
+/// As [`boot`].
+pub fn boot_on(
+    clock: &Clock,
+    app: App,
+    registry: Registry,
+    launcher: &Launcher,
+    observer: &Observer,
+) -> Result<Outcome, BootError> {
+    let observer = contained(observer);
+    let (app, registry) = (Arc::new(app), Arc::new(registry));
+    if clock.origin_ns().is_some() {
+        parent::boot(clock, &app, &registry, launcher, &observer)
+    } else {
+        simulation::run(clock, app, registry, &[], &observer)
     }
 }
 
@@ -149,7 +174,9 @@ pub fn simulate(
     mishaps: &[Mishap],
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    simulation::run(app, registry, mishaps, &contained(observer))
+    let (app, registry) = (Arc::new(app), Arc::new(registry));
+    let clock = Clock::virtual_clock();
+    simulation::run(&clock, app, registry, mishaps, &contained(observer))
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this

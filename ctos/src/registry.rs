@@ -1,6 +1,11 @@
 //! Event handlers by the name that the configuration uses for them.
 
-use std::{collections::BTreeMap, future::Future, rc::Rc, sync::Arc};
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    future::Future,
+    rc::Rc,
+    sync::Arc,
+};
 
 use crate::{
     config::{App, TaskConfig},
@@ -103,11 +108,13 @@ impl Registry {
             build,
             checks: Vec::new(),
         };
-        self.kinds.insert(name.to_owned(), kind);
-        match self.kinds.get_mut(name) {
-            Some(kind) => kind,
-            // Inserted one line above, with `&mut self` held throughout.
-            None => unreachable!("the kind was just inserted"),
+        match self.kinds.entry(name.to_owned()) {
+            Entry::Vacant(free) => free.insert(kind),
+            Entry::Occupied(there) => {
+                let there = there.into_mut();
+                *there = kind;
+                there
+            }
         }
     }
 

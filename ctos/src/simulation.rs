@@ -49,15 +49,15 @@ struct Simulation {
     casualties: Vec<(String, String)>,
 }
 
-/// Runs `app` to its end in virtual time.
+/// Runs `app` to its end on a virtual clock.
 pub(crate) fn run(
-    app: App,
-    registry: Registry,
+    clock: &Clock,
+    app: Arc<App>,
+    registry: Arc<Registry>,
     mishaps: &[Mishap],
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    let (app, registry) = (Arc::new(app), Arc::new(registry));
-    let clock = Clock::virtual_clock();
+    let clock = clock.clone();
     let seed = app.seed;
     let network = Network::new(
         clock.clone(),

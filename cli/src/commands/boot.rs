@@ -3,12 +3,8 @@
 use std::{ffi::OsString, sync::Arc};
 
 use clap::Args;
+use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
 use ctos::registry::Registry;
-use ctos::{
-    boot::{BootError, BootEvent, End, Launcher, Observer, Outcome},
-    config::TimeMode,
-    time::Clock,
-};
 
 use crate::{
     commands::{AppArgs, LogArgs, progress::Display, start_log},
@@ -51,11 +47,8 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    let clock = match app.time {
-        TimeMode::Real => Some(Clock::real()),
-        TimeMode::Virtual => None,
-    };
-    if let Err(code) = start_log(&args.log, clock, true) {
+    let clock = ctos::boot::clock(app.time);
+    if let Err(code) = start_log(&args.log, clock.clone(), true) {
         return code;
     }
     show::findings(warnings);
@@ -75,7 +68,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     let display = Arc::new(Display::new(&app));
     let shown = display.clone();
     let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
-    let outcome = ctos::boot::boot(app, registry, &launcher, &observer);
+    let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
     display.finish();
     match outcome {
         Ok(outcome) => report(&outcome, args.json),

@@ -34,7 +34,7 @@ pub struct ChassisArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &ChassisArgs, registry: Registry) -> u8 {
-    if let Err(code) = start_log(&args.log, Some(Clock::real_from(args.origin)), false) {
+    if let Err(code) = start_log(&args.log, Clock::real_from(args.origin), false) {
         return code;
     }
     let app = match program::app(&args.app.file, &args.app.sets) {

@@ -60,6 +60,7 @@ impl Process {
 
 /// Boots `app` with one process per chassis.
 pub(crate) fn boot(
+    clock: &Clock,
     app: &Arc<App>,
     registry: &Arc<Registry>,
     launcher: &Launcher,
@@ -69,7 +70,7 @@ pub(crate) fn boot(
         .enable_all()
         .build()
         .map_err(io("cannot start the runtime"))?;
-    let chassis = Chassis::new(0, app.clone(), registry.clone(), Clock::real());
+    let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
     let outcome = runtime.block_on(run(&chassis, launcher, observer));
     runtime.shutdown_background();
     outcome
