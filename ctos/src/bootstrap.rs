@@ -159,6 +159,8 @@ pub(crate) type EndSlot = Arc<Mutex<Option<End>>>;
 #[derive(Default)]
 struct Events {
     ends: VecDeque<End>,
+    /// The app is being taken down: how far its tasks are is no news any more.
+    stopping: bool,
 }
 
 /// The service's state.
@@ -202,6 +204,9 @@ impl EventHandler for Bootstrap {
             }
             Progress::CODE => {
                 let (progress, _) = message.open::<Progress>()?;
+                if self.events.borrow().stopping {
+                    return Ok(());
+                }
                 (self.observer)(&BootEvent::Progress {
                     task: progress.task,
                     done: progress.done,
@@ -342,6 +347,7 @@ impl Sequence {
     /// Stops all tasks: those of chassis with `stop_first` before the others, each group in the
     /// reverse of the order in which it was created; then ends the processes.
     async fn stop(&self, end: &End) {
+        self.events.borrow_mut().stopping = true;
         let reason = end.reason();
         self.event(&BootEvent::Stopping {
             reason: reason.to_string(),

@@ -34,19 +34,32 @@ fn kill(scratch: &Scratch, chassis: &str) -> Ended {
     ended
         .must_not_say("stop     servo")
         .must_not_say("does not end");
+    let stop = format!("stop     chassis `{chassis}` is gone");
+    let after = ended.told.split_once(&stop).unwrap().1;
+    assert!(
+        !after.contains("run      "),
+        "progress after the end: {after}"
+    );
     ended
 }
 
 #[test]
 fn when_the_vision_chassis_is_killed_the_arm_is_stopped_and_the_run_ends_with_its_name() {
     let scratch = Scratch::new();
-    kill(&scratch, "cage_vision").must_say_before(ARM_STOPPED, "error: chassis `cage_vision`");
+    kill(&scratch, "cage_vision")
+        .must_say_before(ARM_STOPPED, "error: chassis `cage_vision`")
+        .must_say_before(
+            "stop     cage_motion is at rest",
+            "error: chassis `cage_vision`",
+        );
 }
 
 #[test]
 fn when_the_coordination_chassis_is_killed_the_arm_is_stopped_and_the_run_ends_with_its_name() {
     let scratch = Scratch::new();
-    kill(&scratch, "ws1").must_say_before(ARM_STOPPED, "error: chassis `ws1`");
+    kill(&scratch, "ws1")
+        .must_say_before(ARM_STOPPED, "error: chassis `ws1`")
+        .must_say_before("stop     cage_motion is at rest", "error: chassis `ws1`");
 }
 
 #[test]
