@@ -1,8 +1,11 @@
 //! A whole app, its defaults, expanders, and arbitrary text.
 
+mod bundle;
 mod load;
 mod node;
+mod profiles;
 mod refused;
+mod variables;
 
 use super::*;
 use crate::diagnostic::Finding;
