@@ -16,9 +16,12 @@ mod build;
 mod bundle;
 mod de;
 mod fields;
+mod keys;
 mod load;
 mod node;
 mod profiles;
+mod schema;
+mod shown;
 #[cfg(test)]
 mod tests;
 mod trail;
@@ -27,6 +30,8 @@ mod variables;
 pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
 pub use bundle::{Bundle, BundleError};
 pub use node::{Entry, Node, Value};
+pub use schema::schema;
+pub use shown::ShownValue;
 pub use trail::Origin;
 
 use crate::diagnostic::{Findings, Place, Source};

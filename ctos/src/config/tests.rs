@@ -1,10 +1,12 @@
 //! A whole app, its defaults, expanders, and arbitrary text.
 
 mod bundle;
+mod keys;
 mod load;
 mod node;
 mod profiles;
 mod refused;
+mod shown;
 mod variables;
 
 use super::*;
