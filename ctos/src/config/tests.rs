@@ -2,6 +2,7 @@
 
 mod load;
 mod node;
+mod processors;
 mod refused;
 
 use super::*;
@@ -134,11 +135,17 @@ fn summary(app: &App) -> String {
             let ProcessorConfig {
                 name,
                 realtime,
+                required,
                 priority,
                 cpu,
+                period,
+                overrun,
+                spin,
                 place: _,
             } = processor;
-            format!("{name} {realtime} {priority:?} {cpu:?}")
+            format!(
+                "{name} {realtime} {required} {priority:?} {cpu:?} {period:?} {overrun:?} {spin:?}"
+            )
         });
         let processors: Vec<_> = processors.collect();
         format!(
