@@ -85,9 +85,8 @@ pub(crate) fn run(
     let processors = chassis
         .iter()
         .map(|chassis| {
-            let handles = chassis.processors.iter();
-            handles
-                .map(|(_, handle)| Processor::new(handle.clone(), clock.clone()))
+            (0..chassis.processors.len())
+                .filter_map(|index| chassis.processor(index))
                 .collect()
         })
         .collect();
@@ -304,7 +303,7 @@ impl Simulation {
             }
         }
         for processor in self.processors.iter().flatten() {
-            processor.run_cyclics();
+            processor.schedule.run();
             processor.fire_timers();
         }
     }
