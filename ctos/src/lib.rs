@@ -22,6 +22,7 @@ pub mod config;
 pub mod diagnostic;
 pub mod message;
 pub mod registry;
+pub mod simulation;
 pub mod sync;
 pub mod system;
 pub mod task;
@@ -35,7 +36,6 @@ mod mailbox;
 mod names;
 mod processor;
 mod runner;
-mod simulation;
 mod statistics;
 
 pub use context::{DEFAULT_DEADLINE, mix};
