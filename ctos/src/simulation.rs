@@ -156,6 +156,7 @@ struct Simulation {
     exits: Arc<Mutex<VecDeque<(u8, i32)>>>,
     casualties: Vec<(String, String)>,
     events: EventLog,
+    observer: Observer,
     steps_at_once: u64,
     /// Kept between steps for its room.
     counts: Vec<usize>,
@@ -228,6 +229,7 @@ impl Simulation {
             exits,
             casualties: Vec::new(),
             events,
+            observer: observer.clone(),
             steps_at_once: 0,
             counts: Vec::new(),
         })
@@ -242,22 +244,15 @@ impl Simulation {
             if let Some(end) = lock(&self.end).take() {
                 break end;
             }
-            if self.run_jobs() || self.run_exits() || self.poll_one() {
-                self.steps_at_once += 1;
-                if self.steps_at_once > STEPS_AT_ONCE {
-                    let moment = self.clock.now();
-                    tracing::error!(at = %moment, steps = STEPS_AT_ONCE, "a task goes on for ever without waiting");
-                    break End::Stuck;
-                }
-                continue;
-            }
-            match self.next_event() {
-                Some(moment) => self.advance(moment),
-                None => break End::Stuck,
+            if !self.step(None) {
+                break End::Stuck;
             }
         };
-        self.events.note(|| format!("end {end:?}"));
         let took = self.clock.now().since_start();
+        if end != End::Stuck {
+            self.end_processes();
+        }
+        self.events.note(|| format!("end {end:?}"));
         for machine in &self.machines {
             machine.chassis.drop_links();
         }
@@ -274,6 +269,51 @@ impl Simulation {
                 took,
             },
             faults: self.happened,
+        }
+    }
+
+    /// Runs what is ready, or moves the clock to what happens next, but not beyond `limit`. False when
+    /// nothing can happen any more, or nothing until then.
+    fn step(&mut self, limit: Option<Instant>) -> bool {
+        if self.run_jobs() || self.run_exits() || self.poll_one() {
+            self.steps_at_once += 1;
+            if self.steps_at_once > STEPS_AT_ONCE {
+                let moment = self.clock.now();
+                tracing::error!(at = %moment, steps = STEPS_AT_ONCE, "a task goes on for ever without waiting");
+                return false;
+            }
+            return true;
+        }
+        match self.next_event() {
+            Some(moment) if limit.is_none_or(|limit| moment <= limit) => {
+                self.advance(moment);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// The boot is done and waits for the processes; those that do not end by themselves are killed.
+    fn end_processes(&mut self) {
+        let Some(boot) = self.machines.first().map(|machine| machine.chassis.clone()) else {
+            return;
+        };
+        boot.drop_links();
+        for other in boot.others() {
+            self.network.hang_up(0, other);
+        }
+        let limit = self.clock.now() + boot.app.stop_timeout;
+        let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
+        while !ended(&self.machines) && self.step(Some(limit)) {}
+        for index in boot.others() {
+            let left = self.machines.get(usize::from(index));
+            if left.is_some_and(|machine| !machine.gone) {
+                (self.observer)(&BootEvent::Signalled {
+                    chassis: boot.name_of(index).to_owned(),
+                    signal: "SIGKILL",
+                });
+                self.end_chassis(index, Some("was killed by signal 9 (SIGKILL)"));
+            }
         }
     }
 
