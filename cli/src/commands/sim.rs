@@ -12,7 +12,7 @@ use std::{
 use clap::Args;
 use ctos::{
     boot::{BootEvent, End, Observer, Outcome},
-    config::App,
+    config::{App, Selection},
     diagnostic::{Finding, Findings},
     registry::Registry,
     simulation::{self, EventSink, Faults, Mishap, Run, Setup},
@@ -44,6 +44,9 @@ pub struct SimArgs {
     /// Override a value of the configuration (can be repeated)
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
+    /// Lay `[profile.NAME]` of the configuration over it (can be repeated)
+    #[arg(long = "profile", value_name = "NAME")]
+    pub overlays: Vec<String>,
     /// Seed of the run [default: that of the configuration]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
@@ -108,7 +111,12 @@ pub fn run(args: &SimArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    let (app, warnings) = match program::checked(file, &args.sets, &registry) {
+    let selection = Selection {
+        file: file.clone(),
+        profiles: args.overlays.clone(),
+        sets: args.sets.clone(),
+    };
+    let (app, warnings) = match program::checked(&selection, &registry) {
         Ok(checked) => checked,
         Err(findings) => {
             let counted = show::counted(&findings);
@@ -124,7 +132,9 @@ pub fn run(args: &SimArgs, registry: Registry) -> u8 {
         ));
         return exit::USAGE;
     }
-    show::findings(warnings);
+    if !args.log.quiet {
+        show::findings(warnings);
+    }
     let lab = Lab {
         args,
         file,
@@ -209,7 +219,7 @@ impl Lab<'_> {
             Some(Ok(events)) => Some(events),
             Some(Err(code)) => return code,
         };
-        let display = Arc::new(Display::new(&self.app));
+        let display = Arc::new(Display::new(&self.app, self.args.log.quiet));
         let shown = display.clone();
         let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
         let sink = events.as_ref().map(EventFile::sink);
@@ -228,7 +238,9 @@ impl Lab<'_> {
                 show::say(&format!("fault    {fault}"));
             }
         }
-        show::say(&self.summary(seed, &run));
+        if !self.args.log.quiet {
+            show::say(&self.summary(seed, &run));
+        }
         // A reader that went away has what it wanted.
         let _ = if self.args.json {
             show::data(&self.json(seed, &run))
@@ -262,6 +274,7 @@ impl Lab<'_> {
         // Only the command line's own filter counts; what a run logs, its repetition shows.
         let quiet = LogArgs {
             verbose: 0,
+            quiet: true,
             log: Some(
                 self.args
                     .log
@@ -302,7 +315,9 @@ impl Lab<'_> {
             self.args.faults,
             failed.len()
         );
-        show::say(&summary);
+        if !self.args.log.quiet {
+            show::say(&summary);
+        }
         if !self.args.json {
             let _ = show::data(&format!("{} of {count} seeds failed", failed.len()));
         }
@@ -381,6 +396,9 @@ impl Lab<'_> {
             "--faults".to_owned(),
             faults.to_owned(),
         ];
+        for overlay in &self.args.overlays {
+            words.extend(["--profile".to_owned(), overlay.clone()]);
+        }
         for set in &self.args.sets {
             words.extend(["--set".to_owned(), set.clone()]);
         }
