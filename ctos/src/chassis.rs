@@ -8,7 +8,7 @@ use std::{
     collections::BTreeMap,
     rc::Rc,
     sync::{
-        Arc, Mutex, PoisonError, RwLock,
+        Arc, Mutex, OnceLock, PoisonError, RwLock,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::Duration,
@@ -104,6 +104,9 @@ impl Outbound {
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
 
+/// Sees each message that a task of the chassis begins to handle.
+pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
+
 /// A task of this chassis, as the others see it.
 pub(crate) struct TaskRecord {
     pub(crate) name: Arc<str>,
@@ -126,6 +129,7 @@ pub struct Chassis {
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) known: Mutex<BTreeMap<String, Tid>>,
     on_exit: Mutex<Option<OnExit>>,
+    on_delivery: OnceLock<OnDelivery>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
     next_trace: AtomicU64,
@@ -202,6 +206,7 @@ impl Chassis {
             shared: Mutex::default(),
             known: Mutex::default(),
             on_exit: Mutex::default(),
+            on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
             next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
@@ -653,6 +658,23 @@ impl Chassis {
         Fault::PeerDown {
             chassis: self.name_of(peer).to_owned(),
         }
+    }
+
+    /// Whom to show each message that a task begins to handle. The first one counts.
+    pub(crate) fn on_delivery(&self, on_delivery: OnDelivery) {
+        let _ = self.on_delivery.set(on_delivery);
+    }
+
+    /// `task` begins to handle `message`.
+    pub(crate) fn delivered(&self, task: &TaskRecord, message: &Message) {
+        if let Some(on_delivery) = self.on_delivery.get() {
+            on_delivery(task, message);
+        }
+    }
+
+    /// The name of one of its tasks.
+    pub(crate) fn task_name(&self, tid: Tid) -> Option<Arc<str>> {
+        self.task(tid).map(|task| task.name.clone())
     }
 
     /// What to do when the chassis shall end.

@@ -23,6 +23,7 @@ pub mod diagnostic;
 pub mod message;
 pub mod realtime;
 pub mod registry;
+pub mod simulation;
 pub mod sync;
 pub mod system;
 pub mod task;
@@ -36,7 +37,6 @@ mod mailbox;
 mod names;
 mod processor;
 mod runner;
-mod simulation;
 mod statistics;
 
 pub use context::{DEFAULT_DEADLINE, mix};
