@@ -24,6 +24,7 @@ use crate::{
     statistics::TaskStatistics,
     system,
     time::{Clock, Instant},
+    waits::Waits,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -107,6 +108,7 @@ pub(crate) struct TaskRecord {
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) statistics: Arc<TaskStatistics>,
+    pub(crate) waits: Waits,
 }
 
 /// One process's share of an app. Shared by its threads.

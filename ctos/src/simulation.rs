@@ -8,13 +8,16 @@ use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
     rc::Rc,
     sync::{Arc, Mutex},
+    time::Duration,
 };
+
+use rand::RngExt;
 
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     boot::{self, BootError, BootEvent, End, Mishap, Observer, Outcome},
-    bootstrap::EndSlot,
+    bootstrap::{EndSlot, Processes, Seat},
     call::lock,
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
@@ -32,7 +35,34 @@ enum Happening {
     Kill(u8),
     Cut(u8, u8),
     Stall(u8, u8, Instant),
+    /// The process of a chassis has started, as the incarnation of this number.
+    Start(u8, u32),
 }
+
+/// How long the process of a chassis takes to start, ns.
+const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
+
+/// What the bootstrap service wants of the simulated machines.
+#[derive(Default)]
+struct Orders(Mutex<VecDeque<Order>>);
+
+enum Order {
+    Start(u8, u32),
+    Kill(u8),
+}
+
+impl Processes for Orders {
+    fn start(&self, index: u8, incarnation: u32) {
+        lock(&self.0).push_back(Order::Start(index, incarnation));
+    }
+
+    fn kill(&self, index: u8) {
+        lock(&self.0).push_back(Order::Kill(index));
+    }
+}
+
+/// The exits that chassis asked for: number, incarnation and exit code.
+type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
 
 struct Simulation {
     clock: Clock,
@@ -43,10 +73,14 @@ struct Simulation {
     rng: ChaCha8Rng,
     end: EndSlot,
     happenings: BTreeMap<Instant, Vec<Happening>>,
-    /// Chassis whose process would have ended by itself now, with its exit code.
-    exits: Arc<Mutex<VecDeque<(u8, i32)>>>,
+    /// Processes that would have ended by themselves now.
+    exits: Exits,
     gone: BTreeSet<u8>,
-    casualties: Vec<(String, String)>,
+    /// How the last process of a chassis ended, if otherwise than it should have.
+    casualties: BTreeMap<u8, String>,
+    /// Which process of each chassis this is, from 1.
+    incarnations: BTreeMap<u8, u32>,
+    orders: Arc<Orders>,
 }
 
 /// Runs `app` to its end on a virtual clock.
@@ -68,7 +102,7 @@ pub(crate) fn run(
     let chassis: Vec<Arc<Chassis>> = (0..=count)
         .map(|index| Chassis::new(index, app.clone(), registry.clone(), clock.clone()))
         .collect();
-    let exits = Arc::new(Mutex::new(VecDeque::new()));
+    let exits = Exits::default();
     for from in &chassis {
         for to in from.others() {
             from.link_up(to, network.link(from.index(), to));
@@ -78,22 +112,18 @@ pub(crate) fn run(
                 chassis: from.name().to_owned(),
                 pid: None,
             });
-            let (exits, index) = (exits.clone(), from.index());
-            from.set_on_exit(move |code| lock(&exits).push_back((index, code)));
+            watch_exit(from, 1, &exits);
         }
     }
-    let processors = chassis
-        .iter()
-        .map(|chassis| {
-            let handles = chassis.processors.iter();
-            handles
-                .map(|(_, handle)| Processor::new(handle.clone(), clock.clone()))
-                .collect()
-        })
-        .collect();
-    let end = EndSlot::default();
+    let processors = chassis.iter().map(processors_of).collect();
+    let orders = Arc::new(Orders::default());
+    let seat = Seat {
+        observer: observer.clone(),
+        end: EndSlot::default(),
+        processes: orders.clone(),
+    };
     for one in &chassis {
-        boot::start_system_tasks(one, observer, &end);
+        boot::start_system_tasks(one, (one.index() == 0).then_some(&seat));
     }
     let simulation = Simulation {
         clock,
@@ -101,13 +131,27 @@ pub(crate) fn run(
         processors,
         network,
         rng: ChaCha8Rng::seed_from_u64(mix(seed, &["schedule"])),
-        end,
+        end: seat.end,
         happenings,
         exits,
         gone: BTreeSet::new(),
-        casualties: Vec::new(),
+        casualties: BTreeMap::new(),
+        incarnations: BTreeMap::new(),
+        orders,
     };
     Ok(simulation.run())
+}
+
+fn processors_of(chassis: &Arc<Chassis>) -> Vec<Rc<Processor>> {
+    let handles = chassis.processors.iter();
+    handles
+        .map(|(_, handle)| Processor::new(handle.clone(), chassis.clock.clone()))
+        .collect()
+}
+
+fn watch_exit(chassis: &Arc<Chassis>, incarnation: u32, exits: &Exits) {
+    let (exits, index) = (exits.clone(), chassis.index());
+    chassis.set_on_exit(move |code| lock(&exits).push_back((index, incarnation, code)));
 }
 
 /// Mishaps by the moment at which they happen.
@@ -156,7 +200,7 @@ impl Simulation {
             if let Some(end) = lock(&self.end).take() {
                 break end;
             }
-            if self.run_jobs() || self.run_exits() || self.poll_one() {
+            if self.run_jobs() || self.run_exits() || self.run_orders() || self.poll_one() {
                 continue;
             }
             match self.next_event() {
@@ -165,6 +209,11 @@ impl Simulation {
             }
         };
         let took = self.clock.now().since_start();
+        let names = self.casualties.into_iter().map(|(index, how)| {
+            let chassis = self.chassis.get(usize::from(index));
+            (chassis.map_or("", |chassis| chassis.name()).to_owned(), how)
+        });
+        let casualties = names.collect();
         for chassis in &self.chassis {
             chassis.drop_links();
         }
@@ -176,36 +225,75 @@ impl Simulation {
         }
         Outcome {
             end,
-            casualties: self.casualties,
+            casualties,
             took,
         }
     }
 
     /// Ends the processes that have come to their end by themselves.
     fn run_exits(&mut self) -> bool {
-        let Some((index, code)) = lock(&self.exits).pop_front() else {
+        let Some((index, incarnation, code)) = lock(&self.exits).pop_front() else {
             return false;
         };
-        // 0 and 1 are what the boot orders; anything else the chassis chose itself.
-        if code > 1 {
-            self.end_chassis(index, Some(&format!("ended with exit code {code}")));
-        } else {
-            self.end_chassis(index, None);
+        if incarnation == self.incarnation(index) {
+            let how = format!("ended with exit code {code}");
+            // 0 and 1 are what the boot orders; anything else the chassis chose itself.
+            self.end_chassis(index, &how, Some(code), code > 1);
         }
         true
     }
 
+    /// Does what the bootstrap service wants.
+    fn run_orders(&mut self) -> bool {
+        let order = lock(&self.orders.0).pop_front();
+        match order {
+            Some(Order::Start(index, incarnation)) => {
+                let delay = Duration::from_nanos(self.rng.random_range(START_NS));
+                let due = self.happenings.entry(self.clock.now() + delay).or_default();
+                due.push(Happening::Start(index, incarnation));
+                self.incarnations.insert(index, incarnation);
+            }
+            Some(Order::Kill(index)) => self.kill(index),
+            None => return false,
+        }
+        true
+    }
+
+    /// Which process of chassis `index` is the last that was wanted.
+    fn incarnation(&self, index: u8) -> u32 {
+        self.incarnations.get(&index).copied().unwrap_or(1)
+    }
+
+    fn kill(&mut self, index: u8) {
+        self.end_chassis(index, "was killed by signal 9 (SIGKILL)", None, true);
+    }
+
     /// A process ends: nothing of it runs any more, and the others see its links close.
-    fn end_chassis(&mut self, index: u8, casualty: Option<&str>) {
+    fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
+        let incarnation = self.incarnation(index);
+        if let Some(boot) = self.chassis.first() {
+            // Also of one that has not started yet: it never will.
+            boot.post_system(
+                system::BOOTSTRAP,
+                system::ProcessEnded {
+                    chassis: index,
+                    incarnation,
+                    how: how.to_owned(),
+                    code,
+                },
+            );
+        }
+        for happenings in self.happenings.values_mut() {
+            happenings.retain(|one| !matches!(one, Happening::Start(of, _) if *of == index));
+        }
         if !self.gone.insert(index) {
             return;
         }
         let Some(chassis) = self.chassis.get(usize::from(index)) else {
             return;
         };
-        if let Some(how) = casualty {
-            let name = chassis.name().to_owned();
-            self.casualties.push((name, how.to_owned()));
+        if casualty {
+            self.casualties.insert(index, how.to_owned());
         }
         // First the links, so that what its destructors send reaches nobody.
         chassis.drop_links();
@@ -223,11 +311,51 @@ impl Simulation {
         chassis.close();
     }
 
+    /// A process starts in place of the one that ended, and is connected to those that live.
+    fn start_chassis(&mut self, index: u8, incarnation: u32) {
+        let place = usize::from(index);
+        let Some(old) = self.chassis.get(place) else {
+            return;
+        };
+        let new = Chassis::new(
+            index,
+            old.app.clone(),
+            old.registry.clone(),
+            self.clock.clone(),
+        );
+        for other in new.others().filter(|other| !self.gone.contains(other)) {
+            let Some(peer) = self.chassis.get(usize::from(other)) else {
+                continue;
+            };
+            // Nothing of the old process may come out of the links of the new one.
+            self.network.cut(index, other);
+            peer.link_down(index);
+            peer.link_up(index, self.network.link(other, index));
+            new.link_up(other, self.network.link(index, other));
+        }
+        watch_exit(&new, incarnation, &self.exits);
+        boot::start_system_tasks(&new, None);
+        self.gone.remove(&index);
+        self.casualties.remove(&index);
+        if let Some(processors) = self.processors.get_mut(place) {
+            *processors = processors_of(&new);
+        }
+        if let Some(place) = self.chassis.get_mut(place) {
+            *place = new;
+        }
+        if let Some(boot) = self.chassis.first() {
+            let linked = system::ChassisLinked {
+                chassis: index,
+                incarnation,
+            };
+            boot.post_system(system::BOOTSTRAP, linked);
+        }
+    }
+
     fn happen(&mut self, happening: Happening) {
         match happening {
-            Happening::Kill(index) => {
-                self.end_chassis(index, Some("was killed by signal 9 (SIGKILL)"));
-            }
+            Happening::Kill(index) => self.kill(index),
+            Happening::Start(index, incarnation) => self.start_chassis(index, incarnation),
             Happening::Cut(one, other) => {
                 self.network.cut(one, other);
                 for (end, peer) in [(one, other), (other, one)] {
