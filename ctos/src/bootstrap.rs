@@ -28,6 +28,8 @@ use crate::{
     task::{EventHandler, Handled, Phase, StopReason},
 };
 
+use serde::{Deserialize, Serialize};
+
 use board::{Board, Event};
 use sequence::Sequence;
 
@@ -47,7 +49,8 @@ pub(crate) const COMMANDS: [CommandInfo; 9] = [
 ];
 
 /// What happens while an app is up, for whoever shows it to a person.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum BootEvent {
     /// A chassis was started.
@@ -64,6 +67,7 @@ pub enum BootEvent {
         /// How many tasks acknowledged it.
         tasks: usize,
         /// How long it took.
+        #[serde(rename = "took_s", with = "in_seconds")]
         took: Duration,
     },
     /// A task tells how far it is.
@@ -112,6 +116,7 @@ pub enum BootEvent {
         /// The number of the next process, counted from 1.
         incarnation: u32,
         /// The pause.
+        #[serde(rename = "pause_s", with = "in_seconds")]
         pause: Duration,
     },
     /// A chassis is back, and its tasks have passed all phases.
@@ -121,6 +126,7 @@ pub enum BootEvent {
         /// How many tasks it has.
         tasks: usize,
         /// How long it was away.
+        #[serde(rename = "took_s", with = "in_seconds")]
         took: Duration,
     },
     /// A chassis with `stop_first` has stopped: whatever it moves is at rest.
@@ -133,8 +139,24 @@ pub enum BootEvent {
         /// The chassis.
         chassis: String,
         /// The signal's name.
-        signal: &'static str,
+        signal: String,
     },
+}
+
+/// Durations as a number of seconds.
+mod in_seconds {
+    use std::time::Duration;
+
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(time: &Duration, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_f64(time.as_secs_f64())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Duration, D::Error> {
+        let seconds = f64::deserialize(from)?;
+        Duration::try_from_secs_f64(seconds).map_err(D::Error::custom)
+    }
 }
 
 /// Sees [`BootEvent`]s as they happen, on the thread of the bootstrap service.

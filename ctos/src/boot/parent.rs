@@ -27,7 +27,7 @@ use crate::{
     call::lock,
     chassis::Chassis,
     config::App,
-    control::LogStore,
+    control::{LogStore, Server, Ticker},
     link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
     registry::Registry,
     system,
@@ -83,6 +83,7 @@ async fn run_processes(
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
     let logs = Arc::new(LogStore::new(chassis.clock.clone()));
+    let (ticker, observer) = &Ticker::observe(observer);
     let starter = Starter {
         chassis: chassis.clone(),
         launcher: launcher.clone(),
@@ -128,6 +129,7 @@ async fn run_processes(
     boot::start_system_tasks(chassis, Some(&seat));
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
     let newcomers = tokio::spawn(doorman.serve(listener));
+    let server = serve(chassis, &logs, ticker);
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
         tokio::select! {
@@ -152,11 +154,26 @@ async fn run_processes(
         let _ = thread.ended.await;
     }
     chassis.close();
-    Ok(Outcome {
+    let outcome = Outcome {
         end,
         casualties,
         took,
-    })
+    };
+    if let Some(server) = server {
+        server.finish(&outcome).await;
+    }
+    Ok(outcome)
+}
+
+/// Serves the control socket. An app that cannot have one runs without.
+fn serve(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Option<Server> {
+    match Server::start(chassis, logs, ticker.clone()) {
+        Ok(server) => Some(server),
+        Err(error) => {
+            tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
+            None
+        }
+    }
 }
 
 fn interrupted(chassis: &Arc<Chassis>) -> Outcome {

@@ -339,7 +339,7 @@ impl Keeper {
                 }
                 (self.starter.observer)(&BootEvent::Signalled {
                     chassis: process.name.clone(),
-                    signal: name,
+                    signal: name.to_owned(),
                 });
                 process.signal(number);
                 ended = tokio::time::timeout(limit, process.ended()).await;

@@ -363,7 +363,7 @@ impl Supervisor {
             if kill {
                 self.board.event(&BootEvent::Signalled {
                     chassis: self.name(),
-                    signal: "SIGKILL",
+                    signal: "SIGKILL".to_owned(),
                 });
                 self.board.kill_process(self.index);
             }

@@ -169,6 +169,15 @@ impl LogStore {
         lines
     }
 
+    /// The processes of a chassis that are remembered, oldest first: number and process id.
+    pub(crate) fn processes(&self, chassis: &str) -> Vec<(u32, Option<u32>)> {
+        let all = lock(&self.chassis);
+        let processes = all.get(chassis).into_iter().flatten();
+        processes
+            .map(|process| (process.incarnation, process.pid))
+            .collect()
+    }
+
     /// The process id of the present process of a chassis.
     pub(crate) fn pid(&self, chassis: &str) -> Option<u32> {
         lock(&self.chassis).get(chassis)?.back()?.pid
