@@ -10,6 +10,7 @@ use super::app::{
 };
 use super::fields::{Fields, check_name};
 use super::node::{Entry, Node};
+use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use std::net::SocketAddr;
@@ -17,9 +18,15 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// The keys of `[app]`; `--set` takes them as single words.
-pub(super) const APP_KEYS: &[&str] =
-    &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task"];
+pub(super) const APP_KEYS: &[&str] = &[
+    "name",
+    "profile",
+    "seed",
+    "until",
+    "phase_timeout_s",
+    "stop_timeout_s",
+];
+const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task", "profile"];
 const CHASSIS_KEYS: &[&str] = &[
     "listen",
     "stop_first",
@@ -49,6 +56,7 @@ const MAX_RESTARTS: u32 = 3;
 const MAIN: &str = "main";
 
 /// Where an app came from.
+#[derive(Clone)]
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     pub(super) sets: Vec<String>,
@@ -108,9 +116,11 @@ pub(super) fn build(
         chassis,
         tasks,
         file: origin.file,
+        profiles: Vec::new(),
         sets: origin.sets,
         folder,
         warnings: Findings::new(),
+        trail: Trail::default(),
         root,
     }
 }
