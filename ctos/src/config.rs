@@ -27,7 +27,10 @@ mod tests;
 mod trail;
 mod variables;
 
-pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use app::{
+    App, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure, ProcessorConfig,
+    Restart, TaskConfig, TimeMode,
+};
 pub use bundle::{Bundle, BundleError};
 pub use node::{Entry, Node, Value};
 pub use schema::schema;
