@@ -4,6 +4,9 @@ pub mod boot;
 pub mod chassis;
 pub mod check;
 pub mod completions;
+pub mod config;
+pub mod explain;
+pub mod new;
 
 mod progress;
 
@@ -47,6 +50,12 @@ pub enum Command {
     Check(check::CheckArgs),
     /// Check an app, start it, wait for its result and stop it
     Boot(boot::BootArgs),
+    /// Show what a configuration comes to, every key there is, or the schema for editors
+    Config(config::ConfigArgs),
+    /// Tell what a finding means and what to do about it
+    Explain(explain::ExplainArgs),
+    /// Write a small app of your own: handlers, configuration, test
+    New(new::NewArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -102,6 +111,9 @@ pub fn main(registry: Registry) -> ExitCode {
     let code = match cli.command {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
+        Command::Config(args) => config::run(&args),
+        Command::Explain(args) => explain::run(&args),
+        Command::New(args) => new::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };
