@@ -47,14 +47,23 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Check an app without starting anything
+    ///
+    /// Reads the configuration and everything it names, resolves every name, and explores the state space of all
+    /// nets composed. All findings are shown at once, each with its place and what to do.
     Check(check::CheckArgs),
     /// Check an app, start it, wait for its result and stop it
+    ///
+    /// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in
+    /// one process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
     Boot(boot::BootArgs),
     /// Show what a configuration comes to, every key there is, or the schema for editors
     Config(config::ConfigArgs),
     /// Tell what a finding means and what to do about it
     Explain(explain::ExplainArgs),
     /// Write a small app of your own: handlers, configuration, test
+    ///
+    /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
+    /// beginning with a letter.
     New(new::NewArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),

@@ -211,9 +211,9 @@ fn config_show_prints_an_app_that_is_the_same_app_with_the_origin_of_each_value(
 #[test]
 fn the_whole_of_a_shipped_app_survives_config_show() {
     let (out, _) = good(&run(&["config", "show", "configs/calibrate.toml"]));
-    let name = "configs/shown-by-the-test.toml";
-    let texts = [(name, out.as_str())];
-    let shown = ctos::config::Selection::new(name);
+    let name = root().join("configs/shown.toml").display().to_string();
+    let texts = [(name.as_str(), out.as_str())];
+    let shown = ctos::config::Selection::new(&name);
     let shown = shown.load_texts(
         &texts,
         &std::collections::BTreeMap::new(),

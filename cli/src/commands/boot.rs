@@ -12,9 +12,6 @@ use crate::{
 };
 
 /// Check an app, start it, wait for its result and stop it
-///
-/// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in one
-/// process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos boot configs/calibrate.toml

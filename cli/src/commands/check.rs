@@ -6,9 +6,6 @@ use ctos::registry::Registry;
 use crate::{commands::AppArgs, exit, program, show};
 
 /// Check an app without starting anything
-///
-/// Reads the configuration and everything it names, resolves every name, and explores the state space of all nets
-/// composed. All findings are shown at once, each with its place and what to do.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:
   ctos check configs/calibrate.toml --json")]

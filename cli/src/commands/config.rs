@@ -22,6 +22,9 @@ pub struct ConfigArgs {
 #[derive(Debug, Subcommand)]
 pub enum What {
     /// Show the merged configuration of an app, each value with where it comes from
+    ///
+    /// The output is a configuration that makes the same app by itself. Values of environment variables that the
+    /// files name are part of it.
     Show(ShowArgs),
     /// Print every key with its default and what it means
     Defaults,
@@ -30,9 +33,6 @@ pub enum What {
 }
 
 /// Show the merged configuration of an app, each value with where it comes from
-///
-/// The output is a configuration that makes the same app by itself. Values of environment variables that the
-/// files name are part of it.
 #[derive(Debug, Args)]
 pub struct ShowArgs {
     /// Which app

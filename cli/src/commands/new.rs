@@ -12,9 +12,6 @@ use clap::Args;
 use crate::{exit, program, show};
 
 /// Write a small app of your own: handlers, configuration, test
-///
-/// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`, beginning
-/// with a letter.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:
   ctos new my-app
