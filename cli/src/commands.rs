@@ -5,6 +5,7 @@ pub mod chassis;
 pub mod check;
 pub mod completions;
 pub mod config;
+pub mod doctor;
 pub mod explain;
 pub mod new;
 
@@ -46,7 +47,7 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Check an app without starting anything
+    /// Check apps without starting anything
     ///
     /// Reads the configuration and everything it names, resolves every name, and explores the state space of all
     /// nets composed. All findings are shown at once, each with its place and what to do.
@@ -58,6 +59,8 @@ pub enum Command {
     Boot(boot::BootArgs),
     /// Show what a configuration comes to, every key there is, or the schema for editors
     Config(config::ConfigArgs),
+    /// Tell what this host permits, and whether that is enough for an app
+    Doctor(doctor::DoctorArgs),
     /// Tell what a finding means and what to do about it
     Explain(explain::ExplainArgs),
     /// Write a small app of your own: handlers, configuration, test
@@ -121,6 +124,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
         Command::Config(args) => config::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::New(args) => new::run(&args),
         Command::Completions(args) => completions::run(&args),

@@ -93,6 +93,24 @@ fn exit_codes_are_those_of_the_list() {
 }
 
 #[test]
+fn several_apps_are_checked_in_one_go_and_the_worst_decides() {
+    let (_folder, wrong) = folder_with("wrong.toml", "[tsak]\n");
+    let (code, _, err) = ended(&run(&[
+        "check",
+        "configs/calibrate.toml",
+        &wrong,
+        "configs/calibrate.toml",
+    ]));
+    assert_eq!(code, Some(3));
+    assert_eq!(
+        err.matches("configs/calibrate.toml: nothing found").count(),
+        2,
+        "{err}"
+    );
+    assert!(err.contains("wrong.toml: 1 error"), "{err}");
+}
+
+#[test]
 fn a_reader_that_goes_away_is_no_failure() {
     let (_folder, app) = folder_with("app.toml", APP);
     let cases: [&[&str]; 7] = [
@@ -240,6 +258,27 @@ fn explain_prints_the_section_or_what_was_meant() {
         let object: Value = serde_json::from_str(line).expect("an object");
         assert!(object["text"].as_str().is_some_and(|text| !text.is_empty()));
     }
+}
+
+#[test]
+fn doctor_looks_at_the_host_and_at_what_an_app_asks_of_it() {
+    let (out, err) = good(&run(&["doctor"]));
+    assert_eq!(err, "");
+    for what in ["cpus", "real-time", "memory", "files", "loopback"] {
+        let lines = out.lines().filter(|line| line.contains(what));
+        assert_eq!(lines.count(), 1, "{what} in {out}");
+    }
+    let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a port");
+    let address = taken.local_addr().expect("it has one");
+    let text = APP.replace(
+        "[chassis.w]",
+        &format!("[chassis.w]\nlisten = \"{address}\""),
+    );
+    let (_folder, app) = folder_with("app.toml", &text);
+    let (code, out, err) = ended(&run(&["doctor", &app, "--json"]));
+    assert_eq!((code, err.as_str()), (Some(1), ""), "{out}");
+    let last: Value = serde_json::from_str(out.lines().last().expect("a line")).expect("an object");
+    assert_eq!(last["code"], "ctos::doctor::address");
 }
 
 /// The files of a folder with their texts, by relative path.

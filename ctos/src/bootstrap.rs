@@ -97,6 +97,8 @@ pub enum BootEvent {
         /// The signal's name.
         signal: &'static str,
     },
+    /// The process that boots was told to end by SIGTERM: the app is stopped as by Ctrl-C.
+    Terminated,
 }
 
 /// Sees [`BootEvent`]s as they happen, on the thread of the bootstrap service.

@@ -125,7 +125,10 @@ async fn run_processes(
             }
         }
         _ = interrupt.recv() => return Ok(interrupted(chassis)),
-        _ = terminate.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => {
+            observer(&BootEvent::Terminated);
+            return Ok(interrupted(chassis));
+        }
     };
     let end_slot = EndSlot::default();
     let (sender, mut exited) = oneshot::channel();
@@ -140,7 +143,10 @@ async fn run_processes(
         tokio::select! {
             _ = &mut exited => break,
             _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
-            _ = terminate.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            _ = terminate.recv() => {
+                observer(&BootEvent::Terminated);
+                chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
+            }
         }
     }
     let end = lock(&end_slot).take().unwrap_or(End::Interrupted);
