@@ -243,6 +243,33 @@ fn the_whole_of_a_shipped_app_survives_config_show() {
 }
 
 #[test]
+fn a_shipped_app_goes_to_another_folder_with_all_that_its_checks_read() {
+    let registry = cli::program::registry();
+    let here = ctos::config::Selection::new(root().join("configs/calibrate.toml"));
+    let (app, _) = cli::program::checked(&here, &registry).unwrap_or_else(|f| panic!("{f}"));
+    let bundle = app.bundle().expect("no path is absolute");
+    let names: Vec<&str> = bundle.files.keys().map(String::as_str).collect();
+    assert_eq!(
+        names,
+        [
+            "calibrate.toml",
+            "cell.toml",
+            "nets/dispatcher.net",
+            "nets/motion.net",
+            "nets/vision.net",
+            "positions.csv",
+        ]
+    );
+    let folder = tempfile::tempdir().expect("a folder");
+    let there = bundle.unpack(folder.path()).expect("it can be written");
+    let (moved, findings) =
+        cli::program::checked(&there, &registry).unwrap_or_else(|f| panic!("{f}"));
+    assert!(findings.is_empty(), "{findings}");
+    assert_eq!(moved.folder, folder.path());
+    assert_eq!(moved.bundle().expect("no path is absolute"), bundle);
+}
+
+#[test]
 fn explain_prints_the_section_or_what_was_meant() {
     let (out, _) = good(&run(&["explain", "ctos::config::unknown_key"]));
     assert!(out.starts_with("ctos::config::unknown_key\n\n"), "{out}");
