@@ -13,12 +13,14 @@ use std::fs;
 
 use common::{good, hello, root};
 
-const DOCUMENTS: [&str; 7] = [
+const DOCUMENTS: [&str; 9] = [
     "README.md",
     "CONTRIBUTING.md",
     "docs/architecture.md",
     "docs/benchmarks.md",
+    "docs/commands.md",
     "docs/configuration.md",
+    "docs/diagnostics.md",
     "docs/mcs-states.md",
     "docs/net-text.md",
 ];

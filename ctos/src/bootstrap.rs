@@ -141,6 +141,8 @@ pub enum BootEvent {
         /// The signal's name.
         signal: String,
     },
+    /// The process that boots was told to end by SIGTERM: the app is stopped as by Ctrl-C.
+    Terminated,
 }
 
 /// Durations as a number of seconds.

@@ -1,6 +1,12 @@
 //! `ctos boot`.
 
-use std::{ffi::OsString, sync::Arc};
+use std::{
+    ffi::OsString,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use clap::Args;
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
@@ -12,9 +18,6 @@ use crate::{
 };
 
 /// Check an app, start it, wait for its result and stop it
-///
-/// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in one
-/// process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos boot configs/calibrate.toml
@@ -69,11 +72,25 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     };
     let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
-    let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
+    let terminated = Arc::new(AtomicBool::new(false));
+    let told = terminated.clone();
+    let observer: Observer = Arc::new(move |event: &BootEvent| {
+        if matches!(event, BootEvent::Terminated) {
+            told.store(true, Ordering::Release);
+        }
+        shown.show(event);
+    });
     let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
     display.finish();
     match outcome {
-        Ok(outcome) => report(&outcome, args.json),
+        Ok(outcome) => {
+            let code = report(&outcome, args.json);
+            if code == exit::INTERRUPTED && terminated.load(Ordering::Acquire) {
+                exit::TERMINATED
+            } else {
+                code
+            }
+        }
         Err(error) => {
             show::say(&format!("error: {error}"));
             match error {

@@ -19,7 +19,7 @@ use tokio::{
 
 use crate::{
     boot::{
-        self, BootError, End, Launcher, Observer, Outcome, io_error as io,
+        self, BootError, BootEvent, End, Launcher, Observer, Outcome, io_error as io,
         processes::{Keeper, Process, Starter},
         rejoin::{Doorman, Writers},
     },
@@ -105,7 +105,10 @@ async fn run_processes(
             }
         }
         _ = interrupt.recv() => return Ok(interrupted(chassis)),
-        _ = terminate.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => {
+            observer(&BootEvent::Terminated);
+            return Ok(interrupted(chassis));
+        }
     };
     let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
     let writers: Writers = Arc::new(Mutex::new(writers));
@@ -135,7 +138,10 @@ async fn run_processes(
         tokio::select! {
             _ = &mut exited => break,
             _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
-            _ = terminate.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            _ = terminate.recv() => {
+                observer(&BootEvent::Terminated);
+                chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
+            }
             () = keeper.serve() => {}
         }
     }

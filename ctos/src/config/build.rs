@@ -61,6 +61,10 @@ const MAIN: &str = "main";
 const SPIN_US: u64 = 80;
 const SPIN_MOST_US: u64 = 10_000;
 const PERIOD_MOST_S: f64 = 3600.0;
+/// A task id has 8 bits for the chassis; 0 is the one that boots, 255 is kept for the runtime.
+const MOST_CHASSIS: usize = 254;
+/// A task id has 8 bits for the processor; 0 is the runtime's own.
+const MOST_PROCESSORS: usize = 255;
 
 /// Where an app came from.
 #[derive(Clone)]
@@ -213,6 +217,7 @@ impl Builder<'_> {
 
     fn all_chassis(&mut self, root: &Node) -> Vec<ChassisConfig> {
         let entries = self.named(root, "chassis");
+        self.too_many(entries, MOST_CHASSIS, "an app", "chassis");
         let chassis: Vec<_> = entries.iter().map(|entry| self.chassis(entry)).collect();
         for (index, one) in chassis.iter().enumerate() {
             let same = |other: &&ChassisConfig| {
@@ -235,6 +240,21 @@ impl Builder<'_> {
         chassis
     }
 
+    /// Points at the first that a task id has no room for.
+    fn too_many(&mut self, entries: &[Entry], most: usize, whole: &str, parts: &str) {
+        if let Some(first) = entries.get(most) {
+            let finding = Finding::error(
+                "ctos::config::too_many",
+                format!(
+                    "{whole} has room for {most} {parts}, and this is one of {}",
+                    entries.len()
+                ),
+            )
+            .help("put more tasks on one processor");
+            self.findings.push(finding.at(self.place_of(first)));
+        }
+    }
+
     fn chassis(&mut self, entry: &Entry) -> ChassisConfig {
         let place = self.place_of(entry);
         let what = format!("chassis `{}`", entry.key);
@@ -243,8 +263,9 @@ impl Builder<'_> {
         let stop_first = fields.flag("stop_first").unwrap_or(false);
         let supervision = supervision(&mut fields);
         let table = fields.table("processors");
-        let mut processors: Vec<_> = table
-            .map_or(&[][..], Node::entries)
+        let named = table.map_or(&[][..], Node::entries);
+        self.too_many(named, MOST_PROCESSORS, "a chassis", "processors");
+        let mut processors: Vec<_> = named
             .iter()
             .map(|processor| self.processor(&entry.key, processor))
             .collect();
