@@ -13,7 +13,7 @@ use std::fs;
 
 use common::{good, hello, root};
 
-const DOCUMENTS: [&str; 7] = [
+const DOCUMENTS: [&str; 8] = [
     "README.md",
     "CONTRIBUTING.md",
     "docs/architecture.md",
@@ -21,6 +21,7 @@ const DOCUMENTS: [&str; 7] = [
     "docs/configuration.md",
     "docs/mcs-states.md",
     "docs/net-text.md",
+    "docs/time-and-simulation.md",
 ];
 
 fn read(path: &str) -> String {
