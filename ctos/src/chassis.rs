@@ -6,6 +6,7 @@
 use std::{
     any::Any,
     collections::BTreeMap,
+    rc::Rc,
     sync::{
         Arc, Mutex, OnceLock, PoisonError, RwLock,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -15,13 +16,15 @@ use std::{
 
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
-    config::App,
+    config::{App, ProcessorConfig},
     link::{BODY_LIMIT, Frame, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
-    processor::ProcessorHandle,
+    processor::{Processor, ProcessorHandle},
+    realtime::RealtimeGrant,
     registry::Registry,
     statistics::TaskStatistics,
+    sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
     time::{Clock, Instant},
 };
@@ -130,6 +133,8 @@ pub struct Chassis {
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
     next_trace: AtomicU64,
+    cyclics: Arc<Directory>,
+    realtime: Mutex<Vec<RealtimeGrant>>,
 }
 
 /// What the sender of a message waits for.
@@ -204,6 +209,8 @@ impl Chassis {
             on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
             next_trace: AtomicU64::new(1),
+            cyclics: Arc::default(),
+            realtime: Mutex::default(),
         })
     }
 
@@ -232,6 +239,56 @@ impl Chassis {
         (0..self.names.len())
             .filter_map(|index| u8::try_from(index).ok())
             .filter(|index| *index != self.index)
+    }
+
+    /// What the configuration says of processor `index`; nothing of the runtime's own, 0.
+    pub(crate) fn processor_config(&self, index: usize) -> Option<&ProcessorConfig> {
+        let chassis = usize::from(self.index).checked_sub(1)?;
+        let processors = &self.app.chassis.get(chassis)?.processors;
+        processors.get(index.checked_sub(1)?)
+    }
+
+    /// Processor `index`, to be run by the calling thread.
+    pub(crate) fn processor(&self, index: usize) -> Option<Rc<Processor>> {
+        let (name, handle) = self.processors.get(index)?;
+        let mut settings = ScheduleSettings {
+            processor: format!("{}/{name}", self.name()),
+            ..ScheduleSettings::default()
+        };
+        if let Some(config) = self.processor_config(index) {
+            settings.period = config.period;
+            settings.overrun = config.overrun;
+            settings.spin = config.spin;
+        }
+        let schedule = Schedule::new(settings, self.clock.clone());
+        let schedule = schedule.shown_in(self.cyclics.clone());
+        Some(Processor::with_schedule(
+            handle.clone(),
+            self.clock.clone(),
+            schedule,
+        ))
+    }
+
+    /// The synchronous functions that run here, by `task.function`, with what is known of each.
+    #[must_use]
+    pub fn cyclics(&self) -> Vec<(String, Arc<CyclicStatistics>)> {
+        self.cyclics.functions()
+    }
+
+    /// The schedules of the processors here that have synchronous functions.
+    #[must_use]
+    pub fn schedules(&self) -> Vec<ScheduleView> {
+        self.cyclics.schedules()
+    }
+
+    /// What the system granted to each configured processor; nothing in virtual time.
+    #[must_use]
+    pub fn realtime(&self) -> Vec<RealtimeGrant> {
+        lock(&self.realtime).clone()
+    }
+
+    pub(crate) fn set_realtime(&self, grants: Vec<RealtimeGrant>) {
+        *lock(&self.realtime) = grants;
     }
 
     /// Puts `value` where the other tasks of this chassis find it.

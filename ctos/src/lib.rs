@@ -21,6 +21,7 @@ pub mod chassis;
 pub mod config;
 pub mod diagnostic;
 pub mod message;
+pub mod realtime;
 pub mod registry;
 pub mod simulation;
 pub mod sync;

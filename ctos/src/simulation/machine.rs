@@ -27,11 +27,10 @@ pub(crate) struct Machine {
 
 impl Machine {
     pub(crate) fn new(chassis: Arc<Chassis>) -> Self {
-        let slots = chassis
-            .processors
-            .iter()
-            .map(|(_, handle)| Slot {
-                processor: Processor::new(handle.clone(), chassis.clock.clone()),
+        let slots = (0..chassis.processors.len())
+            .filter_map(|index| chassis.processor(index))
+            .map(|processor| Slot {
+                processor,
                 free_at: Instant::START,
             })
             .collect();
@@ -127,7 +126,7 @@ impl Machine {
     /// Lets the timers and synchronous functions run that are due.
     pub(crate) fn run_due(&self, now: Instant) {
         for slot in self.slots.iter().filter(|slot| slot.free_at <= now) {
-            slot.processor.run_cyclics();
+            slot.processor.schedule.run();
             slot.processor.fire_timers();
         }
     }
