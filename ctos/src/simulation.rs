@@ -46,6 +46,11 @@ pub use self::{
     events::EventSink, mishap::Mishap, profile::Faults, script::write_script, shrink::shrink,
 };
 
+/// The page on time and simulation: its example runs with the documentation's.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/time-and-simulation.md")]
+struct Page;
+
 /// How long a chassis waits for a sign of another one before it gives it up.
 const PEER_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -661,12 +666,14 @@ impl Simulation {
         match arrival {
             Arrival::Frame(frame) => chassis.receive(from, frame),
             Arrival::Closed => self.link_down(chassis, from),
-            // Who stands still itself listens before it gives up.
-            Arrival::Silence if machine.frozen(now).is_some() => {}
-            Arrival::Silence => {
-                self.network.give_up(from, to);
-                self.link_down(chassis, from);
-            }
+            Arrival::Silence => match machine.frozen(now) {
+                // Who stands still itself listens first when it goes on.
+                Some(until) => self.network.listen_again(from, to, until),
+                None => {
+                    self.network.give_up(from, to);
+                    self.link_down(chassis, from);
+                }
+            },
         }
     }
 
