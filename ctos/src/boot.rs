@@ -23,6 +23,7 @@ use crate::{
     realtime::{self, Grant},
     registry::Registry,
     runner::{TaskSpec, mailbox, start_task},
+    semaphore::{self, server::SemaphoreServer},
     simulation, system,
     task::{Context, EventHandler},
     time::{Clock, Instant},
@@ -197,6 +198,14 @@ pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, en
         start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
             TidServer::default()
         });
+        let semsvr = system::SEMAPHORE_SERVER;
+        start(
+            chassis,
+            "semsvr",
+            semsvr,
+            &semaphore::server::COMMANDS,
+            |_| SemaphoreServer::default(),
+        );
         let (observer, end) = (observer.clone(), end.clone());
         let bootstrap = system::BOOTSTRAP;
         start(

@@ -22,6 +22,7 @@ use crate::{
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
     registry::Registry,
+    semaphore::{SemaphoreView, Store},
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
     time::Clock,
@@ -116,6 +117,8 @@ pub struct Chassis {
     stopping: AtomicBool,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
+    /// Its semaphores and barriers.
+    pub(crate) blocking: Store,
 }
 
 /// What the sender of a message waits for.
@@ -174,6 +177,7 @@ impl Chassis {
         Arc::new(Self {
             index,
             names,
+            blocking: Store::new(clock.clone()),
             clock,
             app,
             registry,
@@ -266,6 +270,13 @@ impl Chassis {
         *lock(&self.realtime) = grants;
     }
 
+    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
+    /// one that boots, those of the app.
+    #[must_use]
+    pub fn semaphores(&self) -> Vec<SemaphoreView> {
+        self.blocking.views()
+    }
+
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
         lock(&self.shared).insert(key.to_owned(), value);
@@ -285,7 +296,8 @@ impl Chassis {
     }
 
     /// Takes a task out; what is in its mailbox is answered.
-    pub(crate) fn remove_task(&self, tid: Tid) {
+    pub(crate) fn remove_task(self: &Arc<Self>, tid: Tid) {
+        self.blocking.task_ended(self, tid);
         let entry = self
             .tasks
             .write()
@@ -614,6 +626,7 @@ impl Chassis {
             pending.promise.fulfil(Err(fault));
         }
         lock(&self.shared).clear();
+        self.blocking.close();
     }
 
     /// Stops the threads of its processors.

@@ -20,7 +20,10 @@ mod node;
 #[cfg(test)]
 mod tests;
 
-pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use app::{
+    App, BarrierConfig, ChassisConfig, ProcessorConfig, Restart, SemaphoreConfig, TaskConfig,
+    TimeMode,
+};
 pub use node::{Entry, Node, Value};
 
 use crate::diagnostic::{Findings, Place, Source};

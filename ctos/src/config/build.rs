@@ -4,11 +4,15 @@
 //! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
-use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+use super::app::{
+    App, BarrierConfig, ChassisConfig, ProcessorConfig, Restart, SemaphoreConfig, TaskConfig,
+    TimeMode,
+};
 use super::fields::{Fields, FlagOr, check_name};
 use super::node::{Entry, Node};
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
+use crate::semaphore::Scope;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -17,7 +21,18 @@ use std::time::Duration;
 /// The keys of `[app]`; `--set` takes them as single words.
 pub(super) const APP_KEYS: &[&str] =
     &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task"];
+const TOP_KEYS: &[&str] = &[
+    "include",
+    "app",
+    "time",
+    "chassis",
+    "task",
+    "semaphore",
+    "barrier",
+];
+const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
+const BARRIER_KEYS: &[&str] = &["scope", "parties"];
+const PARTIES_MOST: u32 = 1_000_000;
 const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
 const PROCESSOR_KEYS: &[&str] = &[
     "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
@@ -72,6 +87,8 @@ pub(super) fn build(
         builder.push_at_start(finding);
     }
     let time = builder.time(&root);
+    let semaphores = builder.semaphores(&root);
+    let barriers = builder.barriers(&root);
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
@@ -102,6 +119,8 @@ pub(super) fn build(
         time,
         chassis,
         tasks,
+        semaphores,
+        barriers,
         file: origin.file,
         sets: origin.sets,
         folder,
@@ -297,6 +316,36 @@ impl Builder<'_> {
         }
     }
 
+    fn semaphores(&mut self, root: &Node) -> Vec<SemaphoreConfig> {
+        let entries = self.named(root, "semaphore").iter();
+        let read = entries.map(|entry| {
+            let what = format!("semaphore `{}`", entry.key);
+            let mut fields = Fields::new(Some(&entry.value), what, SEMAPHORE_KEYS, self.findings);
+            SemaphoreConfig {
+                name: entry.key.clone(),
+                scope: scope(&mut fields),
+                permits: fields.integer("permits", 1..=PARTIES_MOST),
+                place: self.place_of(entry),
+            }
+        });
+        read.collect()
+    }
+
+    fn barriers(&mut self, root: &Node) -> Vec<BarrierConfig> {
+        let entries = self.named(root, "barrier").iter();
+        let read = entries.map(|entry| {
+            let what = format!("barrier `{}`", entry.key);
+            let mut fields = Fields::new(Some(&entry.value), what, BARRIER_KEYS, self.findings);
+            BarrierConfig {
+                name: entry.key.clone(),
+                scope: scope(&mut fields),
+                parties: fields.integer("parties", 1..=PARTIES_MOST),
+                place: self.place_of(entry),
+            }
+        });
+        read.collect()
+    }
+
     fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
         let entries = self.named(root, "task");
         entries
@@ -467,6 +516,14 @@ impl Builder<'_> {
             known.dedup();
             self.findings.push(finding.suggest(until, known).at(place));
         }
+    }
+}
+
+/// Who shares a semaphore or barrier.
+fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
+    match fields.choice("scope", &["chassis", "app"])? {
+        "app" => Some(Scope::App),
+        _ => Some(Scope::Chassis),
     }
 }
 
