@@ -17,6 +17,7 @@
 
 use std::{
     ffi::OsString,
+    num::NonZeroU64,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -35,8 +36,12 @@ use ctos::{
     time::{Clock, Instant},
 };
 use rustix::{
-    thread::{ClockId, clock_nanosleep_absolute},
+    thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack},
     time::Timespec,
+};
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
 };
 
 /// The servo period of the testbed.
@@ -146,6 +151,21 @@ fn ours(processor: &str, length: Duration) -> Lateness {
     }
 }
 
+/// The same with real-time priority and exact timers, in a thread of its own: as early as the kernel wakes anybody.
+fn realtime_nanosleep(length: Duration) -> Lateness {
+    let thread = std::thread::spawn(move || {
+        let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        let priority = ThreadPriority::Crossplatform(80_u8.try_into().unwrap());
+        let granted = set_thread_priority_and_policy(thread_native_id(), priority, fifo).is_ok();
+        let exact = set_current_timer_slack(NonZeroU64::new(1)).is_ok();
+        if !granted || !exact {
+            println!("  (not everything was granted to the next line but one)");
+        }
+        nanosleep(length)
+    });
+    thread.join().unwrap()
+}
+
 /// What everybody would write first.
 fn nanosleep(length: Duration) -> Lateness {
     let histogram = Histogram::default();
@@ -209,6 +229,7 @@ fn table(condition: &str, length: Duration) {
     let cells = [
         ("tokio::time::interval", tokio_interval(length)),
         ("clock_nanosleep", bare),
+        ("clock_nanosleep, real-time", realtime_nanosleep(length)),
         ("processor", ours("spin_us = 0", length)),
         ("processor, spinning", ours("spin_us = 80", length)),
         (

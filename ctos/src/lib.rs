@@ -41,3 +41,8 @@ mod simulation;
 
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use task::Context;
+
+/// The page's example is run with the others.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/synchronization.md")]
+struct SynchronizationPage;
