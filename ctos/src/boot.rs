@@ -22,14 +22,16 @@ use crate::{
     processor::panic_text,
     realtime::{self, Grant},
     registry::Registry,
-    runner::{TaskSpec, mailbox, start_task},
+    runner::{TaskSpec, record, start_task},
     semaphore::{self, server::SemaphoreServer},
-    simulation, system,
+    simulation::{self, Faults, Setup},
+    system,
     task::{Context, EventHandler},
-    time::{Clock, Instant},
+    time::Clock,
 };
 
 pub use crate::bootstrap::{BootEvent, End, Observer};
+pub use crate::simulation::Mishap;
 pub use child::{ChildError, run_chassis};
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
@@ -128,46 +130,16 @@ pub fn boot_on(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    let observer = contained(observer);
     let (app, registry) = (Arc::new(app), Arc::new(registry));
     if clock.origin_ns().is_some() {
-        parent::boot(clock, &app, &registry, launcher, &observer)
+        parent::boot(clock, &app, &registry, launcher, &contained(observer))
     } else {
-        simulation::run(clock, app, registry, &[], &observer)
+        let setup = Setup {
+            clock: clock.clone(),
+            ..Setup::default()
+        };
+        simulation::run_shared(app, registry, setup, observer).map(|run| run.outcome)
     }
-}
-
-/// What goes wrong in a simulated app, and when: for tests of what the others make of it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Mishap {
-    /// The process of a chassis ends at once, as by `kill -9`.
-    Kill {
-        /// Its name.
-        chassis: String,
-        /// When.
-        at: Instant,
-    },
-    /// The link between two chassis breaks for good; what is under way is lost. Each then holds the
-    /// other for gone. `boot` is the name of the chassis that boots.
-    Cut {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// When.
-        at: Instant,
-    },
-    /// The link between two chassis stands still; what is sent meanwhile arrives afterwards.
-    Stall {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
-    },
 }
 
 /// Runs `app` to its end in one thread on the virtual clock, whatever its `time.mode` is, and lets
@@ -181,9 +153,11 @@ pub fn simulate(
     mishaps: &[Mishap],
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    let (app, registry) = (Arc::new(app), Arc::new(registry));
-    let clock = Clock::virtual_clock();
-    simulation::run(&clock, app, registry, mishaps, &contained(observer))
+    let setup = Setup {
+        faults: Faults::of_script("mishaps", mishaps.to_vec()),
+        ..Setup::default()
+    };
+    simulation::run(app, registry, setup, observer).map(|run| run.outcome)
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
@@ -229,14 +203,12 @@ fn start<H: EventHandler>(
         return;
     };
     let spec = TaskSpec {
-        mailbox: mailbox(None),
-        name: name.into(),
-        tid,
+        record: record(name, tid, None),
         config: None,
         commands: commands.to_vec(),
         build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
-    chassis.add_task(tid, spec.mailbox.clone());
+    chassis.add_task(spec.record.clone());
     let home = chassis.clone();
     processor.inject(move |processor| {
         if let Err(error) = start_task(&home, processor, spec) {
@@ -300,7 +272,7 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
 
 /// An observer whose panics (a closed terminal, say) do not take the boot with them: the app must
 /// still be stopped in order.
-fn contained(observer: &Observer) -> Observer {
+pub(crate) fn contained(observer: &Observer) -> Observer {
     let observer = observer.clone();
     Arc::new(move |event| {
         let shown = AssertUnwindSafe(|| observer(event));

@@ -8,24 +8,26 @@ use std::{
     collections::BTreeMap,
     rc::Rc,
     sync::{
-        Arc, Mutex, PoisonError, RwLock,
-        atomic::{AtomicBool, Ordering},
+        Arc, Mutex, OnceLock, PoisonError, RwLock,
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
+    time::Duration,
 };
 
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::{App, ProcessorConfig},
-    link::{BODY_LIMIT, Frame, Link},
+    link::{BODY_LIMIT, Frame, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
     registry::Registry,
     semaphore::{SemaphoreView, Store},
+    statistics::TaskStatistics,
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
-    time::Clock,
+    time::{Clock, Instant},
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -52,6 +54,7 @@ struct Links {
 pub(crate) struct Inbound {
     header: Header,
     call: u64,
+    trace: u64,
     abandoned: Arc<AtomicBool>,
 }
 
@@ -67,6 +70,7 @@ pub(crate) struct Outbound {
     chassis: Arc<Chassis>,
     header: Header,
     call: u64,
+    trace: u64,
 }
 
 impl Outbound {
@@ -88,6 +92,8 @@ impl Outbound {
                     ..self.header
                 },
                 call: self.call,
+                trace: self.trace,
+                left_ns: NO_DEADLINE,
                 body: Vec::new(),
             });
         }
@@ -99,6 +105,17 @@ impl Outbound {
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
 
+/// Sees each message that a task of the chassis begins to handle.
+pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
+
+/// A task of this chassis, as the others see it.
+pub(crate) struct TaskRecord {
+    pub(crate) name: Arc<str>,
+    pub(crate) tid: Tid,
+    pub(crate) mailbox: Arc<Mailbox>,
+    pub(crate) statistics: Arc<TaskStatistics>,
+}
+
 /// One process's share of an app. Shared by its threads.
 pub struct Chassis {
     index: u8,
@@ -108,13 +125,15 @@ pub struct Chassis {
     pub(crate) registry: Arc<Registry>,
     /// Processor 0 belongs to the runtime; the configured ones follow.
     pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<BTreeMap<Tid, Arc<Mailbox>>>,
+    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) known: Mutex<BTreeMap<String, Tid>>,
     on_exit: Mutex<Option<OnExit>>,
+    on_delivery: OnceLock<OnDelivery>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
+    next_trace: AtomicU64,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
     /// Its semaphores and barriers.
@@ -137,6 +156,10 @@ pub(crate) struct Envelope {
     pub(crate) command: u16,
     pub(crate) flags: Flags,
     pub(crate) data: Data,
+    /// 0 when nothing led to it: it then begins a trace of its own.
+    pub(crate) trace: u64,
+    /// When the sender stops waiting.
+    pub(crate) deadline: Option<Instant>,
 }
 
 impl Envelope {
@@ -187,7 +210,9 @@ impl Chassis {
             shared: Mutex::default(),
             known: Mutex::default(),
             on_exit: Mutex::default(),
+            on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
+            next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
         })
@@ -288,11 +313,11 @@ impl Chassis {
         lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
     }
 
-    pub(crate) fn add_task(&self, tid: Tid, mailbox: Arc<Mailbox>) {
+    pub(crate) fn add_task(&self, task: Arc<TaskRecord>) {
         self.tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .insert(tid, mailbox);
+            .insert(task.tid, task);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
@@ -303,12 +328,12 @@ impl Chassis {
             .write()
             .unwrap_or_else(PoisonError::into_inner)
             .remove(&tid);
-        if let Some(entry) = entry {
-            entry.close();
+        if let Some(task) = entry {
+            task.mailbox.close();
         }
     }
 
-    fn mailbox(&self, tid: Tid) -> Option<Arc<Mailbox>> {
+    fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
         self.tasks
             .read()
             .unwrap_or_else(PoisonError::into_inner)
@@ -316,8 +341,23 @@ impl Chassis {
             .cloned()
     }
 
+    /// The tasks of this chassis, by id.
+    pub(crate) fn tasks(&self) -> Vec<Arc<TaskRecord>> {
+        let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
+        tasks.values().cloned().collect()
+    }
+
+    /// A trace id that no other message of the run has.
+    pub(crate) fn fresh_trace(&self) -> u64 {
+        // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
+        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
+    }
+
     /// Sends; the returned future ends with what `wait` names, or with a fault.
-    pub(crate) fn dispatch(self: &Arc<Self>, envelope: Envelope, wait: WaitFor) -> Waiting {
+    pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
+        if envelope.trace == 0 {
+            envelope.trace = self.fresh_trace();
+        }
         let promise = Arc::new(Promise::default());
         if envelope.to.chassis() == self.index {
             self.dispatch_here(envelope, wait, &promise);
@@ -333,7 +373,7 @@ impl Chassis {
     }
 
     fn dispatch_here(&self, envelope: Envelope, wait: WaitFor, promise: &Arc<Promise>) {
-        let Some(mailbox) = self.mailbox(envelope.to) else {
+        let Some(task) = self.task(envelope.to) else {
             return promise.fulfil(Err(Fault::UnknownTask));
         };
         let (flag, reply, acceptance) = match wait {
@@ -346,10 +386,12 @@ impl Chassis {
         };
         let message = Message {
             header: envelope.header(flag, 0),
+            trace: envelope.trace,
+            deadline: envelope.deadline,
             data: envelope.data,
             reply,
         };
-        mailbox.put(message, acceptance);
+        task.mailbox.put(message, acceptance);
     }
 
     fn dispatch_there(
@@ -380,11 +422,18 @@ impl Chassis {
             },
         );
         drop(links);
-        link.post(Frame { header, call, body });
+        link.post(Frame {
+            header,
+            call,
+            trace: envelope.trace,
+            left_ns: self.left_ns(envelope.deadline),
+            body,
+        });
         Ok(Outbound {
             chassis: self.clone(),
             header,
             call,
+            trace: envelope.trace,
         })
     }
 
@@ -395,11 +444,25 @@ impl Chassis {
             let chassis = self.name_of(there).to_owned();
             return Err(Fault::Elsewhere { chassis });
         }
-        let mailbox = self.mailbox(envelope.to).ok_or(Fault::UnknownTask)?;
-        mailbox.try_put(Message {
+        let task = self.task(envelope.to).ok_or(Fault::UnknownTask)?;
+        let trace = match envelope.trace {
+            0 => self.fresh_trace(),
+            trace => trace,
+        };
+        task.mailbox.try_put(Message {
             header: envelope.header(Flags::NONE, 0),
+            trace,
+            deadline: None,
             data: envelope.data,
             reply: None,
+        })
+    }
+
+    /// How long it is until `deadline`, for the wire.
+    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
+        deadline.map_or(NO_DEADLINE, |deadline| {
+            let left = deadline.since(self.clock.now()).as_nanos();
+            u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
         })
     }
 
@@ -412,6 +475,8 @@ impl Chassis {
             command: C::CODE,
             flags: Flags::HIGH_PRIORITY,
             data: Data::of(request),
+            trace: 0,
+            deadline: None,
         };
         self.dispatch(envelope, WaitFor::Acceptance).forget();
     }
@@ -421,6 +486,7 @@ impl Chassis {
         let Inbound {
             header: request,
             call,
+            trace,
             ..
         } = inbound;
         let peer = request.from.chassis();
@@ -451,13 +517,21 @@ impl Chassis {
                 size: u32::try_from(body.len()).unwrap_or(u32::MAX),
             },
             call: *call,
+            trace: *trace,
+            left_ns: NO_DEADLINE,
             body,
         });
     }
 
     /// Takes a frame that came from chassis `peer`.
     pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
-        let Frame { header, call, body } = frame;
+        let Frame {
+            header,
+            call,
+            trace,
+            left_ns,
+            body,
+        } = frame;
         if header.flags.contains(Flags::REPLY) {
             return self.receive_reply(peer, call, header.flags, body);
         }
@@ -480,12 +554,13 @@ impl Chassis {
         let request = Inbound {
             header,
             call,
+            trace,
             abandoned: Arc::default(),
         };
         lock(&self.links)
             .inbound
             .insert((peer, call), request.abandoned.clone());
-        let Some(mailbox) = self.mailbox(header.to) else {
+        let Some(task) = self.task(header.to) else {
             return self.post_reply(&request, Err(Fault::UnknownTask));
         };
         // Every request between chassis waits for one or the other, so that none is lost unseen.
@@ -498,10 +573,13 @@ impl Chassis {
         };
         let message = Message {
             header,
+            trace,
+            deadline: (left_ns != NO_DEADLINE)
+                .then(|| self.clock.now() + Duration::from_nanos(left_ns)),
             data: Data::Bytes(body),
             reply,
         };
-        mailbox.put(message, acceptance);
+        task.mailbox.put(message, acceptance);
     }
 
     fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Vec<u8>) {
@@ -578,13 +656,9 @@ impl Chassis {
         }
         let chassis = self.name_of(peer).to_owned();
         tracing::debug!(chassis = %chassis, "link down");
-        let tids: Vec<Tid> = {
-            let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
-            tasks.keys().copied().collect()
-        };
-        for tid in tids {
+        for task in self.tasks() {
             self.post_system(
-                tid,
+                task.tid,
                 system::ChassisDown {
                     chassis: chassis.clone(),
                 },
@@ -596,6 +670,23 @@ impl Chassis {
         Fault::PeerDown {
             chassis: self.name_of(peer).to_owned(),
         }
+    }
+
+    /// Whom to show each message that a task begins to handle. The first one counts.
+    pub(crate) fn on_delivery(&self, on_delivery: OnDelivery) {
+        let _ = self.on_delivery.set(on_delivery);
+    }
+
+    /// `task` begins to handle `message`.
+    pub(crate) fn delivered(&self, task: &TaskRecord, message: &Message) {
+        if let Some(on_delivery) = self.on_delivery.get() {
+            on_delivery(task, message);
+        }
+    }
+
+    /// The name of one of its tasks.
+    pub(crate) fn task_name(&self, tid: Tid) -> Option<Arc<str>> {
+        self.task(tid).map(|task| task.name.clone())
     }
 
     /// What to do when the chassis shall end.
@@ -617,8 +708,8 @@ impl Chassis {
     pub(crate) fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
-        for mailbox in tasks.values() {
-            mailbox.close();
+        for task in tasks.values() {
+            task.mailbox.close();
         }
         let links = std::mem::take(&mut *lock(&self.links));
         for pending in links.pending.into_values() {

@@ -24,6 +24,7 @@ pub mod message;
 pub mod realtime;
 pub mod registry;
 pub mod semaphore;
+pub mod simulation;
 pub mod sync;
 pub mod system;
 pub mod task;
@@ -37,9 +38,10 @@ mod mailbox;
 mod names;
 mod processor;
 mod runner;
-mod simulation;
+mod statistics;
 
 pub use context::{DEFAULT_DEADLINE, mix};
+pub use statistics::TaskCounters;
 pub use task::Context;
 
 /// The page's example is run with the others.

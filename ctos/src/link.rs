@@ -10,18 +10,29 @@ use crate::message::Header;
 /// The largest frame that is sent or accepted, bytes.
 pub(crate) const FRAME_LIMIT: usize = 64 * 1024 * 1024;
 
-/// The most data that one message carries between chassis, bytes.
-pub(crate) const BODY_LIMIT: usize = FRAME_LIMIT - Header::BYTES - 8;
+/// Bytes in front of the data: the header, the call's number, the trace id, the time left.
+pub(crate) const FRAME_FIXED: usize = Header::BYTES + 3 * 8;
 
-/// A message on its way between two chassis: the 16-byte header, the number of the call it asks or
-/// answers, and the data.
+/// The most data that one message carries between chassis, bytes.
+pub(crate) const BODY_LIMIT: usize = FRAME_LIMIT - FRAME_FIXED;
+
+/// A message on its way between two chassis: the 16-byte header, what a message needs besides it to
+/// be answered, followed and given up in time, and the data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Frame {
     pub(crate) header: Header,
     /// The caller's number for the call; the reply carries it back.
     pub(crate) call: u64,
+    /// Shared by all messages that follow from one another.
+    pub(crate) trace: u64,
+    /// How long the sender still waits, ns; clocks of two hosts need not agree. [`NO_DEADLINE`] when
+    /// it does not wait.
+    pub(crate) left_ns: u64,
     pub(crate) body: Vec<u8>,
 }
+
+/// Nobody waits for the answer to this frame.
+pub(crate) const NO_DEADLINE: u64 = u64::MAX;
 
 /// A frame that cannot be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -35,11 +46,13 @@ pub(crate) enum FrameError {
 }
 
 impl Frame {
-    /// Header, call number, data.
+    /// Header, call number, trace id, time left, data.
     pub(crate) fn encode(&self) -> Bytes {
-        let mut bytes = BytesMut::with_capacity(Header::BYTES + 8 + self.body.len());
+        let mut bytes = BytesMut::with_capacity(FRAME_FIXED + self.body.len());
         bytes.put_slice(&self.header.encode());
         bytes.put_u64_le(self.call);
+        bytes.put_u64_le(self.trace);
+        bytes.put_u64_le(self.left_ns);
         bytes.put_slice(&self.body);
         bytes.freeze()
     }
@@ -52,10 +65,12 @@ impl Frame {
         };
         let header = Header::decode(header);
         bytes = rest;
-        if bytes.len() < 8 {
+        if bytes.len() < FRAME_FIXED - Header::BYTES {
             return Err(FrameError::Short(length));
         }
         let call = bytes.get_u64_le();
+        let trace = bytes.get_u64_le();
+        let left_ns = bytes.get_u64_le();
         if u64::from(header.size) != bytes.len() as u64 {
             return Err(FrameError::Size {
                 announced: header.size,
@@ -65,6 +80,8 @@ impl Frame {
         Ok(Self {
             header,
             call,
+            trace,
+            left_ns,
             body: bytes.to_vec(),
         })
     }
@@ -89,7 +106,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_frame_survives_the_wire(
-            to: u32, from: u32, command: u16, flags: u16, call: u64,
+            to: u32, from: u32, command: u16, flags: u16, call: u64, trace: u64, left_ns: u64,
             body in proptest::collection::vec(any::<u8>(), 0..200)
         ) {
             let frame = Frame {
@@ -101,6 +118,8 @@ mod tests {
                     size: body.len() as u32,
                 },
                 call,
+                trace,
+                left_ns,
                 body,
             };
             prop_assert_eq!(Frame::decode(&frame.encode()).unwrap(), frame);
@@ -109,7 +128,7 @@ mod tests {
         #[test]
         fn rubbish_is_an_error_and_never_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..100)) {
             if let Ok(frame) = Frame::decode(&bytes) {
-                prop_assert_eq!(frame.body.len() + Header::BYTES + 8, bytes.len());
+                prop_assert_eq!(frame.body.len() + FRAME_FIXED, bytes.len());
             }
         }
     }

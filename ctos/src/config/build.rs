@@ -10,6 +10,7 @@ use super::app::{
 };
 use super::fields::{Fields, FlagOr, check_name};
 use super::node::{Entry, Node};
+use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use crate::semaphore::Scope;
@@ -19,8 +20,14 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// The keys of `[app]`; `--set` takes them as single words.
-pub(super) const APP_KEYS: &[&str] =
-    &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
+pub(super) const APP_KEYS: &[&str] = &[
+    "name",
+    "profile",
+    "seed",
+    "until",
+    "phase_timeout_s",
+    "stop_timeout_s",
+];
 const TOP_KEYS: &[&str] = &[
     "include",
     "app",
@@ -29,6 +36,7 @@ const TOP_KEYS: &[&str] = &[
     "task",
     "semaphore",
     "barrier",
+    "profile",
 ];
 const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
 const BARRIER_KEYS: &[&str] = &["scope", "parties"];
@@ -59,6 +67,7 @@ const SPIN_MOST_US: u64 = 10_000;
 const PERIOD_MOST_S: f64 = 3600.0;
 
 /// Where an app came from.
+#[derive(Clone)]
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     pub(super) sets: Vec<String>,
@@ -122,9 +131,11 @@ pub(super) fn build(
         semaphores,
         barriers,
         file: origin.file,
+        profiles: Vec::new(),
         sets: origin.sets,
         folder,
         warnings: Findings::new(),
+        trail: Trail::default(),
         root,
     }
 }

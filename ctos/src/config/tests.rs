@@ -1,9 +1,14 @@
 //! A whole app, its defaults, expanders, and arbitrary text.
 
+mod bundle;
+mod keys;
 mod load;
 mod node;
 mod processors;
+mod profiles;
 mod refused;
+mod shown;
+mod variables;
 
 use super::*;
 use crate::diagnostic::Finding;

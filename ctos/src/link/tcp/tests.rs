@@ -176,6 +176,8 @@ async fn rubbish_on_a_link(rubbish: &[u8]) -> Result<Data, Fault> {
         command: 1,
         flags: Flags::NONE,
         data: Data::of(7_u8),
+        trace: 0,
+        deadline: None,
     };
     let waiting = chassis.dispatch(envelope, WaitFor::Reply);
     peer.write_all(rubbish).await.unwrap();
