@@ -25,6 +25,7 @@ use crate::{
     realtime::{self, Grant},
     registry::Registry,
     runner::{TaskSpec, record, start_task},
+    semaphore::{self, server::SemaphoreServer},
     simulation::{self, Faults, Setup},
     system,
     task::{Context, EventHandler},
@@ -183,6 +184,14 @@ pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
             TidServer::default()
         });
         let (seat, service) = (seat.clone(), system::BOOTSTRAP);
+        let semsvr = system::SEMAPHORE_SERVER;
+        start(
+            chassis,
+            "semsvr",
+            semsvr,
+            &semaphore::server::COMMANDS,
+            |_| SemaphoreServer::default(),
+        );
         start(
             chassis,
             "bootstrap",

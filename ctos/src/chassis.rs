@@ -23,6 +23,7 @@ use crate::{
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
     registry::Registry,
+    semaphore::{SemaphoreView, Store},
     statistics::TaskStatistics,
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
@@ -137,6 +138,8 @@ pub struct Chassis {
     next_trace: AtomicU64,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
+    /// Its semaphores and barriers.
+    pub(crate) blocking: Store,
 }
 
 /// What the sender of a message waits for.
@@ -199,6 +202,7 @@ impl Chassis {
         Arc::new(Self {
             index,
             names,
+            blocking: Store::new(clock.clone()),
             clock,
             app,
             registry,
@@ -293,6 +297,13 @@ impl Chassis {
         *lock(&self.realtime) = grants;
     }
 
+    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
+    /// one that boots, those of the app.
+    #[must_use]
+    pub fn semaphores(&self) -> Vec<SemaphoreView> {
+        self.blocking.views()
+    }
+
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
         lock(&self.shared).insert(key.to_owned(), value);
@@ -312,7 +323,8 @@ impl Chassis {
     }
 
     /// Takes a task out; what is in its mailbox is answered.
-    pub(crate) fn remove_task(&self, tid: Tid) {
+    pub(crate) fn remove_task(self: &Arc<Self>, tid: Tid) {
+        self.blocking.task_ended(self, tid);
         let entry = self
             .tasks
             .write()
@@ -707,6 +719,7 @@ impl Chassis {
             pending.promise.fulfil(Err(fault));
         }
         lock(&self.shared).clear();
+        self.blocking.close();
     }
 
     /// Stops the threads of its processors.

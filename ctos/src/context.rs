@@ -24,6 +24,7 @@ use crate::{
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
     realtime::{self, Grant},
+    semaphore::{self, Barrier, Scope, Semaphore, SemaphoreError, SemaphoreView},
     sync::{
         Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
     },
@@ -155,6 +156,10 @@ impl Context {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.inner.record.name
+    }
+
+    pub(crate) fn name_shared(&self) -> Arc<str> {
+        self.inner.record.name.clone()
     }
 
     /// The task's id.
@@ -510,6 +515,39 @@ impl Context {
     #[must_use]
     pub fn shared<T: std::marker::Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
         self.inner.chassis.shared(key)
+    }
+
+    // -- what tasks take turns with ---------------------------------------------------------
+
+    /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
+    /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
+    /// configuration says so or its name begins with `app/`.
+    ///
+    /// # Errors
+    /// [`SemaphoreError`]: no permits at all, or another number than others use.
+    pub fn semaphore(&self, name: &str, permits: u32) -> Result<Semaphore, SemaphoreError> {
+        Semaphore::find(self, name, permits)
+    }
+
+    /// The barrier called `name`, for `parties` unless `[barrier.NAME]` of the configuration says for how many.
+    /// Shared as [`Self::semaphore`] says.
+    ///
+    /// # Errors
+    /// [`SemaphoreError`]: nobody to wait for, or another number than others use.
+    pub fn barrier(&self, name: &str, parties: u32) -> Result<Barrier, SemaphoreError> {
+        Barrier::find(self, name, parties)
+    }
+
+    /// The semaphores that this task could use, who holds them and who waits: those of this chassis and
+    /// those of the app.
+    ///
+    /// # Errors
+    /// When the task that keeps those of the app cannot be asked.
+    pub async fn semaphores(&self) -> Result<Vec<SemaphoreView>, CallError> {
+        let mut views = semaphore::of_app(self).await?;
+        let here = self.chassis().semaphores().into_iter();
+        views.extend(here.filter(|view| view.scope == Scope::Chassis));
+        Ok(views)
     }
 
     // -- the person who booted the app ------------------------------------------------------

@@ -22,6 +22,9 @@ pub(crate) const TID_SERVER: Tid = Tid::new(0, 0, 1);
 /// The bootstrap service, on the chassis that boots.
 pub(crate) const BOOTSTRAP: Tid = Tid::new(0, 0, 2);
 
+/// The inter-processor blocking service, on the chassis that boots.
+pub(crate) const SEMAPHORE_SERVER: Tid = Tid::new(0, 0, 7);
+
 /// How an app ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AppResult {

@@ -3,6 +3,7 @@
 use super::trail::Trail;
 use super::{Node, Selection};
 use crate::diagnostic::{Findings, Place};
+use crate::semaphore::Scope;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -27,6 +28,10 @@ pub struct App {
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.
     pub tasks: Vec<TaskConfig>,
+    /// The semaphores that the configuration declares, in declared order.
+    pub semaphores: Vec<SemaphoreConfig>,
+    /// The barriers that the configuration declares, in declared order.
+    pub barriers: Vec<BarrierConfig>,
     /// The file as given.
     pub file: PathBuf,
     /// The profiles that were chosen, the later ones on top.
@@ -138,6 +143,32 @@ pub struct ProcessorConfig {
     /// How long before a tick it is awake and waits spinning.
     pub spin: Duration,
     /// Where its name stands (the chassis's for the implicit `main`).
+    pub place: Place,
+}
+
+/// What the configuration says of a semaphore.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SemaphoreConfig {
+    /// Its name.
+    pub name: String,
+    /// Who shares it; `None` = its name says so.
+    pub scope: Option<Scope>,
+    /// How many permits it has; `None` = as many as the tasks say.
+    pub permits: Option<u32>,
+    /// Where its name stands.
+    pub place: Place,
+}
+
+/// What the configuration says of a barrier.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BarrierConfig {
+    /// Its name.
+    pub name: String,
+    /// Who shares it; `None` = its name says so.
+    pub scope: Option<Scope>,
+    /// How many must arrive; `None` = as many as the tasks say.
+    pub parties: Option<u32>,
+    /// Where its name stands.
     pub place: Place,
 }
 

@@ -5,14 +5,15 @@
 //! handler exists and takes its arguments is for the registry to say.
 
 use super::app::{
-    App, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure, ProcessorConfig,
-    Restart, TaskConfig, TimeMode,
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
+    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
 };
 use super::fields::{Fields, FlagOr, check_name};
 use super::node::{Entry, Node};
 use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
+use crate::semaphore::Scope;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -27,7 +28,19 @@ pub(super) const APP_KEYS: &[&str] = &[
     "phase_timeout_s",
     "stop_timeout_s",
 ];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task", "profile"];
+const TOP_KEYS: &[&str] = &[
+    "include",
+    "app",
+    "time",
+    "chassis",
+    "task",
+    "semaphore",
+    "barrier",
+    "profile",
+];
+const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
+const BARRIER_KEYS: &[&str] = &["scope", "parties"];
+const PARTIES_MOST: u32 = 1_000_000;
 const PROCESSOR_KEYS: &[&str] = &[
     "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
 ];
@@ -96,6 +109,8 @@ pub(super) fn build(
         builder.push_at_start(finding);
     }
     let time = builder.time(&root);
+    let semaphores = builder.semaphores(&root);
+    let barriers = builder.barriers(&root);
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
@@ -126,6 +141,8 @@ pub(super) fn build(
         time,
         chassis,
         tasks,
+        semaphores,
+        barriers,
         file: origin.file,
         profiles: Vec::new(),
         sets: origin.sets,
@@ -342,6 +359,36 @@ impl Builder<'_> {
         }
     }
 
+    fn semaphores(&mut self, root: &Node) -> Vec<SemaphoreConfig> {
+        let entries = self.named(root, "semaphore").iter();
+        let read = entries.map(|entry| {
+            let what = format!("semaphore `{}`", entry.key);
+            let mut fields = Fields::new(Some(&entry.value), what, SEMAPHORE_KEYS, self.findings);
+            SemaphoreConfig {
+                name: entry.key.clone(),
+                scope: scope(&mut fields),
+                permits: fields.integer("permits", 1..=PARTIES_MOST),
+                place: self.place_of(entry),
+            }
+        });
+        read.collect()
+    }
+
+    fn barriers(&mut self, root: &Node) -> Vec<BarrierConfig> {
+        let entries = self.named(root, "barrier").iter();
+        let read = entries.map(|entry| {
+            let what = format!("barrier `{}`", entry.key);
+            let mut fields = Fields::new(Some(&entry.value), what, BARRIER_KEYS, self.findings);
+            BarrierConfig {
+                name: entry.key.clone(),
+                scope: scope(&mut fields),
+                parties: fields.integer("parties", 1..=PARTIES_MOST),
+                place: self.place_of(entry),
+            }
+        });
+        read.collect()
+    }
+
     fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
         let entries = self.named(root, "task");
         entries
@@ -554,6 +601,14 @@ fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {
         window: window.unwrap_or(defaults.window),
         backoff: backoff.unwrap_or(defaults.backoff),
         on_task_failure,
+    }
+}
+
+/// Who shares a semaphore or barrier.
+fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
+    match fields.choice("scope", &["chassis", "app"])? {
+        "app" => Some(Scope::App),
+        _ => Some(Scope::Chassis),
     }
 }
 

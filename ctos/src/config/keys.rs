@@ -29,6 +29,8 @@ pub(super) enum Kind {
     Choice(&'static [&'static str]),
     /// `true` or `false`.
     Flag,
+    /// `true`, `false` or this word.
+    FlagOr(&'static str),
     /// A whole number from the first to the second.
     Integer(u64, u64),
     /// A time in s, above 0 and at most this.
@@ -67,6 +69,10 @@ const CHASSIS: &str = "chassis.NAME";
 /// The processors of a chassis.
 pub(super) const PROCESSOR: &str = "chassis.NAME.processors.NAME";
 const TASK: &str = "task.NAME";
+const SEMAPHORE: &str = "semaphore.NAME";
+const BARRIER: &str = "barrier.NAME";
+
+const SCOPE_DOC: &str = "Shared by the tasks of each chassis, or of the whole app. Default: of the app when the name begins with `app/`, else of the chassis.";
 
 /// All tables, outer ones first.
 pub(super) const TABLES: &[Table] = &[
@@ -88,6 +94,18 @@ pub(super) const TABLES: &[Table] = &[
                 "Its processes, by name.",
             ),
             key("task", Kind::Named(TASK), None, "Its tasks, by name."),
+            key(
+                "semaphore",
+                Kind::Named(SEMAPHORE),
+                None,
+                "Counting semaphores that tasks take turns with, by name. Default: as the tasks say.",
+            ),
+            key(
+                "barrier",
+                Kind::Named(BARRIER),
+                None,
+                "Barriers where tasks wait for each other, by name. Default: as the tasks say.",
+            ),
             key(
                 "profile",
                 Kind::Profiles,
@@ -204,9 +222,9 @@ pub(super) const TABLES: &[Table] = &[
         keys: &[
             key(
                 "realtime",
-                Kind::Flag,
+                Kind::FlagOr("require"),
                 Some("false"),
-                "Whether it asks for the real-time scheduler (SCHED_FIFO).",
+                "Whether it asks for the real-time scheduler (SCHED_FIFO) and locked memory; \"require\" undoes the boot when they are refused.",
             ),
             key(
                 "priority",
@@ -219,6 +237,24 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Integer(0, 1023),
                 None,
                 "The CPU it is pinned to, counted from 0. Default: none.",
+            ),
+            key(
+                "period_s",
+                Kind::Seconds(3600.0),
+                None,
+                "The base period of its synchronous functions, s. Default: they bring their own.",
+            ),
+            key(
+                "overrun",
+                Kind::Choice(&["skip", "run-late-once", "stop"]),
+                Some("\"skip\""),
+                "Functions whose turn was among ticks that could not begin in time wait for their next turn, run once, late, or the app is stopped in order.",
+            ),
+            key(
+                "spin_us",
+                Kind::Integer(0, 10_000),
+                None,
+                "How long before a tick it wakes up and spins, us. Default: 80 with `realtime`, else 0.",
             ),
         ],
     },
@@ -266,6 +302,30 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Free,
                 None,
                 "What the handler wants to know; each handler has keys of its own.",
+            ),
+        ],
+    },
+    Table {
+        path: SEMAPHORE,
+        keys: &[
+            key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
+            key(
+                "permits",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How many tasks may hold it at once. Default: as the tasks say.",
+            ),
+        ],
+    },
+    Table {
+        path: BARRIER,
+        keys: &[
+            key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
+            key(
+                "parties",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How many must arrive before all go on. Default: as the tasks say.",
             ),
         ],
     },

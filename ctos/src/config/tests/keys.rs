@@ -180,7 +180,7 @@ fn the_schema_refuses_what_the_reader_refuses_of_keys_and_values() {
             let wrong = match key.kind {
                 Kind::Text => vec!["3", "\"\"", "[]"],
                 Kind::Choice(_) => vec!["3", "\"zzz\""],
-                Kind::Flag => vec!["1", "\"true\""],
+                Kind::Flag | Kind::FlagOr(_) => vec!["1", "\"true\""],
                 Kind::Integer(0, _) => vec!["-1", "1.5", "\"1\""],
                 Kind::Integer(_, most) => {
                     let above = format!("{name} = {}", most + 1);
