@@ -15,7 +15,7 @@ use std::{
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::App,
-    link::{BODY_LIMIT, Frame, Link},
+    link::{BODY_LIMIT, Counts, Frame, Full, Link},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
     processor::ProcessorHandle,
@@ -77,7 +77,8 @@ impl Outbound {
             links.up.get(&peer).cloned()
         };
         if let Some(link) = link {
-            link.post(Frame {
+            // What is not a request is never refused.
+            let _ = link.post(Frame {
                 header: Header {
                     flags: Flags::ABANDONED,
                     size: 0,
@@ -311,7 +312,10 @@ impl Chassis {
             },
         );
         drop(links);
-        link.post(Frame { header, call, body });
+        if let Err(Full { bytes }) = link.post(Frame { header, call, body }) {
+            lock(&self.links).pending.remove(&call);
+            return Err(Fault::LinkFull { bytes });
+        }
         Ok(Outbound {
             chassis: self.clone(),
             header,
@@ -373,7 +377,8 @@ impl Chassis {
                 postcard::to_stdvec(&fault).unwrap_or_default(),
             ),
         };
-        link.post(Frame {
+        // What is not a request is never refused.
+        let _ = link.post(Frame {
             header: Header {
                 to: request.from,
                 from: request.to,
@@ -472,6 +477,19 @@ impl Chassis {
     /// Whether chassis `peer` is connected.
     pub(crate) fn is_linked(&self, peer: u8) -> bool {
         lock(&self.links).up.contains_key(&peer)
+    }
+
+    /// What went over its links so far, by the name of the chassis at the other end.
+    #[must_use]
+    pub fn link_counts(&self) -> Vec<(String, Counts)> {
+        let up: Vec<_> = {
+            let links = lock(&self.links);
+            let up = links.up.iter();
+            up.map(|(peer, link)| (*peer, link.clone())).collect()
+        };
+        up.into_iter()
+            .map(|(peer, link)| (self.name_of(peer).to_owned(), link.counts()))
+            .collect()
     }
 
     /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is

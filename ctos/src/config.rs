@@ -15,12 +15,14 @@ mod app;
 mod build;
 mod de;
 mod fields;
+mod links;
 mod load;
 mod node;
 #[cfg(test)]
 mod tests;
 
 pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};
 pub use node::{Entry, Node, Value};
 
 use crate::diagnostic::{Findings, Place, Source};

@@ -22,6 +22,7 @@ pub mod config;
 pub mod diagnostic;
 pub mod message;
 pub mod registry;
+pub mod security;
 pub mod sync;
 pub mod system;
 pub mod task;

@@ -1,20 +1,15 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
 use std::{
-    cell::RefCell,
-    collections::{BTreeMap, BTreeSet, VecDeque},
-    net::SocketAddr,
-    ops::ControlFlow,
+    collections::{BTreeSet, VecDeque},
     process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
     time::Duration,
 };
 
-use futures_util::future::try_join_all;
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::{
     io::{AsyncBufReadExt, BufReader},
-    net::TcpListener,
     process::{Child, Command},
     signal::unix::{SignalKind, signal},
     sync::oneshot,
@@ -22,12 +17,16 @@ use tokio::{
 };
 
 use crate::{
-    boot::{self, BootError, BootEvent, End, Launcher, Observer, Outcome, TOKEN_VARIABLE},
+    boot::{
+        self, BootError, BootEvent, End, INCARNATION_VARIABLE, Launcher, Observer, Outcome,
+        TOKEN_VARIABLE,
+        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+    },
     bootstrap::EndSlot,
     call::lock,
     chassis::Chassis,
     config::App,
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
+    link::{handshake::Token, transport::Address},
     registry::Registry,
     system,
     time::Clock,
@@ -105,20 +104,33 @@ async fn run_processes(
     processes: &mut Vec<Process>,
 ) -> Result<Outcome, BootError> {
     let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
-    let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
+    let who = Identification {
+        token: token.clone(),
+        incarnation: 1,
+    };
+    let mut mesh = Mesh::start(chassis, who)
         .await
-        .map_err(io("cannot listen on the loopback"))?;
-    let address = listener.local_addr().map_err(io("cannot listen"))?;
+        .map_err(|error| match error {
+            MeshError::Listen { address, error } => {
+                io(format!("cannot listen at {address}"))(error)
+            }
+            MeshError::Keys(error) => BootError::Keys(error.to_string()),
+        })?;
+    let Some(address) = mesh.addresses().first().cloned() else {
+        return Err(io("cannot listen")(
+            std::io::ErrorKind::AddrNotAvailable.into(),
+        ));
+    };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
     for config in &chassis.app.chassis {
-        let process = start(&config.name, launcher, address, &token, chassis, observer)?;
+        let process = start(&config.name, launcher, &address, &token, chassis, observer)?;
         processes.push(process);
     }
     let limit = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
-    let writers = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, processes, &mut missing)) => {
+    tokio::select! {
+        connected = tokio::time::timeout(limit, connect(chassis, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
                 Err(_) => return Err(late(chassis, &missing, limit)),
@@ -141,14 +153,15 @@ async fn run_processes(
             _ = &mut exited => break,
             _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
             _ = terminate.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            // What a chassis that is gone means is decided by the tasks, which have been told.
+            Some(_) = mesh.next() => {}
         }
     }
     let end = lock(&end_slot).take().unwrap_or(End::Interrupted);
     let took = chassis.clock.now().since_start();
     chassis.drop_links();
-    let flushed = futures_util::future::join_all(writers);
     // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
-    let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
+    mesh.close().await;
     let processes = std::mem::take(processes);
     let casualties = end_processes(processes, chassis.app.stop_timeout, &end, observer).await;
     chassis.stop_processors();
@@ -186,7 +199,7 @@ fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> Boot
 fn start(
     name: &str,
     launcher: &Launcher,
-    boot: SocketAddr,
+    boot: &Address,
     token: &Token,
     chassis: &Arc<Chassis>,
     observer: &Observer,
@@ -197,6 +210,7 @@ fn start(
         .args(["--chassis", name, "--boot", &boot.to_string()])
         .args(["--origin", &origin.to_string()])
         .env(TOKEN_VARIABLE, &token.0)
+        .env(INCARNATION_VARIABLE, "1")
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -235,109 +249,54 @@ fn start(
     })
 }
 
-/// Waits until all chassis have called, lets them call each other, and turns the calls into links.
-/// `missing` says at any time who is not connected yet.
+/// Waits until all chassis are connected to each other and to this one. `missing` says at any time who
+/// is not.
 async fn connect(
     chassis: &Arc<Chassis>,
-    listener: &TcpListener,
-    token: &Token,
+    mesh: &mut Mesh,
     processes: &mut [Process],
     missing: &mut BTreeSet<u8>,
-) -> Result<Vec<JoinHandle<()>>, BootError> {
-    if missing.is_empty() {
-        return Ok(Vec::new());
+) -> Result<(), BootError> {
+    for index in missing.iter() {
+        mesh.expect(*index, 1);
     }
-    let mut connections: BTreeMap<u8, (Connection, SocketAddr)> = BTreeMap::new();
-    let called = callers(listener, token, |caller| {
-        if let Some(listen) = caller.listen
-            && missing.remove(&caller.chassis)
-        {
-            connections.insert(caller.chassis, (caller.connection, listen));
+    while !missing.is_empty() {
+        let event = tokio::select! {
+            // The process first: that it ended says more than that its connection did.
+            biased;
+            ended = first_exit(processes) => return Err(ended),
+            event = mesh.next() => event,
+        };
+        let (index, reason) = match event {
+            Some(MeshEvent::Joined { chassis, .. }) => {
+                missing.remove(&chassis);
+                continue;
+            }
+            Some(MeshEvent::Up { .. }) => continue,
+            Some(MeshEvent::Down {
+                chassis,
+                ref reason,
+                ..
+            }) => (chassis, reason.to_string()),
+            Some(MeshEvent::Unable {
+                chassis,
+                ref reason,
+            }) => (chassis, reason.clone()),
+            None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
+        };
+        let error = BootError::Chassis {
+            chassis: chassis.name_of(index).to_owned(),
+            reason,
+        };
+        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // said why it cannot start has said more than its end would.
+        if matches!(&event, Some(MeshEvent::Unable { .. })) {
+            return Err(error);
         }
-        if missing.is_empty() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    });
-    let called = tokio::select! {
-        called = called => called,
-        ended = first_exit(processes) => return Err(ended),
-    };
-    if let Err(error) = called {
-        return Err(refused(processes, error.to_string()).await);
+        let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+        return Err(ended.unwrap_or(error));
     }
-    let peers: Vec<(u8, SocketAddr)> = connections
-        .iter()
-        .map(|(index, (_, address))| (*index, *address))
-        .collect();
-    missing.extend(connections.keys());
-    let waiting = RefCell::new(missing);
-    let introduced =
-        try_join_all(connections.into_iter().map(|(index, (connection, _))| {
-            introduce(chassis, index, connection, &peers, &waiting)
-        }));
-    let connections = tokio::select! {
-        // The process first: that it ended says more than that its connection did.
-        biased;
-        ended = first_exit(processes) => return Err(ended),
-        introduced = introduced => introduced,
-    };
-    let connections = match connections {
-        Ok(connections) => connections,
-        // A connection that breaks off mostly belongs to a process that is just ending.
-        Err(error) => {
-            let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
-            return Err(ended.unwrap_or(error));
-        }
-    };
-    let mut writers = Vec::new();
-    for (index, mut connection) in connections {
-        let told = connection.tell(&Handshake::Go).await;
-        told.map_err(|error| failed(chassis, index, &error))?;
-        writers.push(connection.into_link(chassis, index));
-    }
-    Ok(writers)
-}
-
-/// Tells chassis `index` where the others listen, and waits until it is connected to all of them.
-async fn introduce(
-    chassis: &Arc<Chassis>,
-    index: u8,
-    mut connection: Connection,
-    peers: &[(u8, SocketAddr)],
-    waiting: &RefCell<&mut BTreeSet<u8>>,
-) -> Result<(u8, Connection), BootError> {
-    let told = connection.tell(&Handshake::Peers(peers.to_vec())).await;
-    told.map_err(|error| failed(chassis, index, &error))?;
-    match connection.hear().await {
-        Ok(Handshake::Ready) => {
-            waiting.borrow_mut().remove(&index);
-            Ok((index, connection))
-        }
-        Ok(other) => {
-            let error = HandshakeError::Unexpected(Box::new(other));
-            Err(failed(chassis, index, &error))
-        }
-        Err(error) => Err(failed(chassis, index, &error)),
-    }
-}
-
-fn failed(chassis: &Arc<Chassis>, index: u8, error: &HandshakeError) -> BootError {
-    BootError::Chassis {
-        chassis: chassis.name_of(index).to_owned(),
-        reason: error.to_string(),
-    }
-}
-
-/// A chassis said why it cannot start, and is about to end; which one it was, its end tells.
-async fn refused(processes: &mut [Process], reason: String) -> BootError {
-    let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
-    let chassis = match ended {
-        Ok(BootError::Chassis { chassis, .. }) => chassis,
-        _ => "unknown".to_owned(),
-    };
-    BootError::Chassis { chassis, reason }
+    Ok(())
 }
 
 /// Ends when the first process does.

@@ -1,6 +1,6 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
-use super::Node;
+use super::{LinkConfig, Node, SecurityConfig};
 use crate::diagnostic::{Findings, Place};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -21,6 +21,10 @@ pub struct App {
     pub stop_timeout: Duration,
     /// Which clock the app runs on.
     pub time: TimeMode,
+    /// How links behave.
+    pub links: LinkConfig,
+    /// Whose keys count beyond this host; `None` = nobody beyond this host is let in.
+    pub security: Option<SecurityConfig>,
     /// The chassis, in declared order.
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.

@@ -6,6 +6,7 @@
 
 use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
 use super::fields::{Fields, check_name};
+use super::links;
 use super::node::{Entry, Node};
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
@@ -14,9 +15,20 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// The keys of `[app]`; `--set` takes them as single words.
-pub(super) const APP_KEYS: &[&str] =
-    &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task"];
+pub(super) const APP_KEYS: &[&str] = &[
+    "name",
+    "seed",
+    "until",
+    "phase_timeout_s",
+    "stop_timeout_s",
+    links::KEYS[0],
+    links::KEYS[1],
+    links::KEYS[2],
+    links::KEYS[3],
+];
+const TOP_KEYS: &[&str] = &[
+    "include", "app", "time", "chassis", "task", "injure", "security",
+];
 const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
 const PROCESSOR_KEYS: &[&str] = &["realtime", "priority", "cpu"];
 const TASK_KEYS: &[&str] = &[
@@ -77,6 +89,9 @@ pub(super) fn build(
     let phase_timeout = fields.seconds("phase_timeout_s", 3600.0);
     let stop_timeout = fields.seconds("stop_timeout_s", 3600.0);
     let until = fields.text("until");
+    let mut links = links::links(&mut fields);
+    links.injury = links::injury(&root, &chassis, builder.findings);
+    let security = links::security(&root, &chassis, builder.findings);
     let until = until.map(|(task, place)| {
         builder.check_until(task, place, &root, &tasks);
         task.to_owned()
@@ -93,6 +108,8 @@ pub(super) fn build(
         phase_timeout: phase_timeout.unwrap_or(Duration::from_secs_f64(PHASE_TIMEOUT_S)),
         stop_timeout: stop_timeout.unwrap_or(Duration::from_secs_f64(STOP_TIMEOUT_S)),
         time,
+        links,
+        security,
         chassis,
         tasks,
         file: origin.file,

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::{
     call::lock,
-    link::{Frame, Link},
+    link::{Frame, Full, Link},
     time::{Clock, Instant},
 };
 
@@ -131,8 +131,9 @@ struct SimulatedLink {
 }
 
 impl Link for SimulatedLink {
-    fn post(&self, frame: Frame) {
+    fn post(&self, frame: Frame) -> Result<(), Full> {
         self.network.put(self.from, self.to, Some(frame));
+        Ok(())
     }
 }
 

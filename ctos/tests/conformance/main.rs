@@ -1,5 +1,5 @@
 //! One suite for every way in which two tasks can be placed: what holds on one processor must hold
-//! between threads, over simulated links and over TCP between processes.
+//! between threads, over simulated links and over every kind of link between processes, whole or injured.
 //!
 //! Each trial boots an app of its own. Its own `main`, because the chassis of the real placements are
 //! processes of this program.
@@ -17,14 +17,13 @@ mod peer;
 
 use std::{
     ffi::OsString,
-    net::SocketAddr,
     panic::AssertUnwindSafe,
     process::ExitCode,
     sync::{Arc, mpsc},
     time::Duration,
 };
 
-use ctos::boot::{BootEvent, End, Launcher, Observer, boot, run_chassis};
+use ctos::boot::{Address, BootEvent, End, Launcher, Observer, boot, run_chassis};
 use libtest_mimic::{Arguments, Failed, Trial};
 
 use app::Placement;
@@ -101,12 +100,12 @@ fn chassis(arguments: &[String]) -> ExitCode {
     };
     let placement = Placement::ALL.iter().find(|one| one.name == *placement);
     let (Some(placement), Ok(address), Ok(origin)) =
-        (placement, address.parse::<SocketAddr>(), origin.parse())
+        (placement, address.parse::<Address>(), origin.parse())
     else {
         return ExitCode::from(2);
     };
     let app = placement.app(1, case);
-    match run_chassis(app, app::registry(), name, address, origin) {
+    match run_chassis(app, app::registry(), name, &address, origin) {
         Ok(code) => ExitCode::from(u8::try_from(code).unwrap_or(255)),
         Err(_) => ExitCode::from(4),
     }
