@@ -8,7 +8,7 @@ use crate::{
     config::TaskConfig,
     context::{Context, TaskRef},
     message::{Command, CommandInfo, Data, Message, Tid},
-    runner::{TaskSpec, mailbox, start_task},
+    runner::{TaskSpec, record, start_task},
     system::{self, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName},
     task::{EventHandler, Handled, HandlerError, StopReason},
 };
@@ -126,9 +126,7 @@ async fn create_one(
     let tid = Tid::new(chassis.index(), number, *slot);
     *slot = slot.checked_add(1).ok_or("there are too many tasks")?;
     let spec = TaskSpec {
-        mailbox: mailbox(Some(config)),
-        name: config.name.as_str().into(),
-        tid,
+        record: record(&config.name, tid, Some(config)),
         config: Some(config.clone()),
         commands: kind.commands().to_vec(),
         build: kind.builder(),

@@ -17,7 +17,7 @@ use crate::{
     names::{self, TidServer},
     processor::{Processor, panic_text},
     registry::Registry,
-    runner::{TaskSpec, mailbox, start_task},
+    runner::{TaskSpec, record, start_task},
     simulation, system,
     task::{Context, EventHandler},
     time::{Clock, Instant},
@@ -226,14 +226,12 @@ fn start<H: EventHandler>(
         return;
     };
     let spec = TaskSpec {
-        mailbox: mailbox(None),
-        name: name.into(),
-        tid,
+        record: record(name, tid, None),
         config: None,
         commands: commands.to_vec(),
         build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
-    chassis.add_task(tid, spec.mailbox.clone());
+    chassis.add_task(spec.record.clone());
     let home = chassis.clone();
     processor.inject(move |processor| {
         if let Err(error) = start_task(&home, processor, spec) {

@@ -8,20 +8,22 @@ use std::{
     collections::BTreeMap,
     sync::{
         Arc, Mutex, PoisonError, RwLock,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
+    time::Duration,
 };
 
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::App,
-    link::{BODY_LIMIT, Counts, Frame, Full, Link},
+    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
     processor::ProcessorHandle,
     registry::Registry,
+    statistics::TaskStatistics,
     system,
-    time::Clock,
+    time::{Clock, Instant},
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -48,6 +50,7 @@ struct Links {
 pub(crate) struct Inbound {
     header: Header,
     call: u64,
+    trace: u64,
     abandoned: Arc<AtomicBool>,
 }
 
@@ -63,6 +66,7 @@ pub(crate) struct Outbound {
     chassis: Arc<Chassis>,
     header: Header,
     call: u64,
+    trace: u64,
 }
 
 impl Outbound {
@@ -85,6 +89,8 @@ impl Outbound {
                     ..self.header
                 },
                 call: self.call,
+                trace: self.trace,
+                left_ns: NO_DEADLINE,
                 body: Vec::new(),
             });
         }
@@ -96,6 +102,14 @@ impl Outbound {
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
 
+/// A task of this chassis, as the others see it.
+pub(crate) struct TaskRecord {
+    pub(crate) name: Arc<str>,
+    pub(crate) tid: Tid,
+    pub(crate) mailbox: Arc<Mailbox>,
+    pub(crate) statistics: Arc<TaskStatistics>,
+}
+
 /// One process's share of an app. Shared by its threads.
 pub struct Chassis {
     index: u8,
@@ -105,13 +119,14 @@ pub struct Chassis {
     pub(crate) registry: Arc<Registry>,
     /// Processor 0 belongs to the runtime; the configured ones follow.
     pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<BTreeMap<Tid, Arc<Mailbox>>>,
+    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) known: Mutex<BTreeMap<String, Tid>>,
     on_exit: Mutex<Option<OnExit>>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
+    next_trace: AtomicU64,
 }
 
 /// What the sender of a message waits for.
@@ -130,6 +145,10 @@ pub(crate) struct Envelope {
     pub(crate) command: u16,
     pub(crate) flags: Flags,
     pub(crate) data: Data,
+    /// 0 when nothing led to it: it then begins a trace of its own.
+    pub(crate) trace: u64,
+    /// When the sender stops waiting.
+    pub(crate) deadline: Option<Instant>,
 }
 
 impl Envelope {
@@ -180,6 +199,7 @@ impl Chassis {
             known: Mutex::default(),
             on_exit: Mutex::default(),
             stopping: AtomicBool::new(false),
+            next_trace: AtomicU64::new(1),
         })
     }
 
@@ -221,11 +241,11 @@ impl Chassis {
         lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
     }
 
-    pub(crate) fn add_task(&self, tid: Tid, mailbox: Arc<Mailbox>) {
+    pub(crate) fn add_task(&self, task: Arc<TaskRecord>) {
         self.tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .insert(tid, mailbox);
+            .insert(task.tid, task);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
@@ -235,12 +255,12 @@ impl Chassis {
             .write()
             .unwrap_or_else(PoisonError::into_inner)
             .remove(&tid);
-        if let Some(entry) = entry {
-            entry.close();
+        if let Some(task) = entry {
+            task.mailbox.close();
         }
     }
 
-    fn mailbox(&self, tid: Tid) -> Option<Arc<Mailbox>> {
+    fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
         self.tasks
             .read()
             .unwrap_or_else(PoisonError::into_inner)
@@ -248,8 +268,23 @@ impl Chassis {
             .cloned()
     }
 
+    /// The tasks of this chassis, by id.
+    pub(crate) fn tasks(&self) -> Vec<Arc<TaskRecord>> {
+        let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
+        tasks.values().cloned().collect()
+    }
+
+    /// A trace id that no other message of the run has.
+    pub(crate) fn fresh_trace(&self) -> u64 {
+        // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
+        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
+    }
+
     /// Sends; the returned future ends with what `wait` names, or with a fault.
-    pub(crate) fn dispatch(self: &Arc<Self>, envelope: Envelope, wait: WaitFor) -> Waiting {
+    pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
+        if envelope.trace == 0 {
+            envelope.trace = self.fresh_trace();
+        }
         let promise = Arc::new(Promise::default());
         if envelope.to.chassis() == self.index {
             self.dispatch_here(envelope, wait, &promise);
@@ -265,7 +300,7 @@ impl Chassis {
     }
 
     fn dispatch_here(&self, envelope: Envelope, wait: WaitFor, promise: &Arc<Promise>) {
-        let Some(mailbox) = self.mailbox(envelope.to) else {
+        let Some(task) = self.task(envelope.to) else {
             return promise.fulfil(Err(Fault::UnknownTask));
         };
         let (flag, reply, acceptance) = match wait {
@@ -278,10 +313,12 @@ impl Chassis {
         };
         let message = Message {
             header: envelope.header(flag, 0),
+            trace: envelope.trace,
+            deadline: envelope.deadline,
             data: envelope.data,
             reply,
         };
-        mailbox.put(message, acceptance);
+        task.mailbox.put(message, acceptance);
     }
 
     fn dispatch_there(
@@ -312,7 +349,14 @@ impl Chassis {
             },
         );
         drop(links);
-        if let Err(Full { bytes }) = link.post(Frame { header, call, body }) {
+        let posted = link.post(Frame {
+            header,
+            call,
+            trace: envelope.trace,
+            left_ns: self.left_ns(envelope.deadline),
+            body,
+        });
+        if let Err(Full { bytes }) = posted {
             lock(&self.links).pending.remove(&call);
             return Err(Fault::LinkFull { bytes });
         }
@@ -320,6 +364,7 @@ impl Chassis {
             chassis: self.clone(),
             header,
             call,
+            trace: envelope.trace,
         })
     }
 
@@ -330,11 +375,25 @@ impl Chassis {
             let chassis = self.name_of(there).to_owned();
             return Err(Fault::Elsewhere { chassis });
         }
-        let mailbox = self.mailbox(envelope.to).ok_or(Fault::UnknownTask)?;
-        mailbox.try_put(Message {
+        let task = self.task(envelope.to).ok_or(Fault::UnknownTask)?;
+        let trace = match envelope.trace {
+            0 => self.fresh_trace(),
+            trace => trace,
+        };
+        task.mailbox.try_put(Message {
             header: envelope.header(Flags::NONE, 0),
+            trace,
+            deadline: None,
             data: envelope.data,
             reply: None,
+        })
+    }
+
+    /// How long it is until `deadline`, for the wire.
+    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
+        deadline.map_or(NO_DEADLINE, |deadline| {
+            let left = deadline.since(self.clock.now()).as_nanos();
+            u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
         })
     }
 
@@ -347,6 +406,8 @@ impl Chassis {
             command: C::CODE,
             flags: Flags::HIGH_PRIORITY,
             data: Data::of(request),
+            trace: 0,
+            deadline: None,
         };
         self.dispatch(envelope, WaitFor::Acceptance).forget();
     }
@@ -356,6 +417,7 @@ impl Chassis {
         let Inbound {
             header: request,
             call,
+            trace,
             ..
         } = inbound;
         let peer = request.from.chassis();
@@ -387,13 +449,21 @@ impl Chassis {
                 size: u32::try_from(body.len()).unwrap_or(u32::MAX),
             },
             call: *call,
+            trace: *trace,
+            left_ns: NO_DEADLINE,
             body,
         });
     }
 
     /// Takes a frame that came from chassis `peer`.
     pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
-        let Frame { header, call, body } = frame;
+        let Frame {
+            header,
+            call,
+            trace,
+            left_ns,
+            body,
+        } = frame;
         if header.flags.contains(Flags::REPLY) {
             return self.receive_reply(peer, call, header.flags, body);
         }
@@ -416,12 +486,13 @@ impl Chassis {
         let request = Inbound {
             header,
             call,
+            trace,
             abandoned: Arc::default(),
         };
         lock(&self.links)
             .inbound
             .insert((peer, call), request.abandoned.clone());
-        let Some(mailbox) = self.mailbox(header.to) else {
+        let Some(task) = self.task(header.to) else {
             return self.post_reply(&request, Err(Fault::UnknownTask));
         };
         // Every request between chassis waits for one or the other, so that none is lost unseen.
@@ -434,10 +505,13 @@ impl Chassis {
         };
         let message = Message {
             header,
+            trace,
+            deadline: (left_ns != NO_DEADLINE)
+                .then(|| self.clock.now() + Duration::from_nanos(left_ns)),
             data: Data::Bytes(body),
             reply,
         };
-        mailbox.put(message, acceptance);
+        task.mailbox.put(message, acceptance);
     }
 
     fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Vec<u8>) {
@@ -527,13 +601,9 @@ impl Chassis {
         }
         let chassis = self.name_of(peer).to_owned();
         tracing::debug!(chassis = %chassis, "link down");
-        let tids: Vec<Tid> = {
-            let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
-            tasks.keys().copied().collect()
-        };
-        for tid in tids {
+        for task in self.tasks() {
             self.post_system(
-                tid,
+                task.tid,
                 system::ChassisDown {
                     chassis: chassis.clone(),
                 },
@@ -566,8 +636,8 @@ impl Chassis {
     pub(crate) fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
-        for mailbox in tasks.values() {
-            mailbox.close();
+        for task in tasks.values() {
+            task.mailbox.close();
         }
         let links = std::mem::take(&mut *lock(&self.links));
         for pending in links.pending.into_values() {

@@ -18,13 +18,13 @@ use serde::de::DeserializeOwned;
 
 use crate::{
     call::{CallError, Fault, lock},
-    chassis::{Chassis, Envelope, WaitFor},
+    chassis::{Chassis, Envelope, TaskRecord, WaitFor},
     config::TaskConfig,
     diagnostic::Finding,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
     sync::{Cyclic, CyclicEntry, CyclicHandle},
-    system::{self, AppResult, CommandDescription, Introspect, Ping, QueryTid},
+    system::{self, AppResult, CommandDescription, Introspect, Ping, QueryTid, Statistics},
     task::Handled,
     time::Instant,
 };
@@ -84,8 +84,7 @@ pub enum NameError {
 pub struct Elapsed(pub Duration);
 
 struct Inner {
-    name: Arc<str>,
-    tid: Tid,
+    record: Arc<TaskRecord>,
     chassis: Arc<Chassis>,
     processor: Rc<Processor>,
     config: Option<TaskConfig>,
@@ -104,12 +103,13 @@ struct Children {
 #[derive(Clone)]
 pub struct Context {
     inner: Rc<Inner>,
+    /// The trace that whatever is sent from here belongs to; 0: each message begins its own.
+    trace: u64,
 }
 
 impl Context {
     pub(crate) fn new(
-        name: Arc<str>,
-        tid: Tid,
+        record: Arc<TaskRecord>,
         chassis: Arc<Chassis>,
         processor: Rc<Processor>,
         config: Option<TaskConfig>,
@@ -117,27 +117,47 @@ impl Context {
     ) -> Self {
         Self {
             inner: Rc::new(Inner {
-                name,
-                tid,
+                record,
                 chassis,
                 processor,
                 config,
                 commands,
                 children: RefCell::default(),
             }),
+            trace: 0,
         }
+    }
+
+    /// This context for one message: what the handler sends belongs to the message's trace.
+    pub(crate) fn within(&self, trace: u64) -> Self {
+        Self {
+            inner: self.inner.clone(),
+            trace,
+        }
+    }
+
+    /// This context at the beginning of a new trace: for work that no single message led to.
+    #[must_use]
+    pub fn new_trace(&self) -> Self {
+        self.within(self.inner.chassis.fresh_trace())
+    }
+
+    /// The id shared by everything that the message being handled led to; 0 outside of a message.
+    #[must_use]
+    pub fn trace(&self) -> u64 {
+        self.trace
     }
 
     /// The task's symbolic name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.inner.name
+        &self.inner.record.name
     }
 
     /// The task's id.
     #[must_use]
     pub fn tid(&self) -> Tid {
-        self.inner.tid
+        self.inner.record.tid
     }
 
     /// The chassis that the task runs on.
@@ -250,8 +270,8 @@ impl Context {
             .map_err(|fault| self.error(to, command.name, fault))
     }
 
-    /// What every task does with a message that its handler does not know: answers [`Ping`] and
-    /// [`Introspect`], and refuses the rest by saying what the task takes.
+    /// What every task does with a message that its handler does not know: answers [`Ping`],
+    /// [`Introspect`] and [`Statistics`], and refuses the rest by saying what the task takes.
     ///
     /// # Errors
     /// Never; the result ends a handler.
@@ -270,6 +290,10 @@ impl Context {
                 };
                 reply.ok(self.inner.commands.iter().map(describe).collect())
             }
+            Statistics::CODE => {
+                let (Statistics {}, reply) = message.open::<Statistics>()?;
+                reply.ok(self.inner.record.statistics.read())
+            }
             command => {
                 tracing::warn!(task = %self.name(), command, from = %message.from(), "unknown command");
                 if let Some(slot) = message.reply {
@@ -286,10 +310,12 @@ impl Context {
     fn envelope(&self, to: &TaskRef, command: u16, flags: Flags, data: Data) -> Envelope {
         Envelope {
             to: to.tid,
-            from: self.inner.tid,
+            from: self.inner.record.tid,
             command,
             flags,
             data,
+            trace: self.trace,
+            deadline: None,
         }
     }
 
@@ -304,10 +330,11 @@ impl Context {
 
     async fn ask(
         &self,
-        envelope: Envelope,
+        mut envelope: Envelope,
         wait: WaitFor,
         deadline: Duration,
     ) -> Result<Data, Fault> {
+        envelope.deadline = Some(self.now() + deadline);
         let waiting = self.inner.chassis.dispatch(envelope, wait);
         match self.timeout(deadline, waiting).await {
             Ok(answer) => answer,

@@ -37,6 +37,8 @@ mod names;
 mod processor;
 mod runner;
 mod simulation;
+mod statistics;
 
 pub use context::{DEFAULT_DEADLINE, mix};
+pub use statistics::TaskCounters;
 pub use task::Context;

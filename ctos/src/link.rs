@@ -12,21 +12,29 @@ use crate::message::Header;
 /// The largest frame that is sent or accepted, bytes.
 pub(crate) const FRAME_LIMIT: usize = 64 * 1024 * 1024;
 
+/// Bytes in front of the data: the header, the call's number, the trace id, the time left.
+pub(crate) const FRAME_FIXED: usize = Header::BYTES + 3 * 8;
+
 /// The most data that one message carries between chassis, bytes.
-pub(crate) const BODY_LIMIT: usize = FRAME_LIMIT - FRAME_HEAD;
+pub(crate) const BODY_LIMIT: usize = FRAME_LIMIT - FRAME_FIXED;
 
-/// What stands before the data of a frame: the header and the call number, bytes.
-pub(crate) const FRAME_HEAD: usize = Header::BYTES + 8;
-
-/// A message on its way between two chassis: the 16-byte header, the number of the call it asks or
-/// answers, and the data.
+/// A message on its way between two chassis: the 16-byte header, what a message needs besides it to
+/// be answered, followed and given up in time, and the data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Frame {
     pub(crate) header: Header,
     /// The caller's number for the call; the reply carries it back.
     pub(crate) call: u64,
+    /// Shared by all messages that follow from one another.
+    pub(crate) trace: u64,
+    /// How long the sender still waits, ns; clocks of two hosts need not agree. [`NO_DEADLINE`] when
+    /// it does not wait.
+    pub(crate) left_ns: u64,
     pub(crate) body: Vec<u8>,
 }
+
+/// Nobody waits for the answer to this frame.
+pub(crate) const NO_DEADLINE: u64 = u64::MAX;
 
 /// A frame that cannot be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -40,12 +48,15 @@ pub(crate) enum FrameError {
 }
 
 impl Frame {
-    /// Header and call number.
-    pub(crate) fn head(&self) -> [u8; FRAME_HEAD] {
-        let mut bytes = [0; FRAME_HEAD];
-        let (header, call) = bytes.split_at_mut(Header::BYTES);
+    /// Header, call number, trace id, time left.
+    pub(crate) fn head(&self) -> [u8; FRAME_FIXED] {
+        let mut bytes = [0; FRAME_FIXED];
+        let (header, rest) = bytes.split_at_mut(Header::BYTES);
         header.copy_from_slice(&self.header.encode());
-        call.copy_from_slice(&self.call.to_le_bytes());
+        let numbers = [self.call, self.trace, self.left_ns];
+        for (place, number) in rest.chunks_exact_mut(8).zip(numbers) {
+            place.copy_from_slice(&number.to_le_bytes());
+        }
         bytes
     }
 
@@ -57,7 +68,10 @@ impl Frame {
         let short = FrameError::Short(head.len());
         let (header, rest) = head.split_first_chunk::<{ Header::BYTES }>().ok_or(short)?;
         let header = Header::decode(header);
-        let (call, _) = rest.split_first_chunk::<8>().ok_or(short)?;
+        let (numbers, _) = rest.as_chunks::<8>();
+        let &[call, trace, left_ns] = numbers else {
+            return Err(short);
+        };
         if u64::from(header.size) != body.len() as u64 {
             return Err(FrameError::Size {
                 announced: header.size,
@@ -66,7 +80,9 @@ impl Frame {
         }
         Ok(Self {
             header,
-            call: u64::from_le_bytes(*call),
+            call: u64::from_le_bytes(call),
+            trace: u64::from_le_bytes(trace),
+            left_ns: u64::from_le_bytes(left_ns),
             body,
         })
     }
@@ -81,7 +97,7 @@ impl Frame {
 
     /// Reads what [`Self::encode`] wrote.
     pub(crate) fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
-        let (head, body) = bytes.split_at(FRAME_HEAD.min(bytes.len()));
+        let (head, body) = bytes.split_at(FRAME_FIXED.min(bytes.len()));
         Self::from_parts(head, body.to_vec())
     }
 
@@ -96,6 +112,8 @@ impl Frame {
                 size: u32::try_from(body.len()).unwrap(),
             },
             call: 1,
+            trace: 0,
+            left_ns: NO_DEADLINE,
             body,
         }
     }
@@ -154,7 +172,7 @@ mod tests {
     proptest! {
         #[test]
         fn a_frame_survives_the_wire(
-            to: u32, from: u32, command: u16, flags: u16, call: u64,
+            to: u32, from: u32, command: u16, flags: u16, call: u64, trace: u64, left_ns: u64,
             body in proptest::collection::vec(any::<u8>(), 0..200)
         ) {
             let frame = Frame {
@@ -166,6 +184,8 @@ mod tests {
                     size: body.len() as u32,
                 },
                 call,
+                trace,
+                left_ns,
                 body,
             };
             prop_assert_eq!(Frame::decode(&frame.encode()).unwrap(), frame);
@@ -174,7 +194,7 @@ mod tests {
         #[test]
         fn rubbish_is_an_error_and_never_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..100)) {
             if let Ok(frame) = Frame::decode(&bytes) {
-                prop_assert_eq!(frame.body.len() + FRAME_HEAD, bytes.len());
+                prop_assert_eq!(frame.body.len() + FRAME_FIXED, bytes.len());
             }
         }
     }

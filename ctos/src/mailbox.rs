@@ -295,6 +295,8 @@ mod tests {
 
     fn message(number: u32, flags: Flags) -> Message {
         Message {
+            trace: 1,
+            deadline: None,
             header: Header {
                 to: Tid::from_bits(1),
                 from: Tid::from_bits(2),

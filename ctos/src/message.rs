@@ -8,7 +8,10 @@ use std::{any::Any, fmt};
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::call::{Fault, ReplySlot};
+use crate::{
+    call::{Fault, ReplySlot},
+    time::Instant,
+};
 
 /// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
 #[derive(
@@ -352,6 +355,8 @@ impl fmt::Debug for Data {
 #[derive(Debug)]
 pub struct Message {
     pub(crate) header: Header,
+    pub(crate) trace: u64,
+    pub(crate) deadline: Option<Instant>,
     pub(crate) data: Data,
     pub(crate) reply: Option<ReplySlot>,
 }
@@ -373,6 +378,18 @@ impl Message {
     #[must_use]
     pub fn from(&self) -> Tid {
         self.header.from
+    }
+
+    /// The id that this message shares with whatever led to it and whatever follows from it.
+    #[must_use]
+    pub fn trace(&self) -> u64 {
+        self.trace
+    }
+
+    /// When the sender stops waiting for the reply; `None` when it does not wait for one.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Instant> {
+        self.deadline
     }
 
     /// Takes the typed request and the right to answer it.

@@ -9,7 +9,7 @@ use futures_util::{
 
 use crate::{
     call::{Fault, ReplySlot},
-    chassis::Chassis,
+    chassis::{Chassis, TaskRecord},
     config::{Restart, TaskConfig},
     context::Context,
     mailbox::Mailbox,
@@ -24,17 +24,20 @@ const SYSTEM_QUEUE: usize = 1024;
 
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 
-/// The queue of a task of the configuration, or of the runtime itself.
-pub(crate) fn mailbox(config: Option<&TaskConfig>) -> Arc<Mailbox> {
+/// What others see of a task of the configuration, or of the runtime itself.
+pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<TaskRecord> {
     let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
-    Arc::new(Mailbox::new(capacity))
+    Arc::new(TaskRecord {
+        name: name.into(),
+        tid,
+        mailbox: Arc::new(Mailbox::new(capacity)),
+        statistics: Arc::default(),
+    })
 }
 
 /// A task to start.
 pub(crate) struct TaskSpec {
-    pub(crate) mailbox: Arc<Mailbox>,
-    pub(crate) name: Arc<str>,
-    pub(crate) tid: Tid,
+    pub(crate) record: Arc<TaskRecord>,
     pub(crate) config: Option<TaskConfig>,
     pub(crate) commands: Vec<CommandInfo>,
     pub(crate) build: Build,
@@ -42,7 +45,7 @@ pub(crate) struct TaskSpec {
 
 struct Runner {
     cx: Context,
-    mailbox: Arc<Mailbox>,
+    record: Arc<TaskRecord>,
     build: Build,
     handler: Box<dyn DynHandler>,
     restart: Restart,
@@ -67,18 +70,17 @@ pub(crate) fn start_task(
         .as_ref()
         .map_or(Restart::Never, |config| config.restart);
     let cx = Context::new(
-        spec.name,
-        spec.tid,
+        spec.record.clone(),
         chassis.clone(),
         processor.clone(),
         spec.config,
         spec.commands,
     );
     let handler = build_contained(&spec.build, &cx)?;
-    chassis.add_task(spec.tid, spec.mailbox.clone());
+    chassis.add_task(spec.record.clone());
     let runner = Runner {
         cx: cx.clone(),
-        mailbox: spec.mailbox,
+        record: spec.record,
         build: spec.build,
         handler,
         restart,
@@ -107,7 +109,7 @@ fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, H
 
 impl Runner {
     async fn run(mut self) {
-        while let Some(message) = self.mailbox.next().await {
+        while let Some(message) = self.record.mailbox.next().await {
             let abandoned = message.reply.as_ref().is_some_and(ReplySlot::is_abandoned);
             // A stop is carried out even when whoever ordered it had to go on.
             if abandoned && message.command() != StopTask::CODE {
@@ -132,15 +134,18 @@ impl Runner {
     async fn take(&mut self, message: Message) -> bool {
         let slot = message.reply.clone();
         let command = message.command();
-        let mailbox = self.mailbox.clone();
-        let handling = AssertUnwindSafe(self.call(message)).catch_unwind();
+        let record = self.record.clone();
+        let cx = self.cx.within(message.trace());
+        record.statistics.begin(command, cx.now());
+        let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
         let outcome = if command == StopTask::CODE {
             handling.await
         } else {
             // A handler that waits for others must not delay an orderly stop: it is dropped there.
-            match select(handling, pin!(mailbox.stop_waits())).await {
+            match select(handling, pin!(record.mailbox.stop_waits())).await {
                 Either::Left((outcome, _)) => outcome,
                 Either::Right(((), _)) => {
+                    record.statistics.end(false, cx.now());
                     if let Some(slot) = slot {
                         slot.answer(Err(Fault::Stopping));
                     }
@@ -148,6 +153,9 @@ impl Runner {
                 }
             }
         };
+        record
+            .statistics
+            .end(matches!(outcome, Ok(Ok(()))), cx.now());
         match outcome {
             Ok(Ok(())) => true,
             Ok(Err(error)) => {
@@ -170,37 +178,38 @@ impl Runner {
         }
     }
 
-    fn call(&mut self, message: Message) -> LocalBoxFuture<'_, Handled> {
+    fn call<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
         match message.command() {
-            EnterPhase::CODE => Box::pin(self.enter_phase(message)),
-            StopTask::CODE => Box::pin(self.stop(message)),
-            ChassisDown::CODE => Box::pin(self.chassis_down(message)),
-            command if command >= SYSTEM_COMMANDS && self.cx.config().is_some() => {
-                let handled = self.cx.default_processing(message);
+            EnterPhase::CODE => Box::pin(self.enter_phase(cx, message)),
+            StopTask::CODE => Box::pin(self.stop(cx, message)),
+            ChassisDown::CODE => Box::pin(self.chassis_down(cx, message)),
+            command if command >= SYSTEM_COMMANDS && cx.config().is_some() => {
+                let handled = cx.default_processing(message);
                 Box::pin(std::future::ready(handled))
             }
-            _ => self.handler.handle(&self.cx, message),
+            _ => self.handler.handle(cx, message),
         }
     }
 
-    async fn enter_phase(&mut self, message: Message) -> Handled {
+    async fn enter_phase(&mut self, cx: &Context, message: Message) -> Handled {
         let (EnterPhase { phase }, reply) = message.open::<EnterPhase>()?;
-        self.handler.phase(&self.cx, phase).await?;
+        self.handler.phase(cx, phase).await?;
         self.phase = Some(phase);
+        self.record.statistics.entered(phase);
         reply.ok(())
     }
 
-    async fn stop(&mut self, message: Message) -> Handled {
+    async fn stop(&mut self, cx: &Context, message: Message) -> Handled {
         let (StopTask { reason }, reply) = message.open::<StopTask>()?;
         self.stopped = true;
-        self.cx.chassis().set_stopping();
-        self.handler.stop(&self.cx, &reason).await?;
+        cx.chassis().set_stopping();
+        self.handler.stop(cx, &reason).await?;
         reply.ok(())
     }
 
-    async fn chassis_down(&mut self, message: Message) -> Handled {
+    async fn chassis_down(&mut self, cx: &Context, message: Message) -> Handled {
         let (ChassisDown { chassis }, _) = message.open::<ChassisDown>()?;
-        self.handler.chassis_down(&self.cx, &chassis).await
+        self.handler.chassis_down(cx, &chassis).await
     }
 
     /// What happens after a panic: the configuration's restart policy, or the end of the task.
@@ -219,9 +228,10 @@ impl Runner {
             return false;
         }
         self.restarts += 1;
+        self.record.statistics.restarted();
         let restarts = self.restarts;
         let limit = self.cx.app().phase_timeout;
-        let (cx, mailbox) = (self.cx.clone(), self.mailbox.clone());
+        let (cx, mailbox) = (self.cx.clone(), self.record.mailbox.clone());
         let rebuilt = AssertUnwindSafe(cx.timeout(limit, self.rebuild())).catch_unwind();
         let why = match select(pin!(rebuilt), pin!(mailbox.stop_waits())).await {
             Either::Left((Ok(Ok(Ok(()))), _)) => {

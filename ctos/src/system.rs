@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     command,
     message::Tid,
+    statistics::TaskCounters,
     task::{Phase, StopReason},
 };
 
@@ -65,6 +66,10 @@ command! {
 command! {
     /// Asks which commands the task takes.
     pub struct Introspect => Vec<CommandDescription>, 0xff01, "introspect"
+}
+command! {
+    /// Asks what the task has done so far.
+    pub struct Statistics => TaskCounters, 0xff05, "statistics"
 }
 command! {
     /// Enters a startup phase.

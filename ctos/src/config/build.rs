@@ -8,6 +8,7 @@ use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeM
 use super::fields::{Fields, check_name};
 use super::links;
 use super::node::{Entry, Node};
+use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use std::net::SocketAddr;
@@ -17,6 +18,7 @@ use std::time::Duration;
 /// The keys of `[app]`; `--set` takes them as single words.
 pub(super) const APP_KEYS: &[&str] = &[
     "name",
+    "profile",
     "seed",
     "until",
     "phase_timeout_s",
@@ -27,7 +29,7 @@ pub(super) const APP_KEYS: &[&str] = &[
     links::KEYS[3],
 ];
 const TOP_KEYS: &[&str] = &[
-    "include", "app", "time", "chassis", "task", "injure", "security",
+    "include", "app", "time", "chassis", "task", "injure", "security", "profile",
 ];
 const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
 const PROCESSOR_KEYS: &[&str] = &["realtime", "priority", "cpu"];
@@ -49,6 +51,7 @@ const MAX_RESTARTS: u32 = 3;
 const MAIN: &str = "main";
 
 /// Where an app came from.
+#[derive(Clone)]
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     pub(super) sets: Vec<String>,
@@ -113,9 +116,11 @@ pub(super) fn build(
         chassis,
         tasks,
         file: origin.file,
+        profiles: Vec::new(),
         sets: origin.sets,
         folder,
         warnings: Findings::new(),
+        trail: Trail::default(),
         root,
     }
 }

@@ -226,24 +226,23 @@ pub(super) fn injury(
     }
 }
 
-/// One cut, or a list of them.
 fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> Vec<Cut> {
-    let texts = match node.value() {
-        Value::Array(_) => node.elements(),
-        _ => std::slice::from_ref(node),
+    let at = |finding: Finding, node: &Node| match node.place() {
+        Some(place) => finding.at(place.clone()),
+        None => finding,
     };
+    if !matches!(node.value(), Value::Array(_)) {
+        let finding = Finding::error("ctos::config::value", "[injure]: `cut` must be a list")
+            .help("write cut = [\"a:b@2s\"]");
+        findings.push(at(finding, node));
+    }
     let names = || {
         let names = chassis.iter().map(|chassis| chassis.name.as_str());
         names.chain([crate::chassis::BOOT_CHASSIS])
     };
     let mut cuts = Vec::new();
-    for text in texts {
-        let mut push = |finding: Finding| {
-            findings.push(match text.place() {
-                Some(place) => finding.at(place.clone()),
-                None => finding,
-            });
-        };
+    for text in node.elements() {
+        let mut push = |finding: Finding| findings.push(at(finding, text));
         let Some(cut) = text.as_str().and_then(Cut::parse) else {
             push(
                 Finding::error("ctos::config::value", "[injure]: a `cut` cannot be read").help(
@@ -273,7 +272,7 @@ pub(super) fn security(
 ) -> Option<SecurityConfig> {
     let node = root.entry("security").map(|entry| &entry.value);
     let mut fields = Fields::new(node, "[security]".to_owned(), SECURITY_KEYS, findings);
-    if node.is_none() {
+    if node.is_none_or(|node| node.entries().is_empty()) {
         for one in chassis {
             open_to_strangers(one, root, findings);
         }
@@ -405,10 +404,11 @@ mod tests {
             ("[injure]\ndrop = 1.5", "from 0 to 0.9"),
             ("[injure]\ndelay = \"soon\"", "`delay` cannot be read"),
             ("[injure]\ndelay = \"20ms..5ms\"", "`delay` cannot be read"),
-            ("[injure]\ncut = \"a@2s\"", "a `cut` cannot be read"),
+            ("[injure]\ncut = \"a:b@2s\"", "`cut` must be a list"),
+            ("[injure]\ncut = [\"a@2s\"]", "a `cut` cannot be read"),
             ("[injure]\ncut = [\"a:a@2s\"]", "a `cut` cannot be read"),
             ("[injure]\ncut = [3]", "a `cut` cannot be read"),
-            ("[injure]\ncut = [\"a:bot@2s\"]", "did you mean `boot`"),
+            ("[injure]\ncut = [\"a:boott@2s\"]", "did you mean `boot`"),
             ("[injure]\ndrops = 0.1", "unknown key `drops`"),
             ("[security]\nkey = \"k\"", "has no `authority`"),
             ("[app]\nsame_host = \"sm\"", "unknown choice `sm`"),

@@ -12,7 +12,7 @@ use ctos::{
     call::{CallError, Fault},
     message::{CommandInfo, Message},
     registry::Registry,
-    system::{AppResult, Introspect, Ping},
+    system::{AppResult, Introspect, Ping, Statistics},
     task::{Context, EventHandler, Handled, NameError, Phase, TaskRef},
 };
 use futures_util::future::{LocalBoxFuture, join, join_all};
@@ -20,7 +20,7 @@ use serde::Deserialize;
 
 use crate::peer::{
     Block, CallBack, CallOther, Echo, Flood, Fly, Forget, Hold, Log, Mirror, Note, Open, Panic,
-    Produce, Refuse, Release, Value, Waiting, WrongEcho,
+    Produce, Refuse, Release, Trail, Value, Waiting, WrongEcho,
 };
 
 pub struct Case {
@@ -60,6 +60,8 @@ cases![
     many_calls_at_once_from_one_task_each_get_their_own_reply,
     a_mebibyte_goes_there_and_back,
     what_is_too_large_for_a_link_is_refused_and_the_link_lives,
+    a_trace_and_the_time_left_travel_with_the_message,
+    every_task_says_what_it_has_done,
 ];
 
 type Outcome = Result<(), Failure>;
@@ -170,6 +172,41 @@ async fn begin<F: Future + Unpin>(future: &mut F) {
 }
 
 const SOON: Duration = Duration::from_millis(20);
+
+async fn a_trace_and_the_time_left_travel_with_the_message(suite: Suite) -> Outcome {
+    let cx = suite.cx.new_trace();
+    let limit = Duration::from_secs(3);
+    let call = cx.call(&suite.near, Trail { to: Vec::new() });
+    let first = call.deadline(limit).await?;
+    let to = vec!["near".to_owned()];
+    let second = cx.call(&suite.peer, Trail { to }).deadline(limit).await?;
+    let traces: Vec<u64> = first
+        .iter()
+        .chain(&second)
+        .map(|(trace, _)| *trace)
+        .collect();
+    same(traces, vec![cx.trace(); 3])?;
+    let left = second.first().and_then(|(_, left)| *left).unwrap_or(0);
+    check(left > 0 && left <= 3_000_000, || {
+        format!("{left} us were left of 3 s")
+    })?;
+    let other = suite.cx.new_trace();
+    check(other.trace() != cx.trace(), || {
+        "two traces have one id".to_owned()
+    })
+}
+
+async fn every_task_says_what_it_has_done(suite: Suite) -> Outcome {
+    let before = suite.cx.call(&suite.peer, Statistics {}).await?;
+    suite.note(1).await?;
+    let refused = suite.cx.call(&suite.peer, Refuse {}).await;
+    check(refused.is_err(), || "it was not refused".to_owned())?;
+    let after = suite.cx.call(&suite.peer, Statistics {}).await?;
+    // The two, and the question before.
+    same(after.handled - before.handled, 3)?;
+    same(after.failed - before.failed, 1)?;
+    same(after.phase, Some(Phase::Run))
+}
 
 async fn a_call_brings_back_what_the_receiver_answers(suite: Suite) -> Outcome {
     for value in [

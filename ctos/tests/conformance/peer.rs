@@ -75,6 +75,11 @@ ctos::command! {
     pub struct CallBack { pub to: String, pub back: String } => u32, 14, "call_back"
 }
 ctos::command! {
+    /// Answers with the trace and the time left, µs, of this message, and of those it leads to when it is
+    /// passed on along `to`.
+    pub struct Trail { pub to: Vec<String> } => Vec<(u64, Option<u64>)>, 15, "trail"
+}
+ctos::command! {
     /// Is answered when the gate opens.
     pub struct Wait => (), 1, "wait"
 }
@@ -105,7 +110,7 @@ ctos::command! {
     pub struct Fly => (), 0x0999, "fly"
 }
 
-const COMMANDS: [CommandInfo; 14] = [
+const COMMANDS: [CommandInfo; 15] = [
     Echo::INFO,
     Mirror::INFO,
     Produce::INFO,
@@ -120,6 +125,7 @@ const COMMANDS: [CommandInfo; 14] = [
     Flood::INFO,
     CallOther::INFO,
     CallBack::INFO,
+    Trail::INFO,
 ];
 
 #[derive(Default)]
@@ -204,6 +210,19 @@ impl EventHandler for Peer {
                     deadline_ms: 50,
                 };
                 reply.ok(cx.call(&to, back).await?)
+            }
+            Trail::CODE => {
+                let left = message.deadline().map(|deadline| {
+                    let left = deadline.since(cx.now()).as_micros();
+                    u64::try_from(left).unwrap_or(u64::MAX)
+                });
+                let mut trail = vec![(message.trace(), left)];
+                let (Trail { mut to }, reply) = message.open::<Trail>()?;
+                if let Some(next) = to.pop() {
+                    let next = cx.task(&next).await?;
+                    trail.extend(cx.call(&next, Trail { to }).await?);
+                }
+                reply.ok(trail)
             }
             _ => cx.default_processing(message),
         }

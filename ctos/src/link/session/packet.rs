@@ -7,7 +7,7 @@
 
 use bytes::{BufMut, BytesMut};
 
-use crate::link::{FRAME_HEAD, FRAME_LIMIT, Frame, FrameError};
+use crate::link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
 
 /// Length, kind, two numbers.
 pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
@@ -57,7 +57,7 @@ impl Kind {
     /// The bytes that must, and those that may, follow the packet's head.
     fn sizes(self) -> std::ops::RangeInclusive<usize> {
         match self {
-            Self::Frame => FRAME_HEAD..=FRAME_LIMIT,
+            Self::Frame => FRAME_FIXED..=FRAME_LIMIT,
             Self::Notice => 0..=NOTICE_LIMIT,
             Self::Bye | Self::Pulse | Self::Again | Self::GivenUp => 0..=0,
         }
@@ -136,7 +136,7 @@ impl Default for Decoder {
     fn default() -> Self {
         Self {
             stage: Stage::Head,
-            head: BytesMut::with_capacity(PACKET_HEAD + FRAME_HEAD),
+            head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
             body: Vec::new(),
         }
     }
@@ -247,7 +247,7 @@ impl Decoder {
 /// What stands between a packet's head and its data.
 fn fixed_size(kind: Kind) -> usize {
     match kind {
-        Kind::Frame => FRAME_HEAD,
+        Kind::Frame => FRAME_FIXED,
         Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => 0,
     }
 }

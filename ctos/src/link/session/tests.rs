@@ -10,7 +10,7 @@ use super::{
     window::{Arrival, Incoming, Outgoing},
     *,
 };
-use crate::{config::InjuryConfig, link::FRAME_HEAD};
+use crate::{config::InjuryConfig, link::FRAME_FIXED};
 
 const MANY: usize = 1 << 30;
 
@@ -530,6 +530,6 @@ fn frames_of_any_size_go_there_and_the_last_ones_before_goodbye() {
             (other.counts().bytes_in, one.counts().bytes_out),
             (bytes, bytes)
         );
-        assert!(bytes > FRAME_HEAD as u64);
+        assert!(bytes > FRAME_FIXED as u64);
     });
 }

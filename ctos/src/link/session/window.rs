@@ -7,7 +7,7 @@ use bytes::{Buf, BufMut, Bytes, BytesMut};
 
 use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
 use crate::{
-    link::{FRAME_HEAD, Frame, injure::Injury},
+    link::{FRAME_FIXED, Frame, injure::Injury},
     time::Instant,
 };
 
@@ -363,7 +363,7 @@ impl Incoming {
             return Arrival::Early;
         }
         self.received = number;
-        self.unacknowledged += PACKET_HEAD + FRAME_HEAD + size;
+        self.unacknowledged += PACKET_HEAD + FRAME_FIXED + size;
         self.asked = None;
         Arrival::Next
     }

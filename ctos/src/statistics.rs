@@ -1,0 +1,132 @@
+//! What is known of a task while it runs: counted by its loop, readable from any thread without
+//! disturbing it.
+
+use std::{
+    sync::atomic::{AtomicU8, AtomicU16, AtomicU64, Ordering},
+    time::Duration,
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{task::Phase, time::Instant};
+
+/// The counters of one task.
+#[derive(Debug, Default)]
+pub(crate) struct TaskStatistics {
+    handled: AtomicU64,
+    failed: AtomicU64,
+    busy_ns: AtomicU64,
+    longest_ns: AtomicU64,
+    /// When the message at hand was begun, ns since the start of the app plus one; 0: none is.
+    began_ns: AtomicU64,
+    command: AtomicU16,
+    restarts: AtomicU64,
+    phase: AtomicU8,
+}
+
+/// The counters of one task at a moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct TaskCounters {
+    /// Messages handled.
+    pub handled: u64,
+    /// Of these, those that the handler ended with an error or a panic.
+    pub failed: u64,
+    /// Time spent in the handler, waiting for others included.
+    pub busy: Duration,
+    /// The longest that one message took.
+    pub longest: Duration,
+    /// Since when the message at hand is being handled; `None` when the task is idle.
+    pub began: Option<Instant>,
+    /// The command at hand, or the last one.
+    pub command: u16,
+    /// How often the handler was built anew.
+    pub restarts: u64,
+    /// The startup phase that was entered last.
+    pub phase: Option<Phase>,
+}
+
+impl TaskStatistics {
+    /// The handler is called with `command`.
+    pub(crate) fn begin(&self, command: u16, now: Instant) {
+        self.command.store(command, Ordering::Relaxed);
+        self.began_ns
+            .store(now.as_nanos().saturating_add(1), Ordering::Release);
+    }
+
+    /// The handler has returned.
+    pub(crate) fn end(&self, ok: bool, now: Instant) {
+        let began = self.began_ns.swap(0, Ordering::AcqRel);
+        let took = now.as_nanos().saturating_add(1).saturating_sub(began);
+        self.busy_ns.fetch_add(took, Ordering::Relaxed);
+        self.longest_ns.fetch_max(took, Ordering::Relaxed);
+        self.handled.fetch_add(1, Ordering::Relaxed);
+        if !ok {
+            self.failed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// The handler was built anew.
+    pub(crate) fn restarted(&self) {
+        self.restarts.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The task has entered `phase`.
+    pub(crate) fn entered(&self, phase: Phase) {
+        let number = match phase {
+            Phase::Create => 1,
+            Phase::Connect => 2,
+            Phase::Run => 3,
+        };
+        self.phase.store(number, Ordering::Relaxed);
+    }
+
+    /// The counters as they are now. Each is exact; together they may be of slightly different moments.
+    pub(crate) fn read(&self) -> TaskCounters {
+        let began = self.began_ns.load(Ordering::Acquire);
+        TaskCounters {
+            handled: self.handled.load(Ordering::Relaxed),
+            failed: self.failed.load(Ordering::Relaxed),
+            busy: Duration::from_nanos(self.busy_ns.load(Ordering::Relaxed)),
+            longest: Duration::from_nanos(self.longest_ns.load(Ordering::Relaxed)),
+            began: began.checked_sub(1).map(Instant::from_nanos),
+            command: self.command.load(Ordering::Relaxed),
+            restarts: self.restarts.load(Ordering::Relaxed),
+            phase: match self.phase.load(Ordering::Relaxed) {
+                1 => Some(Phase::Create),
+                2 => Some(Phase::Connect),
+                3 => Some(Phase::Run),
+                _ => None,
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_counts_once_with_the_time_it_took() {
+        let statistics = TaskStatistics::default();
+        statistics.entered(Phase::Run);
+        statistics.begin(7, Instant::START);
+        assert_eq!(statistics.read().began, Some(Instant::START));
+        statistics.end(true, Instant::from_nanos(30));
+        statistics.begin(8, Instant::from_nanos(40));
+        statistics.end(false, Instant::from_nanos(50));
+        let counters = statistics.read();
+        assert_eq!(
+            counters,
+            TaskCounters {
+                handled: 2,
+                failed: 1,
+                busy: Duration::from_nanos(40),
+                longest: Duration::from_nanos(30),
+                began: None,
+                command: 8,
+                restarts: 0,
+                phase: Some(Phase::Run),
+            }
+        );
+    }
+}
