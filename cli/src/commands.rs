@@ -4,6 +4,7 @@ pub mod boot;
 pub mod chassis;
 pub mod check;
 pub mod completions;
+pub mod keys;
 
 mod progress;
 
@@ -47,6 +48,8 @@ pub enum Command {
     Check(check::CheckArgs),
     /// Check an app, start it, wait for its result and stop it
     Boot(boot::BootArgs),
+    /// Make and list keys for connections beyond this host
+    Keys(keys::KeysArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -102,6 +105,7 @@ pub fn main(registry: Registry) -> ExitCode {
     let code = match cli.command {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
+        Command::Keys(args) => keys::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };

@@ -31,6 +31,8 @@ pub mod time;
 mod agent;
 mod bootstrap;
 mod context;
+#[cfg(test)]
+mod fuzz;
 mod link;
 mod mailbox;
 mod names;

@@ -215,6 +215,28 @@ pub(crate) async fn hear<T: DeserializeOwned>(
     Ok(postcard::from_bytes(&body)?)
 }
 
+/// A greeting as it is written, for the corpus of strangers' inputs.
+#[cfg(test)]
+pub(crate) fn greeting_of_corpus() -> Vec<u8> {
+    let greeting = Greeting::Hello {
+        token: Token("secret".to_owned()),
+        hello: Hello {
+            chassis: 1,
+            incarnation: 1,
+            process: Process {
+                host: "host/1".to_owned(),
+                pid: 7,
+            },
+            listen: vec![Address::Unix("/run/a.sock".into())],
+            received: 3,
+            shared: true,
+        },
+    };
+    let body = postcard::to_stdvec(&greeting).unwrap();
+    let length = u32::try_from(body.len()).unwrap().to_le_bytes();
+    [&GREETING[..], &length, &body].concat()
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;

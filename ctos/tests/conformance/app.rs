@@ -9,6 +9,9 @@ use ctos::{
 
 use crate::{cases, peer};
 
+/// The folder of the keys that some placements need.
+pub const KEYS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/conformance-keys");
+
 /// Where the far tasks live, seen from the near ones.
 pub struct Placement {
     pub name: &'static str,
@@ -21,7 +24,7 @@ pub struct Placement {
 }
 
 impl Placement {
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self {
             name: "same_processor",
             mode: "real",
@@ -58,6 +61,17 @@ impl Placement {
             name: "two_chassis_tcp",
             mode: "real",
             links: &["same_host=tcp"],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
+        Self {
+            name: "two_chassis_tls",
+            mode: "real",
+            links: &[
+                "same_host=tcp",
+                r#"security={ key = "KEYS/cell", authority = "KEYS/ca.pem" }"#,
+            ],
             near: "a/main",
             far: "b/main",
             seeds: 1..2,
@@ -140,7 +154,8 @@ impl Placement {
             on = "{far}"
             "#
         );
-        let sets: Vec<String> = links.iter().map(|set| (*set).to_owned()).collect();
+        let sets = links.iter().map(|set| set.replace("KEYS", KEYS));
+        let sets: Vec<String> = sets.collect();
         load_texts(&[("conformance.toml", &text)], &sets, &[]).unwrap()
     }
 }

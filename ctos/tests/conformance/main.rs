@@ -18,12 +18,14 @@ mod peer;
 use std::{
     ffi::OsString,
     panic::AssertUnwindSafe,
+    path::Path,
     process::ExitCode,
     sync::{Arc, mpsc},
     time::Duration,
 };
 
 use ctos::boot::{Address, BootEvent, End, Launcher, Observer, boot, run_chassis};
+use ctos::security::{Role, make_key};
 use libtest_mimic::{Arguments, Failed, Trial};
 
 use app::Placement;
@@ -60,6 +62,21 @@ fn watched(placement: &'static Placement, case: &'static Case) -> Result<(), Fai
         .unwrap_or_else(|_| Err(format!("hangs; nothing came for {WATCHDOG:?}").into()))
 }
 
+/// Makes the keys that some placements need, once for all runs.
+fn make_keys() -> Result<(), Failed> {
+    let keys = Path::new(app::KEYS);
+    if keys.exists() {
+        return Ok(());
+    }
+    let begun = keys.with_extension(std::process::id().to_string());
+    make_key(&begun.join("cell"), Role::Boot)?;
+    // Another trial may have been faster.
+    if std::fs::rename(&begun, keys).is_err() && keys.exists() {
+        std::fs::remove_dir_all(&begun)?;
+    }
+    Ok(())
+}
+
 fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
     let launcher = Launcher {
         program: std::env::current_exe()?,
@@ -67,6 +84,7 @@ fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
             .map(OsString::from)
             .to_vec(),
     };
+    make_keys()?;
     // A schedule drawn from another seed is another interleaving.
     for seed in placement.seeds.clone() {
         let log: Arc<std::sync::Mutex<Vec<String>>> = Arc::default();

@@ -222,6 +222,12 @@ impl Decoder {
         })
     }
 
+    /// Bytes that are reserved for the body of the packet that is being read.
+    #[cfg(test)]
+    pub(crate) fn reserved(&self) -> usize {
+        self.body.capacity()
+    }
+
     /// How many bytes of a large body are still to come, and where they go: they may be read there
     /// without a copy. `None` when little or nothing is missing.
     pub(crate) fn large_body(&mut self) -> Option<bytes::buf::Limit<&mut Vec<u8>>> {
