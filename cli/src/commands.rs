@@ -5,6 +5,7 @@ pub mod chassis;
 pub mod check;
 pub mod completions;
 pub mod keys;
+pub mod sim;
 
 mod progress;
 
@@ -50,6 +51,8 @@ pub enum Command {
     Boot(boot::BootArgs),
     /// Make and list keys for connections beyond this host
     Keys(keys::KeysArgs),
+    /// Run a whole app on one thread in virtual time, with faults
+    Sim(sim::SimArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -106,6 +109,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
         Command::Keys(args) => keys::run(&args),
+        Command::Sim(args) => sim::run(&args, registry),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };

@@ -57,7 +57,11 @@ impl Agent {
     /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
     async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
-        let mut failed = Vec::new();
+        let mut failed: Vec<_> = chassis
+            .realtime()
+            .iter()
+            .filter_map(|grant| Some((format!("processor {}", grant.processor), grant.fatal()?)))
+            .collect();
         let mut slots = vec![0_u16; chassis.processors.len()];
         let server = TaskRef::new("tidsvr", system::TID_SERVER);
         for config in chassis.app.tasks.iter() {

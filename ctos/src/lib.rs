@@ -21,8 +21,10 @@ pub mod chassis;
 pub mod config;
 pub mod diagnostic;
 pub mod message;
+pub mod realtime;
 pub mod registry;
 pub mod security;
+pub mod simulation;
 pub mod sync;
 pub mod system;
 pub mod task;
@@ -38,7 +40,6 @@ mod mailbox;
 mod names;
 mod processor;
 mod runner;
-mod simulation;
 mod statistics;
 
 pub use context::{DEFAULT_DEADLINE, mix};

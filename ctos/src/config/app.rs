@@ -3,6 +3,7 @@
 use super::trail::Trail;
 use super::{LinkConfig, Node, SecurityConfig, Selection};
 use crate::diagnostic::{Findings, Place};
+use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -77,10 +78,18 @@ pub struct ProcessorConfig {
     pub name: String,
     /// Whether it asks for the real-time scheduler (`SCHED_FIFO`).
     pub realtime: bool,
+    /// Whether the app cannot run when the system refuses that.
+    pub required: bool,
     /// Real-time priority, 1 to 99; `None` = the runtime chooses.
     pub priority: Option<u8>,
     /// The CPU it is pinned to, counted from 0.
     pub cpu: Option<usize>,
+    /// The base period of its synchronous functions; `None` = they bring their own.
+    pub period: Option<Duration>,
+    /// What it does with ticks that it comes too late for.
+    pub overrun: Overrun,
+    /// How long before a tick it is awake and waits spinning.
+    pub spin: Duration,
     /// Where its name stands (the chassis's for the implicit `main`).
     pub place: Place,
 }

@@ -4,6 +4,7 @@ mod bundle;
 mod keys;
 mod load;
 mod node;
+mod processors;
 mod profiles;
 mod refused;
 mod shown;
@@ -139,11 +140,17 @@ fn summary(app: &App) -> String {
             let ProcessorConfig {
                 name,
                 realtime,
+                required,
                 priority,
                 cpu,
+                period,
+                overrun,
+                spin,
                 place: _,
             } = processor;
-            format!("{name} {realtime} {priority:?} {cpu:?}")
+            format!(
+                "{name} {realtime} {required} {priority:?} {cpu:?} {period:?} {overrun:?} {spin:?}"
+            )
         });
         let processors: Vec<_> = processors.collect();
         format!(
