@@ -7,6 +7,7 @@ pub mod completions;
 pub mod config;
 pub mod doctor;
 pub mod explain;
+pub mod keys;
 pub mod new;
 pub mod sim;
 
@@ -58,6 +59,8 @@ pub enum Command {
     /// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in
     /// one process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
     Boot(boot::BootArgs),
+    /// Make and list keys for connections beyond this host
+    Keys(keys::KeysArgs),
     /// Run a whole app on one thread in virtual time, with faults
     Sim(sim::SimArgs),
     /// Show what a configuration comes to, every key there is, or the schema for editors
@@ -126,6 +129,7 @@ pub fn main(registry: Registry) -> ExitCode {
     let code = match cli.command {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
+        Command::Keys(args) => keys::run(&args),
         Command::Sim(args) => sim::run(&args, registry),
         Command::Config(args) => config::run(&args),
         Command::Doctor(args) => doctor::run(&args),

@@ -1,9 +1,9 @@
 //! Booting an app: for real, with a process for each chassis, or in virtual time in this one.
 
 mod child;
+mod mesh;
 mod parent;
 mod processes;
-mod rejoin;
 
 use std::{
     ffi::OsString,
@@ -33,13 +33,18 @@ use crate::{
 };
 
 pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer};
+pub use crate::link::{
+    Counts,
+    transport::{Address, AddressError},
+};
 pub use crate::simulation::Mishap;
 pub use child::{ChildError, run_chassis};
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
 pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
 
-/// The environment variable that tells a chassis which of its processes it is, counted from 1.
+/// The environment variable that says how often the chassis has been started; the first time is 1, which
+/// is also what its absence means.
 pub const INCARNATION_VARIABLE: &str = "CTOS_INCARNATION";
 
 /// How to start the process of a chassis: this program with these arguments, after which come
@@ -82,6 +87,9 @@ pub enum BootError {
         /// What should have happened to it.
         what: &'static str,
     },
+    /// The keys of `[security]` cannot be used.
+    #[error("the keys of [security] cannot be used: {0}")]
+    Keys(String),
     /// A chassis ended, or said no, before it was connected.
     #[error("chassis `{chassis}` did not start: {reason}")]
     Chassis {

@@ -17,7 +17,7 @@ use std::{
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::{App, ProcessorConfig},
-    link::{BODY_LIMIT, Frame, Link, NO_DEADLINE},
+    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
     processor::{Processor, ProcessorHandle},
@@ -86,7 +86,8 @@ impl Outbound {
             links.up.get(&peer).cloned()
         };
         if let Some(link) = link {
-            link.post(Frame {
+            // What is not a request is never refused.
+            let _ = link.post(Frame {
                 header: Header {
                     flags: Flags::ABANDONED,
                     size: 0,
@@ -424,13 +425,17 @@ impl Chassis {
             },
         );
         drop(links);
-        link.post(Frame {
+        let posted = link.post(Frame {
             header,
             call,
             trace: envelope.trace,
             left_ns: self.left_ns(envelope.deadline),
             body,
         });
+        if let Err(Full { bytes }) = posted {
+            lock(&self.links).pending.remove(&call);
+            return Err(Fault::LinkFull { bytes });
+        }
         Ok(Outbound {
             chassis: self.clone(),
             header,
@@ -510,7 +515,8 @@ impl Chassis {
                 postcard::to_stdvec(&fault).unwrap_or_default(),
             ),
         };
-        link.post(Frame {
+        // What is not a request is never refused.
+        let _ = link.post(Frame {
             header: Header {
                 to: request.from,
                 from: request.to,
@@ -621,6 +627,19 @@ impl Chassis {
     /// Whether chassis `peer` is connected.
     pub(crate) fn is_linked(&self, peer: u8) -> bool {
         lock(&self.links).up.contains_key(&peer)
+    }
+
+    /// What went over its links so far, by the name of the chassis at the other end.
+    #[must_use]
+    pub fn link_counts(&self) -> Vec<(String, Counts)> {
+        let up: Vec<_> = {
+            let links = lock(&self.links);
+            let up = links.up.iter();
+            up.map(|(peer, link)| (*peer, link.clone())).collect()
+        };
+        up.into_iter()
+            .map(|(peer, link)| (self.name_of(peer).to_owned(), link.counts()))
+            .collect()
     }
 
     /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is

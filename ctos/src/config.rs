@@ -17,6 +17,7 @@ mod bundle;
 mod de;
 mod fields;
 mod keys;
+mod links;
 mod load;
 mod node;
 mod profiles;
@@ -32,6 +33,7 @@ pub use app::{
     ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
+pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};
 pub use node::{Entry, Node, Value};
 pub use schema::schema;
 pub use shown::ShownValue;

@@ -24,6 +24,7 @@ pub mod diagnostic;
 pub mod message;
 pub mod realtime;
 pub mod registry;
+pub mod security;
 pub mod semaphore;
 pub mod simulation;
 pub mod survey;
@@ -35,6 +36,8 @@ pub mod time;
 mod agent;
 mod bootstrap;
 mod context;
+#[cfg(test)]
+mod fuzz;
 mod link;
 mod mailbox;
 mod names;

@@ -51,9 +51,6 @@ pub use self::{
 #[doc = include_str!("../../docs/time-and-simulation.md")]
 struct Page;
 
-/// How long a chassis waits for a sign of another one before it gives it up.
-const PEER_TIMEOUT: Duration = Duration::from_secs(2);
-
 /// So many steps without the clock moving are a task that never waits.
 const STEPS_AT_ONCE: u64 = 10_000_000;
 
@@ -228,7 +225,7 @@ impl Simulation {
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
         let script = schedule(&names, faults.script, &mut happened)?;
-        let network = Network::new(clock.clone(), seed, PEER_TIMEOUT, breach);
+        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
         let events = EventLog::new(events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
         let chassis: Vec<Arc<Chassis>> = (0..=count)

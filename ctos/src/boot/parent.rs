@@ -1,34 +1,28 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
 use std::{
-    cell::RefCell,
     collections::{BTreeMap, BTreeSet},
-    net::SocketAddr,
-    ops::ControlFlow,
-    sync::{Arc, Mutex},
+    sync::Arc,
     time::Duration,
 };
 
-use futures_util::future::try_join_all;
 use tokio::{
-    net::TcpListener,
     signal::unix::{SignalKind, signal},
     sync::oneshot,
-    task::JoinHandle,
 };
 
 use crate::{
     boot::{
         self, BootError, BootEvent, End, Launcher, Observer, Outcome, io_error as io,
+        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
         processes::{Keeper, Process, Starter},
-        rejoin::{Doorman, Writers},
     },
     bootstrap::{EndSlot, Seat},
     call::lock,
     chassis::Chassis,
     config::App,
     control::{LogStore, Server, Ticker},
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
+    link::handshake::Token,
     registry::Registry,
     system,
     time::Clock,
@@ -76,10 +70,23 @@ async fn run_processes(
     processes: &mut Vec<Process>,
 ) -> Result<Outcome, BootError> {
     let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
-    let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
+    let who = Identification {
+        token: token.clone(),
+        incarnation: 1,
+    };
+    let mut mesh = Mesh::start(chassis, who)
         .await
-        .map_err(io("cannot listen on the loopback"))?;
-    let address = listener.local_addr().map_err(io("cannot listen"))?;
+        .map_err(|error| match error {
+            MeshError::Listen { address, error } => {
+                io(format!("cannot listen at {address}"))(error)
+            }
+            MeshError::Keys(error) => BootError::Keys(error.to_string()),
+        })?;
+    let Some(address) = mesh.addresses().first().cloned() else {
+        return Err(io("cannot listen")(
+            std::io::ErrorKind::AddrNotAvailable.into(),
+        ));
+    };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
     let logs = Arc::new(LogStore::new(chassis.clock.clone()));
@@ -97,8 +104,8 @@ async fn run_processes(
     }
     let limit = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
-    let (writers, addresses) = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, processes, &mut missing)) => {
+    tokio::select! {
+        connected = tokio::time::timeout(limit, connect(chassis, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
                 Err(_) => return Err(late(chassis, &missing, limit)),
@@ -111,14 +118,6 @@ async fn run_processes(
         }
     };
     let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
-    let writers: Writers = Arc::new(Mutex::new(writers));
-    let doorman = Arc::new(Doorman {
-        chassis: chassis.clone(),
-        token,
-        addresses: Arc::new(Mutex::new(addresses.into_iter().collect())),
-        incarnations: keeper.incarnations(),
-        writers: writers.clone(),
-    });
     let seat = Seat {
         observer: observer.clone(),
         end: EndSlot::default(),
@@ -131,8 +130,8 @@ async fn run_processes(
     });
     boot::start_system_tasks(chassis, Some(&seat));
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
-    let newcomers = tokio::spawn(doorman.serve(listener));
     let server = serve(chassis, &logs, ticker);
+    let mut newcomers = Newcomers::default();
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
         tokio::select! {
@@ -142,17 +141,16 @@ async fn run_processes(
                 observer(&BootEvent::Terminated);
                 chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
             }
-            () = keeper.serve() => {}
+            (index, incarnation) = keeper.serve() => mesh.expect(index, incarnation),
+            // What a chassis that is gone means is decided by the tasks, which have been told.
+            Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
         }
     }
-    newcomers.abort();
     let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
     let took = chassis.clock.now().since_start();
     chassis.drop_links();
-    let writers = std::mem::take(&mut *lock(&writers));
-    let flushed = futures_util::future::join_all(writers);
     // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
-    let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
+    mesh.close().await;
     let casualties = keeper.end(chassis.app.stop_timeout, &end).await;
     chassis.stop_processors();
     for thread in threads {
@@ -200,109 +198,86 @@ fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> Boot
     }
 }
 
-/// Waits until all chassis have called, lets them call each other, and turns the calls into links.
-/// `missing` says at any time who is not connected yet.
+/// The processes that joined the running app, by chassis.
+#[derive(Default)]
+struct Newcomers(BTreeMap<u8, u32>);
+
+impl Newcomers {
+    /// Tells the bootstrap service of a process that has just been connected to all the others. The mesh
+    /// tells of each chassis again whenever one joins.
+    fn welcome(&mut self, chassis: &Arc<Chassis>, event: &MeshEvent) {
+        match event {
+            MeshEvent::Joined {
+                chassis: index,
+                incarnation,
+            } if *incarnation > self.0.get(index).copied().unwrap_or(1) => {
+                self.0.insert(*index, *incarnation);
+                let linked = system::ChassisLinked {
+                    chassis: *index,
+                    incarnation: *incarnation,
+                };
+                chassis.post_system(system::BOOTSTRAP, linked);
+            }
+            MeshEvent::Unable {
+                chassis: index,
+                reason,
+            } => {
+                // Its process ends, which the supervisor sees.
+                tracing::error!(chassis = chassis.name_of(*index), reason, "cannot join");
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Waits until all chassis are connected to each other and to this one. `missing` says at any time who
+/// is not.
 async fn connect(
     chassis: &Arc<Chassis>,
-    listener: &TcpListener,
-    token: &Token,
+    mesh: &mut Mesh,
     processes: &mut [Process],
     missing: &mut BTreeSet<u8>,
-) -> Result<(Vec<JoinHandle<()>>, Vec<(u8, SocketAddr)>), BootError> {
-    if missing.is_empty() {
-        return Ok((Vec::new(), Vec::new()));
+) -> Result<(), BootError> {
+    for index in missing.iter() {
+        mesh.expect(*index, 1);
     }
-    let mut connections: BTreeMap<u8, (Connection, SocketAddr)> = BTreeMap::new();
-    let called = callers(listener, token, |caller| {
-        if let Some(listen) = caller.listen
-            && missing.remove(&caller.chassis)
-        {
-            connections.insert(caller.chassis, (caller.connection, listen));
+    while !missing.is_empty() {
+        let event = tokio::select! {
+            // The process first: that it ended says more than that its connection did.
+            biased;
+            ended = first_exit(processes) => return Err(ended),
+            event = mesh.next() => event,
+        };
+        let (index, reason) = match event {
+            Some(MeshEvent::Joined { chassis, .. }) => {
+                missing.remove(&chassis);
+                continue;
+            }
+            Some(MeshEvent::Up { .. }) => continue,
+            Some(MeshEvent::Down {
+                chassis,
+                ref reason,
+                ..
+            }) => (chassis, reason.to_string()),
+            Some(MeshEvent::Unable {
+                chassis,
+                ref reason,
+            }) => (chassis, reason.clone()),
+            None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
+        };
+        let error = BootError::Chassis {
+            chassis: chassis.name_of(index).to_owned(),
+            reason,
+        };
+        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // said why it cannot start has said more than its end would.
+        if matches!(&event, Some(MeshEvent::Unable { .. })) {
+            return Err(error);
         }
-        if missing.is_empty() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    });
-    let called = tokio::select! {
-        called = called => called,
-        ended = first_exit(processes) => return Err(ended),
-    };
-    if let Err(error) = called {
-        return Err(refused(processes, error.to_string()).await);
+        let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+        return Err(ended.unwrap_or(error));
     }
-    let peers: Vec<(u8, SocketAddr)> = connections
-        .iter()
-        .map(|(index, (_, address))| (*index, *address))
-        .collect();
-    missing.extend(connections.keys());
-    let waiting = RefCell::new(missing);
-    let introduced =
-        try_join_all(connections.into_iter().map(|(index, (connection, _))| {
-            introduce(chassis, index, connection, &peers, &waiting)
-        }));
-    let connections = tokio::select! {
-        // The process first: that it ended says more than that its connection did.
-        biased;
-        ended = first_exit(processes) => return Err(ended),
-        introduced = introduced => introduced,
-    };
-    let connections = match connections {
-        Ok(connections) => connections,
-        // A connection that breaks off mostly belongs to a process that is just ending.
-        Err(error) => {
-            let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
-            return Err(ended.unwrap_or(error));
-        }
-    };
-    let mut writers = Vec::new();
-    for (index, mut connection) in connections {
-        let told = connection.tell(&Handshake::Go).await;
-        told.map_err(|error| failed(chassis, index, &error))?;
-        writers.push(connection.into_link(chassis, index));
-    }
-    Ok((writers, peers))
-}
-
-/// Tells chassis `index` where the others listen, and waits until it is connected to all of them.
-async fn introduce(
-    chassis: &Arc<Chassis>,
-    index: u8,
-    mut connection: Connection,
-    peers: &[(u8, SocketAddr)],
-    waiting: &RefCell<&mut BTreeSet<u8>>,
-) -> Result<(u8, Connection), BootError> {
-    let told = connection.tell(&Handshake::Peers(peers.to_vec())).await;
-    told.map_err(|error| failed(chassis, index, &error))?;
-    match connection.hear().await {
-        Ok(Handshake::Ready) => {
-            waiting.borrow_mut().remove(&index);
-            Ok((index, connection))
-        }
-        Ok(other) => {
-            let error = HandshakeError::Unexpected(Box::new(other));
-            Err(failed(chassis, index, &error))
-        }
-        Err(error) => Err(failed(chassis, index, &error)),
-    }
-}
-
-fn failed(chassis: &Arc<Chassis>, index: u8, error: &HandshakeError) -> BootError {
-    BootError::Chassis {
-        chassis: chassis.name_of(index).to_owned(),
-        reason: error.to_string(),
-    }
-}
-
-/// A chassis said why it cannot start, and is about to end; which one it was, its end tells.
-async fn refused(processes: &mut [Process], reason: String) -> BootError {
-    let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
-    let chassis = match ended {
-        Ok(BootError::Chassis { chassis, .. }) => chassis,
-        _ => "unknown".to_owned(),
-    };
-    BootError::Chassis { chassis, reason }
+    Ok(())
 }
 
 /// Ends when the first process does.

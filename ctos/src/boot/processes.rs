@@ -2,7 +2,6 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    net::SocketAddr,
     process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
     time::Duration,
@@ -16,12 +15,15 @@ use tokio::{
 };
 
 use crate::{
-    boot::{BootError, BootEvent, End, INCARNATION_VARIABLE, Launcher, Observer, TOKEN_VARIABLE},
+    boot::{
+        BootError, BootEvent, End, INCARNATION_VARIABLE, Launcher, Observer, TOKEN_VARIABLE,
+        mesh::FLUSH_LIMIT,
+    },
     bootstrap::Processes,
     call::lock,
     chassis::Chassis,
     control::LogStore,
-    link::tcp::{FLUSH_LIMIT, Token},
+    link::{handshake::Token, transport::Address},
     system,
 };
 
@@ -98,7 +100,7 @@ pub(super) struct Starter {
     pub(super) chassis: Arc<Chassis>,
     pub(super) launcher: Launcher,
     pub(super) observer: Observer,
-    pub(super) boot: SocketAddr,
+    pub(super) boot: Address,
     pub(super) token: Token,
     pub(super) logs: Arc<LogStore>,
 }
@@ -272,7 +274,6 @@ pub(super) struct Keeper {
     starter: Starter,
     orders: mpsc::UnboundedReceiver<Order>,
     processes: BTreeMap<u8, Process>,
-    incarnations: Arc<Mutex<BTreeMap<u8, u32>>>,
 }
 
 impl Keeper {
@@ -283,31 +284,29 @@ impl Keeper {
             starter,
             orders,
             processes: (1..).zip(processes).collect(),
-            incarnations: Arc::default(),
         };
         (keeper, Arc::new(Orders(sender)))
     }
 
-    /// Which process of a chassis is the present one, where it is not the first.
-    pub(super) fn incarnations(&self) -> Arc<Mutex<BTreeMap<u8, u32>>> {
-        self.incarnations.clone()
-    }
-
-    /// Carries out the next order. Never ends when there is none.
-    pub(super) async fn serve(&mut self) {
-        match self.orders.recv().await {
-            Some(Order::Start(index, incarnation)) => self.start(index, incarnation),
-            Some(Order::Kill(index)) => {
-                if let Some(process) = self.processes.get(&index) {
-                    process.kill();
+    /// Carries out orders until a process was started: that of which chassis, and which incarnation.
+    pub(super) async fn serve(&mut self) -> (u8, u32) {
+        loop {
+            match self.orders.recv().await {
+                Some(Order::Start(index, incarnation)) => {
+                    self.start(index, incarnation);
+                    return (index, incarnation);
                 }
+                Some(Order::Kill(index)) => {
+                    if let Some(process) = self.processes.get(&index) {
+                        process.kill();
+                    }
+                }
+                None => std::future::pending().await,
             }
-            None => std::future::pending().await,
         }
     }
 
     fn start(&mut self, index: u8, incarnation: u32) {
-        lock(&self.incarnations).insert(index, incarnation);
         match self.starter.start(index, incarnation) {
             Ok(process) => {
                 self.processes.insert(index, process);

@@ -1,7 +1,7 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
 use super::trail::Trail;
-use super::{Node, Selection};
+use super::{LinkConfig, Node, SecurityConfig, Selection};
 use crate::diagnostic::{Findings, Place};
 use crate::semaphore::Scope;
 use crate::sync::Overrun;
@@ -24,6 +24,10 @@ pub struct App {
     pub stop_timeout: Duration,
     /// Which clock the app runs on.
     pub time: TimeMode,
+    /// How links behave.
+    pub links: LinkConfig,
+    /// Whose keys count beyond this host; `None` = nobody beyond this host is let in.
+    pub security: Option<SecurityConfig>,
     /// The chassis, in declared order.
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.

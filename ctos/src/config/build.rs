@@ -9,6 +9,7 @@ use super::app::{
     ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
 };
 use super::fields::{Fields, FlagOr, check_name};
+use super::links;
 use super::node::{Entry, Node};
 use super::trail::Trail;
 use super::{Expander, GeneratedTask};
@@ -27,6 +28,10 @@ pub(super) const APP_KEYS: &[&str] = &[
     "until",
     "phase_timeout_s",
     "stop_timeout_s",
+    links::KEYS[0],
+    links::KEYS[1],
+    links::KEYS[2],
+    links::KEYS[3],
 ];
 const TOP_KEYS: &[&str] = &[
     "include",
@@ -36,6 +41,8 @@ const TOP_KEYS: &[&str] = &[
     "task",
     "semaphore",
     "barrier",
+    "injure",
+    "security",
     "profile",
 ];
 const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
@@ -123,6 +130,9 @@ pub(super) fn build(
     let phase_timeout = fields.seconds("phase_timeout_s", 3600.0);
     let stop_timeout = fields.seconds("stop_timeout_s", 3600.0);
     let until = fields.text("until");
+    let mut links = links::links(&mut fields);
+    links.injury = links::injury(&root, &chassis, builder.findings);
+    let security = links::security(&root, &chassis, builder.findings);
     let until = until.map(|(task, place)| {
         builder.check_until(task, place, &root, &tasks);
         task.to_owned()
@@ -139,6 +149,8 @@ pub(super) fn build(
         phase_timeout: phase_timeout.unwrap_or(Duration::from_secs_f64(PHASE_TIMEOUT_S)),
         stop_timeout: stop_timeout.unwrap_or(Duration::from_secs_f64(STOP_TIMEOUT_S)),
         time,
+        links,
+        security,
         chassis,
         tasks,
         semaphores,

@@ -33,6 +33,8 @@ pub(super) enum Kind {
     FlagOr(&'static str),
     /// A whole number from the first to the second.
     Integer(u64, u64),
+    /// A number from the first to the second.
+    Number(f64, f64),
     /// A time in s, above 0 and at most this.
     Seconds(f64),
     /// A list of strings.
@@ -73,6 +75,8 @@ const SEMAPHORE: &str = "semaphore.NAME";
 const BARRIER: &str = "barrier.NAME";
 
 const SCOPE_DOC: &str = "Shared by the tasks of each chassis, or of the whole app. Default: of the app when the name begins with `app/`, else of the chassis.";
+const INJURE: &str = "injure";
+const SECURITY: &str = "security";
 
 /// All tables, outer ones first.
 pub(super) const TABLES: &[Table] = &[
@@ -105,6 +109,18 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Named(BARRIER),
                 None,
                 "Barriers where tasks wait for each other, by name. Default: as the tasks say.",
+            ),
+            key(
+                "injure",
+                Kind::One(INJURE),
+                None,
+                "What goes wrong on purpose with the links between chassis.",
+            ),
+            key(
+                "security",
+                Kind::One(SECURITY),
+                None,
+                "Keys for connections beyond this host.",
             ),
             key(
                 "profile",
@@ -152,6 +168,30 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Seconds(3600.0),
                 Some("5.0"),
                 "How long an orderly stop may take, s.",
+            ),
+            key(
+                "peer_timeout_s",
+                Kind::Seconds(3600.0),
+                Some("2.0"),
+                "After how long without a sign of life a chassis is given up, s.",
+            ),
+            key(
+                "same_host",
+                Kind::Choice(&["shm", "unix", "tcp"]),
+                Some("\"shm\""),
+                "How chassis of one host are joined: shared memory, Unix sockets, or the loopback.",
+            ),
+            key(
+                "spin_us",
+                Kind::Integer(0, 1_000_000),
+                None,
+                "How long a reader of shared memory looks for news before it sleeps, us. Default: 5, with one CPU 0.",
+            ),
+            key(
+                "link_room_mib",
+                Kind::Integer(1, 65_536),
+                Some("64"),
+                "How much may be under way to another chassis and not acknowledged, MiB.",
             ),
         ],
     },
@@ -318,6 +358,35 @@ pub(super) const TABLES: &[Table] = &[
         ],
     },
     Table {
+        path: INJURE,
+        keys: &[
+            key(
+                "drop",
+                Kind::Number(0.0, 0.9),
+                Some("0.0"),
+                "The probability that a packet is lost; it is sent again.",
+            ),
+            key(
+                "delay",
+                Kind::Text,
+                None,
+                "How much later each packet leaves, such as \"5ms\" or \"5ms..20ms\". Default: not at all.",
+            ),
+            key(
+                "cut",
+                Kind::Texts,
+                Some("[]"),
+                "Links that are cut: two chassis (or `boot`), when, and for how long, such as \"a:b@2s+0.5s\".",
+            ),
+            key(
+                "break_bytes",
+                Kind::Integer(0, 1 << 40),
+                Some("0"),
+                "After how many bytes the first stream of each link breaks, on average; 0 = never.",
+            ),
+        ],
+    },
+    Table {
         path: BARRIER,
         keys: &[
             key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
@@ -326,6 +395,23 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Integer(1, 1_000_000),
                 None,
                 "How many must arrive before all go on. Default: as the tasks say.",
+            ),
+        ],
+    },
+    Table {
+        path: SECURITY,
+        keys: &[
+            key(
+                "key",
+                Kind::Text,
+                None,
+                "The key of the app's chassis without its ending, made by `ctos keys new`.",
+            ),
+            key(
+                "authority",
+                Kind::Text,
+                None,
+                "The certificate of the authority that signs all keys.",
             ),
         ],
     },

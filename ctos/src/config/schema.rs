@@ -70,6 +70,9 @@ fn of_kind(kind: &Kind) -> Value {
         Kind::Integer(least, most) => {
             json!({ "type": "integer", "minimum": least, "maximum": most })
         }
+        Kind::Number(least, most) => {
+            json!({ "type": "number", "minimum": least, "maximum": most })
+        }
         Kind::Seconds(most) => json!({ "type": "number", "exclusiveMinimum": 0, "maximum": most }),
         Kind::Texts => json!({ "type": "array", "items": { "type": "string" } }),
         // Beside a reference draft-07 reads nothing else, so the description stands outside of it.
