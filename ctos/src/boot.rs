@@ -86,6 +86,12 @@ pub enum BootError {
     },
 }
 
+/// What was attempted when the system said no.
+pub(crate) fn io(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
+    let what = what.into();
+    move |error| BootError::Io { what, error }
+}
+
 /// The clock that an app of this mode runs on, at its start.
 #[must_use]
 pub fn clock(mode: TimeMode) -> Clock {

@@ -17,10 +17,11 @@ mod de;
 mod fields;
 mod load;
 mod node;
+mod observe;
 #[cfg(test)]
 mod tests;
 
-pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use app::{App, ChassisConfig, ProcessorConfig, RecordConfig, Restart, TaskConfig, TimeMode};
 pub use node::{Entry, Node, Value};
 
 use crate::diagnostic::{Findings, Place, Source};

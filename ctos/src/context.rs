@@ -23,6 +23,7 @@ use crate::{
     diagnostic::Finding,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
+    record::Asked,
     sync::{Cyclic, CyclicEntry, CyclicHandle},
     system::{self, AppResult, CommandDescription, Introspect, Ping, QueryTid, Statistics},
     task::Handled,
@@ -335,11 +336,15 @@ impl Context {
         deadline: Duration,
     ) -> Result<Data, Fault> {
         envelope.deadline = Some(self.now() + deadline);
+        let asked = Asked::of(&envelope);
         let waiting = self.inner.chassis.dispatch(envelope, wait);
-        match self.timeout(deadline, waiting).await {
+        let recorded = waiting.recorded();
+        let answer = match self.timeout(deadline, waiting).await {
             Ok(answer) => answer,
             Err(Elapsed(after)) => Err(Fault::Deadline { after }),
-        }
+        };
+        self.inner.chassis.tap.answered(recorded, &asked, &answer);
+        answer
     }
 
     // -- time -------------------------------------------------------------------------------
@@ -378,6 +383,8 @@ impl Context {
     /// dropped. If it panics, it is taken off the schedule and the task has failed.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
+        let tap = &self.inner.chassis.tap;
+        tap.used(|| "a synchronous function".to_owned());
         let mut entry = CyclicEntry::new(Box::new(function), period, self.now());
         let cx = self.clone();
         entry.on_panic(move |text| cx.fail(&format!("a synchronous function panicked: {text}")));

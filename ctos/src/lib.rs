@@ -21,6 +21,7 @@ pub mod chassis;
 pub mod config;
 pub mod diagnostic;
 pub mod message;
+pub mod record;
 pub mod registry;
 pub mod sync;
 pub mod system;

@@ -297,6 +297,7 @@ mod tests {
         Message {
             trace: 1,
             deadline: None,
+            recorded: 0,
             header: Header {
                 to: Tid::from_bits(1),
                 from: Tid::from_bits(2),

@@ -21,6 +21,7 @@ use crate::{
     context::mix,
     link::simulated::{Network, below},
     processor::Processor,
+    record,
     registry::Registry,
     system,
     time::{Clock, Instant},
@@ -68,6 +69,7 @@ pub(crate) fn run(
     let chassis: Vec<Arc<Chassis>> = (0..=count)
         .map(|index| Chassis::new(index, app.clone(), registry.clone(), clock.clone()))
         .collect();
+    let recording = record::start(&chassis).map_err(boot::io("cannot record"))?;
     let exits = Arc::new(Mutex::new(VecDeque::new()));
     for from in &chassis {
         for to in from.others() {
@@ -107,7 +109,11 @@ pub(crate) fn run(
         gone: BTreeSet::new(),
         casualties: Vec::new(),
     };
-    Ok(simulation.run())
+    let outcome = simulation.run();
+    if let Some(recording) = recording {
+        recording.finish();
+    }
+    Ok(outcome)
 }
 
 /// Mishaps by the moment at which they happen.

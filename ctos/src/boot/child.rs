@@ -19,6 +19,7 @@ use crate::{
     chassis::Chassis,
     config::App,
     link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, VERSION, callers},
+    record,
     registry::Registry,
     time::Clock,
 };
@@ -76,9 +77,13 @@ pub fn run_chassis(
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
-    let code = runtime.block_on(serve(&chassis, boot, &token))?;
+    let recording = record::start(std::slice::from_ref(&chassis))?;
+    let code = runtime.block_on(serve(&chassis, boot, &token));
     runtime.shutdown_background();
-    Ok(code)
+    if let Some(recording) = recording {
+        recording.finish();
+    }
+    code
 }
 
 async fn serve(chassis: &Arc<Chassis>, boot: SocketAddr, token: &Token) -> Result<i32, ChildError> {

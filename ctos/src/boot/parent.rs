@@ -22,12 +22,13 @@ use tokio::{
 };
 
 use crate::{
-    boot::{self, BootError, BootEvent, End, Launcher, Observer, Outcome, TOKEN_VARIABLE},
+    boot::{self, BootError, BootEvent, End, Launcher, Observer, Outcome, TOKEN_VARIABLE, io},
     bootstrap::EndSlot,
     call::lock,
     chassis::Chassis,
     config::App,
     link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
+    record,
     registry::Registry,
     system,
     time::Clock,
@@ -71,14 +72,13 @@ pub(crate) fn boot(
         .build()
         .map_err(io("cannot start the runtime"))?;
     let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
+    let recording = record::start(std::slice::from_ref(&chassis)).map_err(io("cannot record"))?;
     let outcome = runtime.block_on(run(&chassis, launcher, observer));
     runtime.shutdown_background();
+    if let Some(recording) = recording {
+        recording.finish();
+    }
     outcome
-}
-
-fn io(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
-    let what = what.into();
-    move |error| BootError::Io { what, error }
 }
 
 async fn run(

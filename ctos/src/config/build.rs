@@ -1,12 +1,14 @@
 //! From the merged tree to the typed app: what every key means, and everything that can be wrong
 //! with it by itself.
 //!
-//! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`. Knows no handler: whether a
+//! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`; `observe` those of recording and
+//! metrics. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
 use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
 use super::fields::{Fields, check_name};
 use super::node::{Entry, Node};
+use super::observe;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use std::net::SocketAddr;
@@ -16,7 +18,9 @@ use std::time::Duration;
 /// The keys of `[app]`; `--set` takes them as single words.
 pub(super) const APP_KEYS: &[&str] =
     &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task"];
+const TOP_KEYS: &[&str] = &[
+    "include", "app", "time", "chassis", "task", "record", "metrics",
+];
 const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
 const PROCESSOR_KEYS: &[&str] = &["realtime", "priority", "cpu"];
 const TASK_KEYS: &[&str] = &[
@@ -26,6 +30,7 @@ const TASK_KEYS: &[&str] = &[
     "restart",
     "max_restarts",
     "call_deadline_s",
+    "handler_limit_s",
     "args",
 ];
 
@@ -65,6 +70,8 @@ pub(super) fn build(
         builder.push_at_start(finding);
     }
     let time = builder.time(&root);
+    let record = observe::record(builder.fields(&root, "record", observe::RECORD_KEYS));
+    let metrics = observe::metrics(builder.fields(&root, "metrics", observe::METRICS_KEYS));
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
@@ -93,6 +100,8 @@ pub(super) fn build(
         phase_timeout: phase_timeout.unwrap_or(Duration::from_secs_f64(PHASE_TIMEOUT_S)),
         stop_timeout: stop_timeout.unwrap_or(Duration::from_secs_f64(STOP_TIMEOUT_S)),
         time,
+        record,
+        metrics,
         chassis,
         tasks,
         file: origin.file,
@@ -280,6 +289,7 @@ impl Builder<'_> {
         let queue = fields.integer("queue", 1..=65_536_usize).unwrap_or(QUEUE);
         let restart = restart(&mut fields);
         let call_deadline = fields.seconds("call_deadline_s", 86_400.0);
+        let handler_limit = fields.seconds("handler_limit_s", 86_400.0);
         let args = fields.table("args").cloned();
         let args = args.unwrap_or_else(|| Node::table().placed(&place));
         let (handler, handler_place) = handler?;
@@ -294,6 +304,7 @@ impl Builder<'_> {
             on_place,
             queue,
             restart,
+            handler_limit,
             call_deadline,
             args,
             place,
@@ -390,6 +401,7 @@ impl Builder<'_> {
             on_place: place.clone(),
             queue: QUEUE,
             restart: Restart::default(),
+            handler_limit: None,
             call_deadline: None,
             args: task.args.placed(&place),
             place,
