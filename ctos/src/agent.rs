@@ -11,10 +11,11 @@ use crate::{
     runner::{TaskSpec, record, start_task},
     system::{self, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName},
     task::{EventHandler, Handled, HandlerError, StopReason},
+    watch::{self, Gather},
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 2] = [CreateTasks::INFO, Exit::INFO];
+pub(crate) const COMMANDS: [CommandInfo; 3] = [CreateTasks::INFO, Exit::INFO, Gather::INFO];
 
 /// Exit code of a chassis whose boot is gone.
 const EXIT_ORPHAN: i32 = 5;
@@ -31,7 +32,12 @@ impl EventHandler for Agent {
             CreateTasks::CODE => {
                 let (CreateTasks {}, reply) = message.open::<CreateTasks>()?;
                 let created = self.create(cx).await?;
+                watch::start(cx);
                 reply.ok(created)
+            }
+            Gather::CODE => {
+                let (Gather {}, reply) = message.open::<Gather>()?;
+                reply.ok(watch::gather_here(cx.chassis()))
             }
             Exit::CODE => {
                 let (Exit { code }, reply) = message.open::<Exit>()?;

@@ -25,6 +25,7 @@ use crate::{
     statistics::TaskStatistics,
     system,
     time::{Clock, Instant},
+    watch::Watch,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -130,6 +131,8 @@ pub struct Chassis {
     next_trace: AtomicU64,
     /// What looks on: a recorder, a replay, nobody.
     pub(crate) tap: Tap,
+    /// What it has seen of itself.
+    pub(crate) watch: Watch,
 }
 
 /// What the sender of a message waits for.
@@ -204,6 +207,7 @@ impl Chassis {
             stopping: AtomicBool::new(false),
             next_trace: AtomicU64::new(1),
             tap: Tap::default(),
+            watch: Watch::default(),
         })
     }
 

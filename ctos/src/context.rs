@@ -173,6 +173,11 @@ impl Context {
         &self.inner.chassis.app
     }
 
+    /// The commands that the task takes.
+    pub(crate) fn commands(&self) -> &[CommandInfo] {
+        &self.inner.commands
+    }
+
     /// The kinds of event handlers that this program knows.
     #[must_use]
     pub fn registry(&self) -> &crate::registry::Registry {

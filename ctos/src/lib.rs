@@ -27,6 +27,7 @@ pub mod sync;
 pub mod system;
 pub mod task;
 pub mod time;
+pub mod watch;
 
 mod agent;
 mod bootstrap;

@@ -27,7 +27,7 @@ use crate::{
 
 pub use lines::Number;
 pub use log::RecordLayer;
-pub use read::{Entry, Filter, ReadError, Record, Run};
+pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan};
 pub use replay::{Difference, ReplayError, ReplayReport, replay};
 
 pub(crate) use event::Ending;

@@ -79,6 +79,7 @@ pub(crate) fn start_task(
     );
     let handler = build_contained(&spec.build, &cx)?;
     chassis.add_task(spec.record.clone());
+    spec.record.statistics.meter.count(cx.commands());
     chassis.tap.built(spec.record.tid, &spec.record.name);
     let runner = Runner {
         cx: cx.clone(),
@@ -143,6 +144,7 @@ impl Runner {
         let at_hand = AtHand::of(record.tid, &message, began);
         cx.chassis().tap.began(&at_hand);
         let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
+        let handling = record.statistics.meter.in_turns(handling);
         let outcome = if command == StopTask::CODE {
             handling.await
         } else {

@@ -25,6 +25,7 @@ use crate::{
     registry::Registry,
     system,
     time::{Clock, Instant},
+    watch,
 };
 
 /// What happens to the simulated machines at a moment, with the chassis as numbers.
@@ -289,6 +290,7 @@ impl Simulation {
 
     /// Moves the clock and lets everything happen that is due then.
     fn advance(&mut self, moment: Instant) {
+        watch::look_until(self.chassis.iter(), moment);
         self.clock.advance_to(moment);
         while let Some(entry) = self.happenings.first_entry() {
             if *entry.key() > moment {

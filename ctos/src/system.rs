@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     command,
-    message::Tid,
+    message::{Command, Tid},
     statistics::TaskCounters,
     task::{Phase, StopReason},
 };
@@ -57,6 +57,20 @@ pub(crate) struct Created {
     pub(crate) tasks: Vec<TaskName>,
     /// Task and reason.
     pub(crate) failed: Vec<(String, String)>,
+}
+
+/// The name of a command of the runtime that a task of an app may be at; its code, of any other.
+pub(crate) fn command_name(code: u16) -> String {
+    let known = [
+        EnterPhase::INFO,
+        StopTask::INFO,
+        ChassisDown::INFO,
+        Ping::INFO,
+        Introspect::INFO,
+        Statistics::INFO,
+    ];
+    let found = known.into_iter().find(|command| command.code == code);
+    found.map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
 }
 
 command! {

@@ -1,13 +1,13 @@
 //! `ctos boot`.
 
-use std::{ffi::OsString, sync::Arc};
+use std::{ffi::OsString, path::PathBuf, sync::Arc};
 
 use clap::Args;
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
 use ctos::registry::Registry;
 
 use crate::{
-    commands::{AppArgs, LogArgs, progress::Display, start_log},
+    commands::{AppArgs, LogArgs, progress::Display, record, start_log},
     exit, program, show,
 };
 
@@ -15,10 +15,11 @@ use crate::{
 ///
 /// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in one
 /// process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(after_help = "Examples:
   ctos boot configs/calibrate.toml
   ctos boot configs/calibrate.toml -v
+  ctos boot configs/calibrate.toml --record run.mcap
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
 pub struct BootArgs {
     /// Which app
@@ -27,6 +28,9 @@ pub struct BootArgs {
     /// Print the result as one JSON object, last on standard output
     #[arg(long)]
     pub json: bool,
+    /// Record messages, phases, firings and log lines to FILE; each process puts its name before the extension
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
     /// How much to say
     #[command(flatten)]
     pub log: LogArgs,
@@ -35,7 +39,21 @@ pub struct BootArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &BootArgs, registry: Registry) -> u8 {
-    let (app, warnings) = match program::checked(&args.app.file, &args.app.sets, &registry) {
+    let mut args = args.clone();
+    if let Some(file) = &args.record {
+        match record::setting(file) {
+            Ok(set) => args.app.sets.push(set),
+            Err(error) => {
+                show::say(&format!(
+                    "error: cannot record to {}: {error}",
+                    file.display()
+                ));
+                return exit::FAILED;
+            }
+        }
+    }
+    let args = &args;
+    let (app, warnings) = match program::checked(&args.app.selection(), &registry) {
         Ok(checked) => checked,
         Err(findings) => {
             let counted = show::counted(&findings);
@@ -51,7 +69,9 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     if let Err(code) = start_log(&args.log, clock.clone(), true) {
         return code;
     }
-    show::findings(warnings);
+    if !args.log.quiet {
+        show::findings(warnings);
+    }
     let program = match std::env::current_exe() {
         Ok(program) => program,
         Err(error) => {
@@ -65,7 +85,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         program,
         arguments: child_arguments(args),
     };
-    let display = Arc::new(Display::new(&app));
+    let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
     let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
     let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
@@ -84,10 +104,17 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
 
 fn child_arguments(args: &BootArgs) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = vec!["chassis".into(), args.app.file.clone().into()];
+    for profile in &args.app.profiles {
+        arguments.extend(["--profile".into(), profile.into()]);
+    }
     for set in &args.app.sets {
         arguments.extend(["--set".into(), set.into()]);
     }
+    if args.log.quiet {
+        arguments.push("--quiet".into());
+    }
     arguments.extend((0..args.log.verbose).map(|_| OsString::from("-v")));
+    arguments.extend(["--log-format".into(), args.log.log_format.word().into()]);
     if let Some(filter) = &args.log.log {
         arguments.extend(["--log".into(), filter.into()]);
     }

@@ -32,6 +32,7 @@ use crate::{
     registry::Registry,
     system,
     time::Clock,
+    watch,
 };
 
 /// How many of its last lines are kept of a chassis's log, for the error that its end causes.
@@ -134,6 +135,10 @@ async fn run_processes(
         let _ = sender.send(code);
     });
     boot::start_system_tasks(chassis, observer, &end_slot);
+    if let Some(address) = chassis.app.metrics {
+        let served = watch::serve(chassis, address).await;
+        served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
+    }
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {

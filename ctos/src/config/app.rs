@@ -1,6 +1,7 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
-use super::Node;
+use super::trail::Trail;
+use super::{Node, Selection};
 use crate::diagnostic::{Findings, Place};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -31,12 +32,16 @@ pub struct App {
     pub tasks: Vec<TaskConfig>,
     /// The file as given.
     pub file: PathBuf,
-    /// The `--set` texts as given. With `file` they make the same app again in another process.
+    /// The profiles that were chosen, the later ones on top.
+    pub profiles: Vec<String>,
+    /// The `--set` texts as given. With `file` and `profiles` they make the same app again in
+    /// another process.
     pub sets: Vec<String>,
     /// The folder that relative paths of the app start from: that of `file`.
     pub folder: PathBuf,
     /// Warnings; an app with errors is not made.
     pub warnings: Findings,
+    pub(super) trail: Trail,
     pub(super) root: Node,
 }
 
@@ -142,6 +147,16 @@ impl App {
     #[must_use]
     pub fn root(&self) -> &Node {
         &self.root
+    }
+
+    /// What makes the same app again in another process of this host.
+    #[must_use]
+    pub fn selection(&self) -> Selection {
+        Selection {
+            file: self.file.clone(),
+            profiles: self.profiles.clone(),
+            sets: self.sets.clone(),
+        }
     }
 
     /// The task of that name.

@@ -9,6 +9,7 @@ use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeM
 use super::fields::{Fields, check_name};
 use super::node::{Entry, Node};
 use super::observe;
+use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use std::net::SocketAddr;
@@ -16,10 +17,16 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// The keys of `[app]`; `--set` takes them as single words.
-pub(super) const APP_KEYS: &[&str] =
-    &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
+pub(super) const APP_KEYS: &[&str] = &[
+    "name",
+    "profile",
+    "seed",
+    "until",
+    "phase_timeout_s",
+    "stop_timeout_s",
+];
 const TOP_KEYS: &[&str] = &[
-    "include", "app", "time", "chassis", "task", "record", "metrics",
+    "include", "app", "time", "chassis", "task", "profile", "record", "metrics",
 ];
 const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
 const PROCESSOR_KEYS: &[&str] = &["realtime", "priority", "cpu"];
@@ -42,6 +49,7 @@ const MAX_RESTARTS: u32 = 3;
 const MAIN: &str = "main";
 
 /// Where an app came from.
+#[derive(Clone)]
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     pub(super) sets: Vec<String>,
@@ -105,9 +113,11 @@ pub(super) fn build(
         chassis,
         tasks,
         file: origin.file,
+        profiles: Vec::new(),
         sets: origin.sets,
         folder,
         warnings: Findings::new(),
+        trail: Trail::default(),
         root,
     }
 }

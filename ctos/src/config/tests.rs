@@ -1,8 +1,13 @@
 //! A whole app, its defaults, expanders, and arbitrary text.
 
+mod bundle;
+mod keys;
 mod load;
 mod node;
+mod profiles;
 mod refused;
+mod shown;
+mod variables;
 
 use super::*;
 use crate::diagnostic::Finding;

@@ -16,6 +16,7 @@ use crate::{
     system::{
         self, ChassisDown, CreateTasks, EnterPhase, Exit, Introspect, Ping, Statistics, StopTask,
     },
+    watch::Gather,
 };
 
 /// Names of tasks and commands, for one app.
@@ -61,6 +62,7 @@ impl Names {
             ChassisDown::INFO,
             CreateTasks::INFO,
             Exit::INFO,
+            Gather::INFO,
         ];
         all.extend(bootstrap::COMMANDS);
         all.extend(names::COMMANDS);

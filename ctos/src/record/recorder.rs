@@ -49,6 +49,7 @@ pub(crate) struct Recorder {
     lanes: Vec<Mutex<Lane>>,
     limit: usize,
     next_id: AtomicU64,
+    dropped: AtomicU64,
     writer: Mutex<Option<Writer>>,
     threaded: bool,
     flush: Duration,
@@ -98,6 +99,7 @@ impl Recorder {
             lanes: (0..lanes).map(|_| Mutex::default()).collect(),
             limit,
             next_id: AtomicU64::new(1),
+            dropped: AtomicU64::new(0),
             writer: Mutex::new(Some(writer)),
             threaded,
             flush,
@@ -115,6 +117,11 @@ impl Recorder {
 
     pub(crate) fn fresh_id(&self) -> u64 {
         self.next_id.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Events that found no room.
+    pub(crate) fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
     }
 
     /// A task has a name from now on.
@@ -139,6 +146,7 @@ impl Recorder {
         let mut lane = lock(lane);
         if lane.bytes.len() >= self.limit || push(&mut lane.bytes, head, data).is_err() {
             lane.dropped += 1;
+            self.dropped.fetch_add(1, Ordering::Relaxed);
             return false;
         }
         let grown = lane.bytes.len() >= WAKE;

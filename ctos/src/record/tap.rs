@@ -99,6 +99,11 @@ impl Tap {
         }
     }
 
+    /// Events that the record lacks; `None` when nothing is recorded.
+    pub(crate) fn dropped(&self) -> Option<u64> {
+        self.recorder().map(|(recorder, _)| recorder.dropped())
+    }
+
     /// Whether anything is recorded.
     pub(crate) fn is_recording(&self) -> bool {
         self.recorder().is_some()
