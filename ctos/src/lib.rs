@@ -43,3 +43,8 @@ mod statistics;
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use statistics::TaskCounters;
 pub use task::Context;
+
+/// The examples of the pages, for the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/recording.md")]
+mod pages {}

@@ -12,7 +12,7 @@ use super::{
     event::{Ending, Happened, Head, Side},
     names::Names,
 };
-use crate::message::{Flags, Tid, ToJson};
+use crate::message::{Flags, ToJson};
 
 /// Data of more bytes than this is not shown as JSON: it is a picture, not something to read.
 const SHOWN: usize = 4096;
@@ -455,11 +455,6 @@ impl Bytes {
 /// The bytes of a base64 text; empty when it is none.
 pub(crate) fn from_base64(text: &str) -> Vec<u8> {
     STANDARD.decode(text).unwrap_or_default()
-}
-
-/// A task id out of its 32 bits.
-pub(crate) fn tid(bits: u32) -> Tid {
-    Tid::from_bits(bits)
 }
 
 impl Side {

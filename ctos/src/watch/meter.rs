@@ -8,7 +8,6 @@ use std::{
         atomic::{AtomicU64, Ordering},
     },
     task::{Context as PollContext, Poll},
-    time::Duration,
 };
 
 use serde::{Deserialize, Serialize};
@@ -137,11 +136,6 @@ impl<F: Future + Unpin> Future for InTurns<'_, F> {
         self.turns.fetch_add(1, Ordering::AcqRel);
         polled
     }
-}
-
-/// The sum of a histogram, s.
-pub(super) fn seconds(busy: Duration) -> f64 {
-    busy.as_secs_f64()
 }
 
 #[cfg(test)]

@@ -2,10 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    lint::Lint,
-    meter::{CommandCount, seconds},
-};
+use super::{lint::Lint, meter::CommandCount};
 use crate::{chassis::Chassis, command};
 
 command! {
@@ -48,7 +45,7 @@ pub(crate) fn gather_here(chassis: &Chassis) -> ChassisMetrics {
             task: task.name.to_string(),
             commands: task.statistics.meter.commands(),
             durations: task.statistics.meter.durations(),
-            busy_s: seconds(counters.busy),
+            busy_s: counters.busy.as_secs_f64(),
             queue: count(queue),
             capacity: count(capacity),
             restarts: counters.restarts,

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 use super::{
     super::{
         event::Side,
-        lines::{BeganLine, Bytes, EndedLine, MessageLine, Number, ReplyLine, from_base64, tid},
+        lines::{BeganLine, Bytes, EndedLine, MessageLine, Number, ReplyLine, from_base64},
         read::{Entry, Record},
     },
     ReplayError,
@@ -185,7 +185,7 @@ impl Reader<'_> {
         }
         let begun = Begun {
             id: line.id,
-            from: tid(line.from_tid),
+            from: Tid::from_bits(line.from_tid),
             command: line.code,
             flags: flags_of(&line),
             trace: line.trace.to_trace(),
@@ -207,8 +207,8 @@ impl Reader<'_> {
             self.output(entry)?;
         } else if topic.strip_prefix("/began/") == Some(self.task) {
             let line: BeganLine = parsed(entry)?;
-            if let Some(before) = self.tid.replace(tid(line.tid))
-                && before != tid(line.tid)
+            if let Some(before) = self.tid.replace(Tid::from_bits(line.tid))
+                && before != Tid::from_bits(line.tid)
             {
                 return Err(incomplete(format!(
                     "`{}` was moved, or its chassis restarted, while it was recorded",
@@ -252,7 +252,7 @@ impl Reader<'_> {
         self.outputs.push(Output {
             id: line.id,
             at: entry.at,
-            to: tid(line.to_tid),
+            to: Tid::from_bits(line.to_tid),
             command: line.code,
             flags: flags_of(&line),
             trace,
