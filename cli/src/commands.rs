@@ -8,10 +8,13 @@ pub mod config;
 pub mod doctor;
 pub mod explain;
 pub mod keys;
+pub mod log;
 pub mod new;
+pub mod replay;
 pub mod sim;
 
 mod progress;
+mod record;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -21,6 +24,7 @@ use ctos::{config::Selection, registry::Registry};
 
 use crate::{
     exit,
+    log::{LogFormat, LogSetting},
     show::{self, Colour},
 };
 
@@ -74,6 +78,10 @@ pub enum Command {
     /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
     /// beginning with a letter.
     New(new::NewArgs),
+    /// Look into records (MCAP) of apps
+    Log(log::LogCommandArgs),
+    /// Let one task do again what it did in a record, and compare
+    Replay(replay::ReplayArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -115,9 +123,13 @@ pub struct LogArgs {
     /// Show results and errors only
     #[arg(short, long)]
     pub quiet: bool,
-    /// Filter of the log in the form of RUST_LOG, for example `pnt=debug`; overrides `-v`
+    /// Filter of the log in the form of RUST_LOG, where a name is a module's or a task's, for example
+    /// `warn,arm=debug`; overrides `-v`
     #[arg(long, value_name = "FILTER")]
     pub log: Option<String>,
+    /// How log lines look
+    #[arg(long, value_enum, value_name = "FORMAT", default_value_t)]
+    pub log_format: LogFormat,
 }
 
 /// Runs the command line of this process for the event handlers of `registry`.
@@ -135,6 +147,8 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::New(args) => new::run(&args),
+        Command::Log(args) => log::run(&args),
+        Command::Replay(args) => replay::run(&args, registry),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };
@@ -150,7 +164,13 @@ fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(),
         (false, 2) => "debug",
         (false, _) => "trace",
     };
-    crate::log::start(level, args.log.as_deref(), clock, ansi).map_err(|error| {
+    let setting = LogSetting {
+        level,
+        filter: args.log.as_deref(),
+        format: args.log_format,
+        ansi,
+    };
+    crate::log::start(&setting, clock).map_err(|error| {
         show::say(&format!("error: {error}"));
         exit::USAGE
     })

@@ -14,14 +14,16 @@ use crate::{
         self, AnnounceUp, ChassisUp, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName,
     },
     task::{EventHandler, Handled, HandlerError, StopReason},
+    watch::{self, Gather},
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 4] = [
+pub(crate) const COMMANDS: [CommandInfo; 5] = [
     CreateTasks::INFO,
     Exit::INFO,
     Survey::INFO,
     AnnounceUp::INFO,
+    Gather::INFO,
 ];
 
 /// Exit code of a chassis whose boot is gone.
@@ -39,7 +41,12 @@ impl EventHandler for Agent {
             CreateTasks::CODE => {
                 let (CreateTasks { first_slots }, reply) = message.open::<CreateTasks>()?;
                 let created = self.create(cx, first_slots).await?;
+                watch::start(cx);
                 reply.ok(created)
+            }
+            Gather::CODE => {
+                let (Gather {}, reply) = message.open::<Gather>()?;
+                reply.ok(watch::gather_here(cx.chassis()))
             }
             Exit::CODE => {
                 let (Exit { code }, reply) = message.open::<Exit>()?;

@@ -108,7 +108,8 @@ pub enum BootError {
     },
 }
 
-fn io_error(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
+/// What was attempted when the system said no.
+pub(crate) fn io_error(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
     let what = what.into();
     move |error| BootError::Io { what, error }
 }

@@ -20,6 +20,7 @@ mod keys;
 mod links;
 mod load;
 mod node;
+mod observe;
 mod profiles;
 mod schema;
 mod shown;
@@ -30,7 +31,7 @@ mod variables;
 
 pub use app::{
     App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
-    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
+    ProcessorConfig, RecordConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};

@@ -24,6 +24,7 @@ use crate::{
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
     realtime::{self, Grant},
+    record::Asked,
     semaphore::{self, Barrier, Scope, Semaphore, SemaphoreError, SemaphoreView},
     sync::{
         Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
@@ -178,6 +179,11 @@ impl Context {
     #[must_use]
     pub fn app(&self) -> &crate::config::App {
         &self.inner.chassis.app
+    }
+
+    /// The commands that the task takes.
+    pub(crate) fn commands(&self) -> &[CommandInfo] {
+        &self.inner.commands
     }
 
     /// The kinds of event handlers that this program knows.
@@ -349,11 +355,15 @@ impl Context {
         let now = self.now();
         envelope.deadline = Some(now + deadline);
         let _waits = self.inner.record.waits.begin(&to.name, command, now);
+        let asked = Asked::of(&envelope);
         let waiting = self.inner.chassis.dispatch(envelope, wait);
-        match self.timeout(deadline, waiting).await {
+        let recorded = waiting.recorded();
+        let answer = match self.timeout(deadline, waiting).await {
             Ok(answer) => answer,
             Err(Elapsed(after)) => Err(Fault::Deadline { after }),
-        }
+        };
+        self.inner.chassis.tap.answered(recorded, &asked, &answer);
+        answer
     }
 
     // -- time -------------------------------------------------------------------------------
@@ -394,6 +404,8 @@ impl Context {
     /// function, and refuses instead.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
+        let tap = &self.inner.chassis.tap;
+        tap.used(|| "a synchronous function".to_owned());
         let schedule = &self.inner.processor.schedule;
         let free = |name: &String| !schedule.has(&format!("{}.{name}", self.name()));
         let numbered = (2_u32..).map(|number| format!("cyclic-{number}"));

@@ -23,6 +23,7 @@ pub mod control;
 pub mod diagnostic;
 pub mod message;
 pub mod realtime;
+pub mod record;
 pub mod registry;
 pub mod security;
 pub mod semaphore;
@@ -32,6 +33,7 @@ pub mod sync;
 pub mod system;
 pub mod task;
 pub mod time;
+pub mod watch;
 
 mod agent;
 mod bootstrap;
@@ -54,3 +56,6 @@ pub use task::Context;
 #[cfg(doctest)]
 #[doc = include_str!("../../docs/synchronization.md")]
 struct SynchronizationPage;
+/// The examples of the pages, for the tests.
+#[doc = include_str!("../../docs/recording.md")]
+mod pages {}

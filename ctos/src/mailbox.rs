@@ -219,6 +219,13 @@ impl Mailbox {
         }
     }
 
+    /// How many messages are in it or wait for room, and how many of each priority it holds.
+    pub(crate) fn depth(&self) -> (usize, usize) {
+        let lanes = lock(&self.lanes);
+        let depth = |lane: &Lane| lane.queue.len() + lane.waiting.len();
+        (depth(&lanes.urgent) + depth(&lanes.normal), self.capacity)
+    }
+
     /// The next message, high priority first; `None` once the mailbox is closed.
     pub(crate) async fn next(&self) -> Option<Message> {
         poll_fn(|cx| {
@@ -311,6 +318,7 @@ mod tests {
         Message {
             trace: 1,
             deadline: None,
+            recorded: 0,
             header: Header {
                 to: Tid::from_bits(1),
                 from: Tid::from_bits(2),

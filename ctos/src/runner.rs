@@ -15,6 +15,7 @@ use crate::{
     mailbox::Mailbox,
     message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
     processor::{Processor, panic_text},
+    record::{AtHand, Ending},
     system::{ChassisDown, ChassisUp, EnterPhase, RestartTask, StopTask},
     task::{DynHandler, Handled, HandlerError, Phase},
     waits::Waits,
@@ -80,6 +81,8 @@ pub(crate) fn start_task(
     );
     let handler = build_contained(&spec.build, &cx)?;
     chassis.add_task(spec.record.clone());
+    spec.record.statistics.meter.count(cx.commands());
+    chassis.tap.built(spec.record.tid, &spec.record.name);
     let runner = Runner {
         cx: cx.clone(),
         record: spec.record,
@@ -139,8 +142,12 @@ impl Runner {
         let record = self.record.clone();
         let cx = self.cx.within(message.trace());
         cx.chassis().delivered(&record, &message);
-        record.statistics.begin(command, cx.now());
+        let began = cx.now();
+        record.statistics.begin(command, began);
+        let at_hand = AtHand::of(record.tid, &message, began);
+        cx.chassis().tap.began(&at_hand);
         let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
+        let handling = record.statistics.meter.in_turns(handling);
         let outcome = if command == StopTask::CODE {
             handling.await
         } else {
@@ -148,7 +155,9 @@ impl Runner {
             match select(handling, pin!(record.mailbox.stop_waits())).await {
                 Either::Left((outcome, _)) => outcome,
                 Either::Right(((), _)) => {
-                    record.statistics.end(false, cx.now());
+                    let now = cx.now();
+                    record.statistics.end(false, now);
+                    cx.chassis().tap.ended(&at_hand, now, || Ending::Stopped);
                     if let Some(slot) = slot {
                         slot.answer(Err(Fault::Stopping));
                     }
@@ -156,9 +165,13 @@ impl Runner {
                 }
             }
         };
-        record
-            .statistics
-            .end(matches!(outcome, Ok(Ok(()))), cx.now());
+        let now = cx.now();
+        record.statistics.end(matches!(outcome, Ok(Ok(()))), now);
+        cx.chassis().tap.ended(&at_hand, now, || match &outcome {
+            Ok(Ok(())) => Ending::Done,
+            Ok(Err(error)) => Ending::Refused(error.to_string()),
+            Err(panic) => Ending::Panicked(panic_text(panic.as_ref())),
+        });
         match outcome {
             Ok(Ok(())) => true,
             Ok(Err(error)) => {
@@ -201,6 +214,7 @@ impl Runner {
         self.handler.phase(cx, phase).await?;
         self.phase = Some(phase);
         self.record.statistics.entered(phase, cx.now());
+        cx.chassis().tap.phase(cx.tid(), Some(phase));
         reply.ok(())
     }
 

@@ -35,9 +35,11 @@ use crate::{
         simulated::{Arrival, InFlight, Network, below},
     },
     message::{Flags, SYSTEM_COMMANDS},
+    record,
     registry::Registry,
     system,
     time::{Clock, Drift, Instant},
+    watch,
 };
 
 use self::{draw::Drawn, events::EventLog, machine::Machine, mishap::Site};
@@ -198,6 +200,7 @@ struct Simulation {
     /// Processes on their way up, by the moment at which they are there.
     starts: BTreeMap<(Instant, u8), u32>,
     events: EventLog,
+    recording: Option<record::Recording>,
     observer: Observer,
     steps_at_once: u64,
     /// Kept between steps for its room.
@@ -235,6 +238,7 @@ impl Simulation {
                 Chassis::new(index, app.clone(), registry.clone(), clock)
             })
             .collect();
+        let recording = record::start(&chassis).map_err(boot::io_error("cannot record"))?;
         let exits = Exits::default();
         for from in &chassis {
             events.watch(from, &chassis);
@@ -279,6 +283,7 @@ impl Simulation {
             orders,
             starts: BTreeMap::new(),
             events,
+            recording,
             observer: observer.clone(),
             steps_at_once: 0,
             counts: Vec::new(),
@@ -311,6 +316,9 @@ impl Simulation {
         }
         for machine in &self.machines {
             machine.chassis.close();
+        }
+        if let Some(recording) = self.recording {
+            recording.finish();
         }
         let casualties = self.casualties.into_iter().map(|(index, how)| {
             let machine = self.machines.get(usize::from(index));
@@ -463,6 +471,9 @@ impl Simulation {
             new.link_up(peer.index(), self.network.link(index, peer.index()));
         }
         watch_exit(&new, incarnation, &self.exits);
+        if let Some(recording) = &self.recording {
+            recording.add(&new);
+        }
         let mut all: Vec<_> = self
             .machines
             .iter()
@@ -614,6 +625,7 @@ impl Simulation {
 
     /// Moves the clock and lets everything happen that is due then.
     fn advance(&mut self, moment: Instant) {
+        watch::look_until(self.machines.iter().map(|machine| &machine.chassis), moment);
         self.clock.advance_to(moment);
         self.steps_at_once = 0;
         while let Some(entry) = self.script.first_entry() {

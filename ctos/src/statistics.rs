@@ -8,7 +8,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use crate::{task::Phase, time::Instant};
+use crate::{task::Phase, time::Instant, watch::TaskMeter};
 
 /// The counters of one task.
 #[derive(Debug, Default)]
@@ -23,6 +23,8 @@ pub(crate) struct TaskStatistics {
     restarts: AtomicU64,
     phase: AtomicU8,
     phase_since_ns: AtomicU64,
+    /// What whoever watches counts besides.
+    pub(crate) meter: TaskMeter,
 }
 
 /// The counters of one task at a moment.
@@ -61,6 +63,8 @@ impl TaskStatistics {
         self.busy_ns.fetch_add(took, Ordering::Relaxed);
         self.longest_ns.fetch_max(took, Ordering::Relaxed);
         self.handled.fetch_add(1, Ordering::Relaxed);
+        let command = self.command.load(Ordering::Relaxed);
+        self.meter.ended(command, ok, took);
         if !ok {
             self.failed.fetch_add(1, Ordering::Relaxed);
         }

@@ -64,6 +64,20 @@ pub(crate) struct Created {
     pub(crate) failed: Vec<(String, String)>,
 }
 
+/// The name of a command of the runtime that a task of an app may be at; its code, of any other.
+pub(crate) fn command_name(code: u16) -> String {
+    let known = [
+        EnterPhase::INFO,
+        StopTask::INFO,
+        ChassisDown::INFO,
+        Ping::INFO,
+        Introspect::INFO,
+        Statistics::INFO,
+    ];
+    let found = known.into_iter().find(|command| command.code == code);
+    found.map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
+}
+
 command! {
     /// Asks whether the task is alive.
     pub struct Ping => (), 0xff00, "ping"

@@ -12,6 +12,7 @@ use crate::{
     chassis::Chassis,
     config::App,
     link::{handshake::Token, session::DownReason, transport::Address},
+    record,
     registry::Registry,
     time::Clock,
 };
@@ -78,9 +79,13 @@ pub fn run_chassis(
     let incarnation = std::env::var(super::INCARNATION_VARIABLE).ok();
     let incarnation = incarnation.and_then(|text| text.parse().ok()).unwrap_or(1);
     let who = Identification { token, incarnation };
-    let code = runtime.block_on(serve(&chassis, boot, who))?;
+    let recording = record::start(std::slice::from_ref(&chassis))?;
+    let code = runtime.block_on(serve(&chassis, boot, who));
     runtime.shutdown_background();
-    Ok(code)
+    if let Some(recording) = recording {
+        recording.finish();
+    }
+    code
 }
 
 async fn serve(

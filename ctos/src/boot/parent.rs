@@ -23,9 +23,11 @@ use crate::{
     config::App,
     control::{LogStore, Server, Ticker},
     link::handshake::Token,
+    record,
     registry::Registry,
     system,
     time::Clock,
+    watch,
 };
 
 /// Boots `app` with one process per chassis.
@@ -41,8 +43,12 @@ pub(crate) fn boot(
         .build()
         .map_err(io("cannot start the runtime"))?;
     let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
+    let recording = record::start(std::slice::from_ref(&chassis)).map_err(io("cannot record"))?;
     let outcome = runtime.block_on(run(&chassis, launcher, observer));
     runtime.shutdown_background();
+    if let Some(recording) = recording {
+        recording.finish();
+    }
     outcome
 }
 
@@ -129,6 +135,10 @@ async fn run_processes(
         let _ = sender.send(code);
     });
     boot::start_system_tasks(chassis, Some(&seat));
+    if let Some(address) = chassis.app.metrics {
+        let served = watch::serve(chassis, address).await;
+        served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
+    }
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
     let server = serve(chassis, &logs, ticker);
     let mut newcomers = Newcomers::default();

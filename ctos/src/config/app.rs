@@ -28,6 +28,10 @@ pub struct App {
     pub links: LinkConfig,
     /// Whose keys count beyond this host; `None` = nobody beyond this host is let in.
     pub security: Option<SecurityConfig>,
+    /// What is recorded, if anything is.
+    pub record: Option<RecordConfig>,
+    /// Where `/metrics` is served, if anywhere.
+    pub metrics: Option<SocketAddr>,
     /// The chassis, in declared order.
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.
@@ -59,6 +63,21 @@ pub enum TimeMode {
     Real,
     /// One process on a virtual clock: as fast as the machine allows, and the same every time.
     Virtual,
+}
+
+/// Where an app's messages, phases, firings and log lines are recorded, and how much of them is kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordConfig {
+    /// The file as given, relative to the app's folder. Each process puts its name before the extension.
+    pub file: PathBuf,
+    /// A file that has grown to this size is closed and the next one begun, bytes.
+    pub max_bytes: u64,
+    /// So many files of a process are kept, the present one included.
+    pub keep: usize,
+    /// At most this much is lost when a process is killed.
+    pub flush: Duration,
+    /// What a processor may have waiting for the disk, bytes; what comes then is dropped and counted.
+    pub buffer_bytes: usize,
 }
 
 /// One process of an app.
@@ -195,6 +214,8 @@ pub struct TaskConfig {
     pub queue: usize,
     /// What happens after a panic.
     pub restart: Restart,
+    /// How long its handler may be at one message before a warning names it.
+    pub handler_limit: Option<Duration>,
     /// Deadline of calls it makes, in place of the runtime's.
     pub call_deadline: Option<Duration>,
     /// `[task.NAME.args]`, for the handler; an empty table when there is none.

@@ -1,7 +1,8 @@
 //! From the merged tree to the typed app: what every key means, and everything that can be wrong
 //! with it by itself.
 //!
-//! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`. Knows no handler: whether a
+//! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`; `observe` those of recording and
+//! metrics. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
 use super::app::{
@@ -11,6 +12,7 @@ use super::app::{
 use super::fields::{Fields, FlagOr, check_name};
 use super::links;
 use super::node::{Entry, Node};
+use super::observe;
 use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
@@ -43,6 +45,8 @@ const TOP_KEYS: &[&str] = &[
     "barrier",
     "injure",
     "security",
+    "record",
+    "metrics",
     "profile",
 ];
 const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
@@ -68,6 +72,7 @@ const TASK_KEYS: &[&str] = &[
     "restart",
     "max_restarts",
     "call_deadline_s",
+    "handler_limit_s",
     "args",
 ];
 
@@ -118,6 +123,8 @@ pub(super) fn build(
     let time = builder.time(&root);
     let semaphores = builder.semaphores(&root);
     let barriers = builder.barriers(&root);
+    let record = observe::record(builder.fields(&root, "record", observe::RECORD_KEYS));
+    let metrics = observe::metrics(builder.fields(&root, "metrics", observe::METRICS_KEYS));
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
@@ -151,6 +158,8 @@ pub(super) fn build(
         time,
         links,
         security,
+        record,
+        metrics,
         chassis,
         tasks,
         semaphores,
@@ -421,6 +430,7 @@ impl Builder<'_> {
         let queue = fields.integer("queue", 1..=65_536_usize).unwrap_or(QUEUE);
         let restart = restart(&mut fields);
         let call_deadline = fields.seconds("call_deadline_s", 86_400.0);
+        let handler_limit = fields.seconds("handler_limit_s", 86_400.0);
         let args = fields.table("args").cloned();
         let args = args.unwrap_or_else(|| Node::table().placed(&place));
         let (handler, handler_place) = handler?;
@@ -435,6 +445,7 @@ impl Builder<'_> {
             on_place,
             queue,
             restart,
+            handler_limit,
             call_deadline,
             args,
             place,
@@ -531,6 +542,7 @@ impl Builder<'_> {
             on_place: place.clone(),
             queue: QUEUE,
             restart: Restart::default(),
+            handler_limit: None,
             call_deadline: None,
             args: task.args.placed(&place),
             place,

@@ -67,6 +67,8 @@ const fn key(
 pub(super) const TOP: &str = "";
 const APP: &str = "app";
 const TIME: &str = "time";
+const RECORD: &str = "record";
+const METRICS: &str = "metrics";
 const CHASSIS: &str = "chassis.NAME";
 /// The processors of a chassis.
 pub(super) const PROCESSOR: &str = "chassis.NAME.processors.NAME";
@@ -122,6 +124,13 @@ pub(super) const TABLES: &[Table] = &[
                 None,
                 "Keys for connections beyond this host.",
             ),
+            key(
+                "record",
+                Kind::One(RECORD),
+                None,
+                "What is written down of it.",
+            ),
+            key("metrics", Kind::One(METRICS), None, "Where it is watched."),
             key(
                 "profile",
                 Kind::Profiles,
@@ -202,6 +211,50 @@ pub(super) const TABLES: &[Table] = &[
             Kind::Choice(&["real", "virtual"]),
             Some("\"real\""),
             "The machine's clock with a process per chassis, or one process on a virtual clock.",
+        )],
+    },
+    Table {
+        path: RECORD,
+        keys: &[
+            key(
+                "file",
+                Kind::Text,
+                None,
+                "Where messages, phases, firings and log lines are written, as MCAP; each process puts its name before the extension. Default: nothing is recorded.",
+            ),
+            key(
+                "max_mb",
+                Kind::Integer(1, 1_000_000),
+                Some("256"),
+                "A file that has grown to this size is closed and the next one begun, MB.",
+            ),
+            key(
+                "keep",
+                Kind::Integer(1, 100_000),
+                Some("8"),
+                "So many files of a process are kept, older ones are removed.",
+            ),
+            key(
+                "flush_s",
+                Kind::Seconds(3600.0),
+                Some("1.0"),
+                "At most this much is lost when a process is killed, s.",
+            ),
+            key(
+                "buffer_mb",
+                Kind::Integer(1, 10_000),
+                Some("16"),
+                "What a processor may have waiting for the disk, MB; what comes then is dropped and counted.",
+            ),
+        ],
+    },
+    Table {
+        path: METRICS,
+        keys: &[key(
+            "listen",
+            Kind::Text,
+            None,
+            "Address on the loopback at which the boot serves /metrics for Prometheus. Default: nowhere.",
         )],
     },
     Table {
@@ -336,6 +389,12 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Seconds(86_400.0),
                 None,
                 "Deadline of the calls it makes, s. Default: the runtime's.",
+            ),
+            key(
+                "handler_limit_s",
+                Kind::Seconds(86_400.0),
+                None,
+                "How long its handler may be at one message before a warning names it, s. Default: 1 where it keeps its processor from others, 30 where it waits.",
             ),
             key(
                 "args",
