@@ -2,19 +2,33 @@
 
 use std::{sync::Arc, time::Duration};
 
+use tokio::sync::oneshot;
+
 use crate::{
-    call::{Fault, Promise, Waiting},
     chassis::{BOOT_CHASSIS, Chassis},
     config::TaskConfig,
     context::{Context, TaskRef},
-    message::{Command, CommandInfo, Data, Message, Tid},
+    message::{Command, CommandInfo, Message, Replier, Tid},
+    moving::{self, Arrivals},
     runner::{TaskSpec, record, start_task},
-    system::{self, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName},
+    system::{
+        CreateTasks, Created, Exit, Load, MoveIn, Rebound, RegisterTid, Settle, Settled, StopTask,
+        TaskName, Transfer, WaitsFor,
+    },
     task::{EventHandler, Handled, HandlerError, StopReason},
+    waits,
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 2] = [CreateTasks::INFO, Exit::INFO];
+pub(crate) const COMMANDS: [CommandInfo; 7] = [
+    CreateTasks::INFO,
+    Exit::INFO,
+    MoveIn::INFO,
+    Transfer::INFO,
+    Settle::INFO,
+    Rebound::INFO,
+    WaitsFor::INFO,
+];
 
 /// Exit code of a chassis whose boot is gone.
 const EXIT_ORPHAN: i32 = 5;
@@ -23,13 +37,15 @@ const EXIT_ORPHAN: i32 = 5;
 #[derive(Default)]
 pub(crate) struct Agent {
     tasks: Vec<TaskName>,
+    arrivals: Arrivals,
 }
 
 impl EventHandler for Agent {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
             CreateTasks::CODE => {
-                let (CreateTasks {}, reply) = message.open::<CreateTasks>()?;
+                let (CreateTasks { first_slots }, reply) = message.open::<CreateTasks>()?;
+                cx.chassis().directory.start_slots_at(&first_slots);
                 let created = self.create(cx).await?;
                 reply.ok(created)
             }
@@ -39,11 +55,41 @@ impl EventHandler for Agent {
                 cx.chassis().exit(code);
                 Ok(())
             }
+            MoveIn::CODE => {
+                let (request, reply) = message.open::<MoveIn>()?;
+                self.arrivals.expect(cx, request, reply);
+                Ok(())
+            }
+            Transfer::CODE => {
+                let (Transfer { to, what }, reply) = message.open::<Transfer>()?;
+                take_load(cx, to, what, reply)
+            }
+            Settle::CODE => {
+                let (Settle { place, how }, reply) = message.open::<Settle>()?;
+                self.settle(cx, place, how);
+                reply.ok(())
+            }
+            Rebound::CODE => {
+                let (rebound, reply) = message.open::<Rebound>()?;
+                turn(cx, rebound, reply);
+                Ok(())
+            }
+            WaitsFor::CODE => {
+                let (WaitsFor { task }, reply) = message.open::<WaitsFor>()?;
+                reply.ok(waits::of_task(cx.chassis(), task))
+            }
             _ => cx.default_processing(message),
         }
     }
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let mut others = cx.chassis().others();
+        if let Some(peer) = others.find(|index| cx.chassis().name_of(*index) == chassis) {
+            self.arrivals.lost(cx, peer);
+            for task in cx.chassis().tasks() {
+                task.mailbox.forget_gate(peer);
+            }
+        }
         if chassis == BOOT_CHASSIS {
             tracing::error!("the boot is gone: stopping");
             self.stop_all(cx).await;
@@ -58,13 +104,11 @@ impl Agent {
     async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
         let mut failed = Vec::new();
-        let mut slots = vec![0_u16; chassis.processors.len()];
-        let server = TaskRef::new("tidsvr", system::TID_SERVER);
         for config in chassis.app.tasks.iter() {
             if config.chassis != chassis.name() {
                 continue;
             }
-            match create_one(cx, &chassis, config, &mut slots).await {
+            match create_one(cx, &chassis, config).await {
                 Ok(tid) => {
                     let task = TaskName {
                         name: config.name.clone(),
@@ -72,7 +116,7 @@ impl Agent {
                     };
                     // It runs, so it is stopped with the others even if its name cannot be had.
                     self.tasks.push(task.clone());
-                    if let Err(error) = cx.call(&server, RegisterTid { task }).await {
+                    if let Err(error) = cx.call(&Context::server(), RegisterTid { task }).await {
                         failed.push((config.name.clone(), error.reason()));
                     }
                 }
@@ -85,6 +129,32 @@ impl Agent {
         })
     }
 
+    /// A place that a task comes to or has left is settled.
+    fn settle(&mut self, cx: &Context, place: Tid, how: Settled) {
+        match how {
+            Settled::Go { gone } => {
+                let Some(record) = cx.chassis().task(place) else {
+                    return;
+                };
+                for chassis in gone {
+                    record.mailbox.open_gate(chassis);
+                }
+                self.arrivals.settle(place, true);
+                self.tasks.push(TaskName {
+                    name: record.name.to_string(),
+                    tid: place,
+                });
+            }
+            Settled::Drop => {
+                self.arrivals.settle(place, false);
+            }
+            Settled::Retire => {
+                cx.chassis().remove_task(place);
+                self.tasks.retain(|task| task.tid != place);
+            }
+        }
+    }
+
     /// Stops the tasks of this chassis when nobody else is left to order it.
     async fn stop_all(&self, cx: &Context) {
         let limit = cx.app().stop_timeout;
@@ -94,9 +164,56 @@ impl Agent {
                 chassis: BOOT_CHASSIS.to_owned(),
             };
             let stopped = cx.call(&reference, StopTask { reason }).deadline(limit);
-            if let Err(error) = stopped.await {
+            if let Err(error) = stopped.await
+                && !error.is_gone()
+            {
                 tracing::warn!(task = %task.name, error = %error, "did not stop");
             }
+        }
+    }
+}
+
+/// Takes what comes by the old place of a task.
+fn take_load(cx: &Context, to: Tid, what: Load, reply: Replier<Transfer>) -> Handled {
+    let chassis = cx.chassis();
+    let opened = match what {
+        Load::Message(message) => {
+            moving::deliver(cx, to, message, reply);
+            return Ok(());
+        }
+        Load::Sync => None,
+        Load::Gate(sender) => Some(sender),
+        Load::Without {
+            chassis: sender,
+            old,
+        } => {
+            if old == chassis.index() || chassis.is_linked(old) {
+                return reply.fail("the old place may still send something");
+            }
+            Some(sender)
+        }
+    };
+    if let (Some(sender), Some(task)) = (opened, chassis.task(to)) {
+        task.mailbox.open_gate(sender);
+    }
+    reply.ok(Ok(Vec::new()))
+}
+
+/// A name has another id now, or none.
+fn turn(cx: &Context, rebound: Rebound, reply: Replier<Rebound>) {
+    let here = cx.clone();
+    match rebound.new {
+        Some(new) if rebound.moved => cx.spawn(async move {
+            // A reply cannot fail, here and below.
+            let _ = match moving::turn(&here, &rebound, new).await {
+                Ok(()) => reply.ok(()),
+                Err(error) => reply.fail(error),
+            };
+        }),
+        new => {
+            let directory = &cx.chassis().directory;
+            directory.rebind(&rebound.name, rebound.old, new);
+            let _ = reply.ok(());
         }
     }
 }
@@ -106,7 +223,6 @@ async fn create_one(
     cx: &Context,
     chassis: &Arc<Chassis>,
     config: &TaskConfig,
-    slots: &mut [u16],
 ) -> Result<Tid, String> {
     let kind = chassis
         .registry
@@ -120,34 +236,25 @@ async fn create_one(
         .find(|(_, (name, _))| *name == config.processor)
         .map(|(index, (_, handle))| (index, handle.clone()))
         .ok_or_else(|| format!("there is no processor `{}`", config.processor))?;
-    let (Ok(number), Some(slot)) = (u8::try_from(index), slots.get_mut(index)) else {
-        return Err("there are too many processors".to_owned());
-    };
-    let tid = Tid::new(chassis.index(), number, *slot);
-    *slot = slot.checked_add(1).ok_or("there are too many tasks")?;
+    let number = u8::try_from(index).map_err(|_| "there are too many processors")?;
+    let slot = chassis.directory.free_slot(number);
+    let slot = slot.ok_or("there are too many tasks")?;
+    let tid = Tid::new(chassis.index(), number, slot);
     let spec = TaskSpec {
         record: record(&config.name, tid, Some(config)),
         config: Some(config.clone()),
         commands: kind.commands().to_vec(),
         build: kind.builder(),
     };
-    let built = Arc::new(Promise::default());
-    let answer = built.clone();
+    let (built, building) = oneshot::channel();
     let home = chassis.clone();
     processor.inject(move |processor| {
-        let result = start_task(&home, processor, spec);
-        answer.fulfil(
-            result
-                .map(|()| Data::Bytes(Vec::new()))
-                .map_err(|error| Fault::Refused {
-                    text: error.to_string(),
-                }),
-        );
+        // Nobody listens any more when the processor was busy for too long.
+        let _ = built.send(start_task(&home, processor, spec).map_err(|error| error.to_string()));
     });
     let limit = cx.app().phase_timeout.max(Duration::from_millis(1));
-    match cx.timeout(limit, Waiting::here(built)).await {
-        Ok(Ok(_)) => Ok(tid),
-        Ok(Err(Fault::Refused { text })) => Err(text),
+    match cx.timeout(limit, building).await {
+        Ok(Ok(started)) => started.map(|()| tid),
         Ok(Err(_)) => Err("its processor has stopped".to_owned()),
         Err(elapsed) => Err(format!("its processor is busy: {elapsed}")),
     }

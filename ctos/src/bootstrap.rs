@@ -12,7 +12,7 @@ use std::{
 use futures_util::future::{Either, join_all, select};
 
 use crate::{
-    call::lock,
+    call::{Fault, lock},
     chassis::BOOT_CHASSIS,
     context::{Context, TaskRef},
     message::{Command, CommandInfo, Message},
@@ -309,7 +309,15 @@ impl Sequence {
         let calls = chassis.iter().map(|index| {
             let name = format!("agent of {}", self.cx.chassis().name_of(*index));
             let agent = TaskRef::new(name, system::agent_tid(*index));
-            let call = self.cx.call(&agent, CreateTasks {}).deadline(limit);
+            let call = self
+                .cx
+                .call(
+                    &agent,
+                    CreateTasks {
+                        first_slots: Vec::new(),
+                    },
+                )
+                .deadline(limit);
             async move { (agent, call.await) }
         });
         let answers = join_all(calls).await;
@@ -359,7 +367,7 @@ impl Sequence {
             .partition(|task| self.stops_first(task));
         let mut at_rest = BTreeMap::new();
         for task in first {
-            let chassis = task.tid.chassis();
+            let chassis = self.place_of(task);
             let stopped = self.stop_task(task, &reason).await;
             *at_rest.entry(chassis).or_insert(true) &= stopped;
         }
@@ -381,8 +389,13 @@ impl Sequence {
         }
     }
 
+    /// The chassis that a task is on now: it may have moved.
+    fn place_of(&self, task: &TaskName) -> u8 {
+        self.cx.chassis().directory.current(task.tid).chassis()
+    }
+
     fn stops_first(&self, task: &TaskName) -> bool {
-        let chassis = self.cx.chassis().name_of(task.tid.chassis());
+        let chassis = self.cx.chassis().name_of(self.place_of(task));
         debug_assert_ne!(chassis, BOOT_CHASSIS);
         let mut configured = self.cx.app().chassis.iter();
         configured.any(|config| config.name == chassis && config.stop_first)
@@ -391,7 +404,7 @@ impl Sequence {
     /// Stops one task, unless its chassis is gone; a further interrupt goes on to the next one at
     /// once. Whether it has stopped in order.
     async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
-        if !self.cx.chassis().is_linked(task.tid.chassis()) {
+        if !self.cx.chassis().is_linked(self.place_of(task)) {
             return false;
         }
         let reference = TaskRef::new(task.name.as_str(), task.tid);
@@ -409,6 +422,8 @@ impl Sequence {
         .await
         {
             Either::Left((Ok(()), _)) => None,
+            // It was shut down before.
+            Either::Left((Err(error), _)) if error.fault == Fault::UnknownTask => None,
             Either::Left((Err(error), _)) => Some(error.reason()),
             Either::Right(((), _)) => Some("skipped at a second interrupt".to_owned()),
         };

@@ -16,14 +16,16 @@ use std::{
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::App,
+    directory::Directory,
     link::{BODY_LIMIT, Frame, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
-    message::{Data, Flags, Header, Message, Tid},
+    message::{Command, Data, Flags, Header, Message, Tid},
     processor::ProcessorHandle,
     registry::Registry,
     statistics::TaskStatistics,
     system,
     time::{Clock, Instant},
+    waits::Waits,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -107,6 +109,7 @@ pub(crate) struct TaskRecord {
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) statistics: Arc<TaskStatistics>,
+    pub(crate) waiting: Waits,
 }
 
 /// One process's share of an app. Shared by its threads.
@@ -121,7 +124,7 @@ pub struct Chassis {
     tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
-    pub(crate) known: Mutex<BTreeMap<String, Tid>>,
+    pub(crate) directory: Directory,
     on_exit: Mutex<Option<OnExit>>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
@@ -195,7 +198,7 @@ impl Chassis {
             tasks: RwLock::default(),
             links: Mutex::default(),
             shared: Mutex::default(),
-            known: Mutex::default(),
+            directory: Directory::default(),
             on_exit: Mutex::default(),
             stopping: AtomicBool::new(false),
             next_trace: AtomicU64::new(1),
@@ -259,7 +262,7 @@ impl Chassis {
         }
     }
 
-    fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
+    pub(crate) fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
         self.tasks
             .read()
             .unwrap_or_else(PoisonError::into_inner)
@@ -283,6 +286,10 @@ impl Chassis {
     pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
         if envelope.trace == 0 {
             envelope.trace = self.fresh_trace();
+        }
+        // A fence goes to the old place itself.
+        if envelope.command != system::Fence::CODE {
+            envelope.to = self.directory.current(envelope.to);
         }
         let promise = Arc::new(Promise::default());
         if envelope.to.chassis() == self.index {
@@ -364,7 +371,8 @@ impl Chassis {
     }
 
     /// Sends only if the receiver is on this chassis and has room now.
-    pub(crate) fn try_dispatch_here(&self, envelope: Envelope) -> Result<(), Fault> {
+    pub(crate) fn try_dispatch_here(&self, mut envelope: Envelope) -> Result<(), Fault> {
+        envelope.to = self.directory.current(envelope.to);
         let there = envelope.to.chassis();
         if there != self.index {
             let chassis = self.name_of(there).to_owned();
@@ -394,7 +402,7 @@ impl Chassis {
 
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
     /// receiver.
-    pub(crate) fn post_system<C: crate::message::Command>(self: &Arc<Self>, to: Tid, request: C) {
+    pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let envelope = Envelope {
             to,
             from: system::agent_tid(self.index),
@@ -576,7 +584,7 @@ impl Chassis {
         for promise in ended {
             promise.fulfil(Err(self.peer_down_fault(peer)));
         }
-        lock(&self.known).retain(|_, tid| tid.chassis() != peer);
+        self.directory.forget_chassis(peer);
         if self.stopping.load(Ordering::Acquire) && peer != 0 {
             return;
         }

@@ -20,7 +20,7 @@ mod node;
 #[cfg(test)]
 mod tests;
 
-pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use app::{App, ChassisConfig, ProcessorConfig, TaskConfig, TimeMode};
 pub use node::{Entry, Node, Value};
 
 use crate::diagnostic::{Findings, Place, Source};

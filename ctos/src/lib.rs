@@ -22,6 +22,7 @@ pub mod config;
 pub mod diagnostic;
 pub mod message;
 pub mod registry;
+pub mod supervise;
 pub mod sync;
 pub mod system;
 pub mod task;
@@ -29,14 +30,18 @@ pub mod time;
 
 mod agent;
 mod bootstrap;
+mod children;
 mod context;
+mod directory;
 mod link;
 mod mailbox;
+mod moving;
 mod names;
 mod processor;
 mod runner;
 mod simulation;
 mod statistics;
+mod waits;
 
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use statistics::TaskCounters;

@@ -90,6 +90,8 @@ impl Flags {
     pub const ACCEPT_WAIT: Self = Self(1 << 5);
     /// The sender of a request no longer waits for its answer. Between chassis only.
     pub const ABANDONED: Self = Self(1 << 6);
+    /// It came by the place where its receiver was before it moved.
+    pub const FORWARDED: Self = Self(1 << 7);
 
     /// Whether all of `flags` are set.
     #[must_use]
@@ -338,6 +340,16 @@ impl Data {
         match self {
             Self::Typed(payload) => payload.encode(),
             Self::Bytes(bytes) => Ok(bytes),
+        }
+    }
+}
+
+impl Data {
+    /// The bytes that would be put on the wire; the data stays.
+    pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
+        match self {
+            Self::Typed(payload) => payload.encode(),
+            Self::Bytes(bytes) => Ok(bytes.clone()),
         }
     }
 }

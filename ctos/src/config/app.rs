@@ -2,6 +2,7 @@
 
 use super::Node;
 use crate::diagnostic::{Findings, Place};
+use crate::supervise::Policy;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -93,27 +94,14 @@ pub struct TaskConfig {
     pub on_place: Place,
     /// How many messages wait at most.
     pub queue: usize,
-    /// What happens after a panic.
-    pub restart: Restart,
+    /// When it is restarted, and how often.
+    pub restart: Policy,
     /// Deadline of calls it makes, in place of the runtime's.
     pub call_deadline: Option<Duration>,
     /// `[task.NAME.args]`, for the handler; an empty table when there is none.
     pub args: Node,
     /// Where its name stands.
     pub place: Place,
-}
-
-/// What happens to a task whose handler panicked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Restart {
-    /// It stays down and its callers are told.
-    #[default]
-    Never,
-    /// It is built anew, at most this many times.
-    Always {
-        /// The number of restarts after which it stays down.
-        max: u32,
-    },
 }
 
 impl App {

@@ -4,11 +4,12 @@
 //! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
-use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+use super::app::{App, ChassisConfig, ProcessorConfig, TaskConfig, TimeMode};
 use super::fields::{Fields, check_name};
 use super::node::{Entry, Node};
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
+use crate::supervise::{Policy, When};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -25,6 +26,8 @@ const TASK_KEYS: &[&str] = &[
     "queue",
     "restart",
     "max_restarts",
+    "restart_window_s",
+    "restart_backoff_s",
     "call_deadline_s",
     "args",
 ];
@@ -33,7 +36,6 @@ const SEED: u64 = 1;
 const PHASE_TIMEOUT_S: f64 = 20.0;
 const STOP_TIMEOUT_S: f64 = 5.0;
 const QUEUE: usize = 64;
-const MAX_RESTARTS: u32 = 3;
 const MAIN: &str = "main";
 
 /// Where an app came from.
@@ -389,7 +391,7 @@ impl Builder<'_> {
             processor,
             on_place: place.clone(),
             queue: QUEUE,
-            restart: Restart::default(),
+            restart: Policy::default(),
             call_deadline: None,
             args: task.args.placed(&place),
             place,
@@ -433,23 +435,39 @@ impl Builder<'_> {
     }
 }
 
-/// `restart` and `max_restarts` together.
-fn restart(fields: &mut Fields<'_, '_>) -> Restart {
-    let always = fields.choice("restart", &["never", "always"]) == Some("always");
+/// `restart` and the keys that go with it.
+fn restart(fields: &mut Fields<'_, '_>) -> Policy {
+    let when = match fields.choice("restart", &["never", "on-failure", "always"]) {
+        Some("on-failure") => When::OnFailure,
+        Some("always") => When::Always,
+        _ => When::Never,
+    };
+    let usual = Policy::default();
     let max = fields.integer("max_restarts", 1..=1_000_000_u32);
-    if always {
-        return Restart::Always {
-            max: max.unwrap_or(MAX_RESTARTS),
-        };
+    let window = fields.seconds("restart_window_s", 86_400.0);
+    let backoff = fields.seconds("restart_backoff_s", 3_600.0);
+    if when == When::Never {
+        for (key, given) in [
+            ("max_restarts", max.is_some()),
+            ("restart_window_s", window.is_some()),
+            ("restart_backoff_s", backoff.is_some()),
+        ] {
+            if let (true, Some(place)) = (given, fields.place(key)) {
+                fields.push(
+                    Finding::warning(
+                        "ctos::config::no_effect",
+                        format!("`{key}` has no effect where nothing is restarted"),
+                    )
+                    .help("add restart = \"on-failure\" or restart = \"always\"")
+                    .at(place),
+                );
+            }
+        }
     }
-    if let (Some(_), Some(place)) = (max, fields.place("max_restarts")) {
-        fields.push(
-            Finding::warning(
-                "ctos::config::no_effect",
-                "`max_restarts` without `restart = \"always\"` has no effect",
-            )
-            .at(place),
-        );
+    Policy {
+        when,
+        max: max.unwrap_or(usual.max),
+        window: window.unwrap_or(usual.window),
+        backoff: backoff.unwrap_or(usual.backoff),
     }
-    Restart::Never
 }
