@@ -139,6 +139,11 @@ impl Agent {
                 for chassis in gone {
                     record.mailbox.open_gate(chassis);
                 }
+                // Those that went while the place was made ready were told to nobody here.
+                let chassis = cx.chassis();
+                for other in chassis.others().filter(|other| !chassis.is_linked(*other)) {
+                    record.mailbox.forget_gate(other);
+                }
                 self.arrivals.settle(place, true);
                 self.tasks.push(TaskName {
                     name: record.name.to_string(),
