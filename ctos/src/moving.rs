@@ -586,12 +586,17 @@ fn see_through(cx: &Context, slot: Option<ReplySlot>, acceptance: Acceptance, mu
 }
 
 async fn pass_fence(cx: &Context, agent: &TaskRef, to: Tid, fence: Message) {
+    let sender = fence.from().chassis();
     let Ok((Fence { chassis }, reply)) = fence.open::<Fence>() else {
         return;
     };
+    if sender != chassis && cx.chassis().is_linked(chassis) {
+        // A reply cannot fail, here and below.
+        let _ = reply.fail("that chassis may still send something");
+        return;
+    }
     let load = begin(cx, agent, to, Load::Gate(chassis), PATIENCE).await;
     let passing = async move {
-        // A reply cannot fail.
         let _ = match load.await {
             Ok(Ok(_)) => reply.ok(()),
             Ok(Err(fault)) => reply.fail(format!("{fault:?}")),
@@ -615,30 +620,35 @@ pub(crate) async fn turn(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
     let fence = Fence {
         chassis: chassis.index(),
     };
-    let Err(error) = cx.call(&old, fence).deadline(PATIENCE).await else {
-        return Ok(());
-    };
-    tracing::debug!(task = %rebound.name, error = %error, "the old place is gone");
-    // Nothing comes from the old place any more once the new one has lost its link to it.
-    let gate = Transfer {
-        to: new,
-        what: Load::Without {
-            chassis: chassis.index(),
-            old: rebound.old.chassis(),
-        },
-    };
+    Ok(cx.call(&old, fence).deadline(PATIENCE).await?)
+}
+
+/// Fences off a chassis that cannot reach the old place of a task any more, or whose fence cannot reach
+/// the new one: done by the chassis that boots, which reaches everybody who is left.
+pub(crate) async fn turn_for(cx: &Context, rebound: &Rebound, new: Tid, chassis: u8) -> bool {
+    let old = TaskRef::new(rebound.name.as_str(), rebound.old);
     let agent = agent_of(new.chassis());
     let began = cx.now();
-    loop {
-        match cx.call(&agent, gate.clone()).await {
-            Ok(Ok(_)) => return Ok(()),
-            Err(error) if error.is_gone() => return Ok(()),
-            _ if cx.now().since(began) > PATIENCE => {
-                return Err("neither the old nor the new place of the task answers".into());
-            }
+    while cx.now().since(began) < PATIENCE {
+        // Good when the old place has lost its link to the chassis: nothing more can come from there.
+        if cx.call(&old, Fence { chassis }).await.is_ok() {
+            return true;
+        }
+        // Good when the new place has lost its link to the old one: nothing more can come by it.
+        let gate = Transfer {
+            to: new,
+            what: Load::Without {
+                chassis,
+                old: rebound.old.chassis(),
+            },
+        };
+        match cx.call(&agent, gate).await {
+            Ok(Ok(_)) => return true,
+            Err(error) if error.is_gone() => return true,
             _ => cx.sleep(LOOK).await,
         }
     }
+    false
 }
 
 /// Ends when every processor of the chassis has come out of whatever it was sending when this began.

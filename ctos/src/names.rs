@@ -17,7 +17,7 @@ use tokio::sync::oneshot;
 use crate::{
     context::{Context, TaskRef},
     message::{Command, CommandInfo, Message, Replier, Tid},
-    moving::{find_place, place_text},
+    moving::{find_place, place_text, turn_for},
     system::{
         self, AbortMove, AwaitTid, Change, CommitMove, FirstSlots, Monitor, MoveOut, MoveTask,
         Place, QueryTid, Rebound, RegisterTid, Settle, Settled, TaskChanged, TaskName, WhoWaits,
@@ -462,7 +462,7 @@ impl TidServer {
                 new: Some(new),
                 moved: true,
             };
-            service.turn_all(&home, &rebound, &slow).await;
+            service.turn_all(&home, &rebound, new, &slow).await;
             // Nobody listens when the one who asked is gone.
             let _ = tell.send(());
         });
@@ -470,7 +470,7 @@ impl TidServer {
     }
 
     /// Turns every chassis to the new place of a task, and then gives up the old one.
-    async fn turn_all(&self, cx: &Context, rebound: &Rebound, chassis: &[u8]) {
+    async fn turn_all(&self, cx: &Context, rebound: &Rebound, new: Tid, chassis: &[u8]) {
         let turning = chassis.iter().map(|index| async move {
             let agent = TaskRef::new("agent", system::agent_tid(*index));
             let turned = cx.call(&agent, rebound.clone()).deadline(TURN_LIMIT).await;
@@ -478,10 +478,14 @@ impl TidServer {
                 Ok(()) => true,
                 Err(error) if error.is_gone() => true,
                 Err(error) => {
-                    tracing::error!(task = %rebound.name, error = %error, "a chassis did not turn to its new place");
-                    false
+                    tracing::debug!(task = %rebound.name, error = %error, "turned by others");
+                    turn_for(cx, rebound, new, *index).await
                 }
             };
+            if !through {
+                let chassis = cx.chassis().name_of(*index);
+                tracing::error!(task = %rebound.name, chassis, "did not turn to the task's new place");
+            }
             if let Some((_, slow)) = self.state.borrow_mut().turning.get_mut(&rebound.name) {
                 slow.remove(index);
             }
