@@ -44,5 +44,7 @@ mod statistics;
 mod waits;
 
 pub use context::{DEFAULT_DEADLINE, mix};
+pub use ctos_derive::handler;
+pub use message::Command;
 pub use statistics::TaskCounters;
 pub use task::Context;

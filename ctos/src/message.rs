@@ -180,8 +180,24 @@ impl Header {
     }
 }
 
-/// A request that a task takes: its data, its code, its name and the type of its reply. Written with
-/// [`command!`](crate::command).
+pub use ctos_derive::Command;
+
+/// A request that a task takes: its data, its code, its name and the type of its reply. Derived:
+///
+/// ```
+/// use ctos::message::Command;
+/// use serde::{Deserialize, Serialize};
+///
+/// /// Greets somebody.
+/// #[derive(Serialize, Deserialize, Command)]
+/// #[command(reply = String, code = 0x0001)]
+/// struct Greet {
+///     name: String,
+/// }
+/// assert_eq!((Greet::NAME, Greet::DOC), ("greet", "Greets somebody."));
+/// ```
+///
+/// [`command!`](crate::command) says the same on one line.
 pub trait Command: Serialize + DeserializeOwned + Send + 'static {
     /// What the task answers.
     type Reply: Serialize + DeserializeOwned + Send + 'static;
