@@ -4,6 +4,7 @@ pub mod boot;
 pub mod chassis;
 pub mod check;
 pub mod completions;
+pub mod sim;
 
 mod progress;
 
@@ -11,9 +12,18 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{Args, Parser, Subcommand};
 
-use ctos::registry::Registry;
+use ctos::{config::Selection, registry::Registry};
 
-use crate::{exit, show};
+use crate::{
+    exit,
+    show::{self, Colour},
+};
+
+const EXAMPLES: &str = "Examples:
+  ctos new my-app
+  ctos check configs/calibrate.toml
+  ctos boot configs/calibrate.toml
+  ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json";
 
 /// Event handlers, booted from a file and sequenced by Petri nets
 ///
@@ -21,16 +31,11 @@ use crate::{exit, show};
 /// that sequence them, and what they work on. `ctos check` finds what is wrong with it; `ctos boot` runs it.
 #[derive(Debug, Parser)]
 #[command(name = "ctos", version, max_term_width = 100)]
-#[command(after_help = "Examples:
-  ctos check configs/calibrate.toml
-  ctos boot configs/calibrate.toml
-  ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json
-
-Exit codes:
-  0 fine                  3 wrong configuration
-  1 failed                5 a chassis cannot be started
-  2 wrong command line    130 interrupted")]
+#[command(after_help = format!("{EXAMPLES}\n\n{}", exit::help()))]
 pub struct Cli {
+    /// When to use colours; `auto` asks NO_COLOR, then CLICOLOR_FORCE, then the terminal
+    #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t)]
+    pub color: Colour,
     /// What to do
     #[command(subcommand)]
     pub command: Command,
@@ -43,6 +48,8 @@ pub enum Command {
     Check(check::CheckArgs),
     /// Check an app, start it, wait for its result and stop it
     Boot(boot::BootArgs),
+    /// Run a whole app on one thread in virtual time, with faults
+    Sim(sim::SimArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -58,14 +65,32 @@ pub struct AppArgs {
     /// Override a value of the configuration, for example `--set time.mode="virtual"` (can be repeated)
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
+    /// Lay `[profile.NAME]` of the configuration over it, in place of what `app.profile` says (can be repeated)
+    #[arg(long = "profile", value_name = "NAME")]
+    pub profiles: Vec<String>,
+}
+
+impl AppArgs {
+    /// What to read the app by.
+    #[must_use]
+    pub fn selection(&self) -> Selection {
+        Selection {
+            file: self.file.clone(),
+            profiles: self.profiles.clone(),
+            sets: self.sets.clone(),
+        }
+    }
 }
 
 /// How much to say.
 #[derive(Debug, Clone, Args)]
 pub struct LogArgs {
     /// Show more: `-v` net transitions as they fire, `-vv` what the runtime does (can be repeated)
-    #[arg(short, long, action = clap::ArgAction::Count)]
+    #[arg(short, long, action = clap::ArgAction::Count, conflicts_with = "quiet")]
     pub verbose: u8,
+    /// Show results and errors only
+    #[arg(short, long)]
+    pub quiet: bool,
     /// Filter of the log in the form of RUST_LOG, for example `pnt=debug`; overrides `-v`
     #[arg(long, value_name = "FILTER")]
     pub log: Option<String>,
@@ -74,10 +99,13 @@ pub struct LogArgs {
 /// Runs the command line of this process for the event handlers of `registry`.
 #[must_use]
 pub fn main(registry: Registry) -> ExitCode {
+    // Help and usage errors are shown while the command line is parsed: colours are settled before.
+    show::choose_colour(Colour::of_command_line(std::env::args_os()));
     let cli = Cli::parse();
     let code = match cli.command {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
+        Command::Sim(args) => sim::run(&args, registry),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };
@@ -86,7 +114,14 @@ pub fn main(registry: Registry) -> ExitCode {
 
 /// Starts logging or says why it cannot; the exit code then.
 fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(), u8> {
-    crate::log::start(args.verbose, args.log.as_deref(), clock, ansi).map_err(|error| {
+    let level = match (args.quiet, args.verbose) {
+        (true, _) => "error",
+        (false, 0) => "warn",
+        (false, 1) => "info",
+        (false, 2) => "debug",
+        (false, _) => "trace",
+    };
+    crate::log::start(level, args.log.as_deref(), clock, ansi).map_err(|error| {
         show::say(&format!("error: {error}"));
         exit::USAGE
     })

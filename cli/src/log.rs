@@ -19,25 +19,19 @@ impl FormatTime for AppTime {
     }
 }
 
-/// Starts logging. `verbosity` 0 shows warnings, 1 the firings of nets and other events of the app, 2
-/// what the runtime does, 3 everything; `filter` (as in `RUST_LOG`) overrides it. `clock` is the
-/// app's.
+/// Starts logging. `level` "warn" shows warnings, "info" the firings of nets and other events of the
+/// app, "debug" what the runtime does, "trace" everything; `filter` (as in `RUST_LOG`) overrides it.
+/// `clock` is the app's.
 ///
 /// # Errors
 /// What is wrong with the filter.
 pub(crate) fn start(
-    verbosity: u8,
+    level: &str,
     filter: Option<&str>,
     clock: Clock,
     ansi: bool,
 ) -> Result<(), String> {
-    let default = match verbosity {
-        0 => "warn",
-        1 => "info",
-        2 => "debug",
-        _ => "trace",
-    };
-    let filter = EnvFilter::try_new(filter.unwrap_or(default)).map_err(|error| {
+    let filter = EnvFilter::try_new(filter.unwrap_or(level)).map_err(|error| {
         format!("`--log` does not hold a filter: {error}; write for example `--log pnt=debug`")
     })?;
     let subscriber = tracing_subscriber::fmt()

@@ -1,9 +1,7 @@
 //! What configurations can name: every event handler, channel driver, frame source and expander.
 
-use std::path::Path;
-
 use ctos::{
-    config::{App, Expander, load},
+    config::{App, Expander, Selection},
     diagnostic::Findings,
     registry::Registry,
 };
@@ -23,25 +21,23 @@ pub fn registry() -> Registry {
     registry
 }
 
+/// The top-level tables of a configuration that this program turns into tasks.
+pub const EXPANDERS: [(&str, &dyn Expander); 1] = [("vss", &VssExpander)];
+
 /// Reads an app's configuration.
 ///
 /// # Errors
-/// Everything that is wrong with the file, what it includes, and the overrides.
-pub fn app(file: &Path, sets: &[String]) -> Result<App, Findings> {
-    let vss: &dyn Expander = &VssExpander;
-    load(file, sets, &[("vss", vss)])
+/// Everything that is wrong with the file, what it includes, the profiles and the overrides.
+pub fn app(selection: &Selection) -> Result<App, Findings> {
+    selection.load(&EXPANDERS)
 }
 
 /// Reads an app and checks all of it: configuration, names, handlers, arguments, nets.
 ///
 /// # Errors
 /// All findings, when one of them is an error.
-pub fn checked(
-    file: &Path,
-    sets: &[String],
-    registry: &Registry,
-) -> Result<(App, Findings), Findings> {
-    let app = app(file, sets)?;
+pub fn checked(selection: &Selection, registry: &Registry) -> Result<(App, Findings), Findings> {
+    let app = app(selection)?;
     let findings = registry.check(&app);
     if findings.has_errors() {
         Err(findings)

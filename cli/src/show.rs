@@ -1,26 +1,64 @@
 //! Findings and events as a person, or a program, sees them.
 
 use std::{
+    ffi::OsString,
     fmt,
-    io::{self, IsTerminal, Write},
+    io::{self, Write},
 };
 
+use anstream::{AutoStream, ColorChoice};
+use clap::ValueEnum;
 use ctos::diagnostic::{Finding, Findings, Severity};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
 
-/// At most so many findings are shown.
-const FINDINGS_SHOWN: usize = 20;
+/// So many findings are shown unless all are asked for.
+pub const FINDINGS_SHOWN: usize = 20;
 
-/// Whether standard error takes colours: `NO_COLOR` wins over `CLICOLOR_FORCE`, which wins over what
-/// the stream is.
+/// When to use colours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum Colour {
+    /// `NO_COLOR` wins over `CLICOLOR_FORCE`, which wins over what the stream is
+    #[default]
+    Auto,
+    /// Always
+    Always,
+    /// Never
+    Never,
+}
+
+impl Colour {
+    /// What a command line says, before it is parsed; `Auto` when it is wrong.
+    pub fn of_command_line(arguments: impl IntoIterator<Item = OsString>) -> Self {
+        let mut choice = Self::default();
+        let mut arguments = arguments.into_iter().skip(1);
+        while let Some(argument) = arguments.next() {
+            let value = match argument.to_str() {
+                Some("--") => break,
+                Some("--color") => arguments.next(),
+                Some(text) => text.strip_prefix("--color=").map(OsString::from),
+                None => None,
+            };
+            let value = value.and_then(|value| Self::from_str(value.to_str()?, false).ok());
+            choice = value.unwrap_or(choice);
+        }
+        choice
+    }
+}
+
+/// Settles for this process when colours are used, by the help as by everything here.
+pub fn choose_colour(choice: Colour) {
+    let choice = match choice {
+        Colour::Auto => ColorChoice::Auto,
+        Colour::Always => ColorChoice::Always,
+        Colour::Never => ColorChoice::Never,
+    };
+    choice.write_global();
+}
+
+/// Whether standard error takes colours.
 #[must_use]
 pub fn colours() -> bool {
-    let set = |name: &str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
-    if set("NO_COLOR") {
-        false
-    } else {
-        set("CLICOLOR_FORCE") || io::stderr().is_terminal()
-    }
+    AutoStream::choice(&io::stderr()) != ColorChoice::Never
 }
 
 /// Writes to standard error. A closed stream is no reason to fail.
@@ -36,8 +74,13 @@ pub fn data(text: &str) -> io::Result<()> {
     writeln!(io::stdout(), "{text}")
 }
 
-/// Shows findings with the lines they are about, sorted by place.
+/// Shows findings with the lines they are about, sorted by place, [`FINDINGS_SHOWN`] at most.
 pub fn findings(findings: Findings) {
+    findings_up_to(findings, FINDINGS_SHOWN);
+}
+
+/// Shows up to `most` findings with the lines they are about, sorted by place, and how to learn more.
+pub fn findings_up_to(findings: Findings, most: usize) {
     let theme = if colours() {
         GraphicalTheme::unicode()
     } else {
@@ -45,16 +88,21 @@ pub fn findings(findings: Findings) {
     };
     let handler = GraphicalReportHandler::new_themed(theme).with_links(false);
     let sorted = findings.into_sorted();
-    let hidden = sorted.len().saturating_sub(FINDINGS_SHOWN);
-    for finding in sorted.iter().take(FINDINGS_SHOWN) {
+    for finding in sorted.iter().take(most) {
         let mut text = String::new();
         match handler.render_report(&mut text, &Drawn::new(finding)) {
             Ok(()) => say(text.trim_end_matches('\n')),
             Err(_) => say(&finding.to_string()),
         }
     }
+    let hidden = sorted.len().saturating_sub(most);
     if hidden > 0 {
-        say(&format!("… and {hidden} more"));
+        say(&format!(
+            "… and {hidden} more; `ctos check --all` shows all of them"
+        ));
+    }
+    if let Some(first) = sorted.first() {
+        say(&format!("`ctos explain {}` tells more", first.code));
     }
 }
 
@@ -157,5 +205,22 @@ pub fn counted(findings: &Findings) -> String {
         "nothing found".to_owned()
     } else {
         parts.join(", ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_colour_of_a_command_line_is_known_before_it_is_parsed() {
+        let choice =
+            |line: &str| Colour::of_command_line(line.split_whitespace().map(OsString::from));
+        assert_eq!(choice("ctos check a.toml"), Colour::Auto);
+        assert_eq!(choice("ctos --color never check"), Colour::Never);
+        assert_eq!(choice("ctos check --color=always"), Colour::Always);
+        assert_eq!(choice("ctos --color=purple check"), Colour::Auto);
+        assert_eq!(choice("ctos check -- --color=always"), Colour::Auto);
+        assert_eq!(choice("ctos check --color"), Colour::Auto);
     }
 }

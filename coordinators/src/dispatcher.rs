@@ -9,7 +9,7 @@ use std::{path::PathBuf, rc::Rc, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Findings, Source},
+    diagnostic::Findings,
     registry::Registry,
     task::{Context, HandlerError},
 };
@@ -127,7 +127,7 @@ fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
 
 /// Reads the positions and, where the app has a servo, holds them against its arm.
 fn check_positions(task: &TaskConfig, app: &App, file: &str, findings: &mut Findings) {
-    let source = match Source::read(&app.folder.join(file)) {
+    let source = match app.read(file) {
         Ok(source) => source,
         Err(finding) => {
             let place = task.args.locate("positions");

@@ -103,7 +103,11 @@ impl Agent {
     /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
     async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
-        let mut failed = Vec::new();
+        let mut failed: Vec<_> = chassis
+            .realtime()
+            .iter()
+            .filter_map(|grant| Some((format!("processor {}", grant.processor), grant.fatal()?)))
+            .collect();
         for config in chassis.app.tasks.iter() {
             if config.chassis != chassis.name() {
                 continue;

@@ -3,7 +3,12 @@
 mod child;
 mod parent;
 
-use std::{ffi::OsString, num::NonZeroU64, panic::AssertUnwindSafe, path::PathBuf, sync::Arc};
+use std::{
+    ffi::OsString,
+    panic::AssertUnwindSafe,
+    path::PathBuf,
+    sync::{Arc, mpsc},
+};
 
 use tokio::sync::oneshot;
 
@@ -11,18 +16,21 @@ use crate::{
     agent::{self, Agent},
     bootstrap::{self, Bootstrap, EndSlot},
     chassis::Chassis,
-    config::{App, ProcessorConfig, TimeMode},
+    config::{App, TimeMode},
     message::{CommandInfo, Tid},
     names::{self, TidServer},
-    processor::{Processor, panic_text},
+    processor::panic_text,
+    realtime::{self, Grant},
     registry::Registry,
     runner::{TaskSpec, record, start_task},
-    simulation, system,
+    simulation::{self, Faults, Setup},
+    system,
     task::{Context, EventHandler},
-    time::{Clock, Instant},
+    time::Clock,
 };
 
 pub use crate::bootstrap::{BootEvent, End, Observer};
+pub use crate::simulation::Mishap;
 pub use child::{ChildError, run_chassis};
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
@@ -121,46 +129,16 @@ pub fn boot_on(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    let observer = contained(observer);
     let (app, registry) = (Arc::new(app), Arc::new(registry));
     if clock.origin_ns().is_some() {
-        parent::boot(clock, &app, &registry, launcher, &observer)
+        parent::boot(clock, &app, &registry, launcher, &contained(observer))
     } else {
-        simulation::run(clock, app, registry, &[], &observer)
+        let setup = Setup {
+            clock: clock.clone(),
+            ..Setup::default()
+        };
+        simulation::run_shared(app, registry, setup, observer).map(|run| run.outcome)
     }
-}
-
-/// What goes wrong in a simulated app, and when: for tests of what the others make of it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Mishap {
-    /// The process of a chassis ends at once, as by `kill -9`.
-    Kill {
-        /// Its name.
-        chassis: String,
-        /// When.
-        at: Instant,
-    },
-    /// The link between two chassis breaks for good; what is under way is lost. Each then holds the
-    /// other for gone. `boot` is the name of the chassis that boots.
-    Cut {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// When.
-        at: Instant,
-    },
-    /// The link between two chassis stands still; what is sent meanwhile arrives afterwards.
-    Stall {
-        /// One end.
-        one: String,
-        /// The other end.
-        other: String,
-        /// From when.
-        at: Instant,
-        /// Until when.
-        until: Instant,
-    },
 }
 
 /// Runs `app` to its end in one thread on the virtual clock, whatever its `time.mode` is, and lets
@@ -174,9 +152,11 @@ pub fn simulate(
     mishaps: &[Mishap],
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
-    let (app, registry) = (Arc::new(app), Arc::new(registry));
-    let clock = Clock::virtual_clock();
-    simulation::run(&clock, app, registry, mishaps, &contained(observer))
+    let setup = Setup {
+        faults: Faults::of_script("mishaps", mishaps.to_vec()),
+        ..Setup::default()
+    };
+    simulation::run(app, registry, setup, observer).map(|run| run.outcome)
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
@@ -234,34 +214,37 @@ pub(crate) struct ProcessorThread {
     pub(crate) ended: oneshot::Receiver<()>,
 }
 
-/// Starts a thread for each processor of `chassis`.
+/// Starts a thread for each processor of `chassis`. When it returns, it is known what the system granted
+/// to each ([`Chassis::realtime`]).
 ///
 /// # Errors
 /// When the system refuses a thread; those that were started are stopped.
 pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<ProcessorThread>> {
-    let configured = chassis
-        .app
-        .chassis
-        .iter()
-        .find(|config| config.name == chassis.name());
+    let configs =
+        || (0..chassis.processors.len()).filter_map(|index| chassis.processor_config(index));
+    let memory = if configs().any(|config| config.realtime) {
+        realtime::lock_memory()
+    } else {
+        Grant::NotAsked
+    };
     let mut threads = Vec::new();
-    for (name, handle) in &chassis.processors {
-        let handle = handle.clone();
-        let clock = chassis.clock.clone();
-        let config = configured
-            .and_then(|config| config.processors.iter().find(|one| one.name == *name))
-            .cloned();
+    let (prepared, grants) = mpsc::channel();
+    for (index, (name, _)) in chassis.processors.iter().enumerate() {
+        let (home, memory, prepared) = (chassis.clone(), memory.clone(), prepared.clone());
         let (ending, ended) = oneshot::channel::<()>();
         let started = std::thread::Builder::new()
             .name(format!("{}/{name}", chassis.name()))
             .spawn(move || {
                 let _ending = ending;
-                // Timers of this thread end at their deadline and not up to 50 us after it.
-                let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
-                if let Some(config) = config {
-                    prepare_thread(&config);
+                let config = home.processor_config(index);
+                let grant = realtime::prepare_thread(home.name(), config, &memory);
+                // Nobody listens when another thread could not be had.
+                let _ = prepared.send((index, grant));
+                drop(prepared);
+                if let Some(processor) = home.processor(index) {
+                    drop(home);
+                    processor.run();
                 }
-                Processor::new(handle, clock).run();
             });
         if let Err(error) = started {
             chassis.stop_processors();
@@ -269,12 +252,18 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
         }
         threads.push(ProcessorThread { ended });
     }
+    drop(prepared);
+    let mut grants: Vec<_> = grants.iter().collect();
+    grants.sort_by_key(|(index, _)| *index);
+    let configured = grants.into_iter().map(|(_, grant)| grant);
+    // The first belongs to the runtime, which asks for nothing.
+    chassis.set_realtime(configured.skip(1).inspect(|grant| grant.log()).collect());
     Ok(threads)
 }
 
 /// An observer whose panics (a closed terminal, say) do not take the boot with them: the app must
 /// still be stopped in order.
-fn contained(observer: &Observer) -> Observer {
+pub(crate) fn contained(observer: &Observer) -> Observer {
     let observer = observer.clone();
     Arc::new(move |event| {
         let shown = AssertUnwindSafe(|| observer(event));
@@ -283,43 +272,4 @@ fn contained(observer: &Observer) -> Observer {
             tracing::error!(panic = %text, "whoever watches the boot panicked");
         }
     })
-}
-
-/// Pins the calling thread and makes it real-time, where the configuration asks for it and the
-/// system permits it; says so clearly where it does not.
-fn prepare_thread(config: &ProcessorConfig) {
-    if let Some(cpu) = config
-        .cpu
-        .filter(|cpu| *cpu < rustix::thread::CpuSet::MAX_CPU)
-    {
-        let mut set = rustix::thread::CpuSet::new();
-        set.set(cpu);
-        if let Err(error) = rustix::thread::sched_setaffinity(None, &set) {
-            tracing::warn!(processor = %config.name, cpu, error = %error, "not pinned");
-        }
-    }
-    if config.realtime {
-        let priority = config.priority.unwrap_or(80);
-        let wanted = thread_priority::ThreadPriorityValue::try_from(priority)
-            .map(thread_priority::ThreadPriority::Crossplatform);
-        let policy = thread_priority::ThreadSchedulePolicy::Realtime(
-            thread_priority::RealtimeThreadSchedulePolicy::Fifo,
-        );
-        let result = wanted
-            .map_err(|error| error.to_string())
-            .and_then(|wanted| {
-                thread_priority::set_thread_priority_and_policy(
-                    thread_priority::thread_native_id(),
-                    wanted,
-                    policy,
-                )
-                .map_err(|error| format!("{error:?}"))
-            });
-        match result {
-            Ok(()) => tracing::debug!(processor = %config.name, priority, "real-time"),
-            Err(error) => {
-                tracing::warn!(processor = %config.name, priority, error = %error, "not real-time; periods may be missed under load");
-            }
-        }
-    }
 }

@@ -6,8 +6,9 @@
 use std::{
     any::Any,
     collections::BTreeMap,
+    rc::Rc,
     sync::{
-        Arc, Mutex, PoisonError, RwLock,
+        Arc, Mutex, OnceLock, PoisonError, RwLock,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::Duration,
@@ -15,14 +16,16 @@ use std::{
 
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
-    config::App,
-    directory::Directory,
+    config::{App, ProcessorConfig},
+    directory::TaskDirectory,
     link::{BODY_LIMIT, Frame, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
     message::{Command, Data, Flags, Header, Message, Tid},
-    processor::ProcessorHandle,
+    processor::{Processor, ProcessorHandle},
+    realtime::RealtimeGrant,
     registry::Registry,
     statistics::TaskStatistics,
+    sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
     time::{Clock, Instant},
     waits::Waits,
@@ -103,6 +106,9 @@ impl Outbound {
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
 
+/// Sees each message that a task of the chassis begins to handle.
+pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
+
 /// A task of this chassis, as the others see it.
 pub(crate) struct TaskRecord {
     pub(crate) name: Arc<str>,
@@ -124,11 +130,14 @@ pub struct Chassis {
     tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
-    pub(crate) directory: Directory,
+    pub(crate) directory: TaskDirectory,
     on_exit: Mutex<Option<OnExit>>,
+    on_delivery: OnceLock<OnDelivery>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
     next_trace: AtomicU64,
+    cyclics: Arc<Directory>,
+    realtime: Mutex<Vec<RealtimeGrant>>,
 }
 
 /// What the sender of a message waits for.
@@ -198,10 +207,13 @@ impl Chassis {
             tasks: RwLock::default(),
             links: Mutex::default(),
             shared: Mutex::default(),
-            directory: Directory::default(),
+            directory: TaskDirectory::default(),
             on_exit: Mutex::default(),
+            on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
             next_trace: AtomicU64::new(1),
+            cyclics: Arc::default(),
+            realtime: Mutex::default(),
         })
     }
 
@@ -230,6 +242,56 @@ impl Chassis {
         (0..self.names.len())
             .filter_map(|index| u8::try_from(index).ok())
             .filter(|index| *index != self.index)
+    }
+
+    /// What the configuration says of processor `index`; nothing of the runtime's own, 0.
+    pub(crate) fn processor_config(&self, index: usize) -> Option<&ProcessorConfig> {
+        let chassis = usize::from(self.index).checked_sub(1)?;
+        let processors = &self.app.chassis.get(chassis)?.processors;
+        processors.get(index.checked_sub(1)?)
+    }
+
+    /// Processor `index`, to be run by the calling thread.
+    pub(crate) fn processor(&self, index: usize) -> Option<Rc<Processor>> {
+        let (name, handle) = self.processors.get(index)?;
+        let mut settings = ScheduleSettings {
+            processor: format!("{}/{name}", self.name()),
+            ..ScheduleSettings::default()
+        };
+        if let Some(config) = self.processor_config(index) {
+            settings.period = config.period;
+            settings.overrun = config.overrun;
+            settings.spin = config.spin;
+        }
+        let schedule = Schedule::new(settings, self.clock.clone());
+        let schedule = schedule.shown_in(self.cyclics.clone());
+        Some(Processor::with_schedule(
+            handle.clone(),
+            self.clock.clone(),
+            schedule,
+        ))
+    }
+
+    /// The synchronous functions that run here, by `task.function`, with what is known of each.
+    #[must_use]
+    pub fn cyclics(&self) -> Vec<(String, Arc<CyclicStatistics>)> {
+        self.cyclics.functions()
+    }
+
+    /// The schedules of the processors here that have synchronous functions.
+    #[must_use]
+    pub fn schedules(&self) -> Vec<ScheduleView> {
+        self.cyclics.schedules()
+    }
+
+    /// What the system granted to each configured processor; nothing in virtual time.
+    #[must_use]
+    pub fn realtime(&self) -> Vec<RealtimeGrant> {
+        lock(&self.realtime).clone()
+    }
+
+    pub(crate) fn set_realtime(&self, grants: Vec<RealtimeGrant>) {
+        *lock(&self.realtime) = grants;
     }
 
     /// Puts `value` where the other tasks of this chassis find it.
@@ -604,6 +666,23 @@ impl Chassis {
         Fault::PeerDown {
             chassis: self.name_of(peer).to_owned(),
         }
+    }
+
+    /// Whom to show each message that a task begins to handle. The first one counts.
+    pub(crate) fn on_delivery(&self, on_delivery: OnDelivery) {
+        let _ = self.on_delivery.set(on_delivery);
+    }
+
+    /// `task` begins to handle `message`.
+    pub(crate) fn delivered(&self, task: &TaskRecord, message: &Message) {
+        if let Some(on_delivery) = self.on_delivery.get() {
+            on_delivery(task, message);
+        }
+    }
+
+    /// The name of one of its tasks.
+    pub(crate) fn task_name(&self, tid: Tid) -> Option<Arc<str>> {
+        self.task(tid).map(|task| task.name.clone())
     }
 
     /// What to do when the chassis shall end.

@@ -1,7 +1,7 @@
-//! Configuration of an app: TOML files, includes and `--set`, read into checked types.
+//! Configuration of an app: TOML files, includes, profiles and `--set`, read into checked types.
 //!
 //! All that is wrong is reported at once, each finding with file, line and column. Precedence:
-//! default < include < file < `--set`. The page `docs/configuration.md` lists every key;
+//! default < include < file < profile < `--set`. The page `docs/configuration.md` lists every key;
 //! [`DEFAULTS`] is the same list as a file.
 //!
 //! Knows nothing of handlers: their arguments stay a [`Node`], which they read themselves.
@@ -13,18 +13,31 @@
 
 mod app;
 mod build;
+mod bundle;
 mod de;
 mod fields;
+mod keys;
 mod load;
 mod node;
+mod profiles;
+mod schema;
+mod shown;
 #[cfg(test)]
 mod tests;
+mod trail;
+mod variables;
 
 pub use app::{App, ChassisConfig, ProcessorConfig, TaskConfig, TimeMode};
+pub use bundle::{Bundle, BundleError};
 pub use node::{Entry, Node, Value};
+pub use schema::schema;
+pub use shown::ShownValue;
+pub use trail::Origin;
 
 use crate::diagnostic::{Findings, Place, Source};
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use trail::Trail;
 
 /// Every key with its default and what it means, as a TOML text.
 pub const DEFAULTS: &str = include_str!("config/defaults.toml");
@@ -51,25 +64,75 @@ pub struct GeneratedTask {
     pub place: Place,
 }
 
-/// Reads an app from its file, everything that file includes, and `--set` texts.
+/// Which app: its file, and what the command line chooses and overrides.
 ///
-/// The same `file` and `sets` make the same app in any process, so a child process of an app is
-/// given these two and reads them again. `expanders` are the top-level tables other than the
-/// runtime's own, each with what turns it into tasks.
+/// The same selection makes the same app in any process with the same environment, so a child
+/// process of an app is given it and reads the app again.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Selection {
+    /// The app's file.
+    pub file: PathBuf,
+    /// The profiles, the later ones on top; without any, `app.profile` chooses one.
+    pub profiles: Vec<String>,
+    /// The `--set` texts, the later ones on top.
+    pub sets: Vec<String>,
+}
+
+impl Selection {
+    /// The app of `file` as it is written.
+    #[must_use]
+    pub fn new(file: impl Into<PathBuf>) -> Self {
+        Self {
+            file: file.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Reads the app: its file, everything that file includes, profiles and `--set` texts.
+    /// `expanders` are the top-level tables other than the runtime's own, each with what turns it
+    /// into tasks.
+    ///
+    /// # Errors
+    /// Everything wrong, errors and warnings together. When there are only warnings, the app is
+    /// returned and holds them.
+    pub fn load(&self, expanders: &[(&'static str, &dyn Expander)]) -> Result<App, Findings> {
+        load_from(&load::Disk, self, expanders)
+    }
+
+    /// As [`load`](Self::load), from texts in memory given as `(path, text)`, and with these
+    /// environment variables in place of the process's.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub fn load_texts(
+        &self,
+        texts: &[(&str, &str)],
+        variables: &BTreeMap<String, String>,
+        expanders: &[(&'static str, &dyn Expander)],
+    ) -> Result<App, Findings> {
+        load_from(&load::Texts(texts, variables), self, expanders)
+    }
+}
+
+/// Reads an app from its file, everything that file includes, and `--set` texts:
+/// [`Selection::load`] without a profile on the command line.
 ///
 /// # Errors
-/// Everything wrong, errors and warnings together. When there are only warnings, the app is
-/// returned and holds them.
+/// As [`Selection::load`].
 pub fn load(
     file: &Path,
     sets: &[String],
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
-    load_from(&load::Disk, file, sets, expanders)
+    let selection = Selection {
+        sets: sets.to_vec(),
+        ..Selection::new(file)
+    };
+    selection.load(expanders)
 }
 
 /// As [`load`], from texts in memory given as `(path, text)`; the first is the app's file, and
-/// includes find the others by their paths.
+/// includes find the others by their paths. No environment variable is set.
 ///
 /// # Errors
 /// As [`load`].
@@ -78,35 +141,109 @@ pub fn load_texts(
     sets: &[String],
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
-    let file = texts.first().map_or("", |(name, _)| *name);
-    load_from(&load::Texts(texts), Path::new(file), sets, expanders)
+    let selection = Selection {
+        sets: sets.to_vec(),
+        ..Selection::new(texts.first().map_or("", |(name, _)| *name))
+    };
+    selection.load_texts(texts, &BTreeMap::new(), expanders)
 }
 
+/// Where files and variables come from.
+type Sources<'a> = dyn load::Files + 'a;
+
 fn load_from(
-    files: &dyn load::Files,
-    file: &Path,
-    sets: &[String],
+    files: &Sources<'_>,
+    selection: &Selection,
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
     let mut findings = Findings::new();
-    let Some(root) = load::merged(files, file, sets, &mut findings) else {
+    let file = &selection.file;
+    let (profiles, sets) = (&selection.profiles, &selection.sets);
+    let Some(merged) = load::merged(files, file, profiles, sets, &mut findings) else {
         return Err(findings);
     };
     // What does not parse would only bring findings that are not the person's mistakes.
     if findings.has_errors() {
         return Err(findings);
     }
-    let place = root.place().cloned();
+    let place = merged.root.place().cloned();
     let place = place.unwrap_or_else(|| Source::new(file.display().to_string(), "").at(0..0));
     let origin = build::Origin {
-        file: file.to_owned(),
-        sets: sets.to_vec(),
+        file: file.clone(),
+        sets: sets.clone(),
         place,
     };
-    let mut app = build::build(root, origin, expanders, &mut findings);
+    let mut app = build::build(merged.root, origin.clone(), expanders, &mut findings);
+    let applied = |name: &String| {
+        merged
+            .profiles
+            .iter()
+            .find(|one| one.name == *name)
+            .cloned()
+    };
+    let layers = merged.applied.iter().filter_map(applied).collect();
+    for profile in merged.profiles.iter() {
+        if !merged.applied.contains(&profile.name) {
+            let idle = IdleProfile {
+                profile,
+                bare: &merged.bare,
+                origin: &origin,
+            };
+            idle.check(files, expanders, &mut findings);
+        }
+    }
     if findings.has_errors() {
         return Err(findings);
     }
+    app.profiles = merged.applied;
+    app.trail = Trail::new(merged.sources, merged.used, layers);
     app.warnings = findings;
     Ok(app)
+}
+
+/// A profile that is not chosen. Its keys are read all the same, so that a typing error in it is
+/// found today and not on the day when it is needed.
+struct IdleProfile<'a> {
+    profile: &'a profiles::Profile,
+    /// The app without any profile.
+    bare: &'a Node,
+    origin: &'a build::Origin,
+}
+
+impl IdleProfile<'_> {
+    /// What is wrong with the profile's keys and values by themselves. Whether its names lead
+    /// anywhere may depend on another profile, and is not asked here.
+    const ASKED: [&'static str; 5] = [
+        "ctos::config::unknown_key",
+        "ctos::config::unknown_choice",
+        "ctos::config::value",
+        "ctos::config::name",
+        "ctos::config::number",
+    ];
+
+    fn check(
+        &self,
+        files: &Sources<'_>,
+        expanders: &[(&'static str, &dyn Expander)],
+        findings: &mut Findings,
+    ) {
+        let mut root = self.bare.clone();
+        let mut found = Findings::new();
+        self.profile.lay_over(&mut root, &mut found);
+        let mut unset = Findings::new();
+        let mut used = variables::Used::new();
+        variables::expand(&mut root, files, &mut used, &mut unset, &|_| true);
+        build::build(root, self.origin.clone(), expanders, &mut found);
+        for finding in found.into_sorted() {
+            let here = finding.place.as_ref();
+            // A variable need not be set for a profile that is not chosen; its value is unknown then.
+            let known = unset.is_empty() || finding.code == "ctos::config::unknown_key";
+            if known
+                && Self::ASKED.contains(&finding.code)
+                && here.is_some_and(|place| self.profile.holds(place))
+            {
+                findings.push(finding);
+            }
+        }
+    }
 }

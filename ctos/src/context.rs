@@ -23,7 +23,10 @@ use crate::{
     diagnostic::Finding,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
-    sync::{Cyclic, CyclicEntry, CyclicHandle},
+    realtime::{self, Grant},
+    sync::{
+        Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
+    },
     system::{
         self, AppResult, AwaitTid, Broke, CommandDescription, Introspect, Monitor, Ping, QueryTid,
         Shutdown, Statistics,
@@ -476,13 +479,61 @@ impl Context {
     }
 
     /// Calls a synchronous function every `period` on this task's processor, until the handle is
-    /// dropped. If it panics, it is taken off the schedule, and the task's restart policy decides.
+    /// dropped. If it panics, it is taken off the schedule and the task's restart policy decides; it has failed if the
+    /// processor has a base period that `period` is no multiple of. [`Self::schedule`] says more of a
+    /// function, and refuses instead.
     #[must_use]
     pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
-        let mut entry = CyclicEntry::new(Box::new(function), period, self.now());
-        let broke = self.when_broken();
-        entry.on_panic(move |text| broke(&format!("a synchronous function panicked: {text}")));
-        self.inner.processor.add_cyclic(entry)
+        let schedule = &self.inner.processor.schedule;
+        let free = |name: &String| !schedule.has(&format!("{}.{name}", self.name()));
+        let numbered = (2_u32..).map(|number| format!("cyclic-{number}"));
+        let mut names = std::iter::once("cyclic".to_owned()).chain(numbered);
+        let name = names.find(free).unwrap_or_default();
+        let period = period.max(Duration::from_micros(1));
+        let function = Synchronous::new(name, function).period(period);
+        self.schedule(function).unwrap_or_else(|error| {
+            self.fail(&error.to_string());
+            CyclicHandle::of_nothing()
+        })
+    }
+
+    /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
+    /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
+    /// it is taken off the schedule, and the task's restart policy decides.
+    ///
+    /// # Errors
+    /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
+    pub fn schedule(&self, function: Synchronous) -> Result<CyclicHandle, CyclicError> {
+        let name = format!("{}.{}", self.name(), function.name());
+        let function = function.renamed(name).on_failure(self.when_broken());
+        self.inner.processor.schedule.add(function)
+    }
+
+    /// Lets a device say when the base ticks of this task's processor are, until the handle is dropped. The
+    /// processor needs a `period_s`, at which the clock goes on when the device fails. In virtual time
+    /// there is no device, and the clock goes on ticking.
+    ///
+    /// # Errors
+    /// [`CyclicError`]: the processor has no base period, or another source already.
+    pub fn tick_source(
+        &self,
+        source: impl TickSource + 'static,
+    ) -> Result<TickSourceHandle, CyclicError> {
+        let (chassis, index) = (
+            self.inner.chassis.clone(),
+            self.inner.record.tid.processor(),
+        );
+        let handle = self.inner.processor.handle.clone();
+        let pacemaker = Pacemaker {
+            prepare: Box::new(move || {
+                let config = chassis.processor_config(usize::from(index));
+                // Memory was locked for the whole chassis; a refusal was said for the processor.
+                let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
+            }),
+            wake: Box::new(move || handle.unpark()),
+        };
+        let schedule = &self.inner.processor.schedule;
+        schedule.pace(Box::new(source), pacemaker)
     }
 
     // -- the task itself --------------------------------------------------------------------

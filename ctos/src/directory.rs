@@ -17,7 +17,7 @@ use crate::{call::lock, message::Tid};
 
 /// The directory of one chassis. Shared by its threads.
 #[derive(Default)]
-pub(crate) struct Directory {
+pub(crate) struct TaskDirectory {
     known: Mutex<BTreeMap<String, Tid>>,
     /// From each id that was replaced straight to the present one.
     rebound: RwLock<BTreeMap<Tid, Tid>>,
@@ -28,7 +28,7 @@ pub(crate) struct Directory {
     slots: Mutex<Vec<u16>>,
 }
 
-impl Directory {
+impl TaskDirectory {
     /// The id that a message to `tid` goes to.
     pub(crate) fn current(&self, tid: Tid) -> Tid {
         if !self.any.load(Ordering::Acquire) {
@@ -113,7 +113,7 @@ mod tests {
 
     #[test]
     fn an_answer_that_is_older_than_a_move_leads_to_the_new_place() {
-        let directory = Directory::default();
+        let directory = TaskDirectory::default();
         let (old, new) = (Tid::new(1, 1, 0), Tid::new(2, 1, 0));
         directory.rebind("arm", old, Some(new));
         assert_eq!(directory.learn("arm", old), new);
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_name_that_was_freed_is_forgotten_and_a_newer_one_is_not() {
-        let directory = Directory::default();
+        let directory = TaskDirectory::default();
         let (old, new) = (Tid::new(1, 1, 0), Tid::new(2, 1, 0));
         directory.learn("arm", old);
         directory.rebind("arm", old, None);
@@ -135,7 +135,7 @@ mod tests {
     proptest! {
         #[test]
         fn every_id_that_a_task_ever_had_leads_to_the_one_it_has(places in proptest::collection::vec((0_u8..4, 0_u8..3), 1..40)) {
-            let directory = Directory::default();
+            let directory = TaskDirectory::default();
             let other = Tid::new(9, 9, 9);
             let ids: Vec<Tid> = places
                 .iter()
@@ -153,7 +153,7 @@ mod tests {
 
         #[test]
         fn no_slot_is_given_away_twice(first in proptest::collection::vec(0_u16..50, 0..4), draws in proptest::collection::vec(0_u8..4, 0..60)) {
-            let directory = Directory::default();
+            let directory = TaskDirectory::default();
             directory.start_slots_at(&first);
             let mut given = std::collections::BTreeSet::new();
             for processor in draws {
@@ -166,7 +166,7 @@ mod tests {
 
     #[test]
     fn a_processor_whose_slots_are_used_up_says_so() {
-        let directory = Directory::default();
+        let directory = TaskDirectory::default();
         directory.start_slots_at(&[0, u16::MAX]);
         assert_eq!(directory.free_slot(1), None);
         assert_eq!(directory.free_slot(0), Some(0));

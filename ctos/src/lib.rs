@@ -21,7 +21,9 @@ pub mod chassis;
 pub mod config;
 pub mod diagnostic;
 pub mod message;
+pub mod realtime;
 pub mod registry;
+pub mod simulation;
 pub mod supervise;
 pub mod sync;
 pub mod system;
@@ -39,7 +41,6 @@ mod moving;
 mod names;
 mod processor;
 mod runner;
-mod simulation;
 mod statistics;
 mod waits;
 
@@ -48,3 +49,16 @@ pub use ctos_derive::handler;
 pub use message::Command;
 pub use statistics::TaskCounters;
 pub use task::Context;
+
+/// The pages of `docs` whose examples are run as tests.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../docs/messages.md")]
+    mod messages {}
+    #[doc = include_str!("../../docs/names.md")]
+    mod names {}
+    #[doc = include_str!("../../docs/supervision-of-tasks.md")]
+    mod supervision_of_tasks {}
+    #[doc = include_str!("../../docs/tasks.md")]
+    mod tasks {}
+}

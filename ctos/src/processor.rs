@@ -24,7 +24,7 @@ use std::{
 
 use crate::{
     call::lock,
-    sync::{CyclicEntry, CyclicHandle},
+    sync::Schedule,
     time::{Clock, Instant},
 };
 
@@ -53,7 +53,8 @@ impl ProcessorHandle {
         self.unpark();
     }
 
-    fn unpark(&self) {
+    /// Wakes the processor, if it sleeps.
+    pub(crate) fn unpark(&self) {
         if let Some(thread) = lock(&self.thread).as_ref() {
             thread.unpark();
         }
@@ -102,18 +103,29 @@ pub(crate) struct Processor {
     futures: RefCell<BTreeMap<u64, Entry>>,
     next_future: Cell<u64>,
     timers: RefCell<Timers>,
-    cyclics: RefCell<Vec<CyclicEntry>>,
+    /// Its synchronous functions.
+    pub(crate) schedule: Schedule,
 }
 
 impl Processor {
+    #[cfg(test)]
     pub(crate) fn new(handle: Arc<ProcessorHandle>, clock: Clock) -> Rc<Self> {
+        let schedule = Schedule::new(crate::sync::ScheduleSettings::default(), clock.clone());
+        Self::with_schedule(handle, clock, schedule)
+    }
+
+    pub(crate) fn with_schedule(
+        handle: Arc<ProcessorHandle>,
+        clock: Clock,
+        schedule: Schedule,
+    ) -> Rc<Self> {
         Rc::new(Self {
             handle,
             clock,
             futures: RefCell::default(),
             next_future: Cell::new(0),
             timers: RefCell::default(),
-            cyclics: RefCell::default(),
+            schedule,
         })
     }
 
@@ -158,13 +170,6 @@ impl Processor {
             deadline,
             key: None,
         }
-    }
-
-    /// Adds a synchronous function whose first tick is one period from now.
-    pub(crate) fn add_cyclic(&self, entry: CyclicEntry) -> CyclicHandle {
-        let handle = entry.handle();
-        self.cyclics.borrow_mut().push(entry);
-        handle
     }
 
     /// Runs the jobs that other threads brought. True when there were some.
@@ -229,11 +234,7 @@ impl Processor {
     /// The next moment at which something is due without being woken.
     pub(crate) fn next_deadline(&self) -> Option<Instant> {
         let timer = self.timers.borrow().queue.keys().next().map(|key| key.0);
-        let cyclic = self.cyclics.borrow().iter().map(CyclicEntry::due).min();
-        match (timer, cyclic) {
-            (Some(timer), Some(cyclic)) => Some(timer.min(cyclic)),
-            (timer, cyclic) => timer.or(cyclic),
-        }
+        timer.into_iter().chain(self.schedule.next_due()).min()
     }
 
     /// Wakes the timers that are due.
@@ -257,37 +258,10 @@ impl Processor {
         }
     }
 
-    /// Calls the synchronous functions that are due, in the order in which they were added. One that
-    /// panics is taken off the schedule and reported.
-    pub(crate) fn run_cyclics(&self) {
-        // Out of the cell while they run, because a function may add another one.
-        let mut running = std::mem::take(&mut *self.cyclics.borrow_mut());
-        if running.is_empty() {
-            return;
-        }
-        let now = self.now();
-        let mut index = 0;
-        while let Some(entry) = running.get_mut(index) {
-            if !entry.is_wanted() {
-                drop_contained(running.remove(index));
-                continue;
-            }
-            if entry.due() > now {
-                index += 1;
-                continue;
-            }
-            match catch_unwind(AssertUnwindSafe(|| entry.run(&self.clock))) {
-                Ok(()) => index += 1,
-                Err(panic) => {
-                    let mut entry = running.remove(index);
-                    entry.report_panic(&panic_text(panic.as_ref()));
-                    drop_contained(entry);
-                }
-            }
-        }
-        let mut cyclics = self.cyclics.borrow_mut();
-        running.append(&mut cyclics);
-        *cyclics = running;
+    /// The moment at which a sleeping processor must be awake: for a timer, or shortly before a tick.
+    fn wake_at(&self) -> Option<Instant> {
+        let timer = self.timers.borrow().queue.keys().next().map(|key| key.0);
+        timer.into_iter().chain(self.schedule.wake_at()).min()
     }
 
     /// The processor's thread: returns after [`ProcessorHandle::stop`].
@@ -295,12 +269,16 @@ impl Processor {
         *lock(&self.handle.thread) = Some(std::thread::current());
         while !self.handle.stop.load(Ordering::Acquire) {
             self.run_jobs();
-            self.run_cyclics();
+            let ticked = self.schedule.run();
             self.fire_timers();
+            // After each tick something else has its turn, however near the next one is.
+            if !ticked && self.schedule.spin_to_tick() {
+                continue;
+            }
             if self.poll_ready(0) {
                 continue;
             }
-            match self.next_deadline() {
+            match self.wake_at() {
                 Some(deadline) => {
                     let wait = deadline.since(self.now());
                     if wait > Duration::ZERO {
@@ -317,15 +295,12 @@ impl Processor {
     pub(crate) fn clear(&self) {
         loop {
             let futures = std::mem::take(&mut *self.futures.borrow_mut());
-            let cyclics = std::mem::take(&mut *self.cyclics.borrow_mut());
+            let cyclics = self.schedule.clear();
             let jobs = std::mem::take(&mut *lock(&self.handle.jobs));
-            if futures.is_empty() && cyclics.is_empty() && jobs.is_empty() {
+            if futures.is_empty() && !cyclics && jobs.is_empty() {
                 return;
             }
             for (_, entry) in futures {
-                drop_contained(entry);
-            }
-            for entry in cyclics {
                 drop_contained(entry);
             }
             drop_contained(jobs);
@@ -334,7 +309,7 @@ impl Processor {
 }
 
 /// Drops what may hold code of others: a destructor that panics must not end the thread.
-fn drop_contained<T>(value: T) {
+pub(crate) fn drop_contained<T>(value: T) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(value))) {
         let text = panic_text(panic.as_ref());
         tracing::error!(panic = %text, "a destructor panicked");
@@ -393,7 +368,7 @@ mod tests {
     use crate::{
         call::{Promise, Waiting},
         message::Data,
-        sync::Tick,
+        sync::{ScheduleSettings, Synchronous, Tick},
     };
 
     fn processor() -> (Rc<Processor>, Clock) {
@@ -457,47 +432,37 @@ mod tests {
     }
 
     #[test]
-    fn a_synchronous_function_that_panics_is_reported_and_the_others_go_on() {
-        let (processor, clock) = processor();
-        let period = Duration::from_nanos(1_000);
-        let said = Rc::new(RefCell::new(String::new()));
-        let heard = said.clone();
-        let mut bad =
-            CyclicEntry::new(Box::new(|_: &Tick| panic!("boom")), period, processor.now());
-        bad.on_panic(move |text| *heard.borrow_mut() = text.to_owned());
-        let _bad = processor.add_cyclic(bad);
-        let ticks = Rc::new(Cell::new(0));
-        let count = ticks.clone();
-        let good = Box::new(move |_: &Tick| count.set(count.get() + 1));
-        let good = processor.add_cyclic(CyclicEntry::new(good, period, processor.now()));
-        for tick in 1..=3 {
-            clock.advance_to(Instant::from_nanos(tick * 1_000));
-            processor.run_cyclics();
-        }
-        assert_eq!((said.borrow().as_str(), ticks.get()), ("boom", 3));
-        drop(good);
-        clock.advance_to(Instant::from_nanos(9_000));
-        processor.run_cyclics();
-        assert_eq!((ticks.get(), processor.next_deadline()), (3, None));
-    }
-
-    #[test]
-    fn a_synchronous_function_may_add_another_one() {
-        let (processor, clock) = processor();
-        let period = Duration::from_nanos(1_000);
-        let added = Rc::new(RefCell::new(Vec::new()));
-        let (inner, keep) = (processor.clone(), added.clone());
-        let adds = move |_: &Tick| {
-            let entry = CyclicEntry::new(Box::new(|_: &Tick| ()), period, inner.now());
-            keep.borrow_mut().push(inner.add_cyclic(entry));
+    fn a_schedule_that_takes_all_the_time_does_not_starve_the_tasks() {
+        let (handle, clock) = (Arc::new(ProcessorHandle::default()), Clock::real());
+        let settings = ScheduleSettings {
+            period: Some(Duration::from_micros(100)),
+            spin: Duration::from_micros(50),
+            ..ScheduleSettings::default()
         };
-        let _handle =
-            processor.add_cyclic(CyclicEntry::new(Box::new(adds), period, processor.now()));
-        clock.advance_to(Instant::from_nanos(1_000));
-        processor.run_cyclics();
-        assert_eq!(processor.cyclics.borrow().len(), 2);
-        added.borrow_mut().clear();
-        processor.clear();
+        let schedule = Schedule::new(settings, clock.clone());
+        let processor = Processor::with_schedule(handle.clone(), clock.clone(), schedule);
+        let busy = move |tick: &Tick| while clock.now() < tick.due + Duration::from_micros(99) {};
+        let busy = processor
+            .schedule
+            .add(Synchronous::new("busy", busy))
+            .unwrap();
+        let left = Rc::new(Cell::new(200));
+        let turns = left.clone();
+        processor.spawn(
+            std::future::poll_fn(move |cx| {
+                turns.set(turns.get() - 1);
+                if turns.get() == 0 {
+                    handle.stop();
+                    return Poll::Ready(());
+                }
+                cx.waker().wake_by_ref();
+                Poll::Pending
+            }),
+            None,
+        );
+        processor.run();
+        assert_eq!(left.get(), 0);
+        assert!(busy.statistics().runs() > 0);
     }
 
     #[test]

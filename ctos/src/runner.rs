@@ -240,6 +240,7 @@ impl Runner {
         let command = message.command();
         let record = self.record.clone();
         let cx = self.cx.within(message.trace());
+        cx.chassis().delivered(&record, &message);
         record.statistics.begin(command, cx.now());
         let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
         let outcome = if interrupts(command) {

@@ -2,182 +2,318 @@
 //!
 //! All chassis live in this process and exchange encoded frames over simulated links. One loop polls
 //! the tasks that can run, in an order drawn from the app's seed; when none can, it moves the clock to
-//! the next deadline. The same seed gives the same run, event for event.
+//! the next deadline. What goes wrong meanwhile is drawn from the same seed, or given. The same seed
+//! and the same faults give the same run, event for event.
+
+mod draw;
+mod events;
+mod machine;
+mod mishap;
+mod profile;
+mod reader;
+mod script;
+mod shrink;
 
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
-    rc::Rc,
+    collections::{BTreeMap, VecDeque},
     sync::{Arc, Mutex},
+    time::Duration,
 };
 
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    boot::{self, BootError, BootEvent, End, Mishap, Observer, Outcome},
+    boot::{self, BootError, BootEvent, End, Observer, Outcome},
     bootstrap::EndSlot,
     call::lock,
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
     context::mix,
-    link::simulated::{Network, below},
-    processor::Processor,
+    link::{
+        Frame,
+        simulated::{Arrival, InFlight, Network, below},
+    },
+    message::{Flags, SYSTEM_COMMANDS},
     registry::Registry,
     system,
-    time::{Clock, Instant},
+    time::{Clock, Drift, Instant},
 };
 
-/// What happens to the simulated machines at a moment, with the chassis as numbers.
-#[derive(Debug, Clone, Copy)]
-enum Happening {
-    Kill(u8),
-    Cut(u8, u8),
-    Stall(u8, u8, Instant),
+use self::{draw::Drawn, events::EventLog, machine::Machine, mishap::Site};
+
+pub use self::{
+    events::EventSink, mishap::Mishap, profile::Faults, script::write_script, shrink::shrink,
+};
+
+/// How long a chassis waits for a sign of another one before it gives it up.
+const PEER_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// So many steps without the clock moving are a task that never waits.
+const STEPS_AT_ONCE: u64 = 10_000_000;
+
+/// A rule of the links that a test breaks, to see that it is noticed. Nobody else has a use for it.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Breach {
+    /// Some frames arrive twice.
+    Duplicate,
+    /// Some frames change places with the one before them between the same tasks.
+    Swap,
+    /// Some frames never arrive.
+    Lose,
+    /// Some requests arrive at another task.
+    Misdeliver,
+}
+
+impl Breach {
+    /// Only what tasks send each other is broken: a boot that fails would hide it.
+    pub(crate) fn concerns(self, frame: &Frame) -> bool {
+        let of_the_app = frame.header.command < SYSTEM_COMMANDS;
+        let request = !frame.header.flags.contains(Flags::REPLY);
+        of_the_app && (request || self == Self::Lose)
+    }
+}
+
+/// How an app is simulated.
+pub struct Setup {
+    /// The clock that shows the true time: [`Clock::virtual_clock`], kept by who wants to read it.
+    pub clock: Clock,
+    /// What goes wrong.
+    pub faults: Faults,
+    /// Where every delivery is written to, a line each.
+    pub events: Option<EventSink>,
+    /// When the app is stopped as by Ctrl-C.
+    pub stop_after: Option<Duration>,
+    #[doc(hidden)]
+    pub breach: Option<Breach>,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            clock: Clock::virtual_clock(),
+            faults: Faults::none(),
+            events: None,
+            stop_after: None,
+            breach: None,
+        }
+    }
+}
+
+impl std::fmt::Debug for Setup {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Setup(faults `{}`)", self.faults.name())
+    }
+}
+
+/// A simulated run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// How the app ended.
+    pub outcome: Outcome,
+    /// What went wrong, in order. [`Faults::of_script`] of it makes the same run again.
+    pub faults: Vec<Mishap>,
+}
+
+/// Runs `app` to its end on the virtual clock of `setup`, whatever its `time.mode` is.
+///
+/// # Errors
+/// [`BootError::NoChassis`] when a fault names a chassis that the app has not.
+pub fn run(
+    app: App,
+    registry: Registry,
+    setup: Setup,
+    observer: &Observer,
+) -> Result<Run, BootError> {
+    run_shared(Arc::new(app), Arc::new(registry), setup, observer)
+}
+
+/// [`run`] for many runs with one registry.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_shared(
+    app: Arc<App>,
+    registry: Arc<Registry>,
+    setup: Setup,
+    observer: &Observer,
+) -> Result<Run, BootError> {
+    Ok(Simulation::new(app, registry, setup, &boot::contained(observer))?.run())
 }
 
 struct Simulation {
     clock: Clock,
-    chassis: Vec<Arc<Chassis>>,
-    /// Those of each chassis, by its number.
-    processors: Vec<Vec<Rc<Processor>>>,
+    machines: Vec<Machine>,
     network: Network,
     rng: ChaCha8Rng,
     end: EndSlot,
-    happenings: BTreeMap<Instant, Vec<Happening>>,
+    /// What is given, by moment.
+    script: BTreeMap<Instant, Vec<Mishap>>,
+    drawn: Drawn,
+    stop_at: Option<Instant>,
+    happened: Vec<Mishap>,
     /// Chassis whose process would have ended by itself now, with its exit code.
     exits: Arc<Mutex<VecDeque<(u8, i32)>>>,
-    gone: BTreeSet<u8>,
     casualties: Vec<(String, String)>,
-}
-
-/// Runs `app` to its end on a virtual clock.
-pub(crate) fn run(
-    clock: &Clock,
-    app: Arc<App>,
-    registry: Arc<Registry>,
-    mishaps: &[Mishap],
-    observer: &Observer,
-) -> Result<Outcome, BootError> {
-    let clock = clock.clone();
-    let seed = app.seed;
-    let network = Network::new(
-        clock.clone(),
-        ChaCha8Rng::seed_from_u64(mix(seed, &["simulated links"])),
-    );
-    let happenings = schedule(&app, mishaps)?;
-    let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
-    let chassis: Vec<Arc<Chassis>> = (0..=count)
-        .map(|index| Chassis::new(index, app.clone(), registry.clone(), clock.clone()))
-        .collect();
-    let exits = Arc::new(Mutex::new(VecDeque::new()));
-    for from in &chassis {
-        for to in from.others() {
-            from.link_up(to, network.link(from.index(), to));
-        }
-        if from.index() > 0 {
-            observer(&BootEvent::Started {
-                chassis: from.name().to_owned(),
-                pid: None,
-            });
-            let (exits, index) = (exits.clone(), from.index());
-            from.set_on_exit(move |code| lock(&exits).push_back((index, code)));
-        }
-    }
-    let processors = chassis
-        .iter()
-        .map(|chassis| {
-            let handles = chassis.processors.iter();
-            handles
-                .map(|(_, handle)| Processor::new(handle.clone(), clock.clone()))
-                .collect()
-        })
-        .collect();
-    let end = EndSlot::default();
-    for one in &chassis {
-        boot::start_system_tasks(one, observer, &end);
-    }
-    let simulation = Simulation {
-        clock,
-        chassis,
-        processors,
-        network,
-        rng: ChaCha8Rng::seed_from_u64(mix(seed, &["schedule"])),
-        end,
-        happenings,
-        exits,
-        gone: BTreeSet::new(),
-        casualties: Vec::new(),
-    };
-    Ok(simulation.run())
-}
-
-/// Mishaps by the moment at which they happen.
-fn schedule(app: &App, mishaps: &[Mishap]) -> Result<BTreeMap<Instant, Vec<Happening>>, BootError> {
-    let number = |name: &str, what: &'static str| {
-        if name == BOOT_CHASSIS && what != "a kill" {
-            return Ok(0);
-        }
-        let position = app.chassis.iter().position(|config| config.name == name);
-        position
-            .and_then(|position| u8::try_from(position + 1).ok())
-            .ok_or_else(|| BootError::NoChassis {
-                chassis: name.to_owned(),
-                what,
-            })
-    };
-    let mut happenings: BTreeMap<Instant, Vec<Happening>> = BTreeMap::new();
-    for mishap in mishaps {
-        let (moment, happening) = match mishap {
-            Mishap::Kill { chassis, at } => (*at, Happening::Kill(number(chassis, "a kill")?)),
-            Mishap::Cut { one, other, at } => {
-                let (one, other) = (number(one, "a cut")?, number(other, "a cut")?);
-                (*at, Happening::Cut(one, other))
-            }
-            Mishap::Stall {
-                one,
-                other,
-                at,
-                until,
-            } => {
-                let (one, other) = (number(one, "a stall")?, number(other, "a stall")?);
-                (*at, Happening::Stall(one, other, *until))
-            }
-        };
-        happenings.entry(moment).or_default().push(happening);
-    }
-    Ok(happenings)
+    events: EventLog,
+    observer: Observer,
+    steps_at_once: u64,
+    /// Kept between steps for its room.
+    counts: Vec<usize>,
 }
 
 impl Simulation {
-    fn run(mut self) -> Outcome {
-        if let Some(boot) = self.chassis.first() {
-            boot.post_system(system::BOOTSTRAP, system::AllLinked {});
+    fn new(
+        app: Arc<App>,
+        registry: Arc<Registry>,
+        setup: Setup,
+        observer: &Observer,
+    ) -> Result<Self, BootError> {
+        let Setup {
+            clock,
+            faults,
+            events,
+            stop_after,
+            breach,
+        } = setup;
+        let seed = app.seed;
+        let names: Vec<String> = std::iter::once(BOOT_CHASSIS.to_owned())
+            .chain(app.chassis.iter().map(|chassis| chassis.name.clone()))
+            .collect();
+        let mut happened = Drawn::drifts(&faults, &app, &names);
+        let drawn = Drawn::new(&faults, &app, &names);
+        let script = schedule(&names, faults.script, &mut happened)?;
+        let network = Network::new(clock.clone(), seed, PEER_TIMEOUT, breach);
+        let events = EventLog::new(events, clock.clone());
+        let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
+        let chassis: Vec<Arc<Chassis>> = (0..=count)
+            .zip(&names)
+            .map(|(index, name)| {
+                let clock = clock.drifting(drift_of(name, &happened));
+                Chassis::new(index, app.clone(), registry.clone(), clock)
+            })
+            .collect();
+        let exits = Arc::new(Mutex::new(VecDeque::new()));
+        for from in &chassis {
+            events.watch(from, &chassis);
+            for to in from.others() {
+                from.link_up(to, network.link(from.index(), to));
+            }
+            if from.index() > 0 {
+                observer(&BootEvent::Started {
+                    chassis: from.name().to_owned(),
+                    pid: None,
+                });
+                let (exits, index) = (exits.clone(), from.index());
+                from.set_on_exit(move |code| lock(&exits).push_back((index, code)));
+            }
+        }
+        for fault in &happened {
+            events.note(|| format!("fault {fault}"));
+        }
+        let machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
+        let end = EndSlot::default();
+        for machine in &machines {
+            boot::start_system_tasks(&machine.chassis, observer, &end);
+        }
+        Ok(Self {
+            stop_at: stop_after.map(|after| clock.now() + after),
+            clock,
+            machines,
+            network,
+            rng: ChaCha8Rng::seed_from_u64(mix(seed, &["schedule"])),
+            end,
+            script,
+            drawn,
+            happened,
+            exits,
+            casualties: Vec::new(),
+            events,
+            observer: observer.clone(),
+            steps_at_once: 0,
+            counts: Vec::new(),
+        })
+    }
+
+    fn run(mut self) -> Run {
+        if let Some(boot) = self.machines.first() {
+            boot.chassis
+                .post_system(system::BOOTSTRAP, system::AllLinked {});
         }
         let end = loop {
             if let Some(end) = lock(&self.end).take() {
                 break end;
             }
-            if self.run_jobs() || self.run_exits() || self.poll_one() {
-                continue;
-            }
-            match self.next_event() {
-                Some(moment) => self.advance(moment),
-                None => break End::Stuck,
+            if !self.step(None) {
+                break End::Stuck;
             }
         };
         let took = self.clock.now().since_start();
-        for chassis in &self.chassis {
-            chassis.drop_links();
+        if end != End::Stuck {
+            self.end_processes();
         }
-        for processor in self.processors.iter().flatten() {
-            processor.clear();
+        self.events.note(|| format!("end {end:?}"));
+        for machine in &self.machines {
+            machine.chassis.drop_links();
         }
-        for chassis in &self.chassis {
-            chassis.close();
+        for machine in &self.machines {
+            machine.clear();
         }
-        Outcome {
-            end,
-            casualties: self.casualties,
-            took,
+        for machine in &self.machines {
+            machine.chassis.close();
+        }
+        Run {
+            outcome: Outcome {
+                end,
+                casualties: self.casualties,
+                took,
+            },
+            faults: self.happened,
+        }
+    }
+
+    /// Runs what is ready, or moves the clock to what happens next, but not beyond `limit`. False when
+    /// nothing can happen any more, or nothing until then.
+    fn step(&mut self, limit: Option<Instant>) -> bool {
+        if self.run_jobs() || self.run_exits() || self.poll_one() {
+            self.steps_at_once += 1;
+            if self.steps_at_once > STEPS_AT_ONCE {
+                let moment = self.clock.now();
+                tracing::error!(at = %moment, steps = STEPS_AT_ONCE, "a task goes on for ever without waiting");
+                return false;
+            }
+            return true;
+        }
+        match self.next_event() {
+            Some(moment) if limit.is_none_or(|limit| moment <= limit) => {
+                self.advance(moment);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// The boot is done and waits for the processes; those that do not end by themselves are killed.
+    fn end_processes(&mut self) {
+        let Some(boot) = self.machines.first().map(|machine| machine.chassis.clone()) else {
+            return;
+        };
+        boot.drop_links();
+        for other in boot.others() {
+            self.network.hang_up(0, other);
+        }
+        let limit = self.clock.now() + boot.app.stop_timeout;
+        let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
+        while !ended(&self.machines) && self.step(Some(limit)) {}
+        for index in boot.others() {
+            let left = self.machines.get(usize::from(index));
+            if left.is_some_and(|machine| !machine.gone) {
+                (self.observer)(&BootEvent::Signalled {
+                    chassis: boot.name_of(index).to_owned(),
+                    signal: "SIGKILL",
+                });
+                self.end_chassis(index, Some("was killed by signal 9 (SIGKILL)"));
+            }
         }
     }
 
@@ -197,115 +333,262 @@ impl Simulation {
 
     /// A process ends: nothing of it runs any more, and the others see its links close.
     fn end_chassis(&mut self, index: u8, casualty: Option<&str>) {
-        if !self.gone.insert(index) {
-            return;
-        }
-        let Some(chassis) = self.chassis.get(usize::from(index)) else {
+        let Some(machine) = self.machines.get_mut(usize::from(index)) else {
             return;
         };
+        if std::mem::replace(&mut machine.gone, true) {
+            return;
+        }
+        let chassis = machine.chassis.clone();
+        let how = casualty.unwrap_or("ended");
+        self.events
+            .note(|| format!("chassis {} {how}", chassis.name()));
         if let Some(how) = casualty {
             let name = chassis.name().to_owned();
             self.casualties.push((name, how.to_owned()));
         }
         // First the links, so that what its destructors send reaches nobody.
         chassis.drop_links();
-        for processor in self
-            .processors
-            .get(usize::from(index))
-            .into_iter()
-            .flatten()
-        {
-            processor.clear();
-        }
+        machine.clear();
         for other in chassis.others() {
             self.network.hang_up(index, other);
         }
         chassis.close();
     }
 
-    fn happen(&mut self, happening: Happening) {
-        match happening {
-            Happening::Kill(index) => {
-                self.end_chassis(index, Some("was killed by signal 9 (SIGKILL)"));
+    fn index(&self, name: &str) -> Option<usize> {
+        let mut machines = self.machines.iter();
+        machines.position(|machine| machine.chassis.name() == name)
+    }
+
+    fn happen(&mut self, mishap: Mishap) {
+        self.events.note(|| format!("fault {mishap}"));
+        match mishap.site() {
+            Site::Chassis(name) => {
+                if let Some(index) = self.index(name) {
+                    self.happen_to(index, &mishap);
+                }
             }
-            Happening::Cut(one, other) => {
-                self.network.cut(one, other);
-                for (end, peer) in [(one, other), (other, one)] {
-                    if let Some(chassis) = self.chassis.get(usize::from(end)) {
-                        chassis.link_down(peer);
+            Site::Link(one, other) => {
+                if let (Some(one), Some(other)) = (self.index(one), self.index(other)) {
+                    self.happen_between(one, other, &mishap);
+                }
+            }
+        }
+        self.happened.push(mishap);
+    }
+
+    fn happen_to(&mut self, index: usize, mishap: &Mishap) {
+        let Some(machine) = self.machines.get_mut(index) else {
+            return;
+        };
+        let number = machine.chassis.index();
+        match mishap {
+            Mishap::Kill { .. } => {
+                self.end_chassis(number, Some("was killed by signal 9 (SIGKILL)"));
+            }
+            Mishap::Freeze { until, .. } if !machine.gone => {
+                machine.freeze(*until);
+                for other in self.machines.iter().filter(|other| !other.gone) {
+                    let peer = other.chassis.index();
+                    if peer != number {
+                        self.network.freeze(number, (peer, other.clock()), *until);
                     }
                 }
             }
-            Happening::Stall(one, other, until) => self.network.stall(one, other, until),
+            Mishap::Slow {
+                until, per_step, ..
+            } => machine.slow(*until, *per_step),
+            _ => {}
+        }
+    }
+
+    fn happen_between(&self, one: usize, other: usize, mishap: &Mishap) {
+        let (Some(first), Some(second)) = (self.machines.get(one), self.machines.get(other)) else {
+            return;
+        };
+        let ends = (first.chassis.index(), second.chassis.index());
+        let clocks = || ((ends.0, first.clock()), (ends.1, second.clock()));
+        match mishap {
+            Mishap::Cut { .. } => {
+                self.network.cut(ends.0, ends.1);
+                first.chassis.link_down(ends.1);
+                second.chassis.link_down(ends.0);
+            }
+            Mishap::Break { until, .. } => {
+                let (one, other) = clocks();
+                self.network.silence(one, other, *until, true);
+            }
+            Mishap::Stall { until, .. } => {
+                let (one, other) = clocks();
+                self.network.silence(one, other, *until, false);
+            }
+            Mishap::Loss {
+                until, share_ppm, ..
+            } => self.network.lose(ends.0, ends.1, *until, *share_ppm),
+            Mishap::Delay { until, extra, .. } => {
+                self.network.delay(ends.0, ends.1, *until, *extra);
+            }
+            _ => {}
         }
     }
 
     fn run_jobs(&self) -> bool {
         let mut any = false;
-        for processor in self.processors.iter().flatten() {
-            any |= processor.run_jobs();
+        for machine in &self.machines {
+            any |= machine.run_jobs();
         }
         any
     }
 
     /// Polls one of the futures that are ready, drawn from the seed.
     fn poll_one(&mut self) -> bool {
-        let counts = self
-            .processors
-            .iter()
-            .flatten()
-            .map(|processor| processor.ready_count());
-        let total: usize = counts.clone().sum();
+        let now = self.clock.now();
+        self.counts.clear();
+        for machine in &self.machines {
+            machine.count_ready(now, &mut self.counts);
+        }
+        let total: usize = self.counts.iter().sum();
         if total == 0 {
             return false;
         }
         let mut drawn = below(&mut self.rng, total);
-        for (processor, count) in self.processors.iter().flatten().zip(counts) {
-            if drawn < count {
-                return processor.poll_ready(drawn);
+        let mut counts = self.counts.iter();
+        for machine in &mut self.machines {
+            for (processor, count) in (0..machine.processors()).zip(&mut counts) {
+                if drawn < *count {
+                    return machine.poll(processor, drawn, now);
+                }
+                drawn -= count;
             }
-            drawn -= count;
         }
         false
     }
 
     fn next_event(&self) -> Option<Instant> {
-        let deadlines = self
-            .processors
-            .iter()
-            .flatten()
-            .filter_map(|processor| processor.next_deadline());
-        let next = deadlines.chain(self.network.next_arrival()).min();
-        let mishap = self.happenings.keys().next().copied();
-        // When nothing else can ever happen, a mishap still can.
-        next.into_iter().chain(mishap).min()
+        let now = self.clock.now();
+        let machines = self.machines.iter();
+        let machines = machines.filter_map(|machine| machine.next_event(now));
+        let next = machines.chain(self.network.next_arrival()).min();
+        // When nothing else can ever happen, what is given still can; what is drawn has no end.
+        let drawn = next.and(self.drawn.next());
+        let given = self.script.keys().next().copied();
+        next.into_iter()
+            .chain(drawn)
+            .chain(given)
+            .chain(self.stop_at)
+            .min()
     }
 
     /// Moves the clock and lets everything happen that is due then.
     fn advance(&mut self, moment: Instant) {
         self.clock.advance_to(moment);
-        while let Some(entry) = self.happenings.first_entry() {
+        self.steps_at_once = 0;
+        while let Some(entry) = self.script.first_entry() {
             if *entry.key() > moment {
                 break;
             }
-            for happening in entry.remove() {
-                self.happen(happening);
+            for mishap in entry.remove() {
+                self.happen(mishap);
+            }
+        }
+        while let Some(mishap) = self.drawn.pop(moment) {
+            self.happen(mishap);
+        }
+        if self.stop_at.is_some_and(|at| at <= moment) {
+            self.stop_at = None;
+            if let Some(boot) = self.machines.first() {
+                boot.chassis
+                    .post_system(system::BOOTSTRAP, system::Interrupt {});
             }
         }
         while let Some(flight) = self.network.arrive(moment) {
-            let Some(chassis) = self.chassis.get(usize::from(flight.to)) else {
-                continue;
-            };
-            match flight.frame {
-                // The dead hear nothing.
-                _ if self.gone.contains(&flight.to) => {}
-                Some(frame) => chassis.receive(flight.from, frame),
-                None => chassis.link_down(flight.from),
-            }
+            self.land(flight, moment);
         }
-        for processor in self.processors.iter().flatten() {
-            processor.run_cyclics();
-            processor.fire_timers();
+        for machine in &self.machines {
+            machine.run_due(moment);
         }
     }
+
+    fn land(&self, flight: InFlight, now: Instant) {
+        let InFlight { from, to, arrival } = flight;
+        let Some(machine) = self.machines.get(usize::from(to)) else {
+            return;
+        };
+        // The dead hear nothing.
+        if machine.gone {
+            return;
+        }
+        let chassis = &machine.chassis;
+        match arrival {
+            Arrival::Frame(frame) => chassis.receive(from, frame),
+            Arrival::Closed => self.link_down(chassis, from),
+            // Who stands still itself listens before it gives up.
+            Arrival::Silence if machine.frozen(now).is_some() => {}
+            Arrival::Silence => {
+                self.network.give_up(from, to);
+                self.link_down(chassis, from);
+            }
+        }
+    }
+
+    fn link_down(&self, chassis: &Arc<Chassis>, peer: u8) {
+        if chassis.is_linked(peer) {
+            let name = chassis.name_of(peer);
+            self.events
+                .note(|| format!("down {} loses {name}", chassis.name()));
+        }
+        chassis.link_down(peer);
+    }
+}
+
+/// Faults by the moment at which they happen; those of clocks, which are wrong from the start, take the
+/// place of those that were drawn.
+fn schedule(
+    names: &[String],
+    given: Vec<Mishap>,
+    drifts: &mut Vec<Mishap>,
+) -> Result<BTreeMap<Instant, Vec<Mishap>>, BootError> {
+    let check = |name: &str, mishap: &Mishap| {
+        let killed = matches!(mishap, Mishap::Kill { .. });
+        if names.iter().any(|known| known == name) && !(killed && name == BOOT_CHASSIS) {
+            return Ok(());
+        }
+        Err(BootError::NoChassis {
+            chassis: name.to_owned(),
+            what: mishap.called(),
+        })
+    };
+    let mut script: BTreeMap<Instant, Vec<Mishap>> = BTreeMap::new();
+    for mishap in given {
+        match mishap.site() {
+            Site::Chassis(chassis) => check(chassis, &mishap)?,
+            Site::Link(one, other) => {
+                check(one, &mishap)?;
+                check(other, &mishap)?;
+            }
+        }
+        if let Mishap::Drift { chassis, .. } = &mishap {
+            drifts.retain(|other| !matches!(other.site(), Site::Chassis(name) if name == chassis));
+            drifts.push(mishap);
+        } else {
+            script.entry(mishap.at()).or_default().push(mishap);
+        }
+    }
+    Ok(script)
+}
+
+fn drift_of(name: &str, drifts: &[Mishap]) -> Drift {
+    let found = drifts.iter().find_map(|mishap| match mishap {
+        Mishap::Drift {
+            chassis,
+            ahead,
+            rate_ppb,
+        } if chassis == name => Some(Drift {
+            offset_ns: u64::try_from(ahead.as_nanos()).unwrap_or(0),
+            rate_ppb: *rate_ppb,
+        }),
+        _ => None,
+    });
+    found.unwrap_or_default()
 }

@@ -6,7 +6,7 @@
 //! up the tree), with a back-off that doubles, so that what fails at once does not fail a thousand
 //! times a second.
 
-use std::{collections::VecDeque, fmt::Write as _, time::Duration};
+use std::{collections::VecDeque, time::Duration};
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -170,7 +170,8 @@ pub(crate) enum Event {
 }
 
 impl State {
-    pub(crate) const ALL: [Self; 7] = [
+    #[cfg(test)]
+    const ALL: [Self; 7] = [
         Self::Running,
         Self::BackingOff,
         Self::Rebuilding,
@@ -200,8 +201,9 @@ impl State {
     }
 }
 
+#[cfg(test)]
 impl Event {
-    pub(crate) const ALL: [Self; 7] = [
+    const ALL: [Self; 7] = [
         Self::RestartAllowed,
         Self::RestartRefused,
         Self::ShutDown,
@@ -213,15 +215,13 @@ impl Event {
 }
 
 /// The table as a Mermaid state diagram, for the page about supervision.
-#[doc(hidden)]
-#[must_use]
-pub fn task_states() -> String {
+#[cfg(test)]
+fn task_states() -> String {
     let mut text = String::from("stateDiagram-v2\n    [*] --> Running\n");
     for state in State::ALL {
         for event in Event::ALL {
             if let Some(next) = state.next(event) {
-                // Writing to a string cannot fail.
-                let _ = writeln!(text, "    {state:?} --> {next:?}: {event:?}");
+                text.push_str(&format!("    {state:?} --> {next:?}: {event:?}\n"));
             }
         }
     }
@@ -302,6 +302,13 @@ mod tests {
         for alive in [State::Running, State::BackingOff, State::Rebuilding] {
             assert_eq!(alive.next(Event::Stop), Some(State::Stopped));
         }
+    }
+
+    #[test]
+    fn the_page_about_supervision_shows_the_table() {
+        let page = include_str!("../../docs/supervision-of-tasks.md");
+        let shown = format!("<!-- states -->\n```mermaid\n{}```\n", task_states());
+        assert!(page.contains(&shown), "put this there:\n{shown}");
     }
 
     proptest! {

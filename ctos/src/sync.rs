@@ -1,23 +1,38 @@
-//! The synchronization service: plain functions called at a fixed rate on a processor.
+//! The synchronization service: plain functions called at a fixed rate on a processor (CIRSSE report
+//! 108, section 3).
 //!
-//! A [`Cyclic`] function allocates nothing, locks nothing and never waits. Its deadlines are counted
-//! in whole periods from its start, so they do not drift; a processor that comes late skips whole
-//! periods and counts them, and never catches up in a burst. Lateness and duration are kept in
-//! histograms that can be read without touching the loop.
+//! A [`Cyclic`] function allocates nothing, locks nothing and never waits. The functions of one processor
+//! share a [`Schedule`], whichever tasks they belong to: time there is counted in base ticks, a
+//! function runs at every so many of them, and within a tick the order follows from what each function
+//! reads and writes ([`Synchronous`]). Deadlines are counted in whole periods, so they do not drift; what a
+//! processor does that comes late is its [`Overrun`] policy, and never a burst. Lateness and
+//! duration are kept in histograms that can be read without touching the loop.
+//!
+//! Knows clocks and functions; knows no task, no message and no configuration file.
 
-use std::{
-    future::poll_fn,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
-    task::Poll,
-    time::Duration,
-};
+mod directory;
+mod flow;
+mod function;
+mod grid;
+mod histogram;
+mod schedule;
+mod signal;
+mod source;
+mod statistics;
 
-use futures_util::task::AtomicWaker;
+use std::time::Duration;
 
-use crate::time::{Clock, Instant};
+use crate::time::Instant;
+
+pub(crate) use directory::Directory;
+pub use directory::{FunctionView, ScheduleView};
+pub use function::{CyclicHandle, Synchronous};
+pub use histogram::Histogram;
+pub use schedule::{Overrun, Schedule, ScheduleSettings};
+pub use signal::Signal;
+pub(crate) use source::Pacemaker;
+pub use source::{TickSource, TickSourceHandle};
+pub use statistics::CyclicStatistics;
 
 /// What a synchronous function is told at each tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,9 +41,9 @@ pub struct Tick {
     pub due: Instant,
     /// The moment at which it runs.
     pub now: Instant,
-    /// Counts the periods since the start, skipped ones included.
+    /// Counts the function's periods since it was put on the schedule, skipped ones included.
     pub count: u64,
-    /// How many periods were skipped just before this tick.
+    /// How many of its periods were skipped just before this tick.
     pub missed: u64,
 }
 
@@ -44,270 +59,98 @@ impl<F: FnMut(&Tick)> Cyclic for F {
     }
 }
 
-/// Powers of two of a microsecond: bucket `i` counts values below `2^i` µs.
-const BUCKETS: usize = 24;
-
-/// A histogram with one writer that never waits and any number of readers.
-#[derive(Debug, Default)]
-pub struct Histogram {
-    buckets: [AtomicU64; BUCKETS],
-    count: AtomicU64,
-    max_ns: AtomicU64,
-}
-
-impl Histogram {
-    /// Counts one value.
-    pub fn record(&self, value: Duration) {
-        let nanos = u64::try_from(value.as_nanos()).unwrap_or(u64::MAX);
-        let micros = nanos.div_ceil(1000);
-        let bucket = (u64::BITS - micros.leading_zeros()) as usize;
-        if let Some(bucket) = self.buckets.get(bucket.min(BUCKETS - 1)) {
-            bucket.fetch_add(1, Ordering::Relaxed);
-        }
-        self.count.fetch_add(1, Ordering::Relaxed);
-        self.max_ns.fetch_max(nanos, Ordering::Relaxed);
-    }
-
-    /// How many values were counted.
-    #[must_use]
-    pub fn count(&self) -> u64 {
-        self.count.load(Ordering::Relaxed)
-    }
-
-    /// The largest value.
-    #[must_use]
-    pub fn max(&self) -> Duration {
-        Duration::from_nanos(self.max_ns.load(Ordering::Relaxed))
-    }
-
-    /// An upper bound of the `quantile` (0 to 1), exact to a factor of two.
-    #[must_use]
-    pub fn quantile(&self, quantile: f64) -> Duration {
-        let wanted = (quantile.clamp(0.0, 1.0) * self.count() as f64).ceil() as u64;
-        let mut seen = 0;
-        for (index, bucket) in self.buckets.iter().enumerate() {
-            seen += bucket.load(Ordering::Relaxed);
-            if seen >= wanted.max(1) {
-                return Duration::from_micros(1_u64 << index).min(self.max());
-            }
-        }
-        self.max()
-    }
-}
-
-/// What is known of a synchronous function while it runs.
-#[derive(Debug, Default)]
-pub struct CyclicStatistics {
-    /// How late its ticks were.
-    pub lateness: Histogram,
-    /// How long they took.
-    pub duration: Histogram,
-    missed: AtomicU64,
-}
-
-impl CyclicStatistics {
-    /// Periods skipped because the processor came too late.
-    #[must_use]
-    pub fn missed(&self) -> u64 {
-        self.missed.load(Ordering::Relaxed)
-    }
-}
-
-/// Keeps a synchronous function on its schedule; dropped, it takes it off.
-#[derive(Debug)]
-pub struct CyclicHandle {
-    wanted: Arc<AtomicBool>,
-    statistics: Arc<CyclicStatistics>,
-}
-
-impl CyclicHandle {
-    /// Lateness, duration and missed periods so far.
-    #[must_use]
-    pub fn statistics(&self) -> &Arc<CyclicStatistics> {
-        &self.statistics
-    }
-}
-
-impl Drop for CyclicHandle {
-    fn drop(&mut self) {
-        self.wanted.store(false, Ordering::Release);
-    }
-}
-
-/// Called with what a function's panic said.
-type PanicHook = Box<dyn FnOnce(&str)>;
-
-/// One function on a processor's schedule.
-pub(crate) struct CyclicEntry {
-    function: Box<dyn Cyclic>,
-    period: Duration,
-    start: Instant,
-    next: u64,
-    wanted: Arc<AtomicBool>,
-    statistics: Arc<CyclicStatistics>,
-    on_panic: Option<PanicHook>,
-}
-
-impl CyclicEntry {
-    pub(crate) fn new(function: Box<dyn Cyclic>, period: Duration, start: Instant) -> Self {
-        Self {
-            function,
-            period: period.max(Duration::from_micros(1)),
-            start,
-            next: 1,
-            wanted: Arc::new(AtomicBool::new(true)),
-            statistics: Arc::default(),
-            on_panic: None,
-        }
-    }
-
-    /// Whom to tell when the function panics.
-    pub(crate) fn on_panic(&mut self, hook: impl FnOnce(&str) + 'static) {
-        self.on_panic = Some(Box::new(hook));
-    }
-
-    pub(crate) fn report_panic(&mut self, text: &str) {
-        match self.on_panic.take() {
-            Some(hook) => hook(text),
-            None => tracing::error!(panic = text, "a synchronous function panicked"),
-        }
-    }
-
-    pub(crate) fn handle(&self) -> CyclicHandle {
-        CyclicHandle {
-            wanted: self.wanted.clone(),
-            statistics: self.statistics.clone(),
-        }
-    }
-
-    pub(crate) fn is_wanted(&self) -> bool {
-        self.wanted.load(Ordering::Acquire)
-    }
-
-    pub(crate) fn due(&self) -> Instant {
-        self.moment(self.next)
-    }
-
-    fn moment(&self, count: u64) -> Instant {
-        let period_ns = u64::try_from(self.period.as_nanos()).unwrap_or(u64::MAX);
-        self.start + Duration::from_nanos(period_ns.saturating_mul(count))
-    }
-
-    /// Runs the tick that is due, skipping whole periods that have passed already.
-    pub(crate) fn run(&mut self, clock: &Clock) {
-        let now = clock.now();
-        let late = now.since(self.due());
-        let missed = u64::try_from(late.as_nanos() / self.period.as_nanos()).unwrap_or(0);
-        self.next += missed;
-        let tick = Tick {
-            due: self.due(),
-            now,
-            count: self.next,
-            missed,
-        };
-        self.next += 1;
-        self.statistics.lateness.record(now.since(tick.due));
-        self.statistics.missed.fetch_add(missed, Ordering::Relaxed);
-        self.function.tick(&tick);
-        self.statistics.duration.record(clock.now().since(now));
-    }
-}
-
-/// Wakes the asynchronous side of a task from a synchronous function, without lock or allocation in
-/// the signal itself. Raised many times before it is seen, it is seen once.
-#[derive(Debug, Clone, Default)]
-pub struct Signal(Arc<SignalInner>);
-
-#[derive(Debug, Default)]
-struct SignalInner {
-    raised: AtomicBool,
-    waker: AtomicWaker,
-}
-
-impl Signal {
-    /// A signal that is not raised.
-    #[must_use]
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Raises it.
-    pub fn raise(&self) {
-        self.0.raised.store(true, Ordering::Release);
-        self.0.waker.wake();
-    }
-
-    /// Ends when it has been raised, and lowers it. One future may wait at a time.
-    pub async fn wait(&self) {
-        poll_fn(|cx| {
-            self.0.waker.register(cx.waker());
-            if self.0.raised.swap(false, Ordering::AcqRel) {
-                Poll::Ready(())
-            } else {
-                Poll::Pending
-            }
-        })
-        .await;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::{cell::RefCell, rc::Rc};
-
-    use proptest::prelude::*;
-
-    use super::*;
-
-    proptest! {
-        #[test]
-        fn late_ticks_skip_whole_periods_and_never_burst(
-            steps in proptest::collection::vec(1_u64..20_000, 1..200)
-        ) {
-            let clock = Clock::virtual_clock();
-            let seen = Rc::new(RefCell::new(Vec::new()));
-            let log = seen.clone();
-            let period = Duration::from_nanos(4_500);
-            let mut entry = CyclicEntry::new(
-                Box::new(move |tick: &Tick| log.borrow_mut().push(*tick)),
-                period,
-                Instant::START,
-            );
-            let statistics = entry.handle().statistics().clone();
-            let mut now = 0;
-            for step in steps {
-                now += step;
-                clock.advance_to(Instant::from_nanos(now));
-                if entry.due() <= clock.now() {
-                    entry.run(&clock);
-                    prop_assert!(entry.due() > clock.now());
-                }
-            }
-            let seen = seen.borrow();
-            let skipped: u64 = seen.iter().map(|tick| tick.missed).sum();
-            prop_assert_eq!(statistics.missed(), skipped);
-            if let Some(last) = seen.last() {
-                prop_assert_eq!(last.count, seen.len() as u64 + skipped);
-            }
-            for tick in seen.iter() {
-                prop_assert_eq!(tick.due.as_nanos(), tick.count * 4_500);
-                prop_assert!(tick.now.since(tick.due) < period);
-            }
-        }
-
-        #[test]
-        fn a_quantile_is_an_upper_bound_within_a_factor_of_two(
-            micros in proptest::collection::vec(1_u64..100_000, 1..100)
-        ) {
-            let histogram = Histogram::default();
-            for value in &micros {
-                histogram.record(Duration::from_micros(*value));
-            }
-            let mut sorted = micros.clone();
-            sorted.sort_unstable();
-            let median = Duration::from_micros(sorted[(sorted.len() - 1) / 2]);
-            let bound = histogram.quantile(0.5);
-            prop_assert!(bound >= median && bound <= median * 2);
-        }
-    }
+/// A synchronous function that cannot be put on a schedule.
+#[derive(Debug, thiserror::Error)]
+pub enum CyclicError {
+    /// The functions wait for each other within one tick.
+    #[error(
+        "the data of {} flows in a circle ({}); let one of them take the value of the tick before with `reads_previous`",
+        .functions.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", "),
+        .signals.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
+    )]
+    Circle {
+        /// The functions, by `task.function`.
+        functions: Vec<String>,
+        /// The signals that go between them.
+        signals: Vec<String>,
+    },
+    /// Which of two values a reader would get would be left to chance.
+    #[error(
+        "the signal `{signal}` is written by `{first}` and by `{second}`; give one of them a signal of its own"
+    )]
+    TwoWriters {
+        /// The signal.
+        signal: String,
+        /// Who writes it already.
+        first: String,
+        /// Who would write it too.
+        second: String,
+    },
+    /// The processor counts in periods that do not add up to the function's.
+    #[error(
+        "`{function}` wants a period of {} s, which is not a whole number of base periods of processor `{processor}` ({} s); the nearest is {} s",
+        .period.as_secs_f64(), .base.as_secs_f64(), .nearest.as_secs_f64()
+    )]
+    NotAMultiple {
+        /// The function.
+        function: String,
+        /// What it asked for.
+        period: Duration,
+        /// The processor.
+        processor: String,
+        /// Its base period.
+        base: Duration,
+        /// The whole number of base periods that is nearest.
+        nearest: Duration,
+    },
+    /// The function counts in base ticks, and the processor has none.
+    #[error(
+        "`{function}` counts in base periods, but processor `{processor}` has none; give it `period_s` in the configuration"
+    )]
+    NoBase {
+        /// The function.
+        function: String,
+        /// The processor.
+        processor: String,
+    },
+    /// A phase that the function's own period does not contain.
+    #[error("`{function}` runs at every {every} ticks, so its phase is 0 to {}; {phase} is not", every - 1)]
+    Phase {
+        /// The function.
+        function: String,
+        /// The phase.
+        phase: u64,
+        /// Its period, base ticks.
+        every: u64,
+    },
+    /// A rate or period of nothing.
+    #[error("`{function}` has a period of nothing; it needs 1 tick, or 1 µs, or more")]
+    NoPeriod {
+        /// The function.
+        function: String,
+    },
+    /// The name is on the schedule already.
+    #[error(
+        "`{function}` is on the schedule already; drop its handle before it is put there again"
+    )]
+    SameName {
+        /// The function.
+        function: String,
+    },
+    /// The processor is paced by a device already.
+    #[error(
+        "processor `{processor}` has a tick source already; drop its handle before it gets another one"
+    )]
+    SameSource {
+        /// The processor.
+        processor: String,
+    },
+    /// The system refused the thread that waits for the device.
+    #[error("no thread could be had that waits for the ticks of processor `{processor}`: {error}")]
+    Thread {
+        /// The processor.
+        processor: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
 }

@@ -85,8 +85,51 @@ pub struct Clock {
 enum ClockSource {
     /// The host's monotonic clock, less the moment at which the app was started.
     Real { origin_ns: u64 },
-    /// A number that only the simulation advances.
-    Virtual { now_ns: Arc<AtomicU64> },
+    /// A number that only the simulation advances, seen through a clock that need not be right.
+    Virtual {
+        now_ns: Arc<AtomicU64>,
+        drift: Drift,
+    },
+}
+
+/// How a simulated clock is wrong: it started early and runs at a rate of its own. It is never set
+/// back, as the monotonic clock of a host is not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Drift {
+    /// What it showed at the start of the app, ns.
+    pub(crate) offset_ns: u64,
+    /// How much faster than the true time it runs, ns per s; slower when negative. Above -10^9.
+    pub(crate) rate_ppb: i32,
+}
+
+impl Drift {
+    const NANOS: i128 = 1_000_000_000;
+
+    /// Parts of a true 10^9 by which the clock advances; never below 1.
+    fn speed(self) -> i128 {
+        (Self::NANOS + i128::from(self.rate_ppb)).max(1)
+    }
+
+    /// What the clock shows at a true moment.
+    fn shown(self, true_ns: u64) -> u64 {
+        if self.rate_ppb == 0 {
+            return true_ns.saturating_add(self.offset_ns);
+        }
+        let run = i128::from(true_ns) * self.speed() / Self::NANOS;
+        u64::try_from(run + i128::from(self.offset_ns)).unwrap_or(u64::MAX)
+    }
+
+    /// The first true moment at which the clock shows `shown_ns`.
+    fn true_at(self, shown_ns: u64) -> u64 {
+        let run = shown_ns.saturating_sub(self.offset_ns);
+        if self.rate_ppb == 0 {
+            return run;
+        }
+        // The smallest t with floor(t * speed / 10^9) >= run is the ceiling of run * 10^9 / speed.
+        let speed = self.speed();
+        let first = (i128::from(run) * Self::NANOS + speed - 1) / speed;
+        u64::try_from(first).unwrap_or(u64::MAX)
+    }
 }
 
 impl Clock {
@@ -111,7 +154,31 @@ impl Clock {
         Self {
             source: ClockSource::Virtual {
                 now_ns: Arc::new(AtomicU64::new(0)),
+                drift: Drift::default(),
             },
+        }
+    }
+
+    /// A clock that shows the time of this virtual one wrongly, as `drift` says. A real clock is left
+    /// as it is.
+    pub(crate) fn drifting(&self, drift: Drift) -> Self {
+        match &self.source {
+            ClockSource::Real { .. } => self.clone(),
+            ClockSource::Virtual { now_ns, .. } => Self {
+                source: ClockSource::Virtual {
+                    now_ns: now_ns.clone(),
+                    drift,
+                },
+            },
+        }
+    }
+
+    /// The first true moment of the simulation at which this clock shows `shown`; for a real clock,
+    /// which is the truth itself, that moment.
+    pub(crate) fn true_at(&self, shown: Instant) -> Instant {
+        match &self.source {
+            ClockSource::Real { .. } => shown,
+            ClockSource::Virtual { drift, .. } => Instant(drift.true_at(shown.0)),
         }
     }
 
@@ -120,7 +187,17 @@ impl Clock {
     pub fn now(&self) -> Instant {
         match &self.source {
             ClockSource::Real { origin_ns } => Instant(monotonic_ns().saturating_sub(*origin_ns)),
-            ClockSource::Virtual { now_ns } => Instant(now_ns.load(Ordering::Acquire)),
+            ClockSource::Virtual { now_ns, drift } => {
+                Instant(drift.shown(now_ns.load(Ordering::Acquire)))
+            }
+        }
+    }
+
+    /// What this clock shows at a true moment of the simulation; the inverse of [`Self::true_at`].
+    pub(crate) fn shown_at(&self, moment: Instant) -> Instant {
+        match &self.source {
+            ClockSource::Real { .. } => moment,
+            ClockSource::Virtual { drift, .. } => Instant(drift.shown(moment.0)),
         }
     }
 
@@ -133,9 +210,9 @@ impl Clock {
         }
     }
 
-    /// Moves a virtual clock forward. A real clock, or a step back, is left alone.
+    /// Moves a virtual clock forward to a true moment. A real clock, or a step back, is left alone.
     pub(crate) fn advance_to(&self, moment: Instant) {
-        if let ClockSource::Virtual { now_ns } = &self.source {
+        if let ClockSource::Virtual { now_ns, .. } = &self.source {
             now_ns.fetch_max(moment.0, Ordering::AcqRel);
         }
     }
@@ -151,7 +228,41 @@ fn monotonic_ns() -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    proptest! {
+        #[test]
+        fn a_drifting_clock_shows_a_moment_first_at_its_true_moment(
+            offset_ns in 0_u64..10_000_000_000,
+            rate_ppb in -500_000_000_i32..1_000_000_000,
+            ahead in 0_u64..1_000_000_000_000,
+        ) {
+            let clock = Clock::virtual_clock();
+            let wrong = clock.drifting(Drift { offset_ns, rate_ppb });
+            let shown = Instant::from_nanos(offset_ns + ahead);
+            let moment = wrong.true_at(shown);
+            if moment > Instant::START {
+                clock.advance_to(Instant::from_nanos(moment.as_nanos() - 1));
+                prop_assert!(wrong.now() < shown);
+            }
+            clock.advance_to(moment);
+            prop_assert!(wrong.now() >= shown);
+        }
+    }
+
+    #[test]
+    fn a_clock_that_runs_a_thousandth_fast_is_a_millisecond_ahead_after_a_second() {
+        let clock = Clock::virtual_clock();
+        let fast = clock.drifting(Drift {
+            offset_ns: 5,
+            rate_ppb: 1_000_000,
+        });
+        clock.advance_to(Instant::from_nanos(1_000_000_000));
+        assert_eq!(fast.now(), Instant::from_nanos(1_001_000_005));
+        assert_eq!(clock.now(), Instant::from_nanos(1_000_000_000));
+    }
 
     #[test]
     fn a_virtual_clock_moves_only_forward_and_only_when_told() {

@@ -31,7 +31,6 @@ use ctos::{
 use futures_util::future::join_all;
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
-use serde::{Deserialize, Serialize};
 
 ctos::command! {
     /// Is written down and answered with how many were written down before.

@@ -3,12 +3,12 @@
 //! The channel driver `sim.puma560` creates the world on its chassis; the task `sim.world` of the same
 //! chassis shows it to others by message, so a camera may render on any chassis.
 
-use std::{path::Path, sync::Arc};
+use std::sync::Arc;
 
 use ctos::{
     Context,
     config::{App, Node},
-    diagnostic::{Finding, Findings},
+    diagnostic::{Finding, Findings, Source},
     message::{Command, Message},
     registry::Registry,
     task::{EventHandler, Handled, HandlerError},
@@ -91,7 +91,7 @@ pub fn register(registry: &mut Registry, drivers: &mut DriverRegistry, sources: 
     register_world(registry);
     drivers
         .driver(ARM, open_arm)
-        .check(|_, app, args, findings| check_arm(&app.folder, args, findings));
+        .check(|_, app, args, findings| check_arm(&|path| app.read(path), args, findings));
     sources.source(CAMERA, |cx, name, args| {
         let source: Box<dyn FrameSource> = Box::new(SimCamera::new(cx, name, args)?);
         Ok(source)
@@ -125,7 +125,7 @@ fn check_cameras(app: &App, findings: &mut Findings) {
             continue;
         };
         let args = task.args.get("args").cloned().unwrap_or_else(Node::table);
-        check_camera(&app.folder, camera, &args, findings);
+        check_camera(&|path| app.read(path), camera, &args, findings);
         let Ok(CameraArgs { world, .. }) = args.parse() else {
             continue;
         };
@@ -162,25 +162,34 @@ pub fn open_arm(cx: &Context, args: &Node) -> Result<Box<dyn ChannelDriver>, Han
     Ok(Box::new(arm))
 }
 
-/// Checks the arguments of [`open_arm`] and the cell file they name; `folder` is the configuration's.
-fn check_arm(folder: &Path, args: &Node, findings: &mut Findings) {
+/// How a check reads a file that the configuration names.
+type ReadFile<'a> = &'a dyn Fn(&str) -> Result<Source, Finding>;
+
+/// Checks the arguments of [`open_arm`] and the cell file they name.
+fn check_arm(read: ReadFile<'_>, args: &Node, findings: &mut Findings) {
     if let Some(ArmArgs { cell }) = findings.keep(args.parse()) {
-        check_cell(folder, &cell, args, findings);
+        check_cell(read, &cell, args, findings);
     }
 }
 
 /// Checks the arguments of a camera called `camera`, its cell file, and that the cell has it.
-fn check_camera(folder: &Path, camera: &str, args: &Node, findings: &mut Findings) {
+fn check_camera(read: ReadFile<'_>, camera: &str, args: &Node, findings: &mut Findings) {
     if let Some(CameraArgs { cell, .. }) = findings.keep(args.parse())
-        && let Some(cell) = check_cell(folder, &cell, args, findings)
+        && let Some(cell) = check_cell(read, &cell, args, findings)
         && let Err(finding) = cell.camera(camera)
     {
         findings.push(placed(finding, args));
     }
 }
 
-fn check_cell(folder: &Path, cell: &str, args: &Node, findings: &mut Findings) -> Option<Cell> {
-    match Cell::read(&folder.join(cell)) {
+fn check_cell(
+    read: ReadFile<'_>,
+    cell: &str,
+    args: &Node,
+    findings: &mut Findings,
+) -> Option<Cell> {
+    let parsed = read(cell).map_err(Findings::from);
+    match parsed.and_then(|source| Cell::parse(&source)) {
         Ok(cell) => Some(cell),
         Err(found) => {
             // A file that cannot be read has no place of its own: the key that names it has.

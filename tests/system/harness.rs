@@ -364,6 +364,18 @@ impl Run<'_> {
         kill_process(self.chassis[chassis].pid, Signal::STOP).unwrap();
     }
 
+    /// Makes one that hangs go on.
+    pub fn resume(&self, chassis: &str) {
+        kill_process(self.chassis[chassis].pid, Signal::CONT).unwrap();
+    }
+
+    /// Leaves everything as it is for a while, but not beyond the end of the program.
+    pub fn hold(&self, time: Duration) {
+        let limit = Timespec::try_from(time).unwrap();
+        let program = pidfd_open(self.boot, PidfdFlags::empty()).unwrap();
+        poll(&mut [PollFd::new(&program, PollFlags::IN)], Some(&limit)).unwrap();
+    }
+
     /// Waits for the end. The test fails when it took too long.
     pub fn end(mut self) -> Ended {
         while self.next().is_some() {}

@@ -8,9 +8,11 @@
 )]
 
 mod bad_input;
+mod determinism;
 mod faults;
 mod harness;
 mod kills;
+mod machine;
 mod main_job;
 mod manners;
 mod startup;

@@ -35,7 +35,7 @@ pub struct BootArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &BootArgs, registry: Registry) -> u8 {
-    let (app, warnings) = match program::checked(&args.app.file, &args.app.sets, &registry) {
+    let (app, warnings) = match program::checked(&args.app.selection(), &registry) {
         Ok(checked) => checked,
         Err(findings) => {
             let counted = show::counted(&findings);
@@ -51,7 +51,9 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     if let Err(code) = start_log(&args.log, clock.clone(), true) {
         return code;
     }
-    show::findings(warnings);
+    if !args.log.quiet {
+        show::findings(warnings);
+    }
     let program = match std::env::current_exe() {
         Ok(program) => program,
         Err(error) => {
@@ -65,7 +67,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         program,
         arguments: child_arguments(args),
     };
-    let display = Arc::new(Display::new(&app));
+    let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
     let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
     let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
@@ -84,8 +86,14 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
 
 fn child_arguments(args: &BootArgs) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = vec!["chassis".into(), args.app.file.clone().into()];
+    for profile in &args.app.profiles {
+        arguments.extend(["--profile".into(), profile.into()]);
+    }
     for set in &args.app.sets {
         arguments.extend(["--set".into(), set.into()]);
+    }
+    if args.log.quiet {
+        arguments.push("--quiet".into());
     }
     arguments.extend((0..args.log.verbose).map(|_| OsString::from("-v")));
     if let Some(filter) = &args.log.log {

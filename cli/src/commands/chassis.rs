@@ -37,7 +37,7 @@ pub fn run(args: &ChassisArgs, registry: Registry) -> u8 {
     if let Err(code) = start_log(&args.log, Clock::real_from(args.origin), false) {
         return code;
     }
-    let app = match program::app(&args.app.file, &args.app.sets) {
+    let app = match program::app(&args.app.selection()) {
         Ok(app) => app,
         Err(findings) => {
             show::findings(findings);

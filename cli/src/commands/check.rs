@@ -19,12 +19,18 @@ pub struct CheckArgs {
     /// Print one JSON object per finding
     #[arg(long)]
     pub json: bool,
+    /// Show every finding and not only the first 20
+    #[arg(long)]
+    pub all: bool,
+    /// Show findings only, not how many there are
+    #[arg(short, long)]
+    pub quiet: bool,
 }
 
 /// Runs the command.
 #[must_use]
 pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
-    let (found, code) = match program::checked(&args.app.file, &args.app.sets, registry) {
+    let (found, code) = match program::checked(&args.app.selection(), registry) {
         Ok((_, warnings)) => (warnings, exit::OK),
         Err(findings) => (findings, exit::CONFIG),
     };
@@ -37,7 +43,14 @@ pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
         return code;
     }
     let counted = show::counted(&found);
-    show::findings(found);
-    show::say(&format!("{}: {counted}", args.app.file.display()));
+    let most = if args.all {
+        usize::MAX
+    } else {
+        show::FINDINGS_SHOWN
+    };
+    show::findings_up_to(found, most);
+    if !args.quiet {
+        show::say(&format!("{}: {counted}", args.app.file.display()));
+    }
     code
 }

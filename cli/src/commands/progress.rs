@@ -23,28 +23,42 @@ pub(crate) struct Display {
     animated: bool,
     told: AtomicU64,
     width: usize,
+    /// Whether only what went wrong is shown.
+    quiet: bool,
 }
 
 impl Display {
-    /// A display for `app`; says what is being booted.
-    pub(crate) fn new(app: &App) -> Self {
-        show::say(&format!(
-            "boot     {} · {} chassis · {} tasks",
-            app.file.display(),
-            app.chassis.len(),
-            app.tasks.len()
-        ));
+    /// A display for `app`; says what is being booted, unless it is `quiet`.
+    pub(crate) fn new(app: &App, quiet: bool) -> Self {
+        if !quiet {
+            show::say(&format!(
+                "boot     {} · {} chassis · {} tasks",
+                app.file.display(),
+                app.chassis.len(),
+                app.tasks.len()
+            ));
+        }
         let names = app.chassis.iter().map(|chassis| chassis.name.len());
         Self {
             bar: Mutex::default(),
             animated: std::io::stderr().is_terminal(),
             told: AtomicU64::new(u64::MAX),
             width: names.max().unwrap_or(0),
+            quiet,
         }
     }
 
     /// Shows one event.
     pub(crate) fn show(&self, event: &BootEvent) {
+        let wrong = matches!(
+            event,
+            BootEvent::Log { .. }
+                | BootEvent::Stopped { error: Some(_), .. }
+                | BootEvent::Signalled { .. }
+        );
+        if self.quiet && !wrong {
+            return;
+        }
         match event {
             BootEvent::Started { chassis, pid } => {
                 let pid =

@@ -1,8 +1,10 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
-use super::Node;
+use super::trail::Trail;
+use super::{Node, Selection};
 use crate::diagnostic::{Findings, Place};
 use crate::supervise::Policy;
+use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -28,12 +30,16 @@ pub struct App {
     pub tasks: Vec<TaskConfig>,
     /// The file as given.
     pub file: PathBuf,
-    /// The `--set` texts as given. With `file` they make the same app again in another process.
+    /// The profiles that were chosen, the later ones on top.
+    pub profiles: Vec<String>,
+    /// The `--set` texts as given. With `file` and `profiles` they make the same app again in
+    /// another process.
     pub sets: Vec<String>,
     /// The folder that relative paths of the app start from: that of `file`.
     pub folder: PathBuf,
     /// Warnings; an app with errors is not made.
     pub warnings: Findings,
+    pub(super) trail: Trail,
     pub(super) root: Node,
 }
 
@@ -69,10 +75,18 @@ pub struct ProcessorConfig {
     pub name: String,
     /// Whether it asks for the real-time scheduler (`SCHED_FIFO`).
     pub realtime: bool,
+    /// Whether the app cannot run when the system refuses that.
+    pub required: bool,
     /// Real-time priority, 1 to 99; `None` = the runtime chooses.
     pub priority: Option<u8>,
     /// The CPU it is pinned to, counted from 0.
     pub cpu: Option<usize>,
+    /// The base period of its synchronous functions; `None` = they bring their own.
+    pub period: Option<Duration>,
+    /// What it does with ticks that it comes too late for.
+    pub overrun: Overrun,
+    /// How long before a tick it is awake and waits spinning.
+    pub spin: Duration,
     /// Where its name stands (the chassis's for the implicit `main`).
     pub place: Place,
 }
@@ -109,6 +123,16 @@ impl App {
     #[must_use]
     pub fn root(&self) -> &Node {
         &self.root
+    }
+
+    /// What makes the same app again in another process of this host.
+    #[must_use]
+    pub fn selection(&self) -> Selection {
+        Selection {
+            file: self.file.clone(),
+            profiles: self.profiles.clone(),
+            sets: self.sets.clone(),
+        }
     }
 
     /// The task of that name.

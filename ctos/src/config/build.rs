@@ -5,21 +5,31 @@
 //! handler exists and takes its arguments is for the registry to say.
 
 use super::app::{App, ChassisConfig, ProcessorConfig, TaskConfig, TimeMode};
-use super::fields::{Fields, check_name};
+use super::fields::{Fields, FlagOr, check_name};
 use super::node::{Entry, Node};
+use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use crate::supervise::{Policy, When};
+use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// The keys of `[app]`; `--set` takes them as single words.
-pub(super) const APP_KEYS: &[&str] =
-    &["name", "seed", "until", "phase_timeout_s", "stop_timeout_s"];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task"];
+pub(super) const APP_KEYS: &[&str] = &[
+    "name",
+    "profile",
+    "seed",
+    "until",
+    "phase_timeout_s",
+    "stop_timeout_s",
+];
+const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task", "profile"];
 const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
-const PROCESSOR_KEYS: &[&str] = &["realtime", "priority", "cpu"];
+const PROCESSOR_KEYS: &[&str] = &[
+    "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
+];
 const TASK_KEYS: &[&str] = &[
     "handler",
     "on",
@@ -37,8 +47,13 @@ const PHASE_TIMEOUT_S: f64 = 20.0;
 const STOP_TIMEOUT_S: f64 = 5.0;
 const QUEUE: usize = 64;
 const MAIN: &str = "main";
+/// Waking up takes about so long on a busy machine, even with real-time priority.
+const SPIN_US: u64 = 80;
+const SPIN_MOST_US: u64 = 10_000;
+const PERIOD_MOST_S: f64 = 3600.0;
 
 /// Where an app came from.
+#[derive(Clone)]
 pub(super) struct Origin {
     pub(super) file: PathBuf,
     pub(super) sets: Vec<String>,
@@ -98,9 +113,11 @@ pub(super) fn build(
         chassis,
         tasks,
         file: origin.file,
+        profiles: Vec::new(),
         sets: origin.sets,
         folder,
         warnings: Findings::new(),
+        trail: Trail::default(),
         root,
     }
 }
@@ -224,8 +241,12 @@ impl Builder<'_> {
             processors.push(ProcessorConfig {
                 name: MAIN.to_owned(),
                 realtime: false,
+                required: false,
                 priority: None,
                 cpu: None,
+                period: None,
+                overrun: Overrun::default(),
+                spin: Duration::ZERO,
                 place: place.clone(),
             });
         }
@@ -243,7 +264,9 @@ impl Builder<'_> {
         check_name("processor", &entry.key, &place, self.findings);
         let what = format!("processor `{chassis}/{}`", entry.key);
         let mut fields = Fields::new(Some(&entry.value), what, PROCESSOR_KEYS, self.findings);
-        let realtime = fields.flag("realtime").unwrap_or(false);
+        let realtime = fields.flag_or("realtime", "require");
+        let required = realtime == Some(FlagOr::Word);
+        let realtime = required || realtime == Some(FlagOr::Flag(true));
         let priority = fields.integer("priority", 1..=99_u8);
         let cpu = fields.integer("cpu", 0..=1023_usize);
         if let (Some(_), false, Some(at)) = (priority, realtime, fields.place("priority")) {
@@ -251,13 +274,37 @@ impl Builder<'_> {
                 "ctos::config::no_effect",
                 "a priority without `realtime = true` has no effect",
             );
-            self.findings.push(finding.at(at));
+            fields.push(finding.at(at));
         }
+        let period = fields.seconds("period_s", PERIOD_MOST_S);
+        let overrun = match fields.choice("overrun", &["skip", "run-late-once", "stop"]) {
+            Some("run-late-once") => Overrun::RunLateOnce,
+            Some("stop") => Overrun::Stop,
+            _ => Overrun::Skip,
+        };
+        let spin_us = fields.integer("spin_us", 0..=SPIN_MOST_US);
+        if let (Some(period), Some(spin_us), Some(at)) = (period, spin_us, fields.place("spin_us"))
+            && Duration::from_micros(spin_us) > period / 2
+        {
+            let finding = Finding::error(
+                "ctos::config::spin",
+                format!(
+                    "{spin_us} us of spinning are more than half of the period of {} s; the other tasks of the processor would starve",
+                    period.as_secs_f64()
+                ),
+            );
+            fields.push(finding.at(at));
+        }
+        let spin_us = spin_us.unwrap_or(if realtime { SPIN_US } else { 0 });
         ProcessorConfig {
             name: entry.key.clone(),
             realtime,
+            required,
             priority,
             cpu,
+            period,
+            overrun,
+            spin: Duration::from_micros(spin_us),
             place,
         }
     }

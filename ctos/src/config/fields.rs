@@ -15,6 +15,13 @@ pub(super) struct Fields<'n, 'f> {
     findings: &'f mut Findings,
 }
 
+/// What [`Fields::flag_or`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum FlagOr {
+    Flag(bool),
+    Word,
+}
+
 impl<'n, 'f> Fields<'n, 'f> {
     /// Looks at `node`, called `what` in messages, and reports the keys that are not `known`.
     pub(super) fn new(
@@ -140,6 +147,20 @@ impl<'n, 'f> Fields<'n, 'f> {
             self.wrong_key(key, node, "true or false");
         }
         flag
+    }
+
+    /// A boolean, or one word beside.
+    pub(super) fn flag_or(&mut self, key: &str, word: &str) -> Option<FlagOr> {
+        let node = self.value(key)?;
+        let found = match (node.as_bool(), node.as_str()) {
+            (Some(flag), _) => Some(FlagOr::Flag(flag)),
+            (None, Some(text)) if text == word => Some(FlagOr::Word),
+            _ => None,
+        };
+        if found.is_none() {
+            self.wrong_key(key, node, &format!("true, false or {word:?}"));
+        }
+        found
     }
 
     /// A whole number within a range.

@@ -1,13 +1,24 @@
-//! From files and `--set` texts to one merged tree: default < include < file < `--set`.
+//! From files, profiles and `--set` texts to one merged tree: default < include < file < profile <
+//! `--set`.
 //!
-//! Knows `include` and `--set`; every other key is left to [`build`](super::build).
+//! Knows `include`, `app.profile` and `--set`; every other key is left to
+//! [`build`](super::build).
 
 use super::node::Node;
+use super::profiles::{Chosen, Profiles};
+use super::variables::{self, Used};
 use crate::diagnostic::{Finding, Findings, Place, Source};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 
-/// Where files come from: the file system, or texts held in memory.
+/// The name of the source of a `--set` text.
+pub(super) const SET: &str = "--set";
+
+/// Where files and environment variables come from: the system, or texts held in memory.
 pub(super) trait Files {
+    /// The value of an environment variable.
+    fn variable(&self, name: &str) -> Option<OsString>;
     /// Reads a file.
     fn read(&self, path: &Path) -> Result<Source, Finding>;
     /// What makes two paths the same file.
@@ -18,6 +29,10 @@ pub(super) trait Files {
 pub(super) struct Disk;
 
 impl Files for Disk {
+    fn variable(&self, name: &str) -> Option<OsString> {
+        std::env::var_os(name)
+    }
+
     fn read(&self, path: &Path) -> Result<Source, Finding> {
         Source::read(path)
     }
@@ -27,10 +42,17 @@ impl Files for Disk {
     }
 }
 
-/// Texts in memory, by path.
-pub(super) struct Texts<'a>(pub(super) &'a [(&'a str, &'a str)]);
+/// Texts in memory, by path, and the environment variables there are.
+pub(super) struct Texts<'a>(
+    pub(super) &'a [(&'a str, &'a str)],
+    pub(super) &'a BTreeMap<String, String>,
+);
 
 impl Files for Texts<'_> {
+    fn variable(&self, name: &str) -> Option<OsString> {
+        self.1.get(name).map(OsString::from)
+    }
+
     fn read(&self, path: &Path) -> Result<Source, Finding> {
         let wanted = lexical(path);
         match self
@@ -53,7 +75,7 @@ impl Files for Texts<'_> {
 }
 
 /// Removes `.` and resolves `..` without asking the file system.
-fn lexical(path: &Path) -> PathBuf {
+pub(super) fn lexical(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {
         match part {
@@ -69,24 +91,114 @@ fn lexical(path: &Path) -> PathBuf {
     out
 }
 
-/// Reads `file` with everything it includes and lays the `--set` texts on top.
+/// The merged tree, and all that went into it.
+pub(super) struct Merged {
+    /// What is left: no `include`, no profiles, every reference to a variable replaced.
+    pub(super) root: Node,
+    /// The same without any profile.
+    pub(super) bare: Node,
+    /// All profiles, chosen or not.
+    pub(super) profiles: Profiles,
+    /// The names of those chosen, the later ones on top.
+    pub(super) applied: Vec<String>,
+    /// Every file that was read.
+    pub(super) sources: Vec<Read>,
+    /// The environment variables that were asked for.
+    pub(super) used: Used,
+}
+
+/// A file that was read.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Read {
+    /// Its path as it was put together.
+    pub(super) path: PathBuf,
+    /// Its text.
+    pub(super) text: String,
+    /// Whether another file names it by an absolute path.
+    pub(super) absolute: bool,
+}
+
+/// Reads `file` with everything it includes and lays the profiles and the `--set` texts on top.
+/// Without `profiles`, `app.profile` chooses one.
 pub(super) fn merged(
     files: &dyn Files,
     file: &Path,
+    profiles: &[String],
     sets: &[String],
     findings: &mut Findings,
-) -> Option<Node> {
+) -> Option<Merged> {
     let mut loader = Loader {
         files,
         findings,
         chain: Vec::new(),
         done: Vec::new(),
+        sources: Vec::new(),
+        used: Used::new(),
     };
     let mut root = loader.file(file, None)?;
+    let (sources, mut used) = (loader.sources, loader.used);
+    let declared = Profiles::read(root.take("profile"), findings);
+    let in_file = profile_of_file(&mut root, files, &mut used, findings);
+    let chosen: Vec<Chosen> = if profiles.is_empty() {
+        in_file.into_iter().collect()
+    } else {
+        let named = profiles.iter().map(String::as_str);
+        named.map(Chosen::on_command_line).collect()
+    };
+    let bare = root.clone();
+    for choice in &chosen {
+        if let Some(profile) = findings.keep(declared.find(choice)) {
+            profile.lay_over(&mut root, findings);
+        }
+    }
     for set in sets {
         apply_set(&mut root, set, findings);
     }
-    Some(root)
+    // Only now, so that a variable counts only where its value does; what a shell hands over in
+    // `--set` has been expanded there.
+    let from_file = |place: &Place| place.source.name() != SET;
+    variables::expand(&mut root, files, &mut used, findings, &from_file);
+    Some(Merged {
+        root,
+        bare,
+        profiles: declared,
+        applied: chosen.into_iter().map(|choice| choice.name).collect(),
+        sources,
+        used,
+    })
+}
+
+/// Takes `app.profile` out of the tree.
+fn profile_of_file(
+    root: &mut Node,
+    files: &dyn Files,
+    used: &mut Used,
+    findings: &mut Findings,
+) -> Option<Chosen> {
+    let entry = root.inner("app")?.take("profile")?;
+    let (name, place) = (entry.value.as_str(), entry.value.place());
+    match (name, place) {
+        (Some(name), Some(place)) if !name.is_empty() => {
+            let mut found = Findings::new();
+            let name = variables::expanded(name, Some(place), files, used, &mut found);
+            let chosen = found
+                .is_empty()
+                .then(|| Chosen::in_file(name, place.clone()));
+            findings.extend(found);
+            chosen
+        }
+        _ => {
+            let finding = Finding::error(
+                "ctos::config::value",
+                "[app]: `profile` must be the name of a profile",
+            );
+            findings.push(match place {
+                Some(place) => finding.at(place.clone()),
+                None => finding,
+            });
+            None
+        }
+    }
 }
 
 struct Loader<'a> {
@@ -97,6 +209,10 @@ struct Loader<'a> {
     /// Files already merged. One that is reached twice counts where it was reached first, so that
     /// a common file does not undo what another included file says on top of it.
     done: Vec<PathBuf>,
+    /// Every file that was read.
+    sources: Vec<Read>,
+    /// The variables in paths of `include`.
+    used: Used,
 }
 
 impl Loader<'_> {
@@ -120,14 +236,24 @@ impl Loader<'_> {
                 return None;
             }
         };
+        self.sources.push(Read {
+            path: path.to_owned(),
+            text: source.text().to_owned(),
+            absolute: false,
+        });
         let mut own = Node::from_toml(&source, self.findings);
         self.chain
             .push((identity.clone(), source.name().to_owned()));
         let mut root = Node::table();
         for (include, place) in self.includes(&mut own) {
             let folder = path.parent().unwrap_or(Path::new(""));
+            let absolute = Path::new(&include).is_absolute();
+            let next = self.sources.len();
             if let Some(included) = self.file(&folder.join(include), Some(&place)) {
                 root.merge(included);
+            }
+            if let Some(read) = self.sources.get_mut(next) {
+                read.absolute = absolute;
             }
         }
         self.chain.pop();
@@ -160,7 +286,15 @@ impl Loader<'_> {
         }
         for element in list.elements() {
             match (element.as_str(), element.place()) {
-                (Some(path), Some(place)) => paths.push((path.to_owned(), place.clone())),
+                (Some(path), Some(place)) => {
+                    let (files, used) = (self.files, &mut self.used);
+                    let mut found = Findings::new();
+                    let path = variables::expanded(path, Some(place), files, used, &mut found);
+                    if found.is_empty() {
+                        paths.push((path, place.clone()));
+                    }
+                    self.findings.extend(found);
+                }
                 _ => self.findings.push(wrong(element)),
             }
         }
@@ -194,7 +328,7 @@ impl Loader<'_> {
 
 /// Lays one `a.b.c=value` over the tree. Its places point into a source named `--set`.
 fn apply_set(root: &mut Node, text: &str, findings: &mut Findings) {
-    let source = Source::new("--set", text);
+    let source = Source::new(SET, text);
     let Some(over) = findings.keep(parse_set(&source)) else {
         return;
     };
@@ -248,6 +382,15 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
     }
     if matches!(keys.first(), Some((key, _)) if key == "include") {
         return Err(usage("`include` cannot be set from outside the files"));
+    }
+    let names: Vec<&str> = keys.iter().map(|(key, _)| key.as_str()).collect();
+    if matches!(names.as_slice(), ["profile", ..] | ["app", "profile"]) {
+        return Err(Finding::error(
+            "ctos::config::set",
+            format!("`--set {text}`: profiles are chosen before `--set` is read"),
+        )
+        .at(source.at(0..text.len()))
+        .help("write --profile NAME to choose one; --set overrides what it says"));
     }
     let trimmed = right.trim();
     if trimmed.is_empty() {

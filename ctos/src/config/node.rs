@@ -273,6 +273,17 @@ impl Node {
         }
     }
 
+    /// The value of one key of a table, to change it.
+    pub(super) fn inner(&mut self, key: &str) -> Option<&mut Self> {
+        match &mut self.value {
+            Value::Table(entries) => {
+                let entry = entries.iter_mut().find(|entry| entry.key == key)?;
+                Some(&mut entry.value)
+            }
+            _ => None,
+        }
+    }
+
     /// Removes a key of a table and returns it.
     pub(super) fn take(&mut self, key: &str) -> Option<Entry> {
         match &mut self.value {

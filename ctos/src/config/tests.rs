@@ -1,8 +1,14 @@
 //! A whole app, its defaults, expanders, and arbitrary text.
 
+mod bundle;
+mod keys;
 mod load;
 mod node;
+mod processors;
+mod profiles;
 mod refused;
+mod shown;
+mod variables;
 
 use super::*;
 use crate::diagnostic::Finding;
@@ -139,11 +145,17 @@ fn summary(app: &App) -> String {
             let ProcessorConfig {
                 name,
                 realtime,
+                required,
                 priority,
                 cpu,
+                period,
+                overrun,
+                spin,
                 place: _,
             } = processor;
-            format!("{name} {realtime} {priority:?} {cpu:?}")
+            format!(
+                "{name} {realtime} {required} {priority:?} {cpu:?} {period:?} {overrun:?} {spin:?}"
+            )
         });
         let processors: Vec<_> = processors.collect();
         format!(

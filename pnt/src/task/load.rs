@@ -69,8 +69,7 @@ pub fn load(path: &Path) -> Result<Net, Findings> {
 
 /// The net of a task; findings about it are those of [`check_args`].
 fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
-    let path = app.folder.join(settings(task)?.net);
-    let source = Source::read(&path).map_err(|finding| {
+    let source = app.read(settings(task)?.net).map_err(|finding| {
         let place = task.args.get("net").and_then(|net| net.place().cloned());
         finding.at(place.unwrap_or_else(|| task.place.clone()))
     })?;

@@ -1,4 +1,4 @@
-use std::{cell::RefCell, sync::Mutex, time::Duration};
+use std::{cell::RefCell, path::Path, sync::Mutex, time::Duration};
 
 use ctos::{
     boot::{self, End, Launcher},
@@ -198,15 +198,17 @@ fn an_unknown_camera_fails_the_boot_by_name() {
 fn arguments_are_checked_with_their_cell_file_before_anything_starts() {
     let args = Node::table().with("cell", "no/such.toml");
     let mut findings = Findings::new();
-    check_arm(Path::new("configs"), &args, &mut findings);
+    let configs = |path: &str| Source::read(&Path::new("configs").join(path));
+    check_arm(&configs, &args, &mut findings);
     assert!(findings.to_string().contains("configs/no/such.toml"));
     let args = Node::table().with("cell", CELL).with("wrld", "x");
+    let read = |path: &str| Source::read(Path::new(path));
     let mut findings = Findings::new();
-    check_camera(Path::new(""), "ceiling_west", &args, &mut findings);
+    check_camera(&read, "ceiling_west", &args, &mut findings);
     assert!(findings.to_string().contains("wrld"), "{findings}");
     let args = Node::table().with("cell", CELL);
     let mut findings = Findings::new();
-    check_camera(Path::new(""), "ceiling_south", &args, &mut findings);
+    check_camera(&read, "ceiling_south", &args, &mut findings);
     assert!(
         findings.to_string().contains("no camera `ceiling_south`"),
         "{findings}"

@@ -1,0 +1,192 @@
+//! `ctos sim` on the smallest app, as a person uses it: what it prints can be typed, and is the same.
+
+#![allow(
+    clippy::expect_used,
+    clippy::unwrap_used,
+    reason = "a test ends where it finds something wrong"
+)]
+
+mod common;
+
+use std::{path::Path, process::Output};
+
+use common::root;
+
+/// Runs `sim` with these arguments from the workspace's folder.
+fn sim(arguments: &[&str]) -> Output {
+    sim_in(arguments, &[])
+}
+
+fn sim_in(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    std::process::Command::new(env!("CARGO"))
+        .current_dir(root())
+        .args(["run", "--quiet", "--package", "cli", "--example", "hello"])
+        .args(["--", "sim"])
+        .args(arguments)
+        .env("NO_COLOR", "1")
+        .envs(environment.iter().copied())
+        .output()
+        .expect("cargo runs, for it runs this test")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Two files in a folder of the test's own.
+fn files(folder: &Path) -> (String, String) {
+    let path = |name: &str| folder.join(name).display().to_string();
+    (path("one"), path("two"))
+}
+
+#[test]
+fn hello_under_one_seed_is_the_same_event_for_event_in_every_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = files(folder.path());
+    for faults in ["none", "rough"] {
+        let run = |events: &str, environment: &[(&str, &str)]| {
+            let arguments = [
+                "configs/hello.toml",
+                "--seed",
+                "4",
+                "--faults",
+                faults,
+                "--events",
+            ];
+            sim_in(&[&arguments[..], &[events]].concat(), environment)
+        };
+        let padding = "y".repeat(50_001);
+        let first = run(&one, &[]);
+        let second = run(&two, &[("PADDING", &padding), ("TZ", "Asia/Kathmandu")]);
+        assert_eq!(
+            text(&first.stdout),
+            "hello_done\nHello, world, from shelf!\n"
+        );
+        assert_eq!(
+            first,
+            second,
+            "{}\n{}",
+            text(&first.stderr),
+            text(&second.stderr)
+        );
+        let events = std::fs::read_to_string(&one).unwrap();
+        assert_eq!(events, std::fs::read_to_string(&two).unwrap());
+        assert!(
+            events.contains(" deliver shelf/greeter from desk/hello "),
+            "{events}"
+        );
+    }
+}
+
+/// The words of the command that a failed run prints to repeat it, after the program and `sim`.
+fn repetition(told: &str) -> Vec<String> {
+    let line = told.lines().rfind(|line| line.starts_with("repeat"));
+    let line = line.unwrap_or_else(|| unreachable!("no repetition in {told}"));
+    line.split_whitespace().skip(3).map(str::to_owned).collect()
+}
+
+/// A fault that hello cannot survive, among others that it can.
+const FATAL: &str = r#"
+[loss]
+per_s = 20
+lasts_s = [0.001, 0.01]
+share = [0.1, 0.5]
+
+[[fault]]
+kind = "kill"
+chassis = "shelf"
+at_s = 0.001
+"#;
+
+#[test]
+fn a_run_that_fails_prints_the_command_that_repeats_it_and_fewer_faults_that_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let (faults, fewer) = files(folder.path());
+    std::fs::write(&faults, FATAL).unwrap();
+    let many = sim(&["configs/hello.toml", "--seeds", "3..6", "--faults", &faults]);
+    let told = text(&many.stderr);
+    assert_eq!(many.status.code(), Some(1), "{told}");
+    assert_eq!(text(&many.stdout), "3 of 3 seeds failed\n");
+    let words = repetition(&told);
+    assert_eq!(words[..3], ["configs/hello.toml", "--seed", "5"]);
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let again = sim(&words);
+    let told = text(&again.stderr);
+    assert_eq!(again.status.code(), Some(1), "{told}");
+    assert!(told.contains("error: chassis `shelf` was killed"), "{told}");
+    // Every fault that was drawn is part of the report.
+    assert!(told.contains("fault    loss"), "{told}");
+    assert!(
+        told.contains("fault    kill   shelf at 0.001000 s"),
+        "{told}"
+    );
+    let shrunk = sim(&[&words[..], &["--shrink", &fewer]].concat());
+    let told = text(&shrunk.stderr);
+    let list = std::fs::read_to_string(&fewer).unwrap();
+    assert_eq!(
+        list, "[[fault]]\nkind = \"kill\"\nchassis = \"shelf\"\nat_s = 0.001000000\n\n",
+        "{told}"
+    );
+    let words = repetition(&told);
+    assert!(words.contains(&fewer), "{told}");
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    assert_eq!(sim(&words).status.code(), Some(1));
+}
+
+#[test]
+fn many_seeds_of_an_app_that_holds_pass_and_each_is_one_json_object() {
+    let run = sim(&[
+        "configs/hello.toml",
+        "--seeds",
+        "0..20",
+        "--faults",
+        "rough",
+        "--json",
+    ]);
+    let told = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(0), "{told}");
+    let out = text(&run.stdout);
+    assert_eq!(out.lines().count(), 20);
+    for (seed, line) in out.lines().enumerate() {
+        let object: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert_eq!(object["seed"], seed);
+        assert_eq!(object["ok"], true);
+    }
+}
+
+#[test]
+fn what_is_wrong_with_the_faults_is_said_with_its_place_before_anything_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let (faults, _) = files(folder.path());
+    std::fs::write(&faults, "[cut]\nper_s = 1\nlast_s = [1, 2]\n").unwrap();
+    let run = sim(&["configs/hello.toml", "--faults", &faults]);
+    let told = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(3), "{told}");
+    assert!(told.contains("did you mean `lasts_s`?"), "{told}");
+    let run = sim(&["configs/hello.toml", "--faults", "ruogh"]);
+    let told = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(3), "{told}");
+    assert!(told.contains("did you mean `rough`?"), "{told}");
+    std::fs::write(
+        &faults,
+        "[[fault]]\nkind = \"kill\"\nchassis = \"desc\"\nat_s = 1\n",
+    )
+    .unwrap();
+    let run = sim(&["configs/hello.toml", "--faults", &faults]);
+    let told = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(3), "{told}");
+    assert!(told.contains("there is no chassis `desc`"), "{told}");
+}
+
+#[test]
+fn the_profiles_that_are_printed_can_be_used_as_files() {
+    let run = sim(&["--profiles"]);
+    let out = text(&run.stdout);
+    let rough = out.split("## rough\n").nth(1).unwrap();
+    let rough = rough.split("\n## ").next().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let (file, _) = files(folder.path());
+    std::fs::write(&file, rough).unwrap();
+    let run = |faults: &str| sim(&["configs/hello.toml", "--json", "--faults", faults]);
+    assert_eq!(text(&run("rough").stdout), text(&run(&file).stdout));
+}

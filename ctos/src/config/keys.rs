@@ -1,0 +1,248 @@
+//! Every key that the runtime reads, as data: what the JSON schema and the merged view are made of.
+//!
+//! [`build`](super::build) reads the keys and says what is wrong with them. A test holds the two,
+//! `defaults.toml` and `docs/configuration.md` against each other, so a key is added in all four or
+//! nowhere.
+
+/// A table of keys.
+pub(super) struct Table {
+    /// Its path, with `NAME` for a name of one's own; empty for the top level.
+    pub(super) path: &'static str,
+    pub(super) keys: &'static [Key],
+}
+
+/// One key.
+pub(super) struct Key {
+    pub(super) name: &'static str,
+    pub(super) kind: Kind,
+    /// The default as TOML, where there is one that does not depend on anything else.
+    pub(super) default: Option<&'static str>,
+    /// What it means, for an editor.
+    pub(super) doc: &'static str,
+}
+
+/// What a key holds.
+pub(super) enum Kind {
+    /// A string that is not empty.
+    Text,
+    /// One of these words.
+    Choice(&'static [&'static str]),
+    /// `true` or `false`.
+    Flag,
+    /// A whole number from the first to the second.
+    Integer(u64, u64),
+    /// A time in s, above 0 and at most this.
+    Seconds(f64),
+    /// A list of strings.
+    Texts,
+    /// A table of this path.
+    One(&'static str),
+    /// Named tables of this path.
+    Named(&'static str),
+    /// Named tables that each hold what the top level of a file holds.
+    Profiles,
+    /// A table that belongs to somebody else.
+    Free,
+}
+
+const fn key(
+    name: &'static str,
+    kind: Kind,
+    default: Option<&'static str>,
+    doc: &'static str,
+) -> Key {
+    Key {
+        name,
+        kind,
+        default,
+        doc,
+    }
+}
+
+/// The top level.
+pub(super) const TOP: &str = "";
+const APP: &str = "app";
+const TIME: &str = "time";
+const CHASSIS: &str = "chassis.NAME";
+/// The processors of a chassis.
+pub(super) const PROCESSOR: &str = "chassis.NAME.processors.NAME";
+const TASK: &str = "task.NAME";
+
+/// All tables, outer ones first.
+pub(super) const TABLES: &[Table] = &[
+    Table {
+        path: TOP,
+        keys: &[
+            key(
+                "include",
+                Kind::Texts,
+                Some("[]"),
+                "Files that this one builds on, relative to it. They are read first.",
+            ),
+            key("app", Kind::One(APP), None, "The app as a whole."),
+            key("time", Kind::One(TIME), None, "Its clock."),
+            key(
+                "chassis",
+                Kind::Named(CHASSIS),
+                None,
+                "Its processes, by name.",
+            ),
+            key("task", Kind::Named(TASK), None, "Its tasks, by name."),
+            key(
+                "profile",
+                Kind::Profiles,
+                None,
+                "Tables that lie over the app's own when the profile is chosen.",
+            ),
+        ],
+    },
+    Table {
+        path: APP,
+        keys: &[
+            key(
+                "name",
+                Kind::Text,
+                None,
+                "What the app is called in logs and displays. Default: the file's name without `.toml`.",
+            ),
+            key(
+                "profile",
+                Kind::Text,
+                None,
+                "The profile to take when the command line chooses none.",
+            ),
+            key(
+                "seed",
+                Kind::Integer(0, u64::MAX),
+                Some("1"),
+                "Seed of all randomness.",
+            ),
+            key(
+                "until",
+                Kind::Text,
+                None,
+                "The app ends when this task finishes. Default: it runs until it is stopped.",
+            ),
+            key(
+                "phase_timeout_s",
+                Kind::Seconds(3600.0),
+                Some("20.0"),
+                "How long each of the startup phases may take, s.",
+            ),
+            key(
+                "stop_timeout_s",
+                Kind::Seconds(3600.0),
+                Some("5.0"),
+                "How long an orderly stop may take, s.",
+            ),
+        ],
+    },
+    Table {
+        path: TIME,
+        keys: &[key(
+            "mode",
+            Kind::Choice(&["real", "virtual"]),
+            Some("\"real\""),
+            "The machine's clock with a process per chassis, or one process on a virtual clock.",
+        )],
+    },
+    Table {
+        path: CHASSIS,
+        keys: &[
+            key(
+                "listen",
+                Kind::Text,
+                None,
+                "Address at which the other chassis reach it, \"IP:PORT\". Default: a free port of this host.",
+            ),
+            key(
+                "stop_first",
+                Kind::Flag,
+                Some("false"),
+                "Whether it is stopped before the others, for hardware that must come to rest first.",
+            ),
+            key(
+                "processors",
+                Kind::Named(PROCESSOR),
+                None,
+                "Its threads, by name. Default: one that is called `main`.",
+            ),
+        ],
+    },
+    Table {
+        path: PROCESSOR,
+        keys: &[
+            key(
+                "realtime",
+                Kind::Flag,
+                Some("false"),
+                "Whether it asks for the real-time scheduler (SCHED_FIFO).",
+            ),
+            key(
+                "priority",
+                Kind::Integer(1, 99),
+                None,
+                "Real-time priority; only with `realtime = true`. Default: chosen by the runtime.",
+            ),
+            key(
+                "cpu",
+                Kind::Integer(0, 1023),
+                None,
+                "The CPU it is pinned to, counted from 0. Default: none.",
+            ),
+        ],
+    },
+    Table {
+        path: TASK,
+        keys: &[
+            key(
+                "handler",
+                Kind::Text,
+                None,
+                "The registered name of the event handler. Needed.",
+            ),
+            key(
+                "on",
+                Kind::Text,
+                None,
+                "Where it runs: \"CHASSIS/PROCESSOR\", or \"CHASSIS\" for that chassis's first processor. Needed.",
+            ),
+            key(
+                "queue",
+                Kind::Integer(1, 65_536),
+                Some("64"),
+                "How many messages may wait for it.",
+            ),
+            key(
+                "restart",
+                Kind::Choice(&["never", "always"]),
+                Some("\"never\""),
+                "What happens when its handler panics: it stays down, or is built anew.",
+            ),
+            key(
+                "max_restarts",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How often it is built anew at most; only with `restart = \"always\"`, then 3.",
+            ),
+            key(
+                "call_deadline_s",
+                Kind::Seconds(86_400.0),
+                None,
+                "Deadline of the calls it makes, s. Default: the runtime's.",
+            ),
+            key(
+                "args",
+                Kind::Free,
+                None,
+                "What the handler wants to know; each handler has keys of its own.",
+            ),
+        ],
+    },
+];
+
+/// The table of that path.
+pub(super) fn table(path: &str) -> &'static [Key] {
+    let found = TABLES.iter().find(|table| table.path == path);
+    found.map_or(&[], |table| table.keys)
+}

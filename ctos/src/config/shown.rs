@@ -1,0 +1,241 @@
+//! An app's configuration as it counts in the end: every value, also those that no file says, each
+//! with where it comes from.
+
+use super::keys::{self, Kind, PROCESSOR, TOP};
+use super::node::{Entry, Node, Value};
+use super::variables::escaped;
+use super::{App, Origin};
+use crate::diagnostic::{Findings, Place, Source};
+use std::fmt::Write;
+
+/// The processor of a chassis that declares none.
+const MAIN: &str = "main";
+
+/// Where the comments of [`App::to_toml`] begin, in characters, when the line is not longer.
+const COMMENT_COLUMN: usize = 44;
+
+/// A value and where it comes from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShownValue {
+    /// Its dotted path; parts that are no bare keys are quoted.
+    pub path: String,
+    /// The value: a scalar, an array, or a table that is empty.
+    pub value: Node,
+    /// Where it comes from.
+    pub origin: Origin,
+}
+
+impl App {
+    /// Every value of the merged configuration with its origin, in the order of the files.
+    #[must_use]
+    pub fn values(&self) -> Vec<ShownValue> {
+        let mut values = Vec::new();
+        self.collect(&self.completed(), "", &mut values);
+        values
+    }
+
+    fn collect(&self, table: &Node, path: &str, values: &mut Vec<ShownValue>) {
+        for entry in table.entries() {
+            let path = joined(path, &entry.key);
+            if entry.value.entries().is_empty() {
+                values.push(ShownValue {
+                    path,
+                    value: entry.value.clone(),
+                    origin: self.origin(&entry.value),
+                });
+            } else {
+                self.collect(&entry.value, &path, values);
+            }
+        }
+    }
+
+    /// The merged configuration as a TOML file that makes the same app by itself; a comment says of
+    /// each value where it comes from.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        let mut text = format!("# {}", self.file.display());
+        for profile in &self.profiles {
+            let _ = write!(text, " --profile {profile}");
+        }
+        for set in &self.sets {
+            let _ = write!(text, " --set {}", set.escape_debug());
+        }
+        text.push('\n');
+        self.write_table(&self.completed(), "", &mut text);
+        text
+    }
+
+    fn write_table(&self, table: &Node, path: &str, text: &mut String) {
+        let (tables, values): (Vec<&Entry>, Vec<&Entry>) = table
+            .entries()
+            .iter()
+            .partition(|entry| matches!(entry.value.value(), Value::Table(_)));
+        if !path.is_empty() && (!values.is_empty() || tables.is_empty()) {
+            text.push('\n');
+            self.write_line(&format!("[{path}]"), table, text);
+        }
+        for entry in values {
+            let mut line = format!("{} = ", bare_or_quoted(&entry.key));
+            write_value(&entry.value, &mut line);
+            self.write_line(&line, &entry.value, text);
+        }
+        for entry in tables {
+            self.write_table(&entry.value, &joined(path, &entry.key), text);
+        }
+    }
+
+    fn write_line(&self, line: &str, value: &Node, text: &mut String) {
+        let line_of = |place: &Place| {
+            let (line, _) = place.source.line_column(place.range.start);
+            format!("{}:{line}", place.source.name())
+        };
+        let origin = match self.origin(value) {
+            Origin::Default => "default".to_owned(),
+            Origin::File(place) => line_of(&place),
+            Origin::Profile { name, place } => format!("profile {name}, {}", line_of(&place)),
+            Origin::Set(_) => "--set".to_owned(),
+        };
+        let _ = writeln!(text, "{line:<COMMENT_COLUMN$} # {origin}");
+    }
+
+    /// The tree with the defaults filled in; these have no place.
+    fn completed(&self) -> Node {
+        let root = completed(self.root.clone(), TOP);
+        match root.entry("app").map(|entry| &entry.value) {
+            Some(app) if app.entry("name").is_none() => {
+                let app = app.clone().with("name", self.name.as_str());
+                root.clone().with("app", app)
+            }
+            _ => root,
+        }
+    }
+}
+
+/// Fills in the defaults of the table at `path` and of the tables below it.
+fn completed(mut node: Node, path: &str) -> Node {
+    for key in keys::table(path) {
+        let there = node.entry(key.name).map(|entry| entry.value.clone());
+        let value = match (&key.kind, there, key.default) {
+            (Kind::One(path), there, _) => completed(there.unwrap_or_else(Node::table), path),
+            (Kind::Named(path), Some(named), _) => {
+                let each = named.entries().iter();
+                each.fold(Node::table(), |all, one| {
+                    all.with(one.key.as_str(), completed(one.value.clone(), path))
+                })
+            }
+            (Kind::Named(path), None, _) if *path == PROCESSOR => {
+                Node::table().with(MAIN, completed(Node::table(), path))
+            }
+            // Nothing is left to include once everything is merged.
+            (_, None, Some(default)) if path != TOP => parsed(default),
+            _ => continue,
+        };
+        node = node.with(key.name, value);
+    }
+    node
+}
+
+/// A default as a node without a place.
+fn parsed(default: &str) -> Node {
+    let source = Source::new("default", format!("value = {default}"));
+    let mut table = Node::from_toml(&source, &mut Findings::new());
+    let value = table.take("value");
+    value.map_or_else(Node::table, |entry| Node::from(entry.value.value))
+}
+
+/// Writes a value as it can stand behind `key = `.
+fn write_value(node: &Node, out: &mut String) {
+    // Writing into a String cannot fail.
+    let _ = match node.value() {
+        Value::String(text) => {
+            write_string(&escaped(text), out);
+            Ok(())
+        }
+        Value::Integer(number) => write!(out, "{number}"),
+        Value::Float(number) if number.is_nan() => write!(out, "nan"),
+        Value::Float(number) => write!(out, "{number:?}"),
+        Value::Bool(value) => write!(out, "{value}"),
+        Value::Datetime(text) => write!(out, "{text}"),
+        Value::Array(elements) => {
+            out.push('[');
+            for (index, element) in elements.iter().enumerate() {
+                out.push_str(if index > 0 { ", " } else { "" });
+                write_value(element, out);
+            }
+            out.push(']');
+            Ok(())
+        }
+        Value::Table(entries) => {
+            out.push('{');
+            for (index, entry) in entries.iter().enumerate() {
+                out.push_str(if index > 0 { ", " } else { " " });
+                let _ = write!(out, "{} = ", bare_or_quoted(&entry.key));
+                write_value(&entry.value, out);
+            }
+            out.push_str(" }");
+            Ok(())
+        }
+    };
+}
+
+/// A TOML basic string on one line.
+fn write_string(text: &str, out: &mut String) {
+    out.push('"');
+    for letter in text.chars() {
+        match letter {
+            '"' => out.push_str("\\\""),
+            '\\' => out.push_str("\\\\"),
+            '\n' => out.push_str("\\n"),
+            '\t' => out.push_str("\\t"),
+            letter if letter.is_control() => {
+                let _ = write!(out, "\\u{:04X}", u32::from(letter));
+            }
+            letter => out.push(letter),
+        }
+    }
+    out.push('"');
+}
+
+fn bare_or_quoted(key: &str) -> String {
+    let bare = |letter: char| letter.is_ascii_alphanumeric() || "_-".contains(letter);
+    if !key.is_empty() && key.chars().all(bare) {
+        return key.to_owned();
+    }
+    let mut quoted = String::new();
+    write_string(key, &mut quoted);
+    quoted
+}
+
+fn joined(path: &str, key: &str) -> String {
+    let key = bare_or_quoted(key);
+    if path.is_empty() {
+        key
+    } else {
+        format!("{path}.{key}")
+    }
+}
+
+/// The value as JSON; NaN and infinite numbers become text, for JSON has none.
+impl From<&Node> for serde_json::Value {
+    fn from(node: &Node) -> Self {
+        match node.value() {
+            Value::String(text) | Value::Datetime(text) => text.as_str().into(),
+            Value::Integer(number) => match (i64::try_from(*number), u64::try_from(*number)) {
+                (Ok(number), _) => number.into(),
+                (_, Ok(number)) => number.into(),
+                _ => number.to_string().into(),
+            },
+            Value::Float(number) => serde_json::Number::from_f64(*number)
+                .map_or_else(|| format!("{number}").into(), Self::Number),
+            Value::Bool(value) => (*value).into(),
+            Value::Array(elements) => elements.iter().map(Self::from).collect(),
+            Value::Table(entries) => {
+                let each = entries.iter();
+                Self::Object(
+                    each.map(|entry| (entry.key.clone(), Self::from(&entry.value)))
+                        .collect(),
+                )
+            }
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! `${NAME}` in the strings of a file: the only way in which the environment reaches an app.
+//!
+//! Knows the form of a reference and where the values come from; knows nothing of what a string is
+//! for.
+
+use super::load::Files;
+use super::node::{Node, Value};
+use crate::diagnostic::{Finding, Findings, Place};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+
+/// The variables that an app's files name: each with its value, or `None` when it was not set and
+/// the default that the file gives was taken.
+pub(super) type Used = BTreeMap<String, Option<String>>;
+
+/// Puts values in place of the references in every string below `node`, as long as `wanted` says
+/// yes to the place of the string.
+pub(super) fn expand(
+    node: &mut Node,
+    files: &dyn Files,
+    used: &mut Used,
+    findings: &mut Findings,
+    wanted: &dyn Fn(&Place) -> bool,
+) {
+    let place = node.place.clone();
+    match &mut node.value {
+        Value::String(text) => {
+            if text.contains("${") && place.as_ref().is_none_or(wanted) {
+                *text = expanded(text, place.as_ref(), files, used, findings);
+            }
+        }
+        Value::Array(elements) => {
+            for element in elements {
+                expand(element, files, used, findings, wanted);
+            }
+        }
+        Value::Table(entries) => {
+            for entry in entries {
+                expand(&mut entry.value, files, used, findings, wanted);
+            }
+        }
+        Value::Integer(_) | Value::Float(_) | Value::Bool(_) | Value::Datetime(_) => {}
+    }
+}
+
+/// A text with its references replaced; what is wrong with one goes to `findings` at its place.
+pub(super) fn expanded(
+    text: &str,
+    place: Option<&Place>,
+    files: &dyn Files,
+    used: &mut Used,
+    findings: &mut Findings,
+) -> String {
+    let mut out = String::new();
+    let mut rest = text;
+    while let Some(at) = rest.find('$') {
+        let (before, from) = rest.split_at(at);
+        out.push_str(before);
+        if let Some(after) = from.strip_prefix("$${") {
+            out.push_str("${");
+            rest = after;
+        } else if let Some(after) = from.strip_prefix("${") {
+            let (inside, left) = after
+                .split_once('}')
+                .map_or((after, None), |(inside, left)| (inside, Some(left)));
+            let reference = Reference::parse(inside).filter(|_| left.is_some());
+            let value = match reference {
+                Some(reference) => reference.value(files, used),
+                None => Err(malformed(inside)),
+            };
+            match value {
+                Ok(value) => out.push_str(&value),
+                Err(finding) => findings.push(match place {
+                    Some(place) => finding.at(narrowed(place, &format!("${{{inside}"))),
+                    None => finding,
+                }),
+            }
+            rest = left.unwrap_or_default();
+        } else {
+            out.push('$');
+            rest = from.get(1..).unwrap_or_default();
+        }
+    }
+    out.push_str(rest);
+    out
+}
+
+/// A text written so that [`expanded`] gives it back.
+pub(super) fn escaped(text: &str) -> String {
+    text.replace("${", "$${")
+}
+
+/// `NAME` or `NAME:-default`.
+struct Reference<'a> {
+    name: &'a str,
+    default: Option<&'a str>,
+}
+
+impl<'a> Reference<'a> {
+    fn parse(inside: &'a str) -> Option<Self> {
+        let (name, default) = match inside.split_once(":-") {
+            Some((name, default)) => (name, Some(default)),
+            None => (inside, None),
+        };
+        let letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
+        let first = name.chars().next()?;
+        let plain = !first.is_ascii_digit() && name.chars().all(letter);
+        plain.then_some(Self { name, default })
+    }
+
+    /// As in a shell, a default stands in for a variable that is unset or empty.
+    fn value(&self, files: &dyn Files, used: &mut Used) -> Result<String, Finding> {
+        let name = self.name;
+        let found = match files.variable(name).map(OsString::into_string) {
+            Some(Ok(value)) => Some(value),
+            Some(Err(_)) => {
+                return Err(Finding::error(
+                    "ctos::config::variable",
+                    format!("the environment variable `{name}` does not hold UTF-8 text"),
+                ));
+            }
+            None => None,
+        };
+        used.insert(name.to_owned(), found.clone());
+        match (found, self.default) {
+            (Some(value), None) => Ok(value),
+            (Some(value), Some(_)) if !value.is_empty() => Ok(value),
+            (_, Some(default)) => Ok(default.to_owned()),
+            (None, None) => Err(Finding::error(
+                "ctos::config::unset_variable",
+                format!("the environment variable `{name}` is not set"),
+            )
+            .label("its value belongs here")
+            .help(format!(
+                "set it, or write what holds without it: ${{{name}:-...}}"
+            ))),
+        }
+    }
+}
+
+fn malformed(inside: &str) -> Finding {
+    Finding::error(
+        "ctos::config::variable",
+        format!("`${{{inside}` is no reference to an environment variable"),
+    )
+    .help("write ${NAME} or ${NAME:-default}; a text that holds `${` writes it as `$${`")
+}
+
+/// The part of `place` that reads `text`, or all of it when escapes hide that.
+fn narrowed(place: &Place, text: &str) -> Place {
+    let whole = place.source.text().get(place.range.clone());
+    match whole.and_then(|whole| whole.find(text)) {
+        Some(at) => {
+            let start = place.range.start + at;
+            place.source.at(start..start + text.len())
+        }
+        None => place.clone(),
+    }
+}

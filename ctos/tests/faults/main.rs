@@ -1,0 +1,191 @@
+//! The runtime under faults: a purpose-built app over four chassis, a thousand seeds per fault profile,
+//! and what must hold in every one of them. And the other way round: links that break the rules are
+//! caught by these checks.
+//!
+//! A failure names its seed. To run it alone, say `CTOS_FAULT_SEEDS=17..18`.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
+)]
+
+mod app;
+mod checks;
+mod ledger;
+mod run;
+
+use std::ops::Range;
+
+use ctos::simulation::{Breach, Faults, shrink};
+
+use run::{Trial, trial};
+
+/// How many seeds a profile is tried with.
+const SEEDS: Range<u64> = 0..1000;
+
+/// A list of faults that is longer than this says nothing to a person.
+const SHRINK_TRIALS: usize = 200;
+
+fn seeds() -> Range<u64> {
+    let Ok(text) = std::env::var("CTOS_FAULT_SEEDS") else {
+        return SEEDS;
+    };
+    let ends = text.split_once("..").unwrap();
+    ends.0.parse().unwrap()..ends.1.parse().unwrap()
+}
+
+/// What the trials of a profile came to, so that a profile under which nothing happens is noticed.
+#[derive(Debug, Default)]
+struct Tally {
+    finished: usize,
+    boot_failed: usize,
+    lost: usize,
+    faults: usize,
+    messages: usize,
+    calls_late: usize,
+}
+
+/// Tries all seeds; what is wrong in the first that fails is shown with fewer faults.
+fn try_all(profile: &str) -> Tally {
+    let faults = Faults::built_in(profile).unwrap();
+    let mut tally = Tally::default();
+    for seed in seeds() {
+        let trial = trial(seed, faults.clone(), None);
+        if !trial.wrong.is_empty() {
+            report(profile, seed, &trial);
+        }
+        tally.add(&trial);
+    }
+    tally
+}
+
+impl Tally {
+    fn add(&mut self, trial: &Trial) {
+        use ctos::boot::End;
+        match trial.run.outcome.end {
+            End::Finished(_) => self.finished += 1,
+            End::PhaseFailed { .. } | End::TaskFailed { .. } => self.boot_failed += 1,
+            _ => self.lost += 1,
+        }
+        self.faults += trial.run.faults.len();
+        self.messages += trial.messages;
+        self.calls_late += trial.calls_late;
+    }
+}
+
+fn report(profile: &str, seed: u64, trial: &Trial) -> ! {
+    let fewer = shrink(&trial.run.faults, SHRINK_TRIALS, |script| {
+        let faults = Faults::of_script("fewer", script.to_vec());
+        !run::trial(seed, faults, None).wrong.is_empty()
+    });
+    let fewer: Vec<String> = fewer.iter().map(ToString::to_string).collect();
+    panic!(
+        "profile `{profile}`, seed {seed}: {:#?}\nends with {:?}\nit still fails with these of its {} faults:\n{}",
+        trial.wrong,
+        trial.run.outcome,
+        trial.run.faults.len(),
+        fewer.join("\n")
+    );
+}
+
+#[test]
+fn without_faults_every_promise_holds_and_every_app_that_starts_finishes() {
+    let tally = try_all("none");
+    println!("{tally:?}");
+    assert_eq!(tally.lost, 0, "{tally:?}");
+    assert!(tally.messages > 300 * seeds().count(), "{tally:?}");
+}
+
+#[test]
+fn under_light_faults_every_promise_holds_and_no_chassis_is_lost() {
+    let tally = try_all("light");
+    println!("{tally:?}");
+    assert_eq!(tally.lost, 0, "{tally:?}");
+    assert!(
+        tally.faults > 0 && tally.finished > tally.boot_failed,
+        "{tally:?}"
+    );
+}
+
+#[test]
+fn under_rough_faults_every_promise_holds_and_no_chassis_is_lost() {
+    let tally = try_all("rough");
+    println!("{tally:?}");
+    assert_eq!(tally.lost, 0, "{tally:?}");
+    assert!(
+        tally.calls_late > 0 && tally.finished > tally.boot_failed,
+        "{tally:?}"
+    );
+}
+
+#[test]
+fn under_hostile_faults_every_promise_holds_whatever_is_lost() {
+    let tally = try_all("hostile");
+    println!("{tally:?}");
+    assert!(tally.lost > 0 && tally.finished > 0, "{tally:?}");
+}
+
+/// What the checks say of links that break one rule, over some seeds.
+fn caught(breach: Breach, seeds: Range<u64>) -> Vec<String> {
+    seeds
+        .flat_map(|seed| trial(seed, Faults::none(), Some(breach)).wrong)
+        .collect()
+}
+
+#[track_caller]
+fn must_catch(breach: Breach, words: &str) {
+    let wrong = caught(breach, 0..20);
+    assert!(
+        wrong.iter().any(|text| text.contains(words)),
+        "no `{words}` among {} findings: {:#?}",
+        wrong.len(),
+        wrong.iter().take(10).collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn a_frame_that_arrives_twice_is_caught_by_the_suite() {
+    must_catch(Breach::Duplicate, "delivered twice");
+}
+
+#[test]
+fn frames_that_change_places_are_caught_by_the_suite() {
+    must_catch(Breach::Swap, "out of order");
+}
+
+#[test]
+fn a_frame_that_is_lost_is_caught_by_the_suite() {
+    must_catch(Breach::Lose, "though nothing went wrong");
+}
+
+#[test]
+fn a_frame_that_reaches_another_task_is_caught_by_the_suite() {
+    must_catch(Breach::Misdeliver, "was sent to");
+}
+
+#[test]
+fn one_seed_is_one_run_event_for_event() {
+    for profile in ["none", "rough", "hostile"] {
+        for seed in 0..5 {
+            let faults = Faults::built_in(profile).unwrap();
+            let one = run::events(seed, faults.clone());
+            assert_eq!(one, run::events(seed, faults), "`{profile}`, seed {seed}");
+            assert!(one.len() > 100, "`{profile}`, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn the_faults_of_a_run_given_as_a_list_make_the_same_run() {
+    for seed in 0..20 {
+        let faults = Faults::built_in("hostile").unwrap();
+        let one = trial(seed, faults.clone(), None);
+        let list = Faults::of_script("list", one.run.faults.clone());
+        assert_eq!(
+            run::events(seed, faults),
+            run::events(seed, list),
+            "seed {seed}"
+        );
+    }
+}

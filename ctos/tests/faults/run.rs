@@ -1,0 +1,81 @@
+//! One trial: a seed, its faults, and what the checks say of the run.
+
+use std::sync::{Arc, LazyLock, Mutex};
+
+use ctos::{
+    boot::{BootEvent, Observer},
+    config::App,
+    simulation::{Breach, EventSink, Faults, Run, Setup, run_shared},
+    task::Phase,
+    time::Clock,
+};
+
+use crate::{app, checks, ledger::Ledger};
+
+static APP: LazyLock<App> = LazyLock::new(app::app);
+
+/// A run and everything that is wrong with it.
+pub struct Trial {
+    pub run: Run,
+    pub wrong: Vec<String>,
+    pub messages: usize,
+    pub calls_late: usize,
+}
+
+/// Runs a seed.
+pub fn trial(seed: u64, faults: Faults, breach: Option<Breach>) -> Trial {
+    let (run, ledger) = simulate(seed, faults, breach, None);
+    let broken = breach.is_some();
+    let wrong = checks::all(&APP, &run, &ledger, broken);
+    let book = ledger.book();
+    Trial {
+        messages: book.sent.len(),
+        calls_late: checks::late(&book),
+        wrong,
+        run,
+    }
+}
+
+/// The event log of a seed.
+pub fn events(seed: u64, faults: Faults) -> Vec<String> {
+    let lines = Arc::new(Mutex::new(Vec::new()));
+    let seen = lines.clone();
+    let sink: EventSink = Arc::new(move |line: &str| seen.lock().unwrap().push(line.to_owned()));
+    simulate(seed, faults, None, Some(sink));
+    std::mem::take(&mut lines.lock().unwrap())
+}
+
+fn simulate(
+    seed: u64,
+    faults: Faults,
+    breach: Option<Breach>,
+    events: Option<EventSink>,
+) -> (Run, Ledger) {
+    // What a task panics with on purpose is no news.
+    std::panic::set_hook(Box::new(|_| ()));
+    let mut app = APP.clone();
+    app.seed = seed;
+    let clock = Clock::virtual_clock();
+    let ledger = Ledger::new(clock.clone());
+    let registry = app::registry(&ledger);
+    let watched = ledger.clone();
+    let observer: Observer = Arc::new(move |event: &BootEvent| match event {
+        BootEvent::Stopping { .. } => {
+            watched.book().stopping = Some(watched.clock.now());
+        }
+        BootEvent::PhaseDone {
+            phase: Phase::Run, ..
+        } => watched.book().running = true,
+        _ => {}
+    });
+    let setup = Setup {
+        clock,
+        faults,
+        events,
+        breach,
+        ..Setup::default()
+    };
+    let run = run_shared(Arc::new(app), Arc::new(registry), setup, &observer);
+    let _ = std::panic::take_hook();
+    (run.unwrap(), ledger)
+}
