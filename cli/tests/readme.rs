@@ -13,14 +13,18 @@ use std::fs;
 
 use common::{good, hello, root};
 
-const DOCUMENTS: [&str; 7] = [
+const DOCUMENTS: [&str; 11] = [
     "README.md",
     "CONTRIBUTING.md",
     "docs/architecture.md",
     "docs/benchmarks.md",
     "docs/configuration.md",
     "docs/mcs-states.md",
+    "docs/messages.md",
+    "docs/names.md",
     "docs/net-text.md",
+    "docs/supervision-of-tasks.md",
+    "docs/tasks.md",
 ];
 
 fn read(path: &str) -> String {

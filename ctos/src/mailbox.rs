@@ -606,6 +606,74 @@ mod tests {
         assert!(poll().is_ready());
     }
 
+    fn from(chassis: u8, number: u32, flags: Flags) -> Message {
+        let mut message = message(number, flags);
+        message.header.from = Tid::new(chassis, 1, 1);
+        message
+    }
+
+    #[test]
+    fn what_comes_straight_waits_at_the_gate_for_what_comes_by_the_old_place() {
+        let mailbox = Mailbox::new(2);
+        mailbox.close_gates([1, 2].into());
+        for number in [4, 5, 6] {
+            mailbox.put(from(1, number, Flags::NONE), Acceptance::Silent);
+        }
+        mailbox.put(from(2, 7, Flags::HIGH_PRIORITY), Acceptance::Silent);
+        for number in [1, 2, 3] {
+            mailbox.put(from(1, number, Flags::FORWARDED), Acceptance::Silent);
+        }
+        let room = mailbox.try_put(from(1, 9, Flags::NONE));
+        assert_eq!(room.unwrap_err(), Fault::Full { capacity: 2 });
+        assert_eq!(take(&mailbox), Some(1));
+        mailbox.open_gate(1);
+        mailbox.put(from(1, 8, Flags::NONE), Acceptance::Silent);
+        let order: Vec<_> = std::iter::from_fn(|| take(&mailbox)).collect();
+        assert_eq!(order, [2, 3, 4, 5, 6, 8]);
+        // Its chassis is gone before its gate was opened: nobody was told that it was taken.
+        mailbox.forget_gate(2);
+        assert_eq!(take(&mailbox), None);
+    }
+
+    #[test]
+    fn a_held_queue_tells_nobody_that_a_message_was_taken_and_keeps_all_in_order() {
+        let mailbox = Mailbox::new(2);
+        mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
+        mailbox.hold();
+        let accepted = mailbox.take_accepted();
+        let promise = Arc::new(Promise::default());
+        mailbox.put(message(2, Flags::NONE), Acceptance::Local(promise.clone()));
+        mailbox.put(message(3, Flags::NONE), Acceptance::Silent);
+        assert!(mailbox.try_put(message(9, Flags::NONE)).is_err());
+        let mut waiting = Waiting::here(promise);
+        assert!((&mut waiting).now_or_never().is_none());
+        mailbox.release(accepted);
+        assert!((&mut waiting).now_or_never().unwrap().is_ok());
+        let order: Vec<_> = std::iter::from_fn(|| take(&mailbox)).collect();
+        assert_eq!(order, [1, 2, 3]);
+    }
+
+    #[test]
+    fn what_came_while_the_queue_was_held_is_had_at_once_and_wakes_who_waits_for_it() {
+        let mailbox = Mailbox::new(2);
+        mailbox.hold();
+        let woken = Arc::new(Count::default());
+        let waker = Waker::from(woken.clone());
+        let mut next = Box::pin(mailbox.next_held());
+        let mut poll = || {
+            next.as_mut()
+                .poll(&mut std::task::Context::from_waker(&waker))
+        };
+        assert!(poll().is_pending());
+        mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
+        assert_eq!(woken.0.load(Ordering::Relaxed), 1);
+        mailbox.put(message(2, Flags::HIGH_PRIORITY), Acceptance::Silent);
+        let Poll::Ready(Some(all)) = poll() else {
+            panic!("nothing came");
+        };
+        assert_eq!(all.len(), 2);
+    }
+
     #[derive(Default)]
     struct Count(AtomicUsize);
 
