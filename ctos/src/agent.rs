@@ -12,8 +12,8 @@ use crate::{
     moving::{self, Arrivals},
     runner::{TaskSpec, record, start_task},
     system::{
-        CreateTasks, Created, Exit, Load, MoveIn, Rebound, RegisterTid, Settle, Settled, StopTask,
-        TaskName, Transfer, WaitsFor,
+        CreateTasks, Created, Exit, Load, MoveIn, MovedTasks, Place, Rebound, RegisterTid, Settle,
+        Settled, StopTask, TaskName, Transfer, WaitsFor,
     },
     task::{EventHandler, Handled, HandlerError, StopReason},
     waits,
@@ -108,10 +108,13 @@ impl Agent {
             .iter()
             .filter_map(|grant| Some((format!("processor {}", grant.processor), grant.fatal()?)))
             .collect();
+        // None before the first move; asked because this chassis may be one that was started again.
+        let moved = cx.call(&Context::server(), MovedTasks {}).await?;
         for config in chassis.app.tasks.iter() {
-            if config.chassis != chassis.name() {
+            let Some(config) = placed_here(&chassis, config, &moved) else {
                 continue;
-            }
+            };
+            let config = &config;
             match create_one(cx, &chassis, config).await {
                 Ok(tid) => {
                     let task = TaskName {
@@ -180,6 +183,24 @@ impl Agent {
             }
         }
     }
+}
+
+/// The configuration of a task that belongs to this chassis, with the place to which it was moved last.
+fn placed_here(
+    chassis: &Chassis,
+    config: &TaskConfig,
+    moved: &[(String, Place)],
+) -> Option<TaskConfig> {
+    let home = moved.iter().find(|(name, _)| *name == config.name);
+    let Some((_, place)) = home else {
+        return (config.chassis == chassis.name()).then(|| config.clone());
+    };
+    let (name, _) = chassis.processors.get(usize::from(place.processor))?;
+    (place.chassis == chassis.index()).then(|| TaskConfig {
+        chassis: chassis.name().to_owned(),
+        processor: name.clone(),
+        ..config.clone()
+    })
 }
 
 /// Takes what comes by the old place of a task.

@@ -20,13 +20,14 @@ use crate::{
     moving::{find_place, place_text, turn_for},
     system::{
         self, AbortMove, AwaitTid, Change, CommitMove, FirstSlots, Monitor, MoveOut, MoveTask,
-        Place, QueryTid, Rebound, RegisterTid, Settle, Settled, TaskChanged, TaskName, WhoWaits,
+        MovedTasks, Place, QueryTid, Rebound, RegisterTid, Settle, Settled, TaskChanged, TaskName,
+        WhoWaits,
     },
     task::{EventHandler, Handled},
 };
 
 /// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 10] = [
+pub(crate) const COMMANDS: [CommandInfo; 11] = [
     RegisterTid::INFO,
     QueryTid::INFO,
     AwaitTid::INFO,
@@ -37,6 +38,7 @@ pub(crate) const COMMANDS: [CommandInfo; 10] = [
     MoveTask::INFO,
     CommitMove::INFO,
     AbortMove::INFO,
+    MovedTasks::INFO,
 ];
 
 /// How long a chassis may take to turn to a task's new place.
@@ -67,6 +69,8 @@ struct Names {
     /// Names whose task takes no messages at the moment.
     down: BTreeSet<String>,
     moves: BTreeMap<String, Move>,
+    /// Where tasks are that have moved; when their chassis is started again, they begin there.
+    homes: BTreeMap<String, Place>,
     /// Places that no task may move to any more.
     forbidden: BTreeSet<Tid>,
     /// Tasks that have moved, with their old id and the chassis that still send by the old place.
@@ -147,6 +151,12 @@ impl EventHandler for TidServer {
                     state.forbidden.insert(new);
                 }
                 reply.ok(committed)
+            }
+            MovedTasks::CODE => {
+                let (MovedTasks {}, reply) = message.open::<MovedTasks>()?;
+                let state = self.state.borrow();
+                let homes = state.homes.iter();
+                reply.ok(homes.map(|(name, place)| (name.clone(), *place)).collect())
             }
             _ => cx.default_processing(message),
         }
@@ -442,6 +452,11 @@ impl TidServer {
         let (slow, gone): (Vec<u8>, Vec<u8>) = everybody.partition(|chassis| linked(*chassis));
         state.names.insert(name.clone(), new);
         state.used.insert(new, name.clone());
+        let home = Place {
+            chassis: new.chassis(),
+            processor: new.processor(),
+        };
+        state.homes.insert(name.clone(), home);
         let turning = (old, slow.iter().copied().collect());
         state.turning.insert(name.clone(), turning);
         let (tell, turned) = oneshot::channel();

@@ -215,6 +215,11 @@ command! {
     pub(crate) struct WhoWaits { pub(crate) name: String } => String, 0xff12, "who_waits"
 }
 
+command! {
+    /// Asks where the tasks are that were moved away from where the configuration puts them.
+    pub(crate) struct MovedTasks => Vec<(String, Place)>, 0xff13, "moved_tasks"
+}
+
 /// A processor of a chassis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Place {
