@@ -51,12 +51,15 @@ pub(crate) struct TaskSpec {
     pub(crate) build: Build,
 }
 
+/// Tells the task that started this one why it has failed.
+type TellParent = Box<dyn Fn(&str)>;
+
 /// How a task came to be.
 pub(crate) enum Origin {
     /// By the configuration, or as a part of the runtime.
     Boot,
     /// By another task of its processor, which is told when it fails.
-    StartedBy(Box<dyn Fn(&str)>),
+    StartedBy(TellParent),
     /// From another place, with its state.
     Moved(Arrival),
 }
@@ -88,7 +91,7 @@ pub(crate) struct Runner {
     /// The last phase that was entered: a restarted handler is brought back to it.
     pub(crate) phase: Option<Phase>,
     /// Who is told when it fails for good, in place of the bootstrap service.
-    parent: Option<Box<dyn Fn(&str)>>,
+    parent: Option<TellParent>,
 }
 
 /// Builds a handler and starts its task on `processor`.
