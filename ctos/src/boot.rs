@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 
 use crate::{
     agent::{self, Agent},
-    bootstrap::{self, Bootstrap, Seat, UsedSlots},
+    bootstrap::{self, Bootstrap, Seat},
     chassis::Chassis,
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
@@ -187,7 +187,6 @@ pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
         Agent::default()
     });
     if let Some(seat) = seat {
-        chassis.share(UsedSlots::KEY, Arc::new(UsedSlots::default()));
         let tidsvr = system::TID_SERVER;
         start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
             TidServer::default()

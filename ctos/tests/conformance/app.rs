@@ -146,6 +146,10 @@ impl Placement {
             on = "{far}"
             queue = 4
             restart = "always"
+            [task.roamer]
+            handler = "suite.roamer"
+            on = "{far}"
+            queue = 4
             [task.far_sender]
             handler = "suite.peer"
             on = "{far}"
