@@ -50,8 +50,10 @@ impl EventHandler for Echoes {
 }
 
 /// What is measured: bytes, whether they come back, how often at most.
-const CASES: [(&str, usize, bool, usize); 2] =
-    [("call, 64 B there and back", 64, true, 20_000), ("image, 750 kB there", 750_000, false, 1_000)];
+const CASES: [(&str, usize, bool, usize); 2] = [
+    ("call, 64 B there and back", 64, true, 20_000),
+    ("image, 750 kB there", 750_000, false, 1_000),
+];
 
 const LIMIT: Duration = Duration::from_millis(1_500);
 
@@ -138,7 +140,9 @@ fn through(sets: &str, pin: Option<[usize; 2]>) -> Vec<u64> {
         *text.lock().unwrap() = result.text;
     }
     let text = text.lock().unwrap();
-    text.split(' ').map(|number| number.parse().unwrap()).collect()
+    text.split(' ')
+        .map(|number| number.parse().unwrap())
+        .collect()
 }
 
 fn pin(cpu: Option<usize>) {
@@ -151,7 +155,11 @@ fn pin(cpu: Option<usize>) {
 
 fn nth_cpu(pins: &str, chassis: &str) -> Option<usize> {
     let mut pins = pins.split(',').filter_map(|pin| pin.parse().ok());
-    if chassis == "a" { pins.next() } else { pins.nth(1) }
+    if chassis == "a" {
+        pins.next()
+    } else {
+        pins.nth(1)
+    }
 }
 
 /// A raw socket: the length of what comes back, the length of what follows, and that.
@@ -189,7 +197,12 @@ fn call_raw(mut stream: impl Read + Write) -> Vec<u64> {
 
 fn raw_child(kind: &str, place: &str, cpu: Option<usize>) -> Child {
     Command::new(std::env::current_exe().unwrap())
-        .args(["link-raw", kind, place, &cpu.map_or(String::new(), |cpu| cpu.to_string())])
+        .args([
+            "link-raw",
+            kind,
+            place,
+            &cpu.map_or(String::new(), |cpu| cpu.to_string()),
+        ])
         .stdin(Stdio::null())
         .spawn()
         .unwrap()
@@ -207,7 +220,11 @@ fn raw(kind: &str, pins: Option<[usize; 2]>) -> Vec<u64> {
     };
     if kind == "tcp" {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let mut child = raw_child(kind, &listener.local_addr().unwrap().to_string(), pins_of(1));
+        let mut child = raw_child(
+            kind,
+            &listener.local_addr().unwrap().to_string(),
+            pins_of(1),
+        );
         let (stream, _) = listener.accept().unwrap();
         stream.set_nodelay(true).unwrap();
         let found = medians(&|| call_raw(&stream));
@@ -258,7 +275,10 @@ fn main() {
     } else {
         None
     };
-    let peers = [("raw TCP", raw("tcp", pins)), ("raw Unix socket", raw("unix", pins))];
+    let peers = [
+        ("raw TCP", raw("tcp", pins)),
+        ("raw Unix socket", raw("unix", pins)),
+    ];
     let ours = [
         ("TCP", 0, "same_host=tcp"),
         ("Unix socket", 1, "same_host=unix"),
@@ -273,8 +293,15 @@ fn main() {
             println!("  {name:<28} {:>9.2}", medians[index] as f64 / 1e3);
         }
         for (name, peer, medians) in &ours {
-            let (us, raw) = (medians[index] as f64 / 1e3, peers[*peer].1[index] as f64 / 1e3);
-            println!("  {name:<28} {us:>9.2}  {:>5.2} of the {}", us / raw, peers[*peer].0);
+            let (us, raw) = (
+                medians[index] as f64 / 1e3,
+                peers[*peer].1[index] as f64 / 1e3,
+            );
+            println!(
+                "  {name:<28} {us:>9.2}  {:>5.2} of the {}",
+                us / raw,
+                peers[*peer].0
+            );
         }
     }
 }

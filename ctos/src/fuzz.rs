@@ -69,7 +69,9 @@ fn packets(bytes: &[u8]) {
 
 /// What a stranger says first, and what somebody answers.
 fn handshake(bytes: &[u8]) {
-    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
     runtime.block_on(async {
         let _ = hear_greeting(&mut &*bytes).await;
         let _ = hear::<Answer>(&mut &*bytes).await;
@@ -115,7 +117,13 @@ fn own(target: &str) -> Vec<Vec<u8>> {
     match target {
         "header" => vec![frame],
         "packets" => {
-            let packets = [&[7][..], &head(1, frame.len()), &frame, &head(4, 0), &head(3, 0)];
+            let packets = [
+                &[7][..],
+                &head(1, frame.len()),
+                &frame,
+                &head(4, 0),
+                &head(3, 0),
+            ];
             vec![packets.concat()]
         }
         "handshake" => vec![crate::link::handshake::greeting_of_corpus()],
@@ -123,7 +131,10 @@ fn own(target: &str) -> Vec<Vec<u8>> {
         _ => {
             let fault = crate::call::Fault::NoReply;
             let texts = ["one".to_owned(), "two".to_owned()];
-            vec![postcard::to_stdvec(&fault).unwrap(), postcard::to_stdvec(&texts[..]).unwrap()]
+            vec![
+                postcard::to_stdvec(&fault).unwrap(),
+                postcard::to_stdvec(&texts[..]).unwrap(),
+            ]
         }
     }
 }
@@ -178,9 +189,11 @@ fn passes(target: fn(&[u8]), input: &[u8]) -> bool {
 }
 
 fn fail(name: &str, input: &[u8]) -> ! {
-    let digest = input.iter().fold(0xcbf2_9ce4_8422_2325_u64, |digest, byte| {
-        (digest ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-    });
+    let digest = input
+        .iter()
+        .fold(0xcbf2_9ce4_8422_2325_u64, |digest, byte| {
+            (digest ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+        });
     std::fs::create_dir_all(corpus(name)).unwrap();
     let file = corpus(name).join(format!("failed-{digest:016x}"));
     std::fs::write(&file, input).unwrap();
@@ -189,7 +202,9 @@ fn fail(name: &str, input: &[u8]) -> ! {
 
 fn play(name: &str) {
     let (_, target) = TARGETS.iter().find(|(found, _)| *found == name).unwrap();
-    let wanted = std::env::var("CTOS_FUZZ_SECONDS").ok().map(|text| text.parse().unwrap());
+    let wanted = std::env::var("CTOS_FUZZ_SECONDS")
+        .ok()
+        .map(|text| text.parse().unwrap());
     let share = Duration::from_secs_f64(wanted.unwrap_or(SECONDS)) / TARGETS.len() as u32;
     let seed = if wanted.is_some() {
         let mut bytes = [0; 8];

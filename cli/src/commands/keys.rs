@@ -83,7 +83,11 @@ fn list(keys: &[Listed], json: bool) {
         serde_json::Value::from_iter(rows).to_string()
     } else {
         let rows = keys.iter().map(|key| {
-            let private = if key.private { "" } else { "  (certificate only)" };
+            let private = if key.private {
+                ""
+            } else {
+                "  (certificate only)"
+            };
             format!("{:<8} {}{private}", key.identity.role, key.path.display())
         });
         rows.collect::<Vec<_>>().join("\n")

@@ -26,7 +26,9 @@ use crate::{
 const WATCHDOG: Duration = Duration::from_secs(60);
 
 fn run<T>(test: impl Future<Output = T>) -> T {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
     let test = async { tokio::time::timeout(WATCHDOG, test).await.unwrap() };
     runtime.unwrap().block_on(test)
 }
@@ -41,7 +43,12 @@ fn chassis(index: u8, sets: &[&str]) -> Arc<Chassis> {
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
     let app = load_texts(&[("mesh.toml", text)], &sets, &[]);
     let app = app.map_err(|findings| findings.to_string()).unwrap();
-    Chassis::new(index, Arc::new(app), Arc::new(Registry::new()), Clock::real())
+    Chassis::new(
+        index,
+        Arc::new(app),
+        Arc::new(Registry::new()),
+        Clock::real(),
+    )
 }
 
 /// A chassis with its mesh.
@@ -95,7 +102,11 @@ impl Node {
 
     async fn went_down(&mut self, chassis: u8) -> DownReason {
         loop {
-            if let MeshEvent::Down { chassis: gone, reason, .. } = self.event().await
+            if let MeshEvent::Down {
+                chassis: gone,
+                reason,
+                ..
+            } = self.event().await
                 && gone == chassis
             {
                 return reason;
@@ -139,7 +150,11 @@ fn all_are_connected_to_all_by_every_kind_of_link() {
             let (boot, others) = app(3, &[same_host]).await;
             for from in others.iter().chain([&boot]) {
                 for to in from.chassis.others() {
-                    assert_eq!(asks(&from.chassis, to).await, Fault::UnknownTask, "{same_host}");
+                    assert_eq!(
+                        asks(&from.chassis, to).await,
+                        Fault::UnknownTask,
+                        "{same_host}"
+                    );
                 }
             }
         });
@@ -150,10 +165,17 @@ fn all_are_connected_to_all_by_every_kind_of_link() {
 fn strangers_delay_nobody_and_are_counted() {
     run(async {
         let mut boot = Node::boot(1, &["same_host=tcp"]).await;
-        let Address::Tcp(address) = boot.address() else { panic!("not TCP") };
+        let Address::Tcp(address) = boot.address() else {
+            panic!("not TCP")
+        };
         let two_gibibytes = [b"ctos\0\0\0\x02", &(1_u32 << 31).to_le_bytes()[..]].concat();
         let mut lines = Vec::new();
-        for says in [&b""[..], b"GET / HTTP/1.1\r\n\r\n", &two_gibibytes, b"ctos\0\0\0\x01more"] {
+        for says in [
+            &b""[..],
+            b"GET / HTTP/1.1\r\n\r\n",
+            &two_gibibytes,
+            b"ctos\0\0\0\x01more",
+        ] {
             let mut stream = TcpStream::connect(address).await.unwrap();
             stream.write_all(says).await.unwrap();
             lines.push(stream);
@@ -196,7 +218,9 @@ fn hello(chassis: u8, incarnation: u32) -> Hello {
 
 async fn say_hello(stream: &mut Stream, hello: Hello) {
     let token = token();
-    greet(stream, &Greeting::Hello { token, hello }).await.unwrap();
+    greet(stream, &Greeting::Hello { token, hello })
+        .await
+        .unwrap();
 }
 
 /// Calls `node` as chassis 1 and shakes hands; what comes then is the test's.
@@ -310,7 +334,7 @@ fn a_chassis_that_was_started_again_joins_and_its_predecessors_link_goes_down_fi
 }
 
 #[test]
-fn the_end_of_a_process_is_told_by_its_parent_and_by_goodbye() {
+fn a_goodbye_is_heard_by_all_and_the_end_of_a_process_only_after_its_last_words() {
     run(async {
         let (mut boot, mut others) = app(2, &["same_host=unix"]).await;
         let mut b = others.pop().unwrap();
@@ -319,7 +343,8 @@ fn the_end_of_a_process_is_told_by_its_parent_and_by_goodbye() {
         assert_eq!(boot.went_down(2).await, DownReason::Bye);
         assert_eq!(others[0].went_down(2).await, DownReason::Bye);
         let stream = impostor_of(&boot, 3).await;
-        boot.mesh.ended(3);
+        let session = boot.mesh.inner.session(3).unwrap();
+        session.event(Event::PeerEnded, DownReason::Ended);
         assert!(boot.chassis.is_linked(3));
         drop(stream);
         assert_eq!(boot.went_down(3).await, DownReason::Ended);
@@ -338,7 +363,9 @@ async fn cutting_proxy(listener: TcpListener, to: SocketAddr) {
     let mut limit = 700;
     loop {
         let (mut near, _) = listener.accept().await.unwrap();
-        let Ok(mut far) = TcpStream::connect(to).await else { return };
+        let Ok(mut far) = TcpStream::connect(to).await else {
+            return;
+        };
         limit += 311;
         let mut left = limit;
         let mut bytes = ([0; 97], [0; 97]);
@@ -363,7 +390,9 @@ async fn cutting_proxy(listener: TcpListener, to: SocketAddr) {
 fn a_link_through_a_proxy_that_hangs_up_again_and_again_answers_every_call_in_order() {
     run(async {
         let mut boot = Node::boot(1, &["same_host=tcp"]).await;
-        let Address::Tcp(to) = boot.address() else { panic!("not TCP") };
+        let Address::Tcp(to) = boot.address() else {
+            panic!("not TCP")
+        };
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
         let proxy = Address::Tcp(listener.local_addr().unwrap());
         tokio::spawn(cutting_proxy(listener, to));
@@ -419,7 +448,10 @@ fn an_address_that_is_taken_or_not_of_this_host_is_said() {
         let keys = keys.path().display();
         let security = format!("security={{key=\"{keys}/a\",authority=\"{keys}/ca.pem\"}}");
         let listener = TcpListener::bind(&taken).await.unwrap();
-        for address in [listener.local_addr().unwrap().to_string(), "192.0.2.1:7000".to_owned()] {
+        for address in [
+            listener.local_addr().unwrap().to_string(),
+            "192.0.2.1:7000".to_owned(),
+        ] {
             let listen = format!("chassis.a.listen=\"{address}\"");
             let chassis = chassis(1, &[&listen, &security]);
             let who = Identification {
@@ -460,13 +492,15 @@ fn with_keys_only_those_of_role_boot_become_chassis() {
         make_key(&folder.path().join(name), role).unwrap();
     }
     let keys = folder.path().display();
-    let with = |name: &str| format!("security={{key=\"{keys}/{name}\",authority=\"{keys}/ca.pem\"}}");
+    let with =
+        |name: &str| format!("security={{key=\"{keys}/{name}\",authority=\"{keys}/ca.pem\"}}");
     run(async {
         let cell = with("cell");
         let sets = ["same_host=tcp", &cell, "peer_timeout_s=1"];
         let mut boot = Node::boot(1, &sets).await;
         let panel = with("panel");
-        let mut pretends = Node::start(1, 1, &["same_host=tcp", &panel, "peer_timeout_s=0.3"]).await;
+        let mut pretends =
+            Node::start(1, 1, &["same_host=tcp", &panel, "peer_timeout_s=0.3"]).await;
         pretends.mesh.join(&boot.address());
         pretends.went_down(0).await;
         assert!(boot.mesh.refused() > 0);
