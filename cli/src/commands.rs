@@ -4,10 +4,17 @@ pub mod boot;
 pub mod chassis;
 pub mod check;
 pub mod completions;
+pub mod config;
+pub mod doctor;
+pub mod explain;
 pub mod keys;
+pub mod log;
+pub mod new;
+pub mod replay;
 pub mod sim;
 
 mod progress;
+mod record;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -17,6 +24,7 @@ use ctos::{config::Selection, registry::Registry};
 
 use crate::{
     exit,
+    log::{LogFormat, LogSetting},
     show::{self, Colour},
 };
 
@@ -45,14 +53,35 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Check an app without starting anything
+    /// Check apps without starting anything
+    ///
+    /// Reads the configuration and everything it names, resolves every name, and explores the state space of all
+    /// nets composed. All findings are shown at once, each with its place and what to do.
     Check(check::CheckArgs),
     /// Check an app, start it, wait for its result and stop it
+    ///
+    /// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in
+    /// one process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
     Boot(boot::BootArgs),
     /// Make and list keys for connections beyond this host
     Keys(keys::KeysArgs),
     /// Run a whole app on one thread in virtual time, with faults
     Sim(sim::SimArgs),
+    /// Show what a configuration comes to, every key there is, or the schema for editors
+    Config(config::ConfigArgs),
+    /// Tell what this host permits, and whether that is enough for an app
+    Doctor(doctor::DoctorArgs),
+    /// Tell what a finding means and what to do about it
+    Explain(explain::ExplainArgs),
+    /// Write a small app of your own: handlers, configuration, test
+    ///
+    /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
+    /// beginning with a letter.
+    New(new::NewArgs),
+    /// Look into records (MCAP) of apps
+    Log(log::LogCommandArgs),
+    /// Let one task do again what it did in a record, and compare
+    Replay(replay::ReplayArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -94,9 +123,13 @@ pub struct LogArgs {
     /// Show results and errors only
     #[arg(short, long)]
     pub quiet: bool,
-    /// Filter of the log in the form of RUST_LOG, for example `pnt=debug`; overrides `-v`
+    /// Filter of the log in the form of RUST_LOG, where a name is a module's or a task's, for example
+    /// `warn,arm=debug`; overrides `-v`
     #[arg(long, value_name = "FILTER")]
     pub log: Option<String>,
+    /// How log lines look
+    #[arg(long, value_enum, value_name = "FORMAT", default_value_t)]
+    pub log_format: LogFormat,
 }
 
 /// Runs the command line of this process for the event handlers of `registry`.
@@ -110,6 +143,12 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Boot(args) => boot::run(&args, registry),
         Command::Keys(args) => keys::run(&args),
         Command::Sim(args) => sim::run(&args, registry),
+        Command::Config(args) => config::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Explain(args) => explain::run(&args),
+        Command::New(args) => new::run(&args),
+        Command::Log(args) => log::run(&args),
+        Command::Replay(args) => replay::run(&args, registry),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };
@@ -125,7 +164,13 @@ fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(),
         (false, 2) => "debug",
         (false, _) => "trace",
     };
-    crate::log::start(level, args.log.as_deref(), clock, ansi).map_err(|error| {
+    let setting = LogSetting {
+        level,
+        filter: args.log.as_deref(),
+        format: args.log_format,
+        ansi,
+    };
+    crate::log::start(&setting, clock).map_err(|error| {
         show::say(&format!("error: {error}"));
         exit::USAGE
     })

@@ -5,7 +5,6 @@
 
 pub mod commands;
 pub mod exit;
+pub mod log;
 pub mod program;
 pub mod show;
-
-mod log;

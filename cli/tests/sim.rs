@@ -6,11 +6,15 @@
     reason = "a test ends where it finds something wrong"
 )]
 
-mod common;
+use std::{
+    path::{Path, PathBuf},
+    process::Output,
+};
 
-use std::{path::Path, process::Output};
-
-use common::root;
+/// The workspace's folder.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
 
 /// Runs `sim` with these arguments from the workspace's folder.
 fn sim(arguments: &[&str]) -> Output {
@@ -189,4 +193,50 @@ fn the_profiles_that_are_printed_can_be_used_as_files() {
     std::fs::write(&file, rough).unwrap();
     let run = |faults: &str| sim(&["configs/hello.toml", "--json", "--faults", faults]);
     assert_eq!(text(&run("rough").stdout), text(&run(&file).stdout));
+}
+
+/// The commands of the page, each with the lines that it shows below them.
+fn shown(page: &str) -> Vec<(Vec<String>, Vec<String>)> {
+    let blocks = page.split("```console\n").skip(1);
+    let blocks = blocks.map(|block| block.split("```").next().unwrap());
+    blocks
+        .map(|block| {
+            let mut lines = block.lines();
+            let command = lines.next().unwrap().strip_prefix("$ ctos sim ").unwrap();
+            let words = command.split_whitespace().map(str::to_owned).collect();
+            (words, lines.map(str::to_owned).collect())
+        })
+        .collect()
+}
+
+#[test]
+fn what_the_page_shows_is_what_the_commands_print() {
+    let page = std::fs::read_to_string(root().join("docs/time-and-simulation.md")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("faults.toml").display().to_string();
+    let faults = page.split("```toml\n").nth(1).unwrap();
+    std::fs::write(&file, faults.split("```").next().unwrap()).unwrap();
+    let examples = shown(&page);
+    assert!(examples.len() >= 3);
+    for (words, lines) in examples {
+        let words: Vec<&str> = words
+            .iter()
+            .map(|word| {
+                if word == "faults.toml" {
+                    file.as_str()
+                } else {
+                    word
+                }
+            })
+            .collect();
+        let run = sim(&words);
+        let told = text(&run.stdout) + &text(&run.stderr);
+        for line in lines.iter().filter(|line| *line != "...") {
+            let line = line.replace("faults.toml", &file);
+            assert!(
+                told.lines().any(|said| said == line),
+                "no `{line}` in {told}"
+            );
+        }
+    }
 }

@@ -3,6 +3,7 @@
 mod child;
 mod mesh;
 mod parent;
+mod processes;
 
 use std::{
     ffi::OsString,
@@ -15,7 +16,7 @@ use tokio::sync::oneshot;
 
 use crate::{
     agent::{self, Agent},
-    bootstrap::{self, Bootstrap, EndSlot},
+    bootstrap::{self, Bootstrap, Seat, UsedSlots},
     chassis::Chassis,
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
@@ -24,13 +25,14 @@ use crate::{
     realtime::{self, Grant},
     registry::Registry,
     runner::{TaskSpec, record, start_task},
+    semaphore::{self, server::SemaphoreServer},
     simulation::{self, Faults, Setup},
     system,
     task::{Context, EventHandler},
     time::Clock,
 };
 
-pub use crate::bootstrap::{BootEvent, End, Observer};
+pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer};
 pub use crate::link::{
     Counts,
     transport::{Address, AddressError},
@@ -106,6 +108,12 @@ pub enum BootError {
     },
 }
 
+/// What was attempted when the system said no.
+pub(crate) fn io_error(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
+    let what = what.into();
+    move |error| BootError::Io { what, error }
+}
+
 /// The clock that an app of this mode runs on, at its start.
 #[must_use]
 pub fn clock(mode: TimeMode) -> Clock {
@@ -172,25 +180,33 @@ pub fn simulate(
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
-/// returns, so no message to them is lost however soon it comes.
-pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, end: &EndSlot) {
+/// returns, so no message to them is lost however soon it comes. `seat` is for the chassis that boots.
+pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
     let agent = system::agent_tid(chassis.index());
     start(chassis, "agent", agent, &agent::COMMANDS, |_| {
         Agent::default()
     });
-    if chassis.index() == 0 {
+    if let Some(seat) = seat {
+        chassis.share(UsedSlots::KEY, Arc::new(UsedSlots::default()));
         let tidsvr = system::TID_SERVER;
         start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
             TidServer::default()
         });
-        let (observer, end) = (observer.clone(), end.clone());
-        let bootstrap = system::BOOTSTRAP;
+        let (seat, service) = (seat.clone(), system::BOOTSTRAP);
+        let semsvr = system::SEMAPHORE_SERVER;
+        start(
+            chassis,
+            "semsvr",
+            semsvr,
+            &semaphore::server::COMMANDS,
+            |_| SemaphoreServer::default(),
+        );
         start(
             chassis,
             "bootstrap",
-            bootstrap,
+            service,
             &bootstrap::COMMANDS,
-            move |_| Bootstrap::new(observer.clone(), end.clone()),
+            move |_| Bootstrap::new(seat.clone()),
         );
     }
 }

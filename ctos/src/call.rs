@@ -227,6 +227,8 @@ pub(crate) struct Waiting {
     promise: Arc<Promise>,
     /// The call, when it went over a link.
     outbound: Option<Outbound>,
+    /// The message's number in the record.
+    recorded: u64,
 }
 
 impl Waiting {
@@ -235,6 +237,7 @@ impl Waiting {
         Self {
             promise,
             outbound: None,
+            recorded: 0,
         }
     }
 
@@ -243,7 +246,19 @@ impl Waiting {
         Self {
             promise,
             outbound: Some(outbound),
+            recorded: 0,
         }
+    }
+
+    /// The message is number `recorded` of the record.
+    pub(crate) fn recorded_as(mut self, recorded: u64) -> Self {
+        self.recorded = recorded;
+        self
+    }
+
+    /// The message's number in the record; 0 when it is not in it.
+    pub(crate) fn recorded(&self) -> u64 {
+        self.recorded
     }
 
     /// Lets the message go its way without anybody who waits for it.

@@ -22,11 +22,15 @@ use crate::{
     message::{Data, Flags, Header, Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
+    record::{Asked, Tap},
     registry::Registry,
+    semaphore::{SemaphoreView, Store},
     statistics::TaskStatistics,
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
     time::{Clock, Instant},
+    waits::Waits,
+    watch::Watch,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -54,6 +58,7 @@ pub(crate) struct Inbound {
     header: Header,
     call: u64,
     trace: u64,
+    recorded: u64,
     abandoned: Arc<AtomicBool>,
 }
 
@@ -114,6 +119,7 @@ pub(crate) struct TaskRecord {
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) statistics: Arc<TaskStatistics>,
+    pub(crate) waits: Waits,
 }
 
 /// One process's share of an app. Shared by its threads.
@@ -136,6 +142,12 @@ pub struct Chassis {
     next_trace: AtomicU64,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
+    /// Its semaphores and barriers.
+    pub(crate) blocking: Store,
+    /// What looks on: a recorder, a replay, nobody.
+    pub(crate) tap: Tap,
+    /// What it has seen of itself.
+    pub(crate) watch: Watch,
 }
 
 /// What the sender of a message waits for.
@@ -198,6 +210,7 @@ impl Chassis {
         Arc::new(Self {
             index,
             names,
+            blocking: Store::new(clock.clone()),
             clock,
             app,
             registry,
@@ -212,6 +225,8 @@ impl Chassis {
             next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
+            tap: Tap::default(),
+            watch: Watch::default(),
         })
     }
 
@@ -292,14 +307,23 @@ impl Chassis {
         *lock(&self.realtime) = grants;
     }
 
+    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
+    /// one that boots, those of the app.
+    #[must_use]
+    pub fn semaphores(&self) -> Vec<SemaphoreView> {
+        self.blocking.views()
+    }
+
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
+        self.tap.used(|| format!("shared memory `{key}`"));
         lock(&self.shared).insert(key.to_owned(), value);
     }
 
     /// What was shared under `key`, if it is a `T`.
     #[must_use]
     pub fn shared<T: Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
+        self.tap.used(|| format!("shared memory `{key}`"));
         lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
     }
 
@@ -311,7 +335,8 @@ impl Chassis {
     }
 
     /// Takes a task out; what is in its mailbox is answered.
-    pub(crate) fn remove_task(&self, tid: Tid) {
+    pub(crate) fn remove_task(self: &Arc<Self>, tid: Tid) {
+        self.blocking.task_ended(self, tid);
         let entry = self
             .tasks
             .write()
@@ -347,21 +372,33 @@ impl Chassis {
         if envelope.trace == 0 {
             envelope.trace = self.fresh_trace();
         }
+        if let Some(replay) = self.tap.replay() {
+            return replay.dispatch(&envelope, wait, self.clock.now());
+        }
+        let recorded = self.tap.sent(&envelope, Some(wait));
         let promise = Arc::new(Promise::default());
-        if envelope.to.chassis() == self.index {
-            self.dispatch_here(envelope, wait, &promise);
-            return Waiting::here(promise);
-        }
-        match self.dispatch_there(envelope, wait, &promise) {
-            Ok(outbound) => Waiting::there(promise, outbound),
-            Err(fault) => {
-                promise.fulfil(Err(fault));
-                Waiting::here(promise)
+        let waiting = if envelope.to.chassis() == self.index {
+            self.dispatch_here(envelope, wait, recorded, &promise);
+            Waiting::here(promise)
+        } else {
+            match self.dispatch_there(envelope, wait, &promise) {
+                Ok(outbound) => Waiting::there(promise, outbound),
+                Err(fault) => {
+                    promise.fulfil(Err(fault));
+                    Waiting::here(promise)
+                }
             }
-        }
+        };
+        waiting.recorded_as(recorded)
     }
 
-    fn dispatch_here(&self, envelope: Envelope, wait: WaitFor, promise: &Arc<Promise>) {
+    fn dispatch_here(
+        &self,
+        envelope: Envelope,
+        wait: WaitFor,
+        recorded: u64,
+        promise: &Arc<Promise>,
+    ) {
         let Some(task) = self.task(envelope.to) else {
             return promise.fulfil(Err(Fault::UnknownTask));
         };
@@ -377,6 +414,7 @@ impl Chassis {
             header: envelope.header(flag, 0),
             trace: envelope.trace,
             deadline: envelope.deadline,
+            recorded,
             data: envelope.data,
             reply,
         };
@@ -431,24 +469,35 @@ impl Chassis {
     }
 
     /// Sends only if the receiver is on this chassis and has room now.
-    pub(crate) fn try_dispatch_here(&self, envelope: Envelope) -> Result<(), Fault> {
+    pub(crate) fn try_dispatch_here(&self, mut envelope: Envelope) -> Result<(), Fault> {
         let there = envelope.to.chassis();
         if there != self.index {
             let chassis = self.name_of(there).to_owned();
             return Err(Fault::Elsewhere { chassis });
         }
-        let task = self.task(envelope.to).ok_or(Fault::UnknownTask)?;
-        let trace = match envelope.trace {
-            0 => self.fresh_trace(),
-            trace => trace,
-        };
-        task.mailbox.try_put(Message {
-            header: envelope.header(Flags::NONE, 0),
-            trace,
-            deadline: None,
-            data: envelope.data,
-            reply: None,
-        })
+        if envelope.trace == 0 {
+            envelope.trace = self.fresh_trace();
+        }
+        if let Some(replay) = self.tap.replay() {
+            return replay.try_dispatch(&envelope, self.clock.now());
+        }
+        let asked = Asked::of(&envelope);
+        let recorded = self.tap.sent(&envelope, None);
+        let put = self.task(envelope.to).ok_or(Fault::UnknownTask);
+        let put = put.and_then(|task| {
+            task.mailbox.try_put(Message {
+                header: envelope.header(Flags::NONE, 0),
+                trace: envelope.trace,
+                deadline: None,
+                recorded,
+                data: envelope.data,
+                reply: None,
+            })
+        });
+        if let Err(fault) = &put {
+            self.tap.answered(recorded, &asked, &Err(fault.clone()));
+        }
+        put
     }
 
     /// How long it is until `deadline`, for the wire.
@@ -493,6 +542,8 @@ impl Chassis {
         let Some(link) = link else {
             return;
         };
+        self.tap
+            .replied(inbound.recorded, request, *trace, answer.as_ref());
         let (flags, body) = match answer.and_then(body_of) {
             Ok(body) => (Flags::REPLY, body),
             Err(fault) => (
@@ -545,10 +596,14 @@ impl Chassis {
             }
             return;
         }
+        let deadline =
+            (left_ns != NO_DEADLINE).then(|| self.clock.now() + Duration::from_nanos(left_ns));
+        let recorded = self.tap.arrived(&header, trace, deadline, &body);
         let request = Inbound {
             header,
             call,
             trace,
+            recorded,
             abandoned: Arc::default(),
         };
         lock(&self.links)
@@ -568,8 +623,8 @@ impl Chassis {
         let message = Message {
             header,
             trace,
-            deadline: (left_ns != NO_DEADLINE)
-                .then(|| self.clock.now() + Duration::from_nanos(left_ns)),
+            deadline,
+            recorded,
             data: Data::Bytes(body),
             reply,
         };
@@ -724,6 +779,7 @@ impl Chassis {
             pending.promise.fulfil(Err(fault));
         }
         lock(&self.shared).clear();
+        self.blocking.close();
     }
 
     /// Stops the threads of its processors.

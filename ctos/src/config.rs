@@ -20,6 +20,7 @@ mod keys;
 mod links;
 mod load;
 mod node;
+mod observe;
 mod profiles;
 mod schema;
 mod shown;
@@ -28,7 +29,10 @@ mod tests;
 mod trail;
 mod variables;
 
-pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use app::{
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
+    ProcessorConfig, RecordConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
+};
 pub use bundle::{Bundle, BundleError};
 pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};
 pub use node::{Entry, Node, Value};

@@ -16,6 +16,7 @@ use crate::{
     call::{Fault, Promise, lock},
     chassis::{Chassis, Inbound},
     message::{Command, Data, Flags, Message, SYSTEM_COMMANDS},
+    survey::QueueReport,
     system::StopTask,
 };
 
@@ -186,6 +187,19 @@ impl Mailbox {
         Ok(())
     }
 
+    /// How much is in it.
+    pub(crate) fn lengths(&self) -> QueueReport {
+        let lanes = lock(&self.lanes);
+        let length = |lane: &Lane| lane.queue.len() as u64;
+        let waiting = lanes.urgent.waiting.len() + lanes.normal.waiting.len();
+        QueueReport {
+            urgent: length(&lanes.urgent),
+            normal: length(&lanes.normal),
+            waiting: waiting as u64,
+            capacity: self.capacity as u64,
+        }
+    }
+
     fn full(&self) -> Fault {
         Fault::Full {
             capacity: self.capacity,
@@ -203,6 +217,13 @@ impl Mailbox {
         if let Some(waker) = waker {
             waker.wake();
         }
+    }
+
+    /// How many messages are in it or wait for room, and how many of each priority it holds.
+    pub(crate) fn depth(&self) -> (usize, usize) {
+        let lanes = lock(&self.lanes);
+        let depth = |lane: &Lane| lane.queue.len() + lane.waiting.len();
+        (depth(&lanes.urgent) + depth(&lanes.normal), self.capacity)
     }
 
     /// The next message, high priority first; `None` once the mailbox is closed.
@@ -297,6 +318,7 @@ mod tests {
         Message {
             trace: 1,
             deadline: None,
+            recorded: 0,
             header: Header {
                 to: Tid::from_bits(1),
                 from: Tid::from_bits(2),

@@ -194,6 +194,8 @@ pub trait Command: Serialize + DeserializeOwned + Send + 'static {
         code: Self::CODE,
         name: Self::NAME,
         doc: Self::DOC,
+        request: ToJson::of::<Self>(),
+        reply: ToJson::of::<Self::Reply>(),
     };
 }
 
@@ -209,6 +211,61 @@ pub struct CommandInfo {
     pub name: &'static str,
     /// One line of help.
     pub doc: &'static str,
+    /// Turns the bytes of a request into text.
+    pub request: ToJson,
+    /// Turns the bytes of a reply into text.
+    pub reply: ToJson,
+}
+
+/// Turns postcard bytes of one type into JSON, for people and programs that do not know the type.
+#[derive(Clone, Copy)]
+pub struct ToJson(fn(&[u8], &mut Vec<u8>) -> Result<(), PayloadError>);
+
+impl ToJson {
+    /// For values of type `T`.
+    #[must_use]
+    pub const fn of<T: Serialize + DeserializeOwned + 'static>() -> Self {
+        Self(to_json::<T>)
+    }
+
+    /// Appends `bytes` as JSON to `json`, which is left as it was when they are not such a value.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn convert(self, bytes: &[u8], json: &mut Vec<u8>) -> Result<(), PayloadError> {
+        let length = json.len();
+        let converted = (self.0)(bytes, json);
+        if converted.is_err() {
+            json.truncate(length);
+        }
+        converted
+    }
+}
+
+fn to_json<T: Serialize + DeserializeOwned + 'static>(
+    bytes: &[u8],
+    json: &mut Vec<u8>,
+) -> Result<(), PayloadError> {
+    let value = decode::<T>(bytes)?;
+    serde_json::to_writer(json, &value).map_err(|error| PayloadError {
+        expected: std::any::type_name::<T>(),
+        reason: error.to_string(),
+    })
+}
+
+/// Code, name and documentation say what a command is; how it is turned into text follows from them.
+impl PartialEq for ToJson {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for ToJson {}
+
+impl fmt::Debug for ToJson {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("ToJson")
+    }
 }
 
 /// Declares a typed command: the request with its documentation, `=>` its reply, code and name.
@@ -261,6 +318,12 @@ pub trait Payload: Any + Send {
     /// When the value cannot be serialized.
     fn encode(&self) -> Result<Vec<u8>, PayloadError>;
 
+    /// Appends the postcard bytes to `buffer`; after an error part of them may be there.
+    ///
+    /// # Errors
+    /// When the value cannot be serialized.
+    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError>;
+
     /// The pointer, for a checked downcast.
     fn into_any(self: Box<Self>) -> Box<dyn Any + Send>;
 }
@@ -273,8 +336,44 @@ impl<T: Serialize + Send + 'static> Payload for T {
         })
     }
 
+    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
+        append(self, buffer).map_err(|error| PayloadError {
+            expected: std::any::type_name::<T>(),
+            reason: error.to_string(),
+        })
+    }
+
     fn into_any(self: Box<Self>) -> Box<dyn Any + Send> {
         self
+    }
+}
+
+/// Appends the postcard bytes of `value` to `buffer`.
+pub(crate) fn append<T: Serialize + ?Sized>(
+    value: &T,
+    buffer: &mut Vec<u8>,
+) -> Result<(), postcard::Error> {
+    postcard::serialize_with_flavor(value, Appending(buffer))
+}
+
+/// A postcard output that appends to a buffer of somebody else's.
+struct Appending<'a>(&'a mut Vec<u8>);
+
+impl postcard::ser_flavors::Flavor for Appending<'_> {
+    type Output = ();
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.0.push(byte);
+        Ok(())
+    }
+
+    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
+        self.0.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
     }
 }
 
@@ -286,6 +385,22 @@ pub struct PayloadError {
     pub expected: &'static str,
     /// Why the data is not one.
     pub reason: String,
+}
+
+/// Reads exactly one `T`.
+fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadError> {
+    let expected = std::any::type_name::<T>();
+    match postcard::take_from_bytes::<T>(bytes) {
+        Ok((value, [])) => Ok(value),
+        Ok((_, rest)) => Err(PayloadError {
+            expected,
+            reason: format!("{} bytes too many", rest.len()),
+        }),
+        Err(error) => Err(PayloadError {
+            expected,
+            reason: error.to_string(),
+        }),
+    }
 }
 
 /// The data of a message: a typed pointer inside a chassis, bytes from another one.
@@ -316,17 +431,21 @@ impl Data {
                     reason: "the sender passed another type".to_owned(),
                 }),
             },
-            Self::Bytes(bytes) => match postcard::take_from_bytes::<T>(&bytes) {
-                Ok((value, [])) => Ok(value),
-                Ok((_, rest)) => Err(PayloadError {
-                    expected,
-                    reason: format!("{} bytes too many", rest.len()),
-                }),
-                Err(error) => Err(PayloadError {
-                    expected,
-                    reason: error.to_string(),
-                }),
-            },
+            Self::Bytes(bytes) => decode::<T>(&bytes),
+        }
+    }
+
+    /// Appends the bytes that would go on the wire to `buffer`; the data stays.
+    ///
+    /// # Errors
+    /// When a typed value cannot be encoded.
+    pub(crate) fn append_to(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
+        match self {
+            Self::Typed(payload) => payload.encode_into(buffer),
+            Self::Bytes(bytes) => {
+                buffer.extend_from_slice(bytes);
+                Ok(())
+            }
         }
     }
 
@@ -357,6 +476,8 @@ pub struct Message {
     pub(crate) header: Header,
     pub(crate) trace: u64,
     pub(crate) deadline: Option<Instant>,
+    /// Its number in the record; 0 when it is not in it.
+    pub(crate) recorded: u64,
     pub(crate) data: Data,
     pub(crate) reply: Option<ReplySlot>,
 }

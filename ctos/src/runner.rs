@@ -15,8 +15,10 @@ use crate::{
     mailbox::Mailbox,
     message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
     processor::{Processor, panic_text},
-    system::{ChassisDown, EnterPhase, StopTask},
+    record::{AtHand, Ending},
+    system::{ChassisDown, ChassisUp, EnterPhase, RestartTask, StopTask},
     task::{DynHandler, Handled, HandlerError, Phase},
+    waits::Waits,
 };
 
 /// How many messages the queue of a runtime task holds.
@@ -32,6 +34,7 @@ pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<T
         tid,
         mailbox: Arc::new(Mailbox::new(capacity)),
         statistics: Arc::default(),
+        waits: Waits::default(),
     })
 }
 
@@ -78,6 +81,8 @@ pub(crate) fn start_task(
     );
     let handler = build_contained(&spec.build, &cx)?;
     chassis.add_task(spec.record.clone());
+    spec.record.statistics.meter.count(cx.commands());
+    chassis.tap.built(spec.record.tid, &spec.record.name);
     let runner = Runner {
         cx: cx.clone(),
         record: spec.record,
@@ -137,8 +142,12 @@ impl Runner {
         let record = self.record.clone();
         let cx = self.cx.within(message.trace());
         cx.chassis().delivered(&record, &message);
-        record.statistics.begin(command, cx.now());
+        let began = cx.now();
+        record.statistics.begin(command, began);
+        let at_hand = AtHand::of(record.tid, &message, began);
+        cx.chassis().tap.began(&at_hand);
         let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
+        let handling = record.statistics.meter.in_turns(handling);
         let outcome = if command == StopTask::CODE {
             handling.await
         } else {
@@ -146,7 +155,9 @@ impl Runner {
             match select(handling, pin!(record.mailbox.stop_waits())).await {
                 Either::Left((outcome, _)) => outcome,
                 Either::Right(((), _)) => {
-                    record.statistics.end(false, cx.now());
+                    let now = cx.now();
+                    record.statistics.end(false, now);
+                    cx.chassis().tap.ended(&at_hand, now, || Ending::Stopped);
                     if let Some(slot) = slot {
                         slot.answer(Err(Fault::Stopping));
                     }
@@ -154,9 +165,13 @@ impl Runner {
                 }
             }
         };
-        record
-            .statistics
-            .end(matches!(outcome, Ok(Ok(()))), cx.now());
+        let now = cx.now();
+        record.statistics.end(matches!(outcome, Ok(Ok(()))), now);
+        cx.chassis().tap.ended(&at_hand, now, || match &outcome {
+            Ok(Ok(())) => Ending::Done,
+            Ok(Err(error)) => Ending::Refused(error.to_string()),
+            Err(panic) => Ending::Panicked(panic_text(panic.as_ref())),
+        });
         match outcome {
             Ok(Ok(())) => true,
             Ok(Err(error)) => {
@@ -184,6 +199,8 @@ impl Runner {
             EnterPhase::CODE => Box::pin(self.enter_phase(cx, message)),
             StopTask::CODE => Box::pin(self.stop(cx, message)),
             ChassisDown::CODE => Box::pin(self.chassis_down(cx, message)),
+            ChassisUp::CODE => Box::pin(self.chassis_up(cx, message)),
+            RestartTask::CODE => Box::pin(self.restart(cx, message)),
             command if command >= SYSTEM_COMMANDS && cx.config().is_some() => {
                 let handled = cx.default_processing(message);
                 Box::pin(std::future::ready(handled))
@@ -196,7 +213,8 @@ impl Runner {
         let (EnterPhase { phase }, reply) = message.open::<EnterPhase>()?;
         self.handler.phase(cx, phase).await?;
         self.phase = Some(phase);
-        self.record.statistics.entered(phase);
+        self.record.statistics.entered(phase, cx.now());
+        cx.chassis().tap.phase(cx.tid(), Some(phase));
         reply.ok(())
     }
 
@@ -211,6 +229,26 @@ impl Runner {
     async fn chassis_down(&mut self, cx: &Context, message: Message) -> Handled {
         let (ChassisDown { chassis }, _) = message.open::<ChassisDown>()?;
         self.handler.chassis_down(cx, &chassis).await
+    }
+
+    async fn chassis_up(&mut self, cx: &Context, message: Message) -> Handled {
+        let (ChassisUp { chassis }, _) = message.open::<ChassisUp>()?;
+        self.handler.chassis_up(cx, &chassis).await
+    }
+
+    /// A person wants the handler built anew. One that cannot be is no handler any more.
+    async fn restart(&mut self, cx: &Context, message: Message) -> Handled {
+        let (RestartTask {}, reply) = message.open::<RestartTask>()?;
+        if self.stopped || cx.config().is_none() {
+            return reply.fail("it is being stopped, or belongs to the runtime".to_owned());
+        }
+        self.record.statistics.restarted();
+        if let Err(error) = self.rebuild().await {
+            cx.fail(&format!("could not be restarted: {error}"));
+            return Err(error);
+        }
+        tracing::warn!(task = %cx.name(), "restarted by order");
+        reply.ok(())
     }
 
     /// What happens after a panic: the configuration's restart policy, or the end of the task.

@@ -8,7 +8,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use crate::{task::Phase, time::Instant};
+use crate::{task::Phase, time::Instant, watch::TaskMeter};
 
 /// The counters of one task.
 #[derive(Debug, Default)]
@@ -22,6 +22,9 @@ pub(crate) struct TaskStatistics {
     command: AtomicU16,
     restarts: AtomicU64,
     phase: AtomicU8,
+    phase_since_ns: AtomicU64,
+    /// What whoever watches counts besides.
+    pub(crate) meter: TaskMeter,
 }
 
 /// The counters of one task at a moment.
@@ -60,6 +63,8 @@ impl TaskStatistics {
         self.busy_ns.fetch_add(took, Ordering::Relaxed);
         self.longest_ns.fetch_max(took, Ordering::Relaxed);
         self.handled.fetch_add(1, Ordering::Relaxed);
+        let command = self.command.load(Ordering::Relaxed);
+        self.meter.ended(command, ok, took);
         if !ok {
             self.failed.fetch_add(1, Ordering::Relaxed);
         }
@@ -71,13 +76,21 @@ impl TaskStatistics {
     }
 
     /// The task has entered `phase`.
-    pub(crate) fn entered(&self, phase: Phase) {
+    pub(crate) fn entered(&self, phase: Phase, now: Instant) {
         let number = match phase {
             Phase::Create => 1,
             Phase::Connect => 2,
             Phase::Run => 3,
         };
-        self.phase.store(number, Ordering::Relaxed);
+        self.phase_since_ns.store(now.as_nanos(), Ordering::Relaxed);
+        self.phase.store(number, Ordering::Release);
+    }
+
+    /// When the last startup phase was entered.
+    pub(crate) fn phase_since(&self) -> Option<Instant> {
+        let entered = self.phase.load(Ordering::Acquire) > 0;
+        let since = self.phase_since_ns.load(Ordering::Relaxed);
+        entered.then_some(Instant::from_nanos(since))
     }
 
     /// The counters as they are now. Each is exact; together they may be of slightly different moments.
@@ -108,7 +121,7 @@ mod tests {
     #[test]
     fn a_message_counts_once_with_the_time_it_took() {
         let statistics = TaskStatistics::default();
-        statistics.entered(Phase::Run);
+        statistics.entered(Phase::Run, Instant::START);
         statistics.begin(7, Instant::START);
         assert_eq!(statistics.read().began, Some(Instant::START));
         statistics.end(true, Instant::from_nanos(30));

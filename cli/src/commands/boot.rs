@@ -1,24 +1,29 @@
 //! `ctos boot`.
 
-use std::{ffi::OsString, sync::Arc};
+use std::{
+    ffi::OsString,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use clap::Args;
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
 use ctos::registry::Registry;
 
 use crate::{
-    commands::{AppArgs, LogArgs, progress::Display, start_log},
+    commands::{AppArgs, LogArgs, progress::Display, record, start_log},
     exit, program, show,
 };
 
 /// Check an app, start it, wait for its result and stop it
-///
-/// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in one
-/// process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(after_help = "Examples:
   ctos boot configs/calibrate.toml
   ctos boot configs/calibrate.toml -v
+  ctos boot configs/calibrate.toml --record run.mcap
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
 pub struct BootArgs {
     /// Which app
@@ -30,6 +35,9 @@ pub struct BootArgs {
     /// What goes wrong on purpose
     #[command(flatten)]
     pub injure: InjureArgs,
+    /// Record messages, phases, firings and log lines to FILE; each process puts its name before the extension
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
     /// How much to say
     #[command(flatten)]
     pub log: LogArgs,
@@ -65,6 +73,20 @@ impl InjureArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &BootArgs, registry: Registry) -> u8 {
+    let mut args = args.clone();
+    if let Some(file) = &args.record {
+        match record::setting(file) {
+            Ok(set) => args.app.sets.push(set),
+            Err(error) => {
+                show::say(&format!(
+                    "error: cannot record to {}: {error}",
+                    file.display()
+                ));
+                return exit::FAILED;
+            }
+        }
+    }
+    let args = &args;
     let mut selection = args.app.selection();
     selection.sets.extend(args.injure.sets());
     let (app, warnings) = match program::checked(&selection, &registry) {
@@ -101,11 +123,25 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     };
     let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
-    let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
+    let terminated = Arc::new(AtomicBool::new(false));
+    let told = terminated.clone();
+    let observer: Observer = Arc::new(move |event: &BootEvent| {
+        if matches!(event, BootEvent::Terminated) {
+            told.store(true, Ordering::Release);
+        }
+        shown.show(event);
+    });
     let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
     display.finish();
     match outcome {
-        Ok(outcome) => report(&outcome, args.json),
+        Ok(outcome) => {
+            let code = report(&outcome, args.json);
+            if code == exit::INTERRUPTED && terminated.load(Ordering::Acquire) {
+                exit::TERMINATED
+            } else {
+                code
+            }
+        }
         Err(error) => {
             show::say(&format!("error: {error}"));
             match error {
@@ -128,6 +164,7 @@ fn child_arguments(args: &BootArgs) -> Vec<OsString> {
         arguments.push("--quiet".into());
     }
     arguments.extend((0..args.log.verbose).map(|_| OsString::from("-v")));
+    arguments.extend(["--log-format".into(), args.log.log_format.word().into()]);
     if let Some(filter) = &args.log.log {
         arguments.extend(["--log".into(), filter.into()]);
     }

@@ -6,13 +6,13 @@ use tokio::sync::oneshot;
 
 use crate::{
     boot::{
-        self, Observer,
+        self,
         mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
     },
-    bootstrap::EndSlot,
     chassis::Chassis,
     config::App,
     link::{handshake::Token, session::DownReason, transport::Address},
+    record,
     registry::Registry,
     time::Clock,
 };
@@ -79,9 +79,13 @@ pub fn run_chassis(
     let incarnation = std::env::var(super::INCARNATION_VARIABLE).ok();
     let incarnation = incarnation.and_then(|text| text.parse().ok()).unwrap_or(1);
     let who = Identification { token, incarnation };
-    let code = runtime.block_on(serve(&chassis, boot, who))?;
+    let recording = record::start(std::slice::from_ref(&chassis))?;
+    let code = runtime.block_on(serve(&chassis, boot, who));
     runtime.shutdown_background();
-    Ok(code)
+    if let Some(recording) = recording {
+        recording.finish();
+    }
+    code
 }
 
 async fn serve(
@@ -94,8 +98,7 @@ async fn serve(
         // The receiver lives as long as this function.
         let _ = sender.send(code);
     });
-    let silent: Observer = Arc::new(|_| ());
-    boot::start_system_tasks(chassis, &silent, &EndSlot::default());
+    boot::start_system_tasks(chassis, None);
     let limit = chassis.app.phase_timeout;
     let connected = tokio::time::timeout(limit, connect(chassis, boot, who)).await;
     let mut mesh = connected.map_err(|_| ChildError::Connect {

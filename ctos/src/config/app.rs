@@ -3,6 +3,7 @@
 use super::trail::Trail;
 use super::{LinkConfig, Node, SecurityConfig, Selection};
 use crate::diagnostic::{Findings, Place};
+use crate::semaphore::Scope;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -27,10 +28,18 @@ pub struct App {
     pub links: LinkConfig,
     /// Whose keys count beyond this host; `None` = nobody beyond this host is let in.
     pub security: Option<SecurityConfig>,
+    /// What is recorded, if anything is.
+    pub record: Option<RecordConfig>,
+    /// Where `/metrics` is served, if anywhere.
+    pub metrics: Option<SocketAddr>,
     /// The chassis, in declared order.
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.
     pub tasks: Vec<TaskConfig>,
+    /// The semaphores that the configuration declares, in declared order.
+    pub semaphores: Vec<SemaphoreConfig>,
+    /// The barriers that the configuration declares, in declared order.
+    pub barriers: Vec<BarrierConfig>,
     /// The file as given.
     pub file: PathBuf,
     /// The profiles that were chosen, the later ones on top.
@@ -56,6 +65,21 @@ pub enum TimeMode {
     Virtual,
 }
 
+/// Where an app's messages, phases, firings and log lines are recorded, and how much of them is kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordConfig {
+    /// The file as given, relative to the app's folder. Each process puts its name before the extension.
+    pub file: PathBuf,
+    /// A file that has grown to this size is closed and the next one begun, bytes.
+    pub max_bytes: u64,
+    /// So many files of a process are kept, the present one included.
+    pub keep: usize,
+    /// At most this much is lost when a process is killed.
+    pub flush: Duration,
+    /// What a processor may have waiting for the disk, bytes; what comes then is dropped and counted.
+    pub buffer_bytes: usize,
+}
+
 /// One process of an app.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChassisConfig {
@@ -65,10 +89,61 @@ pub struct ChassisConfig {
     pub listen: Option<SocketAddr>,
     /// Whether it is stopped before the others (hardware that must come to rest first).
     pub stop_first: bool,
+    /// What happens when its process ends while the app runs.
+    pub supervision: ChassisSupervision,
     /// Its processors, in declared order; never empty.
     pub processors: Vec<ProcessorConfig>,
     /// Where its name stands.
     pub place: Place,
+}
+
+/// What the boot does about a chassis that fails.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChassisSupervision {
+    /// When its process is started again.
+    pub restart: ChassisRestart,
+    /// So many restarts within `window` are too many: the app ends.
+    pub max_restarts: u32,
+    /// The window in which restarts are counted.
+    pub window: Duration,
+    /// The pause before the first restart; it doubles with each further one within the window.
+    pub backoff: Duration,
+    /// What a task that failed for good leads to.
+    pub on_task_failure: OnTaskFailure,
+}
+
+impl Default for ChassisSupervision {
+    fn default() -> Self {
+        Self {
+            restart: ChassisRestart::Never,
+            max_restarts: 3,
+            window: Duration::from_secs(60),
+            backoff: Duration::from_millis(500),
+            on_task_failure: OnTaskFailure::App,
+        }
+    }
+}
+
+/// When the process of a chassis is started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ChassisRestart {
+    /// Never: the app ends with it.
+    #[default]
+    Never,
+    /// When it ended otherwise than by itself with exit code 0.
+    OnFailure,
+    /// However it ended.
+    Always,
+}
+
+/// What a task that failed for good leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnTaskFailure {
+    /// The end of the app.
+    #[default]
+    App,
+    /// A restart of its chassis, under that chassis's policy.
+    RestartChassis,
 }
 
 /// One thread of a chassis.
@@ -94,6 +169,32 @@ pub struct ProcessorConfig {
     pub place: Place,
 }
 
+/// What the configuration says of a semaphore.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SemaphoreConfig {
+    /// Its name.
+    pub name: String,
+    /// Who shares it; `None` = its name says so.
+    pub scope: Option<Scope>,
+    /// How many permits it has; `None` = as many as the tasks say.
+    pub permits: Option<u32>,
+    /// Where its name stands.
+    pub place: Place,
+}
+
+/// What the configuration says of a barrier.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BarrierConfig {
+    /// Its name.
+    pub name: String,
+    /// Who shares it; `None` = its name says so.
+    pub scope: Option<Scope>,
+    /// How many must arrive; `None` = as many as the tasks say.
+    pub parties: Option<u32>,
+    /// Where its name stands.
+    pub place: Place,
+}
+
 /// One instantiation of an event handler.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaskConfig {
@@ -113,6 +214,8 @@ pub struct TaskConfig {
     pub queue: usize,
     /// What happens after a panic.
     pub restart: Restart,
+    /// How long its handler may be at one message before a warning names it.
+    pub handler_limit: Option<Duration>,
     /// Deadline of calls it makes, in place of the runtime's.
     pub call_deadline: Option<Duration>,
     /// `[task.NAME.args]`, for the handler; an empty table when there is none.

@@ -29,6 +29,8 @@ pub(super) enum Kind {
     Choice(&'static [&'static str]),
     /// `true` or `false`.
     Flag,
+    /// `true`, `false` or this word.
+    FlagOr(&'static str),
     /// A whole number from the first to the second.
     Integer(u64, u64),
     /// A number from the first to the second.
@@ -65,10 +67,16 @@ const fn key(
 pub(super) const TOP: &str = "";
 const APP: &str = "app";
 const TIME: &str = "time";
+const RECORD: &str = "record";
+const METRICS: &str = "metrics";
 const CHASSIS: &str = "chassis.NAME";
 /// The processors of a chassis.
 pub(super) const PROCESSOR: &str = "chassis.NAME.processors.NAME";
 const TASK: &str = "task.NAME";
+const SEMAPHORE: &str = "semaphore.NAME";
+const BARRIER: &str = "barrier.NAME";
+
+const SCOPE_DOC: &str = "Shared by the tasks of each chassis, or of the whole app. Default: of the app when the name begins with `app/`, else of the chassis.";
 const INJURE: &str = "injure";
 const SECURITY: &str = "security";
 
@@ -93,6 +101,18 @@ pub(super) const TABLES: &[Table] = &[
             ),
             key("task", Kind::Named(TASK), None, "Its tasks, by name."),
             key(
+                "semaphore",
+                Kind::Named(SEMAPHORE),
+                None,
+                "Counting semaphores that tasks take turns with, by name. Default: as the tasks say.",
+            ),
+            key(
+                "barrier",
+                Kind::Named(BARRIER),
+                None,
+                "Barriers where tasks wait for each other, by name. Default: as the tasks say.",
+            ),
+            key(
                 "injure",
                 Kind::One(INJURE),
                 None,
@@ -104,6 +124,13 @@ pub(super) const TABLES: &[Table] = &[
                 None,
                 "Keys for connections beyond this host.",
             ),
+            key(
+                "record",
+                Kind::One(RECORD),
+                None,
+                "What is written down of it.",
+            ),
+            key("metrics", Kind::One(METRICS), None, "Where it is watched."),
             key(
                 "profile",
                 Kind::Profiles,
@@ -187,6 +214,50 @@ pub(super) const TABLES: &[Table] = &[
         )],
     },
     Table {
+        path: RECORD,
+        keys: &[
+            key(
+                "file",
+                Kind::Text,
+                None,
+                "Where messages, phases, firings and log lines are written, as MCAP; each process puts its name before the extension. Default: nothing is recorded.",
+            ),
+            key(
+                "max_mb",
+                Kind::Integer(1, 1_000_000),
+                Some("256"),
+                "A file that has grown to this size is closed and the next one begun, MB.",
+            ),
+            key(
+                "keep",
+                Kind::Integer(1, 100_000),
+                Some("8"),
+                "So many files of a process are kept, older ones are removed.",
+            ),
+            key(
+                "flush_s",
+                Kind::Seconds(3600.0),
+                Some("1.0"),
+                "At most this much is lost when a process is killed, s.",
+            ),
+            key(
+                "buffer_mb",
+                Kind::Integer(1, 10_000),
+                Some("16"),
+                "What a processor may have waiting for the disk, MB; what comes then is dropped and counted.",
+            ),
+        ],
+    },
+    Table {
+        path: METRICS,
+        keys: &[key(
+            "listen",
+            Kind::Text,
+            None,
+            "Address on the loopback at which the boot serves /metrics for Prometheus. Default: nowhere.",
+        )],
+    },
+    Table {
         path: CHASSIS,
         keys: &[
             key(
@@ -202,6 +273,36 @@ pub(super) const TABLES: &[Table] = &[
                 "Whether it is stopped before the others, for hardware that must come to rest first.",
             ),
             key(
+                "restart",
+                Kind::Choice(&["never", "on-failure", "always"]),
+                Some("\"never\""),
+                "When its process is started again after it ended; \"never\": the app ends with it.",
+            ),
+            key(
+                "max_restarts",
+                Kind::Integer(1, 1_000_000),
+                Some("3"),
+                "So many restarts within the window are the last; the next failure ends the app.",
+            ),
+            key(
+                "restart_window_s",
+                Kind::Seconds(86_400.0),
+                Some("60.0"),
+                "The window in which restarts are counted, s.",
+            ),
+            key(
+                "restart_backoff_s",
+                Kind::Seconds(3600.0),
+                Some("0.5"),
+                "The pause before a restart, s; doubles with each one within the window.",
+            ),
+            key(
+                "on_task_failure",
+                Kind::Choice(&["app", "restart-chassis"]),
+                Some("\"app\""),
+                "What a task that failed for good leads to.",
+            ),
+            key(
                 "processors",
                 Kind::Named(PROCESSOR),
                 None,
@@ -214,9 +315,9 @@ pub(super) const TABLES: &[Table] = &[
         keys: &[
             key(
                 "realtime",
-                Kind::Flag,
+                Kind::FlagOr("require"),
                 Some("false"),
-                "Whether it asks for the real-time scheduler (SCHED_FIFO).",
+                "Whether it asks for the real-time scheduler (SCHED_FIFO) and locked memory; \"require\" undoes the boot when they are refused.",
             ),
             key(
                 "priority",
@@ -229,6 +330,24 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Integer(0, 1023),
                 None,
                 "The CPU it is pinned to, counted from 0. Default: none.",
+            ),
+            key(
+                "period_s",
+                Kind::Seconds(3600.0),
+                None,
+                "The base period of its synchronous functions, s. Default: they bring their own.",
+            ),
+            key(
+                "overrun",
+                Kind::Choice(&["skip", "run-late-once", "stop"]),
+                Some("\"skip\""),
+                "Functions whose turn was among ticks that could not begin in time wait for their next turn, run once, late, or the app is stopped in order.",
+            ),
+            key(
+                "spin_us",
+                Kind::Integer(0, 10_000),
+                None,
+                "How long before a tick it wakes up and spins, us. Default: 80 with `realtime`, else 0.",
             ),
         ],
     },
@@ -272,10 +391,28 @@ pub(super) const TABLES: &[Table] = &[
                 "Deadline of the calls it makes, s. Default: the runtime's.",
             ),
             key(
+                "handler_limit_s",
+                Kind::Seconds(86_400.0),
+                None,
+                "How long its handler may be at one message before a warning names it, s. Default: 1 where it keeps its processor from others, 30 where it waits.",
+            ),
+            key(
                 "args",
                 Kind::Free,
                 None,
                 "What the handler wants to know; each handler has keys of its own.",
+            ),
+        ],
+    },
+    Table {
+        path: SEMAPHORE,
+        keys: &[
+            key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
+            key(
+                "permits",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How many tasks may hold it at once. Default: as the tasks say.",
             ),
         ],
     },
@@ -305,6 +442,18 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Integer(0, 1 << 40),
                 Some("0"),
                 "After how many bytes the first stream of each link breaks, on average; 0 = never.",
+            ),
+        ],
+    },
+    Table {
+        path: BARRIER,
+        keys: &[
+            key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
+            key(
+                "parties",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How many must arrive before all go on. Default: as the tasks say.",
             ),
         ],
     },

@@ -64,6 +64,9 @@ fn of_kind(kind: &Kind) -> Value {
             "anyOf": [{ "enum": words }, { "type": "string", "pattern": "\\$\\{" }],
         }),
         Kind::Flag => json!({ "type": "boolean" }),
+        Kind::FlagOr(word) => json!({
+            "anyOf": [{ "type": "boolean" }, { "enum": [word] }],
+        }),
         Kind::Integer(least, most) => {
             json!({ "type": "integer", "minimum": least, "maximum": most })
         }

@@ -207,6 +207,18 @@ impl Network {
         move |since| clock.true_at(clock.shown_at(since) + timeout).max(now)
     }
 
+    /// Chassis `to`, which would have given `from` up, stands still until `until`: it does so then, if
+    /// there is still nothing to hear.
+    pub(crate) fn listen_again(&self, from: u8, to: u8, until: Instant) {
+        let mut state = lock(&self.state);
+        let direction = state.directions.entry((from, to)).or_default();
+        direction.given_up = direction.quiet.is_some_and(|(_, end)| end > until);
+        if direction.given_up {
+            let arrival = Arrival::Silence;
+            state.insert(until, InFlight { from, to, arrival });
+        }
+    }
+
     /// Chassis `to` gives `from` up: what is between them is lost, and `from` is told when it can be
     /// reached.
     pub(crate) fn give_up(&self, from: u8, to: u8) {

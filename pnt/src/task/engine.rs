@@ -276,8 +276,13 @@ impl<S: 'static> Engine<S> {
 
     pub(super) fn log(&self, core: &mut Core, id: TransitionId, phase: &str, text: &str) {
         let name = &self.net[id].name;
-        core.journal
+        let event = core
+            .journal
             .firing(self.cx.now(), self.net.name(), name, phase, text);
+        if self.cx.is_recording() {
+            let channel = format!("/firing/{}", self.net.name());
+            self.cx.record(&channel, event);
+        }
         core.note_validity(&self.net);
     }
 

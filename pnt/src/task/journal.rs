@@ -16,7 +16,7 @@ pub(super) struct Journal {
 }
 
 impl Journal {
-    /// Notes one phase of a firing.
+    /// Notes one phase of a firing; returns it as it is kept.
     pub(super) fn firing(
         &mut self,
         now: Instant,
@@ -24,7 +24,7 @@ impl Journal {
         transition: &str,
         phase: &str,
         text: &str,
-    ) {
+    ) -> &FiringEvent {
         if text.is_empty() {
             tracing::info!(target: "pnt::firing", net, transition, phase);
         } else {
@@ -33,7 +33,7 @@ impl Journal {
         if phase != "started" {
             self.ended += 1;
         }
-        self.keep(now, transition, phase, text);
+        self.keep(now, transition, phase, text)
     }
 
     /// Notes the end of the net.
@@ -41,16 +41,16 @@ impl Journal {
         self.keep(now, "", "stopped", why);
     }
 
-    fn keep(&mut self, now: Instant, transition: &str, phase: &str, text: &str) {
+    fn keep(&mut self, now: Instant, transition: &str, phase: &str, text: &str) -> &FiringEvent {
         if self.events.len() == KEPT {
             self.events.pop_front();
         }
-        self.events.push_back(FiringEvent {
+        self.events.push_back_mut(FiringEvent {
             at_ns: now.as_nanos(),
             transition: transition.to_owned(),
             phase: phase.to_owned(),
             text: text.to_owned(),
-        });
+        })
     }
 
     /// The kept events.

@@ -1,0 +1,86 @@
+//! `ctos replay`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use ctos::{
+    record::{Filter, Record, ReplayError, replay},
+    registry::Registry,
+};
+
+use crate::{
+    commands::{AppArgs, log::record_files},
+    exit, program, show,
+};
+
+/// Let one task do again what it did in a record, and compare
+///
+/// The task runs alone on a virtual clock. It is given its messages at the recorded moments and the recorded answers to
+/// what it asks; what it sends, answers and returns is compared with the record. Exit code 0 when it did the same, 1 when
+/// it did not.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --record run.mcap
+  ctos replay configs/calibrate.toml run.mcap --task dispatcher
+  ctos replay configs/calibrate.toml run.*.mcap --task dispatcher --json")]
+pub struct ReplayArgs {
+    /// Which app
+    #[command(flatten)]
+    pub app: AppArgs,
+    /// Records of one run: the file of the task's process, or several
+    #[arg(required = true, value_name = "RECORD")]
+    pub files: Vec<PathBuf>,
+    /// Name of the task
+    #[arg(long, value_name = "NAME")]
+    pub task: String,
+    /// Print the result as one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &ReplayArgs, registry: Registry) -> u8 {
+    let app = match program::checked(&args.app.selection(), &registry) {
+        Ok((app, _)) => app,
+        Err(findings) => {
+            show::findings(findings);
+            return exit::CONFIG;
+        }
+    };
+    let record = match Record::read(&record_files(&args.files), &Filter::default()) {
+        Ok(record) => record,
+        Err(error) => {
+            show::say(&format!("error: {error}"));
+            return exit::FAILED;
+        }
+    };
+    match replay(app, registry, &args.task, &record) {
+        Ok(report) => {
+            let text = if args.json {
+                serde_json::json!({
+                    "task": report.task,
+                    "same": report.is_same(),
+                    "report": report,
+                })
+                .to_string()
+            } else {
+                report.to_string()
+            };
+            // A reader that went away has what it wanted.
+            let _ = show::data(&text);
+            if report.is_same() {
+                exit::OK
+            } else {
+                exit::FAILED
+            }
+        }
+        Err(error) => {
+            show::say(&format!("error: {error}"));
+            match error {
+                ReplayError::NoTask { .. } | ReplayError::NotRecorded { .. } => exit::NO_SUCH_NAME,
+                _ => exit::FAILED,
+            }
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The tables `[record]` and `[metrics]`: what is written down of an app, and who may look.
+
+use super::app::RecordConfig;
+use super::fields::Fields;
+use crate::diagnostic::Finding;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+pub(super) const RECORD_KEYS: &[&str] = &["file", "max_mb", "keep", "flush_s", "buffer_mb"];
+pub(super) const METRICS_KEYS: &[&str] = &["listen"];
+
+const MAX_MB: u64 = 256;
+const KEEP: usize = 8;
+const FLUSH: Duration = Duration::from_secs(1);
+const BUFFER_MB: usize = 16;
+const MB: u64 = 1_000_000;
+
+/// `[record]`; `None` without a `file`.
+pub(super) fn record(mut fields: Fields<'_, '_>) -> Option<RecordConfig> {
+    let file = fields.text("file").map(|(file, _)| PathBuf::from(file));
+    let max_mb = fields.integer("max_mb", 1..=1_000_000_u64);
+    let keep = fields.integer("keep", 1..=100_000_usize);
+    let flush = fields.seconds("flush_s", 3600.0);
+    let buffer_mb = fields.integer("buffer_mb", 1..=10_000_usize);
+    let file = file?;
+    Some(RecordConfig {
+        file,
+        max_bytes: max_mb.unwrap_or(MAX_MB) * MB,
+        keep: keep.unwrap_or(KEEP),
+        flush: flush.unwrap_or(FLUSH),
+        buffer_bytes: buffer_mb.unwrap_or(BUFFER_MB) * 1_000_000,
+    })
+}
+
+/// `[metrics]`; `None` without `listen`.
+pub(super) fn metrics(mut fields: Fields<'_, '_>) -> Option<SocketAddr> {
+    let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:9464\"")?;
+    if listen.ip().is_loopback() {
+        return Some(listen);
+    }
+    let finding = Finding::error(
+        "ctos::config::not_loopback",
+        format!("metrics are served to this host only, and {listen} is not on its loopback"),
+    )
+    .help("listen on 127.0.0.1 and let a proxy that knows its clients pass them on");
+    let place = fields.place("listen");
+    fields.push(match place {
+        Some(place) => finding.at(place),
+        None => finding,
+    });
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::load_texts;
+
+    const APP: &str = "[chassis.a]\n[task.t]\nhandler = \"h\"\non = \"a\"\n";
+
+    fn load(more: &str) -> Result<crate::config::App, String> {
+        let text = format!("{APP}{more}");
+        load_texts(&[("app.toml", &text)], &[], &[]).map_err(|findings| {
+            let findings = findings.into_sorted();
+            findings
+                .iter()
+                .map(|finding| format!("{finding}\n"))
+                .collect()
+        })
+    }
+
+    #[test]
+    fn nothing_is_recorded_or_served_unless_it_is_asked_for() {
+        let app = load("[record]\nkeep = 2\n").unwrap();
+        assert_eq!((app.record, app.metrics), (None, None));
+    }
+
+    #[test]
+    fn what_is_left_out_of_record_has_the_documented_default() {
+        let record = load("[record]\nfile = \"run.mcap\"\n")
+            .unwrap()
+            .record
+            .unwrap();
+        assert_eq!(record.max_bytes, 256_000_000);
+        assert_eq!((record.keep, record.buffer_bytes), (8, 16_000_000));
+        assert_eq!(record.flush, std::time::Duration::from_secs(1));
+    }
+
+    #[test]
+    fn metrics_for_other_hosts_and_absurd_sizes_are_findings_with_places() {
+        let said =
+            load("[record]\nfile = \"r.mcap\"\nmax_mb = 0\n[metrics]\nlisten = \"0.0.0.0:9464\"\n");
+        let said = said.unwrap_err();
+        assert!(said.contains("app.toml:7"), "{said}");
+        assert!(said.contains("app.toml:9"), "{said}");
+        assert!(
+            said.contains("`max_mb` must be a whole number from 1"),
+            "{said}"
+        );
+    }
+}

@@ -1,0 +1,141 @@
+//! Recording: every message, handler, reply, phase, firing and log line of an app as MCAP, and what can
+//! be done with such a file: read it, and replay one task out of it.
+//!
+//! Each process writes a file of its own, so that the end of one takes nothing from another; a simulated
+//! app, which is one process, writes one. What is noted costs its processor a lock that nobody else
+//! takes and an encoding into a buffer; the rest is done by a writer beside it. The page
+//! `docs/recording.md` shows how it is used.
+
+mod event;
+mod lines;
+mod log;
+mod names;
+mod parts;
+mod read;
+mod recorder;
+mod replay;
+mod tap;
+mod writer;
+
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
+
+use crate::{
+    chassis::Chassis,
+    config::{App, RecordConfig},
+    context::Context,
+};
+
+pub use lines::Number;
+pub use log::RecordLayer;
+pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan};
+pub use replay::{Difference, ReplayError, ReplayReport, replay};
+
+pub(crate) use event::Ending;
+pub(crate) use tap::{Asked, AtHand, Tap};
+
+use names::Names;
+use parts::{Parts, Place};
+use recorder::Recorder;
+use writer::Writer;
+
+/// How long the end of an app waits for the disk of its record.
+const CLOSE_LIMIT: Duration = Duration::from_secs(5);
+
+/// The record of this process, while it is written.
+pub(crate) struct Recording(Arc<Recorder>);
+
+impl Recording {
+    /// Records a chassis that was started again, too.
+    pub(crate) fn add(&self, chassis: &Chassis) {
+        chassis.tap.record(self.0.clone(), chassis.index());
+    }
+
+    /// Writes what is left and closes the file.
+    pub(crate) fn finish(self) {
+        self.0.finish(CLOSE_LIMIT);
+    }
+}
+
+/// Begins to record the chassis of this process, if the configuration says so: one in real time, all
+/// of them in virtual time.
+///
+/// # Errors
+/// When the file cannot be made: an app that is to be recorded does not run without it.
+pub(crate) fn start(chassis: &[Arc<Chassis>]) -> std::io::Result<Option<Recording>> {
+    let Some(first) = chassis.first() else {
+        return Ok(None);
+    };
+    let app = &first.app;
+    let Some(config) = &app.record else {
+        return Ok(None);
+    };
+    let real = first.clock.origin_ns();
+    let path = match real {
+        Some(_) => file_of(app, config, Some(first.name())),
+        None => file_of(app, config, None),
+    };
+    let names = Arc::new(Names::new(app, &first.registry));
+    let place = Place::new(path, config.max_bytes, config.keep);
+    let parts = Parts::open(place, run_of(first)).map_err(std::io::Error::other)?;
+    let writer = Writer::new(names, parts);
+    let clock = first.clock.clone();
+    let recorder = match real {
+        Some(_) => {
+            let lanes = first.processors.len();
+            Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)?
+        }
+        None => Recorder::inline(clock, writer, config.buffer_bytes),
+    };
+    for one in chassis {
+        one.tap.record(recorder.clone(), one.index());
+    }
+    log::attach(&recorder, first.index());
+    Ok(Some(Recording(recorder)))
+}
+
+/// The file of one process: `run.mcap` becomes `run.CHASSIS.mcap`.
+fn file_of(app: &App, config: &RecordConfig, chassis: Option<&str>) -> PathBuf {
+    let path = app.folder.join(&config.file);
+    let Some(chassis) = chassis else {
+        return path;
+    };
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push(".");
+    name.push(chassis);
+    if let Some(extension) = path.extension() {
+        name.push(".");
+        name.push(extension);
+    }
+    path.with_file_name(name)
+}
+
+/// Of what a file is the record.
+fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
+    let app = &chassis.app;
+    let mut run = BTreeMap::from([
+        ("app".to_owned(), app.name.clone()),
+        ("seed".to_owned(), app.seed.to_string()),
+    ]);
+    if let Some(origin) = chassis.clock.origin_ns() {
+        run.insert("chassis".to_owned(), chassis.name().to_owned());
+        run.insert("time".to_owned(), "real".to_owned());
+        run.insert("origin_ns".to_owned(), origin.to_string());
+    } else {
+        run.insert("time".to_owned(), "virtual".to_owned());
+    }
+    run
+}
+
+impl Context {
+    /// Puts `value` on a channel of the record, if the app is recorded: `/firing/carry`, say. It is
+    /// shown there as JSON, with the present moment.
+    pub fn record<T: serde::Serialize + ?Sized>(&self, channel: &str, value: &T) {
+        self.chassis().tap.value(self.tid(), channel, value);
+    }
+
+    /// Whether the app is recorded: for values that are expensive to make.
+    #[must_use]
+    pub fn is_recording(&self) -> bool {
+        self.chassis().tap.is_recording()
+    }
+}

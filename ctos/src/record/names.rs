@@ -1,0 +1,106 @@
+//! What the numbers of a record mean: tasks by their ids, commands by their codes.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+};
+
+use crate::{
+    bootstrap,
+    call::lock,
+    chassis::BOOT_CHASSIS,
+    config::App,
+    message::{Command, CommandInfo, SYSTEM_COMMANDS, Tid},
+    names,
+    registry::Registry,
+    system::{
+        self, ChassisDown, CreateTasks, EnterPhase, Exit, Introspect, Ping, Statistics, StopTask,
+    },
+    watch::Gather,
+};
+
+/// Names of tasks and commands, for one app.
+#[derive(Debug)]
+pub(crate) struct Names {
+    tasks: Mutex<BTreeMap<Tid, Arc<str>>>,
+    commands: BTreeMap<Arc<str>, Vec<CommandInfo>>,
+    system: Vec<CommandInfo>,
+}
+
+impl Names {
+    /// What is known of `app` before it runs: each agent counts its tasks in the order of the
+    /// configuration, so that the ids of the tasks of other chassis are known here too.
+    pub(crate) fn new(app: &App, registry: &Registry) -> Self {
+        let mut tasks: BTreeMap<Tid, Arc<str>> = BTreeMap::new();
+        tasks.insert(system::TID_SERVER, "tidsvr".into());
+        tasks.insert(system::BOOTSTRAP, "bootstrap".into());
+        tasks.insert(system::agent_tid(0), format!("agent@{BOOT_CHASSIS}").into());
+        let mut commands = BTreeMap::new();
+        for (number, chassis) in (1_u8..).zip(&app.chassis) {
+            let agent = format!("agent@{}", chassis.name);
+            tasks.insert(system::agent_tid(number), agent.into());
+            for (place, processor) in (1_u8..).zip(&chassis.processors) {
+                let here = app.tasks.iter().filter(|task| {
+                    task.chassis == chassis.name && task.processor == processor.name
+                });
+                for (slot, task) in (0_u16..).zip(here) {
+                    tasks.insert(Tid::new(number, place, slot), task.name.as_str().into());
+                }
+            }
+        }
+        for task in &app.tasks {
+            if let Some(kind) = registry.kind(&task.handler) {
+                commands.insert(task.name.as_str().into(), kind.commands().to_vec());
+            }
+        }
+        let mut all = vec![
+            Ping::INFO,
+            Introspect::INFO,
+            Statistics::INFO,
+            EnterPhase::INFO,
+            StopTask::INFO,
+            ChassisDown::INFO,
+            CreateTasks::INFO,
+            Exit::INFO,
+            Gather::INFO,
+        ];
+        all.extend(bootstrap::COMMANDS);
+        all.extend(names::COMMANDS);
+        Self {
+            tasks: Mutex::new(tasks),
+            commands,
+            system: all,
+        }
+    }
+
+    /// `task` is called `name` from now on.
+    pub(crate) fn name(&self, task: Tid, name: &Arc<str>) {
+        // The tasks of the runtime have names that say where they are.
+        if task.processor() > 0 {
+            lock(&self.tasks).insert(task, name.clone());
+        }
+    }
+
+    /// The name of a task; its id when it has none that is known.
+    pub(crate) fn task(&self, task: Tid) -> Arc<str> {
+        let known = lock(&self.tasks).get(&task).cloned();
+        known.unwrap_or_else(|| task.to_string().into())
+    }
+
+    /// The id of a task.
+    pub(crate) fn tid(&self, name: &str) -> Option<Tid> {
+        let tasks = lock(&self.tasks);
+        let found = tasks.iter().find(|(_, known)| ***known == *name);
+        found.map(|(tid, _)| *tid)
+    }
+
+    /// What `task` takes under `code`.
+    pub(crate) fn command(&self, task: &str, code: u16) -> Option<CommandInfo> {
+        let among = if code >= SYSTEM_COMMANDS {
+            &self.system
+        } else {
+            self.commands.get(task)?
+        };
+        among.iter().find(|command| command.code == code).copied()
+    }
+}

@@ -1,0 +1,259 @@
+//! Between those who note what happens and the disk: a bounded buffer for each processor, emptied by
+//! one writer.
+//!
+//! Noting takes a lock that only the writer ever contends for, and never waits for the disk: a buffer
+//! that is full drops what comes and counts it. In real time the writer is a thread of its own; in
+//! virtual time it is called where a buffer has grown, so that one seed gives one record.
+
+use std::{
+    sync::{
+        Arc, Condvar, Mutex, PoisonError, TryLockError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use super::{
+    event::{Head, push},
+    names::Names,
+    writer::Writer,
+};
+use crate::{
+    call::lock,
+    message::Tid,
+    time::{Clock, Instant},
+};
+
+/// A buffer of this size wakes the writer, bytes.
+const WAKE: usize = 256 * 1024;
+/// How often the writer looks unasked.
+const LOOK: Duration = Duration::from_millis(100);
+
+#[derive(Default)]
+struct Lane {
+    bytes: Vec<u8>,
+    dropped: u64,
+}
+
+/// What the writer's thread is told, and tells.
+#[derive(Default)]
+struct Alarm {
+    full: bool,
+    end: bool,
+    ended: bool,
+}
+
+/// Takes notes of one process, or of all chassis of a simulated app.
+pub(crate) struct Recorder {
+    clock: Clock,
+    lanes: Vec<Mutex<Lane>>,
+    limit: usize,
+    next_id: AtomicU64,
+    dropped: AtomicU64,
+    writer: Mutex<Option<Writer>>,
+    threaded: bool,
+    flush: Duration,
+    ended: AtomicBool,
+    alarm: Mutex<Alarm>,
+    alarmed: Condvar,
+    names: Arc<Names>,
+}
+
+impl Recorder {
+    /// A recorder with `lanes` buffers of at most `limit` bytes, whose writer is called at once when
+    /// one has grown.
+    pub(crate) fn inline(clock: Clock, writer: Writer, limit: usize) -> Arc<Self> {
+        Arc::new(Self::new(clock, writer, 1, limit, LOOK, false))
+    }
+
+    /// A recorder whose writer is a thread.
+    ///
+    /// # Errors
+    /// When the system refuses the thread.
+    pub(crate) fn threaded(
+        clock: Clock,
+        writer: Writer,
+        lanes: usize,
+        limit: usize,
+        flush: Duration,
+    ) -> std::io::Result<Arc<Self>> {
+        let recorder = Arc::new(Self::new(clock, writer, lanes.max(1), limit, flush, true));
+        let worker = recorder.clone();
+        std::thread::Builder::new()
+            .name("recorder".to_owned())
+            .spawn(move || worker.run())?;
+        Ok(recorder)
+    }
+
+    fn new(
+        clock: Clock,
+        writer: Writer,
+        lanes: usize,
+        limit: usize,
+        flush: Duration,
+        threaded: bool,
+    ) -> Self {
+        let names = writer.names().clone();
+        Self {
+            clock,
+            lanes: (0..lanes).map(|_| Mutex::default()).collect(),
+            limit,
+            next_id: AtomicU64::new(1),
+            dropped: AtomicU64::new(0),
+            writer: Mutex::new(Some(writer)),
+            threaded,
+            flush,
+            ended: AtomicBool::new(false),
+            alarm: Mutex::default(),
+            alarmed: Condvar::new(),
+            names,
+        }
+    }
+
+    /// The present moment, ns.
+    pub(crate) fn now(&self) -> u64 {
+        self.clock.now().as_nanos()
+    }
+
+    pub(crate) fn fresh_id(&self) -> u64 {
+        self.next_id.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Events that found no room.
+    pub(crate) fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// A task has a name from now on.
+    pub(crate) fn named(&self, task: Tid, name: &Arc<str>) {
+        self.names.name(task, name);
+    }
+
+    /// Notes one event at the processor of `task`. False when it was dropped.
+    pub(crate) fn note(
+        &self,
+        task: Tid,
+        head: &Head,
+        data: impl FnOnce(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        if self.ended.load(Ordering::Relaxed) {
+            return false;
+        }
+        let place = usize::from(task.processor());
+        let Some(lane) = self.lanes.get(place).or_else(|| self.lanes.first()) else {
+            return false;
+        };
+        let mut lane = lock(lane);
+        if lane.bytes.len() >= self.limit || push(&mut lane.bytes, head, data).is_err() {
+            lane.dropped += 1;
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+            return false;
+        }
+        let grown = lane.bytes.len() >= WAKE;
+        drop(lane);
+        if grown {
+            self.call_writer();
+        }
+        true
+    }
+
+    fn call_writer(&self) {
+        if !self.threaded {
+            return self.write(false);
+        }
+        let mut alarm = lock(&self.alarm);
+        if !alarm.full {
+            alarm.full = true;
+            self.alarmed.notify_one();
+        }
+    }
+
+    /// Empties the buffers. Does nothing when somebody is at it already: what the writer itself has
+    /// logged comes by here.
+    fn write(&self, flush: bool) {
+        let mut writer = match self.writer.try_lock() {
+            Ok(writer) => writer,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
+        let Some(writer) = writer.as_mut() else {
+            return;
+        };
+        let mut batch = Vec::with_capacity(self.lanes.len());
+        let mut dropped = 0;
+        for lane in &self.lanes {
+            let mut lane = lock(lane);
+            let room = Vec::with_capacity(lane.bytes.len().min(WAKE));
+            batch.push(std::mem::replace(&mut lane.bytes, room));
+            dropped += std::mem::take(&mut lane.dropped);
+        }
+        let now = self.now();
+        writer.write(now, &batch, dropped);
+        if flush {
+            writer.flush(now);
+        }
+    }
+
+    /// The writer's thread.
+    fn run(&self) {
+        let mut flushed = self.clock.now();
+        loop {
+            let mut alarm = lock(&self.alarm);
+            if !alarm.full && !alarm.end {
+                alarm = self
+                    .alarmed
+                    .wait_timeout(alarm, LOOK.min(self.flush))
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .0;
+            }
+            let end = alarm.end;
+            alarm.full = false;
+            drop(alarm);
+            let now: Instant = self.clock.now();
+            let due = now.since(flushed) >= self.flush;
+            if due {
+                flushed = now;
+            }
+            self.write(due);
+            if end {
+                break;
+            }
+        }
+        self.close();
+        lock(&self.alarm).ended = true;
+        self.alarmed.notify_all();
+    }
+
+    fn close(&self) {
+        let writer = lock(&self.writer).take();
+        if let Some(writer) = writer {
+            writer.close(self.now());
+        }
+    }
+
+    /// Writes what is left and closes the file; what is noted afterwards is lost. A disk that does not
+    /// answer within `limit` is left to itself.
+    pub(crate) fn finish(&self, limit: Duration) {
+        if self.ended.swap(true, Ordering::AcqRel) {
+            return;
+        }
+        if !self.threaded {
+            self.write(false);
+            return self.close();
+        }
+        let mut alarm = lock(&self.alarm);
+        alarm.end = true;
+        self.alarmed.notify_all();
+        let waited = self
+            .alarmed
+            .wait_timeout_while(alarm, limit, |alarm| !alarm.ended);
+        let (alarm, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        if !alarm.ended {
+            let limit_s = limit.as_secs_f64();
+            tracing::error!(
+                limit_s,
+                "the record was not closed in time: its disk does not answer"
+            );
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! What is counted of a task for whoever watches: cheap to count, readable from any thread.
+
+use std::{
+    future::Future,
+    pin::Pin,
+    sync::{
+        OnceLock,
+        atomic::{AtomicU64, Ordering},
+    },
+    task::{Context as PollContext, Poll},
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::message::CommandInfo;
+
+/// Upper bounds of the buckets of handler times, ns: powers of four of a microsecond.
+const BUCKETS: usize = 12;
+
+/// The upper bound of a bucket, s.
+pub(super) fn bound_s(bucket: usize) -> f64 {
+    1e-6 * 4_f64.powi(i32::try_from(bucket).unwrap_or(i32::MAX))
+}
+
+#[derive(Debug)]
+struct CommandMeter {
+    code: u16,
+    name: &'static str,
+    ok: AtomicU64,
+    failed: AtomicU64,
+}
+
+/// The meter of one task.
+#[derive(Debug, Default)]
+pub(crate) struct TaskMeter {
+    /// One more than [`BUCKETS`]: the last counts what is longer than all bounds.
+    durations: [AtomicU64; BUCKETS + 1],
+    commands: OnceLock<Vec<CommandMeter>>,
+    /// Messages of other commands, those of the runtime.
+    other_ok: AtomicU64,
+    other_failed: AtomicU64,
+    /// Odd while the handler keeps its processor.
+    turns: AtomicU64,
+}
+
+/// Messages of one command.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct CommandCount {
+    pub(crate) command: String,
+    pub(crate) ok: u64,
+    pub(crate) failed: u64,
+}
+
+impl TaskMeter {
+    /// Counts these commands one by one.
+    pub(crate) fn count(&self, commands: &[CommandInfo]) {
+        self.commands.get_or_init(|| {
+            let meter = |command: &CommandInfo| CommandMeter {
+                code: command.code,
+                name: command.name,
+                ok: AtomicU64::new(0),
+                failed: AtomicU64::new(0),
+            };
+            commands.iter().map(meter).collect()
+        });
+    }
+
+    /// A handler has returned from a message of `command` after `nanos`.
+    pub(crate) fn ended(&self, command: u16, ok: bool, nanos: u64) {
+        let micros = nanos.saturating_sub(1) / 1000;
+        // 0 for up to 1 us, then one more for every factor of four.
+        let bucket = (u64::BITS - micros.leading_zeros()).div_ceil(2) as usize;
+        if let Some(bucket) = self.durations.get(bucket.min(BUCKETS)) {
+            bucket.fetch_add(1, Ordering::Relaxed);
+        }
+        let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
+        let known = commands.iter().find(|known| known.code == command);
+        let counter = match (known, ok) {
+            (Some(known), true) => &known.ok,
+            (Some(known), false) => &known.failed,
+            (None, true) => &self.other_ok,
+            (None, false) => &self.other_failed,
+        };
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How many messages took at most the bound of each bucket, and longer than all.
+    pub(crate) fn durations(&self) -> Vec<u64> {
+        let read = |bucket: &AtomicU64| bucket.load(Ordering::Relaxed);
+        self.durations.iter().map(read).collect()
+    }
+
+    /// Messages by command.
+    pub(crate) fn commands(&self) -> Vec<CommandCount> {
+        let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
+        let count = |command: &str, ok: &AtomicU64, failed: &AtomicU64| CommandCount {
+            command: command.to_owned(),
+            ok: ok.load(Ordering::Relaxed),
+            failed: failed.load(Ordering::Relaxed),
+        };
+        let mut counts: Vec<_> = commands
+            .iter()
+            .map(|known| count(known.name, &known.ok, &known.failed))
+            .collect();
+        counts.push(count("runtime", &self.other_ok, &self.other_failed));
+        counts
+    }
+
+    /// The turn that the handler has on its processor at this moment, if it has one.
+    pub(crate) fn turn(&self) -> Option<u64> {
+        let turn = self.turns.load(Ordering::Acquire);
+        (turn % 2 == 1).then_some(turn)
+    }
+
+    /// Counts the turns that `future` has on its processor.
+    pub(crate) fn in_turns<F: Future + Unpin>(&self, future: F) -> InTurns<'_, F> {
+        InTurns {
+            turns: &self.turns,
+            future,
+        }
+    }
+}
+
+/// See [`TaskMeter::in_turns`].
+pub(crate) struct InTurns<'a, F> {
+    turns: &'a AtomicU64,
+    future: F,
+}
+
+impl<F: Future + Unpin> Future for InTurns<'_, F> {
+    type Output = F::Output;
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<F::Output> {
+        self.turns.fetch_add(1, Ordering::AcqRel);
+        let polled = Pin::new(&mut self.future).poll(cx);
+        self.turns.fetch_add(1, Ordering::AcqRel);
+        polled
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_is_counted_in_the_first_bucket_whose_bound_it_does_not_exceed() {
+        for (nanos, bucket) in [
+            (0, 0),
+            (1_000, 0),
+            (1_001, 1),
+            (4_000, 1),
+            (4_001, 2),
+            (16_000, 2),
+            (1_048_576_000, 10),
+            (4_194_304_000, 11),
+            (4_194_304_001, 12),
+            (u64::MAX, 12),
+        ] {
+            let meter = TaskMeter::default();
+            meter.ended(1, true, nanos);
+            let counted = meter.durations().iter().position(|count| *count == 1);
+            assert_eq!(counted, Some(bucket), "{nanos} ns");
+            if bucket < BUCKETS {
+                assert!(nanos as f64 * 1e-9 <= bound_s(bucket) * (1.0 + 1e-12));
+            }
+        }
+    }
+
+    #[test]
+    fn a_turn_is_seen_while_it_lasts() {
+        let meter = TaskMeter::default();
+        assert_eq!(meter.turn(), None);
+        let seen = std::cell::Cell::new(None);
+        let future = std::future::poll_fn(|_| {
+            seen.set(meter.turn());
+            Poll::Ready(())
+        });
+        let mut turns = std::pin::pin!(meter.in_turns(future));
+        let mut cx = PollContext::from_waker(std::task::Waker::noop());
+        assert!(turns.as_mut().poll(&mut cx).is_ready());
+        assert!(seen.get().is_some());
+        assert_eq!(meter.turn(), None);
+    }
+}

@@ -1,0 +1,161 @@
+//! `/metrics` over HTTP, on the loopback only, in the process that boots.
+//!
+//! The server runs on the boot's sockets; what it shows is gathered by the runtime's own processor,
+//! which asks the agents of all chassis. An agent that does not answer is shown as down.
+
+use std::{convert::Infallible, net::SocketAddr, sync::Arc, time::Duration};
+
+use futures_util::future::join_all;
+use http_body_util::Full;
+use hyper::{
+    Method, Request, Response, StatusCode, body::Bytes, body::Incoming, header::CONTENT_TYPE,
+    server::conn::http1, service::service_fn,
+};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::{
+    net::{TcpListener, TcpStream},
+    sync::{Semaphore, mpsc, oneshot},
+};
+
+use super::{
+    metrics::Gather,
+    text::{Answers, page},
+};
+use crate::{
+    chassis::Chassis,
+    context::{Context, TaskRef},
+    message::Tid,
+    runner::record,
+    system,
+};
+
+/// How long an agent has to answer.
+const ANSWER_LIMIT: Duration = Duration::from_secs(1);
+/// How long a client has for its request.
+const REQUEST_LIMIT: Duration = Duration::from_secs(5);
+/// How many clients are served at a time.
+const CLIENTS: usize = 16;
+/// In whose name the agents are asked: no task has this id, and nobody is answered at it but by call.
+const ASKER: Tid = Tid::new(0, 0, u16::MAX);
+
+/// Metrics that cannot be served.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "cannot serve metrics at {address}: {error}; choose another `metrics.listen`, or leave it out"
+)]
+pub(crate) struct MetricsError {
+    address: SocketAddr,
+    error: std::io::Error,
+}
+
+type Ask = oneshot::Sender<String>;
+
+/// Serves the metrics of the app at `address`, from within a tokio runtime, until that ends.
+///
+/// # Errors
+/// When the address cannot be had.
+pub(crate) async fn serve(
+    chassis: &Arc<Chassis>,
+    address: SocketAddr,
+) -> Result<SocketAddr, MetricsError> {
+    let failed = |error| MetricsError { address, error };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let bound = listener.local_addr().map_err(failed)?;
+    let (asks, asked) = mpsc::channel(CLIENTS);
+    let home = chassis.clone();
+    if let Some((_, processor)) = chassis.processors.first() {
+        processor.inject(move |processor| {
+            let asker = record("metrics", ASKER, None);
+            let cx = Context::new(asker, home, processor.clone(), None, Vec::new());
+            processor.spawn(answer(cx, asked), None);
+        });
+    }
+    tokio::spawn(accept(listener, asks));
+    tracing::info!(address = %bound, "metrics are served");
+    Ok(bound)
+}
+
+/// Gathers a page for each that asks.
+async fn answer(cx: Context, mut asked: mpsc::Receiver<Ask>) {
+    while let Some(ask) = asked.recv().await {
+        let page = gather(&cx).await;
+        // A client that went away needs none.
+        let _ = ask.send(page);
+    }
+}
+
+async fn gather(cx: &Context) -> String {
+    let calls = cx.chassis().others().map(|index| {
+        let name = cx.chassis().name_of(index).to_owned();
+        let agent = TaskRef::new(format!("agent@{name}"), system::agent_tid(index));
+        let call = cx.call(&agent, Gather {}).deadline(ANSWER_LIMIT);
+        async move { (name, call.await.ok()) }
+    });
+    let answers: Answers = join_all(calls).await;
+    page(cx.now().since_start().as_secs_f64(), &answers)
+}
+
+async fn accept(listener: TcpListener, asks: mpsc::Sender<Ask>) {
+    let room = Arc::new(Semaphore::new(CLIENTS));
+    loop {
+        let Ok(place) = room.clone().acquire_owned().await else {
+            return;
+        };
+        let client = match listener.accept().await {
+            Ok((client, _)) => client,
+            Err(error) => {
+                // Of the one connection, or too many files are open: the next may be taken.
+                tracing::warn!(error = %error, "a client for metrics was not taken");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+                continue;
+            }
+        };
+        let asks = asks.clone();
+        tokio::spawn(async move {
+            serve_one(client, asks).await;
+            drop(place);
+        });
+    }
+}
+
+async fn serve_one(client: TcpStream, asks: mpsc::Sender<Ask>) {
+    let service = service_fn(move |request| respond(request, asks.clone()));
+    let served = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(REQUEST_LIMIT)
+        .keep_alive(false)
+        .serve_connection(TokioIo::new(client), service);
+    if let Err(error) = served.await {
+        tracing::debug!(error = %error, "a client for metrics went away");
+    }
+}
+
+async fn respond(
+    request: Request<Incoming>,
+    asks: mpsc::Sender<Ask>,
+) -> Result<Response<Full<Bytes>>, Infallible> {
+    let (status, text) = if request.uri().path() != "/metrics" {
+        (StatusCode::NOT_FOUND, "there is /metrics only\n".to_owned())
+    } else if request.method() != Method::GET {
+        (
+            StatusCode::METHOD_NOT_ALLOWED,
+            "metrics are read with GET\n".to_owned(),
+        )
+    } else {
+        let (sender, answer) = oneshot::channel();
+        // Both fail only when the app is ending.
+        let asked = asks.send(sender).await.is_ok();
+        match answer.await {
+            Ok(page) if asked => (StatusCode::OK, page),
+            _ => (
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the app is ending\n".to_owned(),
+            ),
+        }
+    };
+    let mut response = Response::new(Full::new(Bytes::from(text)));
+    *response.status_mut() = status;
+    let kind = hyper::header::HeaderValue::from_static("text/plain; version=0.0.4; charset=utf-8");
+    response.headers_mut().insert(CONTENT_TYPE, kind);
+    Ok(response)
+}

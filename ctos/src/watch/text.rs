@@ -1,0 +1,134 @@
+//! Metrics as Prometheus reads them: text exposition format 0.0.4. Names of tasks are labels, ids never.
+
+use std::fmt::Write;
+
+use super::{meter::bound_s, metrics::ChassisMetrics};
+
+/// A chassis and what it counts; `None` when it did not answer.
+pub(super) type Answers = Vec<(String, Option<ChassisMetrics>)>;
+
+struct Page(String);
+
+impl Page {
+    /// Begins a metric.
+    fn metric(&mut self, name: &str, kind: &str, help: &str) {
+        // A string takes all that is written to it.
+        let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    }
+
+    fn line(&mut self, name: &str, labels: &[(&str, &str)], value: impl std::fmt::Display) {
+        self.0.push_str(name);
+        for (index, (label, text)) in labels.iter().enumerate() {
+            let before = if index == 0 { '{' } else { ',' };
+            let _ = write!(self.0, "{before}{label}=\"{}\"", escaped(text));
+        }
+        if !labels.is_empty() {
+            self.0.push('}');
+        }
+        let _ = writeln!(self.0, " {value}");
+    }
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('\\', "\\\\")
+        .replace('"', "\\\"")
+        .replace('\n', "\\n")
+}
+
+/// The whole page. `uptime_s` is the time since the start of the app.
+pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
+    let mut page = Page(String::new());
+    page.metric(
+        "ctos_uptime_seconds",
+        "gauge",
+        "Time since the start of the app.",
+    );
+    page.line("ctos_uptime_seconds", &[], uptime_s);
+    page.metric("ctos_up", "gauge", "Whether a chassis answers.");
+    for (chassis, metrics) in answers {
+        let up = u8::from(metrics.is_some());
+        page.line("ctos_up", &[("chassis", chassis)], up);
+    }
+    let up = || answers.iter().filter_map(|(_, metrics)| metrics.as_ref());
+    let tasks = || up().flat_map(|chassis| &chassis.tasks);
+    let name = "ctos_messages_total";
+    page.metric(name, "counter", "Messages that a handler has ended.");
+    for task in tasks() {
+        for count in &task.commands {
+            for (result, value) in [("ok", count.ok), ("failed", count.failed)] {
+                let labels = [
+                    ("task", task.task.as_str()),
+                    ("command", &count.command),
+                    ("result", result),
+                ];
+                page.line(name, &labels, value);
+            }
+        }
+    }
+    let name = "ctos_handler_duration_seconds";
+    page.metric(
+        name,
+        "histogram",
+        "Time from the call of a handler to its end, waiting included.",
+    );
+    for task in tasks() {
+        let mut seen = 0;
+        let last = task.durations.len().saturating_sub(1);
+        for (bucket, count) in task.durations.iter().enumerate() {
+            seen += count;
+            let bound = if bucket == last {
+                "+Inf".to_owned()
+            } else {
+                bound_s(bucket).to_string()
+            };
+            let labels = [("task", task.task.as_str()), ("le", &bound)];
+            page.line(&format!("{name}_bucket"), &labels, seen);
+        }
+        let labels = [("task", task.task.as_str())];
+        page.line(&format!("{name}_sum"), &labels, task.busy_s);
+        page.line(&format!("{name}_count"), &labels, seen);
+    }
+    let gauges: [(&str, &str, &str, fn(&super::metrics::TaskMetrics) -> u64); 3] = [
+        (
+            "ctos_queue_length",
+            "gauge",
+            "Messages that wait for a task.",
+            |task| task.queue,
+        ),
+        (
+            "ctos_queue_capacity",
+            "gauge",
+            "Messages that its queue holds, of each priority.",
+            |task| task.capacity,
+        ),
+        (
+            "ctos_restarts_total",
+            "counter",
+            "How often a handler was built anew.",
+            |task| task.restarts,
+        ),
+    ];
+    for (name, kind, help, value) in gauges {
+        page.metric(name, kind, help);
+        for task in tasks() {
+            page.line(name, &[("task", &task.task)], value(task));
+        }
+    }
+    page.metric(
+        "ctos_lint",
+        "gauge",
+        "What is probably not meant, while it lasts.",
+    );
+    for lint in up().flat_map(|chassis| &chassis.lints) {
+        let code = lint.code.to_string();
+        page.line("ctos_lint", &[("code", &code), ("task", &lint.task)], 1);
+    }
+    let name = "ctos_record_dropped_total";
+    page.metric(name, "counter", "Events that could not be recorded.");
+    for chassis in up() {
+        if let Some(dropped) = chassis.unrecorded {
+            page.line(name, &[("chassis", &chassis.chassis)], dropped);
+        }
+    }
+    page.0
+}

@@ -1,0 +1,322 @@
+//! Recording and replaying apps, in virtual time.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
+)]
+
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
+
+use ctos::{
+    boot::{End, Observer, simulate},
+    config::{App, load_texts},
+    message::{Command, Message, Replier},
+    record::{Filter, Record, replay},
+    registry::Registry,
+    system::AppResult,
+    task::{Context, EventHandler, Handled, Phase},
+};
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+ctos::command! {
+    /// Adds to the sum, and tells it.
+    struct Add { number: u32, name: String } => u64, 1, "add"
+}
+ctos::command! {
+    /// Is answered a while later.
+    struct Later { wait_ms: u64 } => u64, 2, "later"
+}
+ctos::command! {
+    /// Needs no answer.
+    struct Note { text: String } => (), 3, "note"
+}
+
+/// Adds up what it is told; refuses what is 13; answers `later` from a child.
+struct Adder {
+    sum: u64,
+    factor: u64,
+    kept: Vec<Replier<Note>>,
+}
+
+impl EventHandler for Adder {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Add::CODE => {
+                let (Add { number, .. }, reply) = message.open::<Add>()?;
+                if number == 13 {
+                    return reply.fail("13 brings bad luck");
+                }
+                if number == 666 {
+                    panic!("this number is the beast's");
+                }
+                self.sum += u64::from(number) * self.factor;
+                reply.ok(self.sum)
+            }
+            Later::CODE => {
+                let (Later { wait_ms }, reply) = message.open::<Later>()?;
+                let child = cx.clone();
+                let sum = self.sum;
+                cx.spawn(async move {
+                    child.sleep(Duration::from_millis(wait_ms)).await;
+                    let _ = reply.ok(sum);
+                });
+                Ok(())
+            }
+            Note::CODE => {
+                let (_, reply) = message.open::<Note>()?;
+                self.kept.push(reply);
+                Ok(())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+}
+
+#[derive(Deserialize, Clone)]
+#[serde(deny_unknown_fields)]
+struct AskerArgs {
+    rounds: u32,
+    ends: bool,
+    /// What a changed handler does otherwise.
+    #[serde(default)]
+    changed: bool,
+}
+
+#[derive(Serialize)]
+struct Drawn {
+    number: u32,
+}
+
+/// Asks the adder for sums of random numbers, at random moments.
+struct Asker(AskerArgs);
+
+impl EventHandler for Asker {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            cx.spawn(ask(cx.clone(), self.0.clone()));
+        }
+        Ok(())
+    }
+}
+
+async fn ask(cx: Context, args: AskerArgs) {
+    let adder = cx.task("adder").await.unwrap();
+    let mut rng = cx.rng("numbers");
+    let mut text = String::new();
+    for round in 0..args.rounds {
+        let number = rng.random_range(0..20_u32);
+        cx.record("drawn", &Drawn { number });
+        let add = Add {
+            number,
+            name: cx.name().to_owned(),
+        };
+        let sum = cx.call(&adder, add).await;
+        text = format!("{sum:?}");
+        cx.sleep(Duration::from_micros(rng.random_range(0..5000)))
+            .await;
+        if round % 3 == 0 {
+            let later = Later { wait_ms: 2 };
+            // Too short for the answer, now and then.
+            let deadline = Duration::from_millis(rng.random_range(1..4));
+            text = format!("{:?}", cx.call(&adder, later).deadline(deadline).await);
+        }
+        if round % 4 == 1 {
+            let text = if args.changed && round > 4 {
+                "bye"
+            } else {
+                "hello"
+            };
+            let note = Note {
+                text: text.to_owned(),
+            };
+            cx.send(&adder, note).high_priority().await.unwrap();
+        }
+        tracing::info!(task = cx.name(), round, "asked");
+    }
+    if args.ends {
+        cx.finish(AppResult {
+            ok: true,
+            text,
+            json: "{}".to_owned(),
+        });
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AdderArgs {
+    factor: u64,
+}
+
+fn registry() -> Registry {
+    let mut registry = Registry::new();
+    let commands = [Add::INFO, Later::INFO, Note::INFO];
+    registry.handler("adder", &commands, |cx| {
+        let AdderArgs { factor } = cx.args()?;
+        Ok(Adder {
+            sum: 0,
+            factor,
+            kept: Vec::new(),
+        })
+    });
+    registry.handler("asker", &[], |cx| Ok(Asker(cx.args()?)));
+    registry
+}
+
+const APP: &str = r#"
+[time]
+mode = "virtual"
+[app]
+until = "one"
+[chassis.a.processors.p1]
+[chassis.a.processors.p2]
+[chassis.b]
+[task.adder]
+handler = "adder"
+on = "a/p1"
+restart = "always"
+args.factor = 1
+[task.one]
+handler = "asker"
+on = "b"
+args = { rounds = 12, ends = true }
+[task.two]
+handler = "asker"
+on = "a/p2"
+args = { rounds = 7, ends = false }
+[task.three]
+handler = "asker"
+on = "a/p1"
+args = { rounds = 9, ends = false }
+"#;
+
+fn app(folder: &Path, sets: &[&str]) -> App {
+    let file = folder.join("app.toml");
+    let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
+    load_texts(&[(file.to_str().unwrap(), APP)], &sets, &[])
+        .unwrap_or_else(|findings| panic!("{:?}", findings.into_sorted()))
+}
+
+/// Runs the app and returns its record.
+fn recorded(folder: &Path, name: &str, seed: u64) -> PathBuf {
+    let (file, seed) = (format!("record.file={name:?}"), format!("seed={seed}"));
+    let observer: Observer = Arc::new(|_| ());
+    let outcome = simulate(app(folder, &[&file, &seed]), registry(), &[], &observer).unwrap();
+    assert!(matches!(outcome.end, End::Finished(_)), "{:?}", outcome.end);
+    folder.join(name)
+}
+
+fn read(path: &Path) -> Record {
+    Record::read(&[path.to_owned()], &Filter::default()).unwrap()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = |name: &str, seed| std::fs::read(recorded(folder.path(), name, seed)).unwrap();
+    let first = record("1.mcap", 5);
+    assert!(first == record("2.mcap", 5), "one seed, two records");
+    assert!(first != record("3.mcap", 6), "two seeds, one record");
+}
+
+#[test]
+fn everything_that_happens_is_in_the_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = read(&recorded(folder.path(), "run.mcap", 1));
+    let run = &record.runs[0];
+    assert_eq!((run.torn.as_deref(), run.lost), (None, 0));
+    assert_eq!(run.noted.get("seed").map(String::as_str), Some("1"));
+    let lines = |topic: &str| run.channels.get(topic).map_or(0, |(lines, _)| *lines);
+    assert_eq!(lines("/drawn"), 12 + 7 + 9);
+    // What is begun is ended; what is sent over a link is noted on both its sides.
+    assert_eq!(lines("/began/adder"), lines("/ended/adder"));
+    assert!(lines("/message/adder") > lines("/began/adder"));
+    assert_eq!(
+        lines("/phase"),
+        4 * 4 + 5,
+        "four tasks and five of the runtime are built"
+    );
+    let message = record
+        .entries
+        .iter()
+        .find(|entry| {
+            entry.channel.topic == "/message/adder"
+                && entry.json.windows(5).any(|w| w == b"\"add\"")
+        })
+        .unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&message.json).unwrap();
+    assert_eq!(json["command"], "add");
+    assert_eq!(json["waits"], "reply");
+    assert!(json["data"]["number"].as_u64().unwrap() < 20, "{json}");
+    assert_eq!(message.channel.schema, "ctos.Message");
+}
+
+fn replayed(
+    folder: &Path,
+    record: &Record,
+    task: &str,
+    sets: &[&str],
+) -> ctos::record::ReplayReport {
+    replay(app(folder, sets), registry(), task, record).unwrap()
+}
+
+#[test]
+fn every_task_does_the_same_again_whatever_the_seed() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 0..256 {
+        let path = recorded(folder.path(), &format!("{seed}.mcap"), seed);
+        let record = read(&path);
+        for task in ["adder", "one", "two", "three"] {
+            let report = replayed(folder.path(), &record, task, &[]);
+            assert!(report.is_same(), "seed {seed}: {report}");
+            assert!(
+                report.messages >= 4 && report.same > 12,
+                "seed {seed}: {report}"
+            );
+        }
+        std::fs::remove_file(path).unwrap();
+    }
+}
+
+#[test]
+fn a_changed_handler_is_caught() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = read(&recorded(folder.path(), "run.mcap", 3));
+    let report = replayed(
+        folder.path(),
+        &record,
+        "adder",
+        &["task.adder.args.factor=2"],
+    );
+    let first = report.first.as_ref().unwrap();
+    assert!(first.expected.contains("answer to `add`"), "{report}");
+    let report = replayed(
+        folder.path(),
+        &record,
+        "one",
+        &["task.one.args.changed=true"],
+    );
+    let first = report.first.as_ref().unwrap();
+    assert!(
+        first
+            .expected
+            .contains(r#"send `note` to `adder` (urgent) {"text":"hello"}"#),
+        "{report}"
+    );
+    assert!(first.got.contains(r#"{"text":"bye"}"#), "{report}");
+    assert_eq!(
+        report.different, 2,
+        "two of its notes are others, all else is the same: {report}"
+    );
+}
