@@ -2,6 +2,8 @@
 
 mod child;
 mod parent;
+mod processes;
+mod rejoin;
 
 use std::{
     ffi::OsString,
@@ -14,7 +16,7 @@ use tokio::sync::oneshot;
 
 use crate::{
     agent::{self, Agent},
-    bootstrap::{self, Bootstrap, EndSlot},
+    bootstrap::{self, Bootstrap, Seat, UsedSlots},
     chassis::Chassis,
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
@@ -30,12 +32,15 @@ use crate::{
     time::Clock,
 };
 
-pub use crate::bootstrap::{BootEvent, End, Observer};
+pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer};
 pub use crate::simulation::Mishap;
 pub use child::{ChildError, run_chassis};
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
 pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
+
+/// The environment variable that tells a chassis which of its processes it is, counted from 1.
+pub const INCARNATION_VARIABLE: &str = "CTOS_INCARNATION";
 
 /// How to start the process of a chassis: this program with these arguments, after which come
 /// `--chassis NAME --boot ADDRESS --origin NANOSECONDS`.
@@ -93,6 +98,11 @@ pub enum BootError {
         /// The limit, s.
         limit_s: f64,
     },
+}
+
+fn io_error(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
+    let what = what.into();
+    move |error| BootError::Io { what, error }
 }
 
 /// The clock that an app of this mode runs on, at its start.
@@ -161,13 +171,14 @@ pub fn simulate(
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
-/// returns, so no message to them is lost however soon it comes.
-pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, end: &EndSlot) {
+/// returns, so no message to them is lost however soon it comes. `seat` is for the chassis that boots.
+pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
     let agent = system::agent_tid(chassis.index());
     start(chassis, "agent", agent, &agent::COMMANDS, |_| {
         Agent::default()
     });
-    if chassis.index() == 0 {
+    if let Some(seat) = seat {
+        chassis.share(UsedSlots::KEY, Arc::new(UsedSlots::default()));
         let tidsvr = system::TID_SERVER;
         start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
             TidServer::default()
@@ -180,14 +191,13 @@ pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, en
             &semaphore::server::COMMANDS,
             |_| SemaphoreServer::default(),
         );
-        let (observer, end) = (observer.clone(), end.clone());
-        let bootstrap = system::BOOTSTRAP;
+        let (seat, service) = (seat.clone(), system::BOOTSTRAP);
         start(
             chassis,
             "bootstrap",
-            bootstrap,
+            service,
             &bootstrap::COMMANDS,
-            move |_| Bootstrap::new(observer.clone(), end.clone()),
+            move |_| Bootstrap::new(seat.clone()),
         );
     }
 }

@@ -28,6 +28,7 @@ use crate::{
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
     time::{Clock, Instant},
+    waits::Waits,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -114,6 +115,7 @@ pub(crate) struct TaskRecord {
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) statistics: Arc<TaskStatistics>,
+    pub(crate) waits: Waits,
 }
 
 /// One process's share of an app. Shared by its threads.

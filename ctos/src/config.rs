@@ -28,8 +28,8 @@ mod trail;
 mod variables;
 
 pub use app::{
-    App, BarrierConfig, ChassisConfig, ProcessorConfig, Restart, SemaphoreConfig, TaskConfig,
-    TimeMode,
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
+    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use node::{Entry, Node, Value};

@@ -268,7 +268,9 @@ impl Context {
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
         let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
-        let answer = self.ask(envelope, WaitFor::Reply, deadline).await;
+        let answer = self
+            .ask(to, command.name, envelope, WaitFor::Reply, deadline)
+            .await;
         answer
             .and_then(|data| {
                 data.into_bytes().map_err(|error| Fault::BadPayload {
@@ -338,11 +340,15 @@ impl Context {
 
     async fn ask(
         &self,
+        to: &TaskRef,
+        command: &'static str,
         mut envelope: Envelope,
         wait: WaitFor,
         deadline: Duration,
     ) -> Result<Data, Fault> {
-        envelope.deadline = Some(self.now() + deadline);
+        let now = self.now();
+        envelope.deadline = Some(now + deadline);
+        let _waits = self.inner.record.waits.begin(&to.name, command, now);
         let waiting = self.inner.chassis.dispatch(envelope, wait);
         match self.timeout(deadline, waiting).await {
             Ok(answer) => answer,
@@ -627,7 +633,9 @@ impl<C: Command> Call<C> {
             flags,
         } = self;
         let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx.ask(envelope, WaitFor::Reply, deadline).await;
+        let answer = cx
+            .ask(&to, C::NAME, envelope, WaitFor::Reply, deadline)
+            .await;
         let reply = answer.and_then(|data| {
             data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
                 text: format!("its reply: {error}"),
@@ -674,7 +682,9 @@ impl<C: Command> Send<C> {
             flags,
         } = self.call;
         let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx.ask(envelope, WaitFor::Acceptance, deadline).await;
+        let answer = cx
+            .ask(&to, C::NAME, envelope, WaitFor::Acceptance, deadline)
+            .await;
         answer
             .map(|_| ())
             .map_err(|fault| cx.error(&to, C::NAME, fault))

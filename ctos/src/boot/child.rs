@@ -4,7 +4,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     net::SocketAddr,
     ops::ControlFlow,
-    sync::Arc,
+    sync::{Arc, Mutex},
 };
 
 use tokio::{
@@ -14,8 +14,11 @@ use tokio::{
 };
 
 use crate::{
-    boot::{self, Observer},
-    bootstrap::EndSlot,
+    boot::{
+        self,
+        rejoin::{Writers, take_newcomers},
+    },
+    call::lock,
     chassis::Chassis,
     config::App,
     link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, VERSION, callers},
@@ -87,17 +90,21 @@ async fn serve(chassis: &Arc<Chassis>, boot: SocketAddr, token: &Token) -> Resul
         // The receiver lives as long as this function.
         let _ = sender.send(code);
     });
-    let silent: Observer = Arc::new(|_| ());
-    boot::start_system_tasks(chassis, &silent, &EndSlot::default());
+    boot::start_system_tasks(chassis, None);
     let limit = chassis.app.phase_timeout;
     let connected = tokio::time::timeout(limit, connect(chassis, boot, token)).await;
-    let writers = connected.map_err(|_| ChildError::Connect {
+    let (writers, listener) = connected.map_err(|_| ChildError::Connect {
         what: "the other chassis".to_owned(),
         reason: format!("not done within {:.3} s", limit.as_secs_f64()),
     })??;
+    let writers: Writers = Arc::new(Mutex::new(writers));
+    let newcomers = take_newcomers(chassis.clone(), listener, token.clone(), writers.clone());
+    let newcomers = tokio::spawn(newcomers);
     let threads = boot::start_processors(chassis)?;
     // Without a sender left, every chassis thread is gone: an error exit.
     let code = exited.await.unwrap_or(1);
+    newcomers.abort();
+    let writers = std::mem::take(&mut *lock(&writers));
     finish(chassis, writers).await;
     chassis.stop_processors();
     // A processor that is stuck in a handler must not keep the process; it ends with it.
@@ -119,7 +126,7 @@ async fn connect(
     chassis: &Arc<Chassis>,
     boot: SocketAddr,
     token: &Token,
-) -> Result<Vec<JoinHandle<()>>, ChildError> {
+) -> Result<(Vec<JoinHandle<()>>, TcpListener), ChildError> {
     let failed = |what: &str, error: HandshakeError| ChildError::Connect {
         what: what.to_owned(),
         reason: error.to_string(),
@@ -160,9 +167,10 @@ async fn connect(
         Err(error) => return Err(failed("the boot", error)),
     };
     let mut connections = BTreeMap::new();
-    // Lower numbers are called, higher ones call.
+    // Lower numbers are called, higher ones call; a newcomer to a running app calls all.
+    let calls = |peer: u8| peer < chassis.index() || incarnation() > 1;
     for (peer, address) in &peers {
-        if *peer < chassis.index() {
+        if calls(*peer) {
             let name = chassis.name_of(*peer);
             let stream = TcpStream::connect(address).await;
             let mut connection = stream
@@ -176,7 +184,7 @@ async fn connect(
     let mut missing: BTreeSet<u8> = peers
         .iter()
         .map(|(peer, _)| *peer)
-        .filter(|peer| *peer > chassis.index())
+        .filter(|peer| *peer != chassis.index() && !calls(*peer))
         .collect();
     if !missing.is_empty() {
         let called = callers(&listener, token, |caller| {
@@ -215,9 +223,14 @@ async fn connect(
     }
     connections.insert(0, parent);
     let links = connections.into_iter();
-    Ok(links
-        .map(|(peer, connection)| connection.into_link(chassis, peer))
-        .collect())
+    let writers = links.map(|(peer, connection)| connection.into_link(chassis, peer));
+    Ok((writers.collect(), listener))
+}
+
+/// Which process of its chassis this one is, from 1.
+fn incarnation() -> u32 {
+    let number = std::env::var(super::INCARNATION_VARIABLE);
+    number.ok().and_then(|text| text.parse().ok()).unwrap_or(1)
 }
 
 async fn listen(chassis: &Arc<Chassis>) -> Result<TcpListener, ChildError> {

@@ -2,61 +2,37 @@
 
 use std::{
     cell::RefCell,
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::{BTreeMap, BTreeSet},
     net::SocketAddr,
     ops::ControlFlow,
-    process::{ExitStatus, Stdio},
     sync::{Arc, Mutex},
     time::Duration,
 };
 
 use futures_util::future::try_join_all;
-use rustix::process::{Pid, Signal, kill_process};
 use tokio::{
-    io::{AsyncBufReadExt, BufReader},
     net::TcpListener,
-    process::{Child, Command},
     signal::unix::{SignalKind, signal},
     sync::oneshot,
     task::JoinHandle,
 };
 
 use crate::{
-    boot::{self, BootError, BootEvent, End, Launcher, Observer, Outcome, TOKEN_VARIABLE},
-    bootstrap::EndSlot,
+    boot::{
+        self, BootError, End, Launcher, Observer, Outcome, io_error as io,
+        processes::{Keeper, Process, Starter},
+        rejoin::{Doorman, Writers},
+    },
+    bootstrap::{EndSlot, Seat},
     call::lock,
     chassis::Chassis,
     config::App,
+    control::{LogStore, Server, Ticker},
     link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
     registry::Registry,
     system,
     time::Clock,
 };
-
-/// How many of its last lines are kept of a chassis's log, for the error that its end causes.
-const LAST_LINES: usize = 5;
-
-/// A chassis's process.
-struct Process {
-    name: String,
-    child: Child,
-    last_lines: Arc<Mutex<VecDeque<String>>>,
-    /// Reads its log; `None` when that is read to its end.
-    log: Option<JoinHandle<()>>,
-}
-
-impl Process {
-    /// Waits until it has ended and its last words are known.
-    async fn ended(&mut self) -> std::io::Result<ExitStatus> {
-        let status = self.child.wait().await;
-        if let Some(log) = &mut self.log
-            && tokio::time::timeout(FLUSH_LIMIT, log).await.is_ok()
-        {
-            self.log = None;
-        }
-        status
-    }
-}
 
 /// Boots `app` with one process per chassis.
 pub(crate) fn boot(
@@ -76,11 +52,6 @@ pub(crate) fn boot(
     outcome
 }
 
-fn io(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
-    let what = what.into();
-    move |error| BootError::Io { what, error }
-}
-
 async fn run(
     chassis: &Arc<Chassis>,
     launcher: &Launcher,
@@ -90,8 +61,8 @@ async fn run(
     let outcome = run_processes(chassis, launcher, observer, &mut processes).await;
     // Those that are still in the list were not brought up: nothing moves yet, and nobody may be left.
     for mut process in processes {
-        // An error says that it has ended already.
-        let _ = process.child.kill().await;
+        process.kill();
+        process.ended().await;
     }
     outcome
 }
@@ -111,13 +82,22 @@ async fn run_processes(
     let address = listener.local_addr().map_err(io("cannot listen"))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
-    for config in &chassis.app.chassis {
-        let process = start(&config.name, launcher, address, &token, chassis, observer)?;
-        processes.push(process);
+    let logs = Arc::new(LogStore::new(chassis.clock.clone()));
+    let (ticker, observer) = &Ticker::observe(observer);
+    let starter = Starter {
+        chassis: chassis.clone(),
+        launcher: launcher.clone(),
+        observer: observer.clone(),
+        boot: address,
+        token: token.clone(),
+        logs: logs.clone(),
+    };
+    for index in chassis.others() {
+        processes.push(starter.start(index, 1)?);
     }
     let limit = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
-    let writers = tokio::select! {
+    let (writers, addresses) = tokio::select! {
         connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
@@ -127,41 +107,73 @@ async fn run_processes(
         _ = interrupt.recv() => return Ok(interrupted(chassis)),
         _ = terminate.recv() => return Ok(interrupted(chassis)),
     };
-    let end_slot = EndSlot::default();
+    let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
+    let writers: Writers = Arc::new(Mutex::new(writers));
+    let doorman = Arc::new(Doorman {
+        chassis: chassis.clone(),
+        token,
+        addresses: Arc::new(Mutex::new(addresses.into_iter().collect())),
+        incarnations: keeper.incarnations(),
+        writers: writers.clone(),
+    });
+    let seat = Seat {
+        observer: observer.clone(),
+        end: EndSlot::default(),
+        processes: orders,
+    };
     let (sender, mut exited) = oneshot::channel();
     chassis.set_on_exit(move |code| {
         // The receiver lives until the service has exited.
         let _ = sender.send(code);
     });
-    boot::start_system_tasks(chassis, observer, &end_slot);
+    boot::start_system_tasks(chassis, Some(&seat));
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
+    let newcomers = tokio::spawn(doorman.serve(listener));
+    let server = serve(chassis, &logs, ticker);
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
         tokio::select! {
             _ = &mut exited => break,
             _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
             _ = terminate.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            () = keeper.serve() => {}
         }
     }
-    let end = lock(&end_slot).take().unwrap_or(End::Interrupted);
+    newcomers.abort();
+    let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
     let took = chassis.clock.now().since_start();
     chassis.drop_links();
+    let writers = std::mem::take(&mut *lock(&writers));
     let flushed = futures_util::future::join_all(writers);
     // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
     let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
-    let processes = std::mem::take(processes);
-    let casualties = end_processes(processes, chassis.app.stop_timeout, &end, observer).await;
+    let casualties = keeper.end(chassis.app.stop_timeout, &end).await;
     chassis.stop_processors();
     for thread in threads {
         // The service is the last thing that ran on it.
         let _ = thread.ended.await;
     }
     chassis.close();
-    Ok(Outcome {
+    let outcome = Outcome {
         end,
         casualties,
         took,
-    })
+    };
+    if let Some(server) = server {
+        server.finish(&outcome).await;
+    }
+    Ok(outcome)
+}
+
+/// Serves the control socket. An app that cannot have one runs without.
+fn serve(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Option<Server> {
+    match Server::start(chassis, logs, ticker.clone()) {
+        Ok(server) => Some(server),
+        Err(error) => {
+            tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
+            None
+        }
+    }
 }
 
 fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
@@ -182,59 +194,6 @@ fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> Boot
     }
 }
 
-/// Starts the process of chassis `name`; its log is shown line by line.
-fn start(
-    name: &str,
-    launcher: &Launcher,
-    boot: SocketAddr,
-    token: &Token,
-    chassis: &Arc<Chassis>,
-    observer: &Observer,
-) -> Result<Process, BootError> {
-    let origin = chassis.clock.origin_ns().unwrap_or(0);
-    let mut child = Command::new(&launcher.program)
-        .args(&launcher.arguments)
-        .args(["--chassis", name, "--boot", &boot.to_string()])
-        .args(["--origin", &origin.to_string()])
-        .env(TOKEN_VARIABLE, &token.0)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .process_group(0)
-        .kill_on_drop(true)
-        .spawn()
-        .map_err(io(format!("cannot start chassis `{name}`")))?;
-    observer(&BootEvent::Started {
-        chassis: name.to_owned(),
-        pid: child.id(),
-    });
-    let last_lines = Arc::new(Mutex::new(VecDeque::new()));
-    let log = child.stderr.take().map(|stderr| {
-        let kept = last_lines.clone();
-        let observer = observer.clone();
-        let chassis = name.to_owned();
-        tokio::spawn(async move {
-            let mut lines = BufReader::new(stderr).lines();
-            while let Ok(Some(line)) = lines.next_line().await {
-                let mut kept = lock(&kept);
-                if kept.len() == LAST_LINES {
-                    kept.pop_front();
-                }
-                kept.push_back(line.clone());
-                drop(kept);
-                let chassis = chassis.clone();
-                observer(&BootEvent::Log { chassis, line });
-            }
-        })
-    });
-    Ok(Process {
-        name: name.to_owned(),
-        child,
-        last_lines,
-        log,
-    })
-}
-
 /// Waits until all chassis have called, lets them call each other, and turns the calls into links.
 /// `missing` says at any time who is not connected yet.
 async fn connect(
@@ -243,9 +202,9 @@ async fn connect(
     token: &Token,
     processes: &mut [Process],
     missing: &mut BTreeSet<u8>,
-) -> Result<Vec<JoinHandle<()>>, BootError> {
+) -> Result<(Vec<JoinHandle<()>>, Vec<(u8, SocketAddr)>), BootError> {
     if missing.is_empty() {
-        return Ok(Vec::new());
+        return Ok((Vec::new(), Vec::new()));
     }
     let mut connections: BTreeMap<u8, (Connection, SocketAddr)> = BTreeMap::new();
     let called = callers(listener, token, |caller| {
@@ -297,7 +256,7 @@ async fn connect(
         told.map_err(|error| failed(chassis, index, &error))?;
         writers.push(connection.into_link(chassis, index));
     }
-    Ok(writers)
+    Ok((writers, peers))
 }
 
 /// Tells chassis `index` where the others listen, and waits until it is connected to all of them.
@@ -347,8 +306,8 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
         let lines = process.last_lines.clone();
         Box::pin(async move { (name, process.ended().await, lines) })
     });
-    let ((chassis, status, lines), _, _) = futures_util::future::select_all(waits).await;
-    let how = status.map_or_else(|error| error.to_string(), |status| describe(&status));
+    let ((chassis, ending, lines), _, _) = futures_util::future::select_all(waits).await;
+    let how = ending.how;
     let lines = lock(&lines).iter().cloned().collect::<Vec<_>>().join("\n");
     let reason = if lines.is_empty() {
         format!("it {how}")
@@ -356,54 +315,4 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
         format!("it {how}; its last lines:\n{lines}")
     };
     BootError::Chassis { chassis, reason }
-}
-
-fn describe(status: &ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("ended with exit code {code}"),
-        (None, Some(9)) => "was killed by signal 9 (SIGKILL)".to_owned(),
-        (None, Some(15)) => "was ended by signal 15 (SIGTERM)".to_owned(),
-        (None, Some(11)) => "crashed with signal 11 (SIGSEGV)".to_owned(),
-        (None, Some(6)) => "aborted with signal 6 (SIGABRT)".to_owned(),
-        (None, Some(number)) => format!("was ended by signal {number}"),
-        (None, None) => "ended".to_owned(),
-    }
-}
-
-/// Waits for all processes: those that do not end by themselves get SIGTERM, then SIGKILL.
-/// Names those that ended otherwise than they should have.
-async fn end_processes(
-    processes: Vec<Process>,
-    limit: Duration,
-    end: &End,
-    observer: &Observer,
-) -> Vec<(String, String)> {
-    let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
-    let mut casualties = Vec::new();
-    for mut process in processes {
-        let mut status = tokio::time::timeout(limit, process.ended()).await;
-        for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
-            if status.is_ok() {
-                break;
-            }
-            let pid = process.child.id().and_then(|pid| i32::try_from(pid).ok());
-            if let Some(pid) = pid.and_then(Pid::from_raw) {
-                observer(&BootEvent::Signalled {
-                    chassis: process.name.clone(),
-                    signal: name,
-                });
-                // It may have ended just now; the wait below tells.
-                let _ = kill_process(pid, number);
-            }
-            status = tokio::time::timeout(limit, process.ended()).await;
-        }
-        match status {
-            Ok(Ok(status)) if status.code() == Some(expected) => {}
-            Ok(Ok(status)) => casualties.push((process.name, describe(&status))),
-            Ok(Err(error)) => casualties.push((process.name, error.to_string())),
-            Err(_) => casualties.push((process.name, "could not be ended".to_owned())),
-        }
-    }
-    casualties
 }

@@ -66,10 +66,61 @@ pub struct ChassisConfig {
     pub listen: Option<SocketAddr>,
     /// Whether it is stopped before the others (hardware that must come to rest first).
     pub stop_first: bool,
+    /// What happens when its process ends while the app runs.
+    pub supervision: ChassisSupervision,
     /// Its processors, in declared order; never empty.
     pub processors: Vec<ProcessorConfig>,
     /// Where its name stands.
     pub place: Place,
+}
+
+/// What the boot does about a chassis that fails.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChassisSupervision {
+    /// When its process is started again.
+    pub restart: ChassisRestart,
+    /// So many restarts within `window` are too many: the app ends.
+    pub max_restarts: u32,
+    /// The window in which restarts are counted.
+    pub window: Duration,
+    /// The pause before the first restart; it doubles with each further one within the window.
+    pub backoff: Duration,
+    /// What a task that failed for good leads to.
+    pub on_task_failure: OnTaskFailure,
+}
+
+impl Default for ChassisSupervision {
+    fn default() -> Self {
+        Self {
+            restart: ChassisRestart::Never,
+            max_restarts: 3,
+            window: Duration::from_secs(60),
+            backoff: Duration::from_millis(500),
+            on_task_failure: OnTaskFailure::App,
+        }
+    }
+}
+
+/// When the process of a chassis is started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ChassisRestart {
+    /// Never: the app ends with it.
+    #[default]
+    Never,
+    /// When it ended otherwise than by itself with exit code 0.
+    OnFailure,
+    /// However it ended.
+    Always,
+}
+
+/// What a task that failed for good leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnTaskFailure {
+    /// The end of the app.
+    #[default]
+    App,
+    /// A restart of its chassis, under that chassis's policy.
+    RestartChassis,
 }
 
 /// One thread of a chassis.

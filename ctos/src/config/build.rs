@@ -5,8 +5,8 @@
 //! handler exists and takes its arguments is for the registry to say.
 
 use super::app::{
-    App, BarrierConfig, ChassisConfig, ProcessorConfig, Restart, SemaphoreConfig, TaskConfig,
-    TimeMode,
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
+    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
 };
 use super::fields::{Fields, FlagOr, check_name};
 use super::node::{Entry, Node};
@@ -41,9 +41,18 @@ const TOP_KEYS: &[&str] = &[
 const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
 const BARRIER_KEYS: &[&str] = &["scope", "parties"];
 const PARTIES_MOST: u32 = 1_000_000;
-const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
 const PROCESSOR_KEYS: &[&str] = &[
     "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
+];
+const CHASSIS_KEYS: &[&str] = &[
+    "listen",
+    "stop_first",
+    "restart",
+    "max_restarts",
+    "restart_window_s",
+    "restart_backoff_s",
+    "on_task_failure",
+    "processors",
 ];
 const TASK_KEYS: &[&str] = &[
     "handler",
@@ -249,6 +258,7 @@ impl Builder<'_> {
         let mut fields = Fields::new(Some(&entry.value), what, CHASSIS_KEYS, self.findings);
         let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:0\"");
         let stop_first = fields.flag("stop_first").unwrap_or(false);
+        let supervision = supervision(&mut fields);
         let table = fields.table("processors");
         let mut processors: Vec<_> = table
             .map_or(&[][..], Node::entries)
@@ -272,6 +282,7 @@ impl Builder<'_> {
             name: entry.key.clone(),
             listen,
             stop_first,
+            supervision,
             processors,
             place,
         }
@@ -535,6 +546,48 @@ fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
     match fields.choice("scope", &["chassis", "app"])? {
         "app" => Some(Scope::App),
         _ => Some(Scope::Chassis),
+    }
+}
+
+/// The keys of a chassis that say what happens when it fails.
+fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {
+    let defaults = ChassisSupervision::default();
+    let restart = match fields.choice("restart", &["never", "on-failure", "always"]) {
+        Some("on-failure") => ChassisRestart::OnFailure,
+        Some("always") => ChassisRestart::Always,
+        _ => ChassisRestart::Never,
+    };
+    let max_restarts = fields.integer("max_restarts", 1..=1_000_000_u32);
+    let window = fields.seconds("restart_window_s", 86_400.0);
+    let backoff = fields.seconds("restart_backoff_s", 3600.0);
+    let on_task_failure = match fields.choice("on_task_failure", &["app", "restart-chassis"]) {
+        Some("restart-chassis") => OnTaskFailure::RestartChassis,
+        _ => OnTaskFailure::App,
+    };
+    if restart == ChassisRestart::Never {
+        let mut idle = vec!["max_restarts", "restart_window_s", "restart_backoff_s"];
+        if on_task_failure == OnTaskFailure::RestartChassis {
+            idle.push("on_task_failure");
+        }
+        for key in idle {
+            if let Some(place) = fields.place(key) {
+                fields.push(
+                    Finding::warning(
+                        "ctos::config::no_effect",
+                        format!("`{key}` has no effect on a chassis that is never restarted"),
+                    )
+                    .help("add restart = \"on-failure\" or restart = \"always\"")
+                    .at(place),
+                );
+            }
+        }
+    }
+    ChassisSupervision {
+        restart,
+        max_restarts: max_restarts.unwrap_or(defaults.max_restarts),
+        window: window.unwrap_or(defaults.window),
+        backoff: backoff.unwrap_or(defaults.backoff),
+        on_task_failure,
     }
 }
 

@@ -180,6 +180,36 @@ pub(super) const TABLES: &[Table] = &[
                 "Whether it is stopped before the others, for hardware that must come to rest first.",
             ),
             key(
+                "restart",
+                Kind::Choice(&["never", "on-failure", "always"]),
+                Some("\"never\""),
+                "When its process is started again after it ended; \"never\": the app ends with it.",
+            ),
+            key(
+                "max_restarts",
+                Kind::Integer(1, 1_000_000),
+                Some("3"),
+                "So many restarts within the window are the last; the next failure ends the app.",
+            ),
+            key(
+                "restart_window_s",
+                Kind::Seconds(86_400.0),
+                Some("60.0"),
+                "The window in which restarts are counted, s.",
+            ),
+            key(
+                "restart_backoff_s",
+                Kind::Seconds(3600.0),
+                Some("0.5"),
+                "The pause before a restart, s; doubles with each one within the window.",
+            ),
+            key(
+                "on_task_failure",
+                Kind::Choice(&["app", "restart-chassis"]),
+                Some("\"app\""),
+                "What a task that failed for good leads to.",
+            ),
+            key(
                 "processors",
                 Kind::Named(PROCESSOR),
                 None,

@@ -42,7 +42,7 @@ fn run<Others: Future<Output = ()>>(
         let (chassis, token) = (chassis(), token());
         let both = futures_util::future::join(connect(&chassis, address, &token), others(listener));
         let (connected, ()) = tokio::time::timeout(WATCHDOG, both).await.unwrap();
-        connected.map(|writers| {
+        connected.map(|(writers, _)| {
             assert_eq!(writers.len(), 2);
             assert!(chassis.is_linked(0) && chassis.is_linked(2));
         })
