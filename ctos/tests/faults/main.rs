@@ -7,7 +7,8 @@
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
-    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
+    clippy::print_stdout,
+    reason = "a test may end where it finds something wrong, and says what it tried; its tasks panic on purpose"
 )]
 
 mod app;
