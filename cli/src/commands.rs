@@ -4,6 +4,11 @@ pub mod boot;
 pub mod chassis;
 pub mod check;
 pub mod completions;
+pub mod config;
+pub mod doctor;
+pub mod explain;
+pub mod keys;
+pub mod new;
 pub mod sim;
 
 mod progress;
@@ -44,12 +49,31 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Check an app without starting anything
+    /// Check apps without starting anything
+    ///
+    /// Reads the configuration and everything it names, resolves every name, and explores the state space of all
+    /// nets composed. All findings are shown at once, each with its place and what to do.
     Check(check::CheckArgs),
     /// Check an app, start it, wait for its result and stop it
+    ///
+    /// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in
+    /// one process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
     Boot(boot::BootArgs),
+    /// Make and list keys for connections beyond this host
+    Keys(keys::KeysArgs),
     /// Run a whole app on one thread in virtual time, with faults
     Sim(sim::SimArgs),
+    /// Show what a configuration comes to, every key there is, or the schema for editors
+    Config(config::ConfigArgs),
+    /// Tell what this host permits, and whether that is enough for an app
+    Doctor(doctor::DoctorArgs),
+    /// Tell what a finding means and what to do about it
+    Explain(explain::ExplainArgs),
+    /// Write a small app of your own: handlers, configuration, test
+    ///
+    /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
+    /// beginning with a letter.
+    New(new::NewArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -105,7 +129,12 @@ pub fn main(registry: Registry) -> ExitCode {
     let code = match cli.command {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
+        Command::Keys(args) => keys::run(&args),
         Command::Sim(args) => sim::run(&args, registry),
+        Command::Config(args) => config::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Explain(args) => explain::run(&args),
+        Command::New(args) => new::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };

@@ -24,6 +24,12 @@ pub fn registry() -> Registry {
 /// The top-level tables of a configuration that this program turns into tasks.
 pub const EXPANDERS: [(&str, &dyn Expander); 1] = [("vss", &VssExpander)];
 
+/// The JSON schema of a configuration for this program.
+#[must_use]
+pub fn schema() -> serde_json::Value {
+    ctos::config::schema(&EXPANDERS.map(|(table, _)| table))
+}
+
 /// Reads an app's configuration.
 ///
 /// # Errors

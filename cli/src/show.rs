@@ -8,7 +8,7 @@ use std::{
 
 use anstream::{AutoStream, ColorChoice};
 use clap::ValueEnum;
-use ctos::diagnostic::{Finding, Findings, Severity};
+use ctos::diagnostic::{Finding, Findings, Place, Severity};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
 
 /// So many findings are shown unless all are asked for.
@@ -165,13 +165,17 @@ impl Diagnostic for Drawn<'_> {
     }
 }
 
+/// A place as one JSON object.
+#[must_use]
+pub fn place_json(place: &Place) -> serde_json::Value {
+    let (line, column) = place.source.line_column(place.range.start);
+    serde_json::json!({ "file": place.source.name(), "line": line, "column": column })
+}
+
 /// A finding as one JSON object.
 #[must_use]
 pub fn finding_json(finding: &Finding) -> serde_json::Value {
-    let place = finding.place.as_ref().map(|place| {
-        let (line, column) = place.source.line_column(place.range.start);
-        serde_json::json!({ "file": place.source.name(), "line": line, "column": column })
-    });
+    let place = finding.place.as_ref().map(place_json);
     serde_json::json!({
         "code": finding.code,
         "severity": match finding.severity {

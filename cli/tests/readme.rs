@@ -13,16 +13,17 @@ use std::fs;
 
 use common::{good, hello, root};
 
-const DOCUMENTS: [&str; 8] = [
-    "README.md",
-    "CONTRIBUTING.md",
-    "docs/architecture.md",
-    "docs/benchmarks.md",
-    "docs/configuration.md",
-    "docs/mcs-states.md",
-    "docs/net-text.md",
-    "docs/time-and-simulation.md",
-];
+/// The pages a person reads: those of the top folder and all of `docs`.
+fn documents() -> Vec<String> {
+    let pages = fs::read_dir(root().join("docs")).unwrap();
+    let mut pages: Vec<String> = pages
+        .map(|page| format!("docs/{}", page.unwrap().file_name().to_string_lossy()))
+        .filter(|page| page.ends_with(".md"))
+        .collect();
+    pages.sort_unstable();
+    pages.extend(["README.md", "CONTRIBUTING.md"].map(str::to_owned));
+    pages
+}
 
 fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
@@ -118,9 +119,9 @@ fn the_readme_has_a_line_for_every_crate() {
 
 #[test]
 fn every_link_and_every_path_in_the_documents_leads_to_a_file() {
-    for document in DOCUMENTS {
-        let text = prose(&read(document));
-        let folder = root().join(document);
+    for document in documents() {
+        let text = prose(&read(&document));
+        let folder = root().join(&document);
         let folder = folder.parent().expect("a document is in a folder");
         for link in text.split("](").skip(1) {
             let link = link.split([')', '#']).next().unwrap_or_default();

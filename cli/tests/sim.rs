@@ -221,13 +221,22 @@ fn what_the_page_shows_is_what_the_commands_print() {
     for (words, lines) in examples {
         let words: Vec<&str> = words
             .iter()
-            .map(|word| if word == "faults.toml" { file.as_str() } else { word })
+            .map(|word| {
+                if word == "faults.toml" {
+                    file.as_str()
+                } else {
+                    word
+                }
+            })
             .collect();
         let run = sim(&words);
         let told = text(&run.stdout) + &text(&run.stderr);
         for line in lines.iter().filter(|line| *line != "...") {
             let line = line.replace("faults.toml", &file);
-            assert!(told.lines().any(|said| said == line), "no `{line}` in {told}");
+            assert!(
+                told.lines().any(|said| said == line),
+                "no `{line}` in {told}"
+            );
         }
     }
 }

@@ -42,7 +42,7 @@ fn main() {
         [first, far, port, _, name, _, address, _, origin] if first == CHASSIS => {
             let app = app(far, port.parse().unwrap());
             let address = address.parse().unwrap();
-            run_chassis(app, registry(), name, address, origin.parse().unwrap()).unwrap();
+            run_chassis(app, registry(), name, &address, origin.parse().unwrap()).unwrap();
         }
         _ => divan::main(),
     }

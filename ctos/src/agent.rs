@@ -9,12 +9,20 @@ use crate::{
     context::{Context, TaskRef},
     message::{Command, CommandInfo, Data, Message, Tid},
     runner::{TaskSpec, record, start_task},
-    system::{self, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName},
+    survey::{Survey, survey},
+    system::{
+        self, AnnounceUp, ChassisUp, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName,
+    },
     task::{EventHandler, Handled, HandlerError, StopReason},
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 2] = [CreateTasks::INFO, Exit::INFO];
+pub(crate) const COMMANDS: [CommandInfo; 4] = [
+    CreateTasks::INFO,
+    Exit::INFO,
+    Survey::INFO,
+    AnnounceUp::INFO,
+];
 
 /// Exit code of a chassis whose boot is gone.
 const EXIT_ORPHAN: i32 = 5;
@@ -29,14 +37,26 @@ impl EventHandler for Agent {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
             CreateTasks::CODE => {
-                let (CreateTasks {}, reply) = message.open::<CreateTasks>()?;
-                let created = self.create(cx).await?;
+                let (CreateTasks { first_slots }, reply) = message.open::<CreateTasks>()?;
+                let created = self.create(cx, first_slots).await?;
                 reply.ok(created)
             }
             Exit::CODE => {
                 let (Exit { code }, reply) = message.open::<Exit>()?;
                 reply.ok(())?;
                 cx.chassis().exit(code);
+                Ok(())
+            }
+            Survey::CODE => {
+                let (Survey {}, reply) = message.open::<Survey>()?;
+                reply.ok(survey(cx.chassis()))
+            }
+            AnnounceUp::CODE => {
+                let (AnnounceUp { chassis }, _) = message.open::<AnnounceUp>()?;
+                for task in cx.chassis().tasks() {
+                    let chassis = chassis.clone();
+                    cx.chassis().post_system(task.tid, ChassisUp { chassis });
+                }
                 Ok(())
             }
             _ => cx.default_processing(message),
@@ -55,14 +75,14 @@ impl EventHandler for Agent {
 
 impl Agent {
     /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
-    async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
+    async fn create(&mut self, cx: &Context, mut slots: Vec<u16>) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
         let mut failed: Vec<_> = chassis
             .realtime()
             .iter()
             .filter_map(|grant| Some((format!("processor {}", grant.processor), grant.fatal()?)))
             .collect();
-        let mut slots = vec![0_u16; chassis.processors.len()];
+        slots.resize(chassis.processors.len(), 0);
         let server = TaskRef::new("tidsvr", system::TID_SERVER);
         for config in chassis.app.tasks.iter() {
             if config.chassis != chassis.name() {

@@ -1,7 +1,9 @@
 //! Booting an app: for real, with a process for each chassis, or in virtual time in this one.
 
 mod child;
+mod mesh;
 mod parent;
+mod processes;
 
 use std::{
     ffi::OsString,
@@ -14,7 +16,7 @@ use tokio::sync::oneshot;
 
 use crate::{
     agent::{self, Agent},
-    bootstrap::{self, Bootstrap, EndSlot},
+    bootstrap::{self, Bootstrap, Seat, UsedSlots},
     chassis::Chassis,
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
@@ -23,18 +25,27 @@ use crate::{
     realtime::{self, Grant},
     registry::Registry,
     runner::{TaskSpec, record, start_task},
+    semaphore::{self, server::SemaphoreServer},
     simulation::{self, Faults, Setup},
     system,
     task::{Context, EventHandler},
     time::Clock,
 };
 
-pub use crate::bootstrap::{BootEvent, End, Observer};
+pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer};
+pub use crate::link::{
+    Counts,
+    transport::{Address, AddressError},
+};
 pub use crate::simulation::Mishap;
 pub use child::{ChildError, run_chassis};
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
 pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
+
+/// The environment variable that says how often the chassis has been started; the first time is 1, which
+/// is also what its absence means.
+pub const INCARNATION_VARIABLE: &str = "CTOS_INCARNATION";
 
 /// How to start the process of a chassis: this program with these arguments, after which come
 /// `--chassis NAME --boot ADDRESS --origin NANOSECONDS`.
@@ -76,6 +87,9 @@ pub enum BootError {
         /// What should have happened to it.
         what: &'static str,
     },
+    /// The keys of `[security]` cannot be used.
+    #[error("the keys of [security] cannot be used: {0}")]
+    Keys(String),
     /// A chassis ended, or said no, before it was connected.
     #[error("chassis `{chassis}` did not start: {reason}")]
     Chassis {
@@ -92,6 +106,11 @@ pub enum BootError {
         /// The limit, s.
         limit_s: f64,
     },
+}
+
+fn io_error(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
+    let what = what.into();
+    move |error| BootError::Io { what, error }
 }
 
 /// The clock that an app of this mode runs on, at its start.
@@ -160,25 +179,33 @@ pub fn simulate(
 }
 
 /// Starts the tasks of the runtime itself on processor 0 of `chassis`. Their queues exist when this
-/// returns, so no message to them is lost however soon it comes.
-pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, observer: &Observer, end: &EndSlot) {
+/// returns, so no message to them is lost however soon it comes. `seat` is for the chassis that boots.
+pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
     let agent = system::agent_tid(chassis.index());
     start(chassis, "agent", agent, &agent::COMMANDS, |_| {
         Agent::default()
     });
-    if chassis.index() == 0 {
+    if let Some(seat) = seat {
+        chassis.share(UsedSlots::KEY, Arc::new(UsedSlots::default()));
         let tidsvr = system::TID_SERVER;
         start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
             TidServer::default()
         });
-        let (observer, end) = (observer.clone(), end.clone());
-        let bootstrap = system::BOOTSTRAP;
+        let (seat, service) = (seat.clone(), system::BOOTSTRAP);
+        let semsvr = system::SEMAPHORE_SERVER;
+        start(
+            chassis,
+            "semsvr",
+            semsvr,
+            &semaphore::server::COMMANDS,
+            |_| SemaphoreServer::default(),
+        );
         start(
             chassis,
             "bootstrap",
-            bootstrap,
+            service,
             &bootstrap::COMMANDS,
-            move |_| Bootstrap::new(observer.clone(), end.clone()),
+            move |_| Bootstrap::new(seat.clone()),
         );
     }
 }

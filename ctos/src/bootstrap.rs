@@ -1,40 +1,56 @@
-//! The bootstrap service: brings an app up in three acknowledged phases, waits for its end, and takes
-//! it down in order. It is a task like any other, so it works the same in real and in virtual time.
+//! The bootstrap service: brings an app up in three acknowledged phases, supervises its chassis, waits
+//! for its end, and takes it down in order. It is a task like any other, so it works the same in real
+//! and in virtual time.
+
+mod board;
+mod explain;
+mod intensity;
+mod sequence;
+mod states;
+mod stop;
+mod supervisor;
 
 use std::{
-    cell::RefCell,
-    collections::{BTreeMap, VecDeque},
+    collections::BTreeMap,
     rc::Rc,
     sync::{Arc, Mutex},
     time::Duration,
 };
 
-use futures_util::future::{Either, join_all, select};
-
 use crate::{
     call::lock,
-    chassis::BOOT_CHASSIS,
-    context::{Context, TaskRef},
-    message::{Command, CommandInfo, Message},
-    sync::Signal,
+    context::Context,
+    message::{Command, CommandInfo, Message, Tid},
     system::{
-        self, AllLinked, AppResult, CreateTasks, EnterPhase, Exit, Finish, Interrupt, Progress,
-        StopTask, TaskFailed, TaskName,
+        AllLinked, AppResult, ChassisLinked, Finish, Interrupt, Overview, ProcessEnded, Progress,
+        RestartChassis, TaskFailed,
     },
     task::{EventHandler, Handled, Phase, StopReason},
 };
 
+use serde::{Deserialize, Serialize};
+
+use board::{Board, Event};
+use sequence::Sequence;
+
+pub use states::{BootState, ChassisState};
+
 /// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 5] = [
+pub(crate) const COMMANDS: [CommandInfo; 9] = [
     AllLinked::INFO,
     Progress::INFO,
     Finish::INFO,
     TaskFailed::INFO,
     Interrupt::INFO,
+    ProcessEnded::INFO,
+    ChassisLinked::INFO,
+    RestartChassis::INFO,
+    Overview::INFO,
 ];
 
 /// What happens while an app is up, for whoever shows it to a person.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum BootEvent {
     /// A chassis was started.
@@ -51,6 +67,7 @@ pub enum BootEvent {
         /// How many tasks acknowledged it.
         tasks: usize,
         /// How long it took.
+        #[serde(rename = "took_s", with = "in_seconds")]
         took: Duration,
     },
     /// A task tells how far it is.
@@ -85,6 +102,33 @@ pub enum BootEvent {
         /// What went wrong, if anything did.
         error: Option<String>,
     },
+    /// A chassis is gone, or must go.
+    ChassisFailed {
+        /// The chassis.
+        chassis: String,
+        /// What happened to it.
+        reason: String,
+    },
+    /// The process of a chassis is dead; the next one is started after a pause.
+    Restarting {
+        /// The chassis.
+        chassis: String,
+        /// The number of the next process, counted from 1.
+        incarnation: u32,
+        /// The pause.
+        #[serde(rename = "pause_s", with = "in_seconds")]
+        pause: Duration,
+    },
+    /// A chassis is back, and its tasks have passed all phases.
+    Restarted {
+        /// The chassis.
+        chassis: String,
+        /// How many tasks it has.
+        tasks: usize,
+        /// How long it was away.
+        #[serde(rename = "took_s", with = "in_seconds")]
+        took: Duration,
+    },
     /// A chassis with `stop_first` has stopped: whatever it moves is at rest.
     AtRest {
         /// The chassis.
@@ -95,8 +139,26 @@ pub enum BootEvent {
         /// The chassis.
         chassis: String,
         /// The signal's name.
-        signal: &'static str,
+        signal: String,
     },
+    /// The process that boots was told to end by SIGTERM: the app is stopped as by Ctrl-C.
+    Terminated,
+}
+
+/// Durations as a number of seconds.
+mod in_seconds {
+    use std::time::Duration;
+
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(time: &Duration, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_f64(time.as_secs_f64())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Duration, D::Error> {
+        let seconds = f64::deserialize(from)?;
+        Duration::try_from_secs_f64(seconds).map_err(D::Error::custom)
+    }
 }
 
 /// Sees [`BootEvent`]s as they happen, on the thread of the bootstrap service.
@@ -113,6 +175,13 @@ pub enum End {
     ChassisDown {
         /// Its name.
         chassis: String,
+    },
+    /// A chassis failed, and may not be started again.
+    GivenUp {
+        /// Its name.
+        chassis: String,
+        /// Why: how often it was restarted, and what happened to it last.
+        reason: String,
     },
     /// A task failed for good.
     TaskFailed {
@@ -133,12 +202,15 @@ pub enum End {
 }
 
 impl End {
-    fn reason(&self) -> StopReason {
+    pub(crate) fn reason(&self) -> StopReason {
         match self {
             Self::Finished(_) => StopReason::Finished,
             Self::Interrupted => StopReason::Interrupted,
             Self::ChassisDown { chassis } => StopReason::ChassisDown {
                 chassis: chassis.clone(),
+            },
+            Self::GivenUp { chassis, reason } => StopReason::Failed {
+                what: format!("chassis `{chassis}` {reason}"),
             },
             Self::TaskFailed { task, reason } => StopReason::Failed {
                 what: format!("task `{task}` failed: {reason}"),
@@ -156,58 +228,90 @@ impl End {
 /// What the service found out, left where the process that boots picks it up.
 pub(crate) type EndSlot = Arc<Mutex<Option<End>>>;
 
-#[derive(Default)]
-struct Events {
-    ends: VecDeque<End>,
-    /// The app is being taken down: how far its tasks are is no news any more.
-    stopping: bool,
+/// Who starts and ends the processes of chassis. What becomes of them is told to the service with
+/// [`ChassisLinked`] and [`ProcessEnded`].
+pub(crate) trait Processes: Send + Sync {
+    /// Starts a process for chassis `index`. The one before it is dead.
+    fn start(&self, index: u8, incarnation: u32);
+    /// Ends the process of chassis `index` at once.
+    fn kill(&self, index: u8);
+}
+
+/// What the service is started with.
+#[derive(Clone)]
+pub(crate) struct Seat {
+    pub(crate) observer: Observer,
+    pub(crate) end: EndSlot,
+    pub(crate) processes: Arc<dyn Processes>,
+}
+
+/// The slots of task ids that have been used in this run, so that no id is used twice: a stale one
+/// must never lead to another task.
+#[derive(Debug, Default)]
+pub(crate) struct UsedSlots(Mutex<BTreeMap<(u8, u8), u16>>);
+
+impl UsedSlots {
+    /// Under which the service and the task identification service share it.
+    pub(crate) const KEY: &'static str = "ctos.used_slots";
+
+    /// A task has this id.
+    pub(crate) fn note(&self, tid: Tid) {
+        let mut next = lock(&self.0);
+        let next = next.entry((tid.chassis(), tid.processor())).or_default();
+        *next = (*next).max(tid.slot().saturating_add(1));
+    }
+
+    /// The first free slot of each processor of a chassis.
+    pub(crate) fn first_free(&self, chassis: u8) -> Vec<u16> {
+        let used = lock(&self.0);
+        let mut first = Vec::new();
+        for ((_, processor), next) in used.range((chassis, 0)..=(chassis, u8::MAX)) {
+            first.resize(usize::from(*processor) + 1, 0);
+            if let Some(last) = first.last_mut() {
+                *last = *next;
+            }
+        }
+        first
+    }
 }
 
 /// The service's state.
 pub(crate) struct Bootstrap {
-    observer: Observer,
-    slot: EndSlot,
-    events: Rc<RefCell<Events>>,
-    signal: Signal,
+    seat: Seat,
+    board: Option<Rc<Board>>,
 }
 
 impl Bootstrap {
-    pub(crate) fn new(observer: Observer, slot: EndSlot) -> Self {
-        Self {
-            observer,
-            slot,
-            events: Rc::default(),
-            signal: Signal::new(),
-        }
+    pub(crate) fn new(seat: Seat) -> Self {
+        Self { seat, board: None }
     }
 
-    fn end(&self, end: End) {
-        self.events.borrow_mut().ends.push_back(end);
-        self.signal.raise();
+    fn board(&mut self, cx: &Context) -> &Rc<Board> {
+        let seat = &self.seat;
+        self.board
+            .get_or_insert_with(|| Rc::new(Board::new(cx.clone(), seat.clone())))
     }
 }
 
 impl EventHandler for Bootstrap {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        let board = self.board(cx).clone();
         match message.command() {
             AllLinked::CODE => {
-                let sequence = Sequence {
-                    cx: cx.clone(),
-                    observer: self.observer.clone(),
-                    slot: self.slot.clone(),
-                    events: self.events.clone(),
-                    signal: self.signal.clone(),
-                    tasks: Vec::new(),
-                };
-                cx.spawn(sequence.run());
+                board.all_linked();
+                cx.spawn(Sequence::new(board.clone()).run());
+                for index in board.indices() {
+                    cx.spawn(supervisor::supervise(board.clone(), index));
+                }
                 Ok(())
             }
             Progress::CODE => {
                 let (progress, _) = message.open::<Progress>()?;
-                if self.events.borrow().stopping {
+                // How far its tasks are is no news any more once the app is being taken down.
+                if board.is_stopping() {
                     return Ok(());
                 }
-                (self.observer)(&BootEvent::Progress {
+                board.event(&BootEvent::Progress {
                     task: progress.task,
                     done: progress.done,
                     total: progress.total,
@@ -220,214 +324,48 @@ impl EventHandler for Bootstrap {
                 let (Finish { task, result }, _) = message.open::<Finish>()?;
                 let until = cx.app().until.as_deref();
                 if until.is_none_or(|until| until == task) {
-                    self.end(End::Finished(result));
+                    board.end(End::Finished(result));
                 }
                 Ok(())
             }
             TaskFailed::CODE => {
+                let from = message.from().chassis();
                 let (TaskFailed { task, reason }, _) = message.open::<TaskFailed>()?;
-                self.end(End::TaskFailed { task, reason });
+                board.task_failed(from, task, reason);
                 Ok(())
             }
             Interrupt::CODE => {
-                self.end(End::Interrupted);
+                board.end(End::Interrupted);
                 Ok(())
+            }
+            ProcessEnded::CODE => {
+                let (ended, _) = message.open::<ProcessEnded>()?;
+                let dead = Event::Dead {
+                    how: ended.how,
+                    code: ended.code,
+                };
+                board.tell_incarnation(ended.chassis, ended.incarnation, dead);
+                Ok(())
+            }
+            ChassisLinked::CODE => {
+                let (linked, _) = message.open::<ChassisLinked>()?;
+                board.tell_incarnation(linked.chassis, linked.incarnation, Event::Joined);
+                Ok(())
+            }
+            RestartChassis::CODE => {
+                let (RestartChassis { chassis }, reply) = message.open::<RestartChassis>()?;
+                board.restart(chassis, reply)
+            }
+            Overview::CODE => {
+                let (Overview {}, reply) = message.open::<Overview>()?;
+                reply.ok(board.report())
             }
             _ => cx.default_processing(message),
         }
     }
 
-    async fn chassis_down(&mut self, _cx: &Context, chassis: &str) -> Handled {
-        self.end(End::ChassisDown {
-            chassis: chassis.to_owned(),
-        });
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        self.board(cx).lost(chassis);
         Ok(())
-    }
-}
-
-/// One app from its first phase to its last stop.
-struct Sequence {
-    cx: Context,
-    observer: Observer,
-    slot: EndSlot,
-    events: Rc<RefCell<Events>>,
-    signal: Signal,
-    tasks: Vec<TaskName>,
-}
-
-impl Sequence {
-    async fn run(mut self) {
-        let events = self.events.clone();
-        let signal = self.signal.clone();
-        let end = {
-            let phases = std::pin::pin!(self.phases());
-            let ended = std::pin::pin!(next_end(&events, &signal));
-            match select(phases, ended).await {
-                Either::Left((Err(end), _)) => end,
-                Either::Left((Ok(()), ended)) => ended.await,
-                Either::Right((end, _)) => end,
-            }
-        };
-        self.stop(&end).await;
-        *lock(&self.slot) = Some(end);
-        self.cx.chassis().exit(0);
-    }
-
-    fn event(&self, event: &BootEvent) {
-        (self.observer)(event);
-    }
-
-    async fn phases(&mut self) -> Result<(), End> {
-        for phase in Phase::ALL {
-            let began = self.cx.now();
-            let failures = match phase {
-                Phase::Create => {
-                    let mut failures = self.create().await;
-                    if failures.is_empty() {
-                        failures = self.enter(phase).await;
-                    }
-                    failures
-                }
-                Phase::Connect | Phase::Run => self.enter(phase).await,
-            };
-            if !failures.is_empty() {
-                return Err(End::PhaseFailed { phase, failures });
-            }
-            self.event(&BootEvent::PhaseDone {
-                phase,
-                tasks: self.tasks.len(),
-                took: self.cx.now().since(began),
-            });
-        }
-        Ok(())
-    }
-
-    /// Lets the agent of every chassis create its tasks.
-    async fn create(&mut self) -> Vec<(String, String)> {
-        let limit = self.cx.app().phase_timeout;
-        let chassis: Vec<u8> = self.cx.chassis().others().collect();
-        let calls = chassis.iter().map(|index| {
-            let name = format!("agent of {}", self.cx.chassis().name_of(*index));
-            let agent = TaskRef::new(name, system::agent_tid(*index));
-            let call = self.cx.call(&agent, CreateTasks {}).deadline(limit);
-            async move { (agent, call.await) }
-        });
-        let answers = join_all(calls).await;
-        let mut failures = Vec::new();
-        for (agent, answer) in answers {
-            match answer {
-                Ok(created) => {
-                    self.tasks.extend(created.tasks);
-                    failures.extend(created.failed);
-                }
-                Err(error) => failures.push((agent.name().to_owned(), error.to_string())),
-            }
-        }
-        failures
-    }
-
-    /// Tells every task to enter `phase` and waits for all of them.
-    async fn enter(&self, phase: Phase) -> Vec<(String, String)> {
-        let limit = self.cx.app().phase_timeout;
-        let calls = self.tasks.iter().map(|task| {
-            let reference = TaskRef::new(task.name.as_str(), task.tid);
-            let call = self
-                .cx
-                .call(&reference, EnterPhase { phase })
-                .deadline(limit);
-            async move { (task.name.clone(), call.await) }
-        });
-        let answers = join_all(calls).await;
-        answers
-            .into_iter()
-            .filter_map(|(name, answer)| answer.err().map(|error| (name, error.reason())))
-            .collect()
-    }
-
-    /// Stops all tasks: those of chassis with `stop_first` before the others, each group in the
-    /// reverse of the order in which it was created; then ends the processes.
-    async fn stop(&self, end: &End) {
-        self.events.borrow_mut().stopping = true;
-        let reason = end.reason();
-        self.event(&BootEvent::Stopping {
-            reason: reason.to_string(),
-        });
-        let (first, rest): (Vec<_>, Vec<_>) = self
-            .tasks
-            .iter()
-            .rev()
-            .partition(|task| self.stops_first(task));
-        let mut at_rest = BTreeMap::new();
-        for task in first {
-            let chassis = task.tid.chassis();
-            let stopped = self.stop_task(task, &reason).await;
-            *at_rest.entry(chassis).or_insert(true) &= stopped;
-        }
-        for (chassis, _) in at_rest.into_iter().filter(|(_, stopped)| *stopped) {
-            let chassis = self.cx.chassis().name_of(chassis).to_owned();
-            self.event(&BootEvent::AtRest { chassis });
-        }
-        for task in rest {
-            self.stop_task(task, &reason).await;
-        }
-        let code = i32::from(!matches!(end, End::Finished(result) if result.ok));
-        for index in self.cx.chassis().others() {
-            if self.cx.chassis().is_linked(index) {
-                let agent = TaskRef::new("agent", system::agent_tid(index));
-                let limit = self.cx.app().stop_timeout;
-                // A chassis that does not answer is ended by its process, from outside.
-                let _ = self.cx.call(&agent, Exit { code }).deadline(limit).await;
-            }
-        }
-    }
-
-    fn stops_first(&self, task: &TaskName) -> bool {
-        let chassis = self.cx.chassis().name_of(task.tid.chassis());
-        debug_assert_ne!(chassis, BOOT_CHASSIS);
-        let mut configured = self.cx.app().chassis.iter();
-        configured.any(|config| config.name == chassis && config.stop_first)
-    }
-
-    /// Stops one task, unless its chassis is gone; a further interrupt goes on to the next one at
-    /// once. Whether it has stopped in order.
-    async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
-        if !self.cx.chassis().is_linked(task.tid.chassis()) {
-            return false;
-        }
-        let reference = TaskRef::new(task.name.as_str(), task.tid);
-        let request = StopTask {
-            reason: reason.clone(),
-        };
-        let limit = self.cx.app().stop_timeout;
-        let call = self.cx.call(&reference, request).deadline(limit);
-        let interrupted =
-            async { while next_end(&self.events, &self.signal).await != End::Interrupted {} };
-        let error = match select(
-            std::pin::pin!(call.into_future()),
-            std::pin::pin!(interrupted),
-        )
-        .await
-        {
-            Either::Left((Ok(()), _)) => None,
-            Either::Left((Err(error), _)) => Some(error.reason()),
-            Either::Right(((), _)) => Some("skipped at a second interrupt".to_owned()),
-        };
-        let stopped = error.is_none();
-        self.event(&BootEvent::Stopped {
-            task: task.name.clone(),
-            error,
-        });
-        stopped
-    }
-}
-
-/// The next thing that ends the app.
-async fn next_end(events: &Rc<RefCell<Events>>, signal: &Signal) -> End {
-    loop {
-        let end = events.borrow_mut().ends.pop_front();
-        match end {
-            Some(end) => return end,
-            None => signal.wait().await,
-        }
     }
 }

@@ -29,6 +29,11 @@ pub enum Fault {
         /// The capacity of the queue.
         capacity: usize,
     },
+    /// Too much is under way to the receiver's chassis already: it does not read, or not fast enough.
+    LinkFull {
+        /// Bytes that are under way.
+        bytes: usize,
+    },
     /// The reply did not come in time.
     Deadline {
         /// How long the sender waited.
@@ -119,6 +124,10 @@ impl fmt::Display for CallError {
             Fault::Full { capacity } => write!(
                 f,
                 "the queue of `{to}` is full ({capacity} messages), so `{command}` from `{from}` was not taken; give it a larger `queue` or send less"
+            ),
+            Fault::LinkFull { bytes } => write!(
+                f,
+                "the link to the chassis of `{to}` is full ({bytes} bytes under way), so `{command}` from `{from}` was not sent; it reads too slowly or not at all: send less, or raise `app.link_room_mib`"
             ),
             Fault::Deadline { after } => write!(
                 f,

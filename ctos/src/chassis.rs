@@ -17,16 +17,18 @@ use std::{
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::{App, ProcessorConfig},
-    link::{BODY_LIMIT, Frame, Link, NO_DEADLINE},
+    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
     message::{Data, Flags, Header, Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
     registry::Registry,
+    semaphore::{SemaphoreView, Store},
     statistics::TaskStatistics,
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
     system,
     time::{Clock, Instant},
+    waits::Waits,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
@@ -84,7 +86,8 @@ impl Outbound {
             links.up.get(&peer).cloned()
         };
         if let Some(link) = link {
-            link.post(Frame {
+            // What is not a request is never refused.
+            let _ = link.post(Frame {
                 header: Header {
                     flags: Flags::ABANDONED,
                     size: 0,
@@ -113,6 +116,7 @@ pub(crate) struct TaskRecord {
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) statistics: Arc<TaskStatistics>,
+    pub(crate) waits: Waits,
 }
 
 /// One process's share of an app. Shared by its threads.
@@ -135,6 +139,8 @@ pub struct Chassis {
     next_trace: AtomicU64,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
+    /// Its semaphores and barriers.
+    pub(crate) blocking: Store,
 }
 
 /// What the sender of a message waits for.
@@ -197,6 +203,7 @@ impl Chassis {
         Arc::new(Self {
             index,
             names,
+            blocking: Store::new(clock.clone()),
             clock,
             app,
             registry,
@@ -291,6 +298,13 @@ impl Chassis {
         *lock(&self.realtime) = grants;
     }
 
+    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
+    /// one that boots, those of the app.
+    #[must_use]
+    pub fn semaphores(&self) -> Vec<SemaphoreView> {
+        self.blocking.views()
+    }
+
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
         lock(&self.shared).insert(key.to_owned(), value);
@@ -310,7 +324,8 @@ impl Chassis {
     }
 
     /// Takes a task out; what is in its mailbox is answered.
-    pub(crate) fn remove_task(&self, tid: Tid) {
+    pub(crate) fn remove_task(self: &Arc<Self>, tid: Tid) {
+        self.blocking.task_ended(self, tid);
         let entry = self
             .tasks
             .write()
@@ -410,13 +425,17 @@ impl Chassis {
             },
         );
         drop(links);
-        link.post(Frame {
+        let posted = link.post(Frame {
             header,
             call,
             trace: envelope.trace,
             left_ns: self.left_ns(envelope.deadline),
             body,
         });
+        if let Err(Full { bytes }) = posted {
+            lock(&self.links).pending.remove(&call);
+            return Err(Fault::LinkFull { bytes });
+        }
         Ok(Outbound {
             chassis: self.clone(),
             header,
@@ -496,7 +515,8 @@ impl Chassis {
                 postcard::to_stdvec(&fault).unwrap_or_default(),
             ),
         };
-        link.post(Frame {
+        // What is not a request is never refused.
+        let _ = link.post(Frame {
             header: Header {
                 to: request.from,
                 from: request.to,
@@ -609,6 +629,19 @@ impl Chassis {
         lock(&self.links).up.contains_key(&peer)
     }
 
+    /// What went over its links so far, by the name of the chassis at the other end.
+    #[must_use]
+    pub fn link_counts(&self) -> Vec<(String, Counts)> {
+        let up: Vec<_> = {
+            let links = lock(&self.links);
+            let up = links.up.iter();
+            up.map(|(peer, link)| (*peer, link.clone())).collect()
+        };
+        up.into_iter()
+            .map(|(peer, link)| (self.name_of(peer).to_owned(), link.counts()))
+            .collect()
+    }
+
     /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub(crate) fn link_down(self: &Arc<Self>, peer: u8) {
@@ -705,6 +738,7 @@ impl Chassis {
             pending.promise.fulfil(Err(fault));
         }
         lock(&self.shared).clear();
+        self.blocking.close();
     }
 
     /// Stops the threads of its processors.

@@ -17,6 +17,7 @@ mod bundle;
 mod de;
 mod fields;
 mod keys;
+mod links;
 mod load;
 mod node;
 mod profiles;
@@ -27,8 +28,12 @@ mod tests;
 mod trail;
 mod variables;
 
-pub use app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+pub use app::{
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
+    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
+};
 pub use bundle::{Bundle, BundleError};
+pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};
 pub use node::{Entry, Node, Value};
 pub use schema::schema;
 pub use shown::ShownValue;

@@ -24,6 +24,7 @@ use crate::{
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
     realtime::{self, Grant},
+    semaphore::{self, Barrier, Scope, Semaphore, SemaphoreError, SemaphoreView},
     sync::{
         Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
     },
@@ -157,6 +158,10 @@ impl Context {
         &self.inner.record.name
     }
 
+    pub(crate) fn name_shared(&self) -> Arc<str> {
+        self.inner.record.name.clone()
+    }
+
     /// The task's id.
     #[must_use]
     pub fn tid(&self) -> Tid {
@@ -263,7 +268,9 @@ impl Context {
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
         let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
-        let answer = self.ask(envelope, WaitFor::Reply, deadline).await;
+        let answer = self
+            .ask(to, command.name, envelope, WaitFor::Reply, deadline)
+            .await;
         answer
             .and_then(|data| {
                 data.into_bytes().map_err(|error| Fault::BadPayload {
@@ -333,11 +340,15 @@ impl Context {
 
     async fn ask(
         &self,
+        to: &TaskRef,
+        command: &'static str,
         mut envelope: Envelope,
         wait: WaitFor,
         deadline: Duration,
     ) -> Result<Data, Fault> {
-        envelope.deadline = Some(self.now() + deadline);
+        let now = self.now();
+        envelope.deadline = Some(now + deadline);
+        let _waits = self.inner.record.waits.begin(&to.name, command, now);
         let waiting = self.inner.chassis.dispatch(envelope, wait);
         match self.timeout(deadline, waiting).await {
             Ok(answer) => answer,
@@ -506,6 +517,39 @@ impl Context {
         self.inner.chassis.shared(key)
     }
 
+    // -- what tasks take turns with ---------------------------------------------------------
+
+    /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
+    /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
+    /// configuration says so or its name begins with `app/`.
+    ///
+    /// # Errors
+    /// [`SemaphoreError`]: no permits at all, or another number than others use.
+    pub fn semaphore(&self, name: &str, permits: u32) -> Result<Semaphore, SemaphoreError> {
+        Semaphore::find(self, name, permits)
+    }
+
+    /// The barrier called `name`, for `parties` unless `[barrier.NAME]` of the configuration says for how many.
+    /// Shared as [`Self::semaphore`] says.
+    ///
+    /// # Errors
+    /// [`SemaphoreError`]: nobody to wait for, or another number than others use.
+    pub fn barrier(&self, name: &str, parties: u32) -> Result<Barrier, SemaphoreError> {
+        Barrier::find(self, name, parties)
+    }
+
+    /// The semaphores that this task could use, who holds them and who waits: those of this chassis and
+    /// those of the app.
+    ///
+    /// # Errors
+    /// When the task that keeps those of the app cannot be asked.
+    pub async fn semaphores(&self) -> Result<Vec<SemaphoreView>, CallError> {
+        let mut views = semaphore::of_app(self).await?;
+        let here = self.chassis().semaphores().into_iter();
+        views.extend(here.filter(|view| view.scope == Scope::Chassis));
+        Ok(views)
+    }
+
     // -- the person who booted the app ------------------------------------------------------
 
     /// Shows how far the task is: `done` of `total` steps, each of which is a `step` ("position"), and
@@ -589,7 +633,9 @@ impl<C: Command> Call<C> {
             flags,
         } = self;
         let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx.ask(envelope, WaitFor::Reply, deadline).await;
+        let answer = cx
+            .ask(&to, C::NAME, envelope, WaitFor::Reply, deadline)
+            .await;
         let reply = answer.and_then(|data| {
             data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
                 text: format!("its reply: {error}"),
@@ -636,7 +682,9 @@ impl<C: Command> Send<C> {
             flags,
         } = self.call;
         let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx.ask(envelope, WaitFor::Acceptance, deadline).await;
+        let answer = cx
+            .ask(&to, C::NAME, envelope, WaitFor::Acceptance, deadline)
+            .await;
         answer
             .map(|_| ())
             .map_err(|fault| cx.error(&to, C::NAME, fault))

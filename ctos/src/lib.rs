@@ -3,8 +3,8 @@
 //!
 //! It re-creates the five services of the CIRSSE Testbed Operating System (CIRSSE report 108,
 //! section 3): bootstrap ([`boot`]), task identification ([`task::Context::task`]), message passing
-//! ([`message`], [`call`]), synchronization ([`sync`]) and, inside a chassis, shared memory
-//! ([`chassis::Chassis::share`]). It knows nothing of robots, nets or pictures.
+//! ([`message`], [`call`]), synchronization ([`sync`], [`realtime`]) and inter-processor blocking
+//! ([`semaphore`]); inside a chassis also shared memory ([`chassis::Chassis::share`]). It knows nothing of robots, nets or pictures.
 //!
 //! Start with [`task::EventHandler`]; register it in a [`registry::Registry`]; name it in a
 //! configuration ([`config`]); boot that with [`boot::boot`].
@@ -19,11 +19,15 @@ pub mod boot;
 pub mod call;
 pub mod chassis;
 pub mod config;
+pub mod control;
 pub mod diagnostic;
 pub mod message;
 pub mod realtime;
 pub mod registry;
+pub mod security;
+pub mod semaphore;
 pub mod simulation;
+pub mod survey;
 pub mod sync;
 pub mod system;
 pub mod task;
@@ -32,13 +36,21 @@ pub mod time;
 mod agent;
 mod bootstrap;
 mod context;
+#[cfg(test)]
+mod fuzz;
 mod link;
 mod mailbox;
 mod names;
 mod processor;
 mod runner;
 mod statistics;
+mod waits;
 
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use statistics::TaskCounters;
 pub use task::Context;
+
+/// The page's example is run with the others.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/synchronization.md")]
+struct SynchronizationPage;

@@ -1,9 +1,11 @@
 //! Links between chassis: what crosses them, and the one trait that every kind of link implements.
 
+pub(crate) mod handshake;
+pub(crate) mod injure;
+pub(crate) mod session;
+pub(crate) mod shm;
 pub(crate) mod simulated;
-pub(crate) mod tcp;
-
-use bytes::{Buf, BufMut, Bytes, BytesMut};
+pub(crate) mod transport;
 
 use crate::message::Header;
 
@@ -46,54 +48,118 @@ pub(crate) enum FrameError {
 }
 
 impl Frame {
-    /// Header, call number, trace id, time left, data.
-    pub(crate) fn encode(&self) -> Bytes {
-        let mut bytes = BytesMut::with_capacity(FRAME_FIXED + self.body.len());
-        bytes.put_slice(&self.header.encode());
-        bytes.put_u64_le(self.call);
-        bytes.put_u64_le(self.trace);
-        bytes.put_u64_le(self.left_ns);
-        bytes.put_slice(&self.body);
-        bytes.freeze()
+    /// Header, call number, trace id, time left.
+    pub(crate) fn head(&self) -> [u8; FRAME_FIXED] {
+        let mut bytes = [0; FRAME_FIXED];
+        let (header, rest) = bytes.split_at_mut(Header::BYTES);
+        header.copy_from_slice(&self.header.encode());
+        let numbers = [self.call, self.trace, self.left_ns];
+        for (place, number) in rest.chunks_exact_mut(8).zip(numbers) {
+            place.copy_from_slice(&number.to_le_bytes());
+        }
+        bytes
     }
 
-    /// Reads what [`Self::encode`] wrote.
-    pub(crate) fn decode(mut bytes: &[u8]) -> Result<Self, FrameError> {
-        let length = bytes.len();
-        let Some((header, rest)) = bytes.split_first_chunk::<{ Header::BYTES }>() else {
-            return Err(FrameError::Short(length));
-        };
+    /// Reads what [`Self::head`] wrote, and takes the data that followed it.
+    ///
+    /// # Errors
+    /// When the head is too short, or announces another size than the data has.
+    pub(crate) fn from_parts(head: &[u8], body: Vec<u8>) -> Result<Self, FrameError> {
+        let short = FrameError::Short(head.len());
+        let (header, rest) = head.split_first_chunk::<{ Header::BYTES }>().ok_or(short)?;
         let header = Header::decode(header);
-        bytes = rest;
-        if bytes.len() < FRAME_FIXED - Header::BYTES {
-            return Err(FrameError::Short(length));
-        }
-        let call = bytes.get_u64_le();
-        let trace = bytes.get_u64_le();
-        let left_ns = bytes.get_u64_le();
-        if u64::from(header.size) != bytes.len() as u64 {
+        let (numbers, _) = rest.as_chunks::<8>();
+        let &[call, trace, left_ns] = numbers else {
+            return Err(short);
+        };
+        if u64::from(header.size) != body.len() as u64 {
             return Err(FrameError::Size {
                 announced: header.size,
-                carried: bytes.len(),
+                carried: body.len(),
             });
         }
         Ok(Self {
             header,
-            call,
-            trace,
-            left_ns,
-            body: bytes.to_vec(),
+            call: u64::from_le_bytes(call),
+            trace: u64::from_le_bytes(trace),
+            left_ns: u64::from_le_bytes(left_ns),
+            body,
         })
     }
 }
 
+#[cfg(test)]
+impl Frame {
+    /// Head and data in one piece.
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        [&self.head()[..], &self.body].concat()
+    }
+
+    /// Reads what [`Self::encode`] wrote.
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
+        let (head, body) = bytes.split_at(FRAME_FIXED.min(bytes.len()));
+        Self::from_parts(head, body.to_vec())
+    }
+
+    /// A request with this data.
+    pub(crate) fn of_body(body: Vec<u8>) -> Self {
+        Self {
+            header: Header {
+                to: crate::message::Tid::new(1, 1, 0),
+                from: crate::message::Tid::new(2, 1, 0),
+                command: 1,
+                flags: crate::message::Flags::REPLY_WAIT,
+                size: u32::try_from(body.len()).unwrap(),
+            },
+            call: 1,
+            trace: 0,
+            left_ns: NO_DEADLINE,
+            body,
+        }
+    }
+}
+
+/// A link that takes no more for the moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Full {
+    /// Bytes that are under way already.
+    pub(crate) bytes: usize,
+}
+
+/// What went over a link so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// Frames posted.
+    pub frames_out: u64,
+    /// Their data, bytes.
+    pub bytes_out: u64,
+    /// Frames received.
+    pub frames_in: u64,
+    /// Their data, bytes.
+    pub bytes_in: u64,
+    /// Streams it has had; all but the first are reconnections.
+    pub streams: u64,
+    /// Frames for which there was no room.
+    pub refused: u64,
+    /// Bytes that are under way and not acknowledged.
+    pub bytes_under_way: u64,
+}
+
 /// A way to another chassis. Frames posted by one thread arrive in their order.
 ///
-/// Posting never waits: what is under way is bounded by the tasks that wait for an answer or an
-/// acceptance, one frame each.
+/// Posting never waits: what is under way is bounded, and a request beyond that is refused. Answers and
+/// messages of the runtime have room of their own and are never refused.
 pub(crate) trait Link: Send + Sync {
     /// Sends a frame. A link that is down drops it; its calls end when the chassis learns so.
-    fn post(&self, frame: Frame);
+    ///
+    /// # Errors
+    /// [`Full`] when too much is under way already: the peer does not read, or not fast enough.
+    fn post(&self, frame: Frame) -> Result<(), Full>;
+
+    /// What went over it.
+    fn counts(&self) -> Counts {
+        Counts::default()
+    }
 }
 
 #[cfg(test)]

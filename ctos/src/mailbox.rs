@@ -16,6 +16,7 @@ use crate::{
     call::{Fault, Promise, lock},
     chassis::{Chassis, Inbound},
     message::{Command, Data, Flags, Message, SYSTEM_COMMANDS},
+    survey::QueueReport,
     system::StopTask,
 };
 
@@ -184,6 +185,19 @@ impl Mailbox {
         }
         Self::accepted(lanes, message, false);
         Ok(())
+    }
+
+    /// How much is in it.
+    pub(crate) fn lengths(&self) -> QueueReport {
+        let lanes = lock(&self.lanes);
+        let length = |lane: &Lane| lane.queue.len() as u64;
+        let waiting = lanes.urgent.waiting.len() + lanes.normal.waiting.len();
+        QueueReport {
+            urgent: length(&lanes.urgent),
+            normal: length(&lanes.normal),
+            waiting: waiting as u64,
+            capacity: self.capacity as u64,
+        }
     }
 
     fn full(&self) -> Fault {

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 
 use crate::{
+    bootstrap::UsedSlots,
     context::Context,
     message::{Command, CommandInfo, Message, Tid},
     system::{QueryTid, RegisterTid},
@@ -32,6 +33,9 @@ impl EventHandler for TidServer {
                         task.name
                     )),
                     _ => {
+                        if let Some(used) = cx.shared::<UsedSlots>(UsedSlots::KEY) {
+                            used.note(task.tid);
+                        }
                         self.names.insert(task.name, task.tid);
                         reply.ok(())
                     }

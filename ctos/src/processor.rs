@@ -267,14 +267,15 @@ impl Processor {
     /// The processor's thread: returns after [`ProcessorHandle::stop`].
     pub(crate) fn run(self: &Rc<Self>) {
         *lock(&self.handle.thread) = Some(std::thread::current());
+        let mut ticked = false;
         while !self.handle.stop.load(Ordering::Acquire) {
             self.run_jobs();
-            let ticked = self.schedule.run();
-            self.fire_timers();
             // After each tick something else has its turn, however near the next one is.
-            if !ticked && self.schedule.spin_to_tick() {
-                continue;
+            if !ticked {
+                self.schedule.spin_to_tick();
             }
+            ticked = self.schedule.run();
+            self.fire_timers();
             if self.poll_ready(0) {
                 continue;
             }

@@ -1,5 +1,10 @@
 //! Event handlers by the name that the configuration uses for them.
 
+mod codes;
+#[cfg(test)]
+mod tests;
+mod waiting;
+
 use std::{
     collections::{BTreeMap, btree_map::Entry},
     future::Future,
@@ -16,6 +21,7 @@ use crate::{
 
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
+type WaitsFor = Box<dyn Fn(&TaskConfig) -> Vec<String> + Send + Sync>;
 type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
 
 /// A kind of event handler: how to build one, which commands it takes, how to check its arguments.
@@ -24,6 +30,7 @@ pub struct HandlerKind {
     commands: Vec<CommandInfo>,
     build: Build,
     checks: Vec<CheckTask>,
+    waits_for: Option<WaitsFor>,
 }
 
 impl HandlerKind {
@@ -63,6 +70,23 @@ impl HandlerKind {
     ) -> &mut Self {
         self.checks.push(Box::new(check));
         self
+    }
+
+    /// Declares which other tasks a task of this kind waits for before it has finished its startup:
+    /// those whose answers its `phase` awaits. Tasks that wait for each other in a circle are found
+    /// before anything starts.
+    pub fn waits_for(
+        &mut self,
+        names: impl Fn(&TaskConfig) -> Vec<String> + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.waits_for = Some(Box::new(names));
+        self
+    }
+
+    /// The names of the tasks that `task` waits for in its startup, as far as that is declared.
+    pub(crate) fn waits_for_names(&self, task: &TaskConfig) -> Vec<String> {
+        let names = self.waits_for.as_ref().map(|names| names(task));
+        names.unwrap_or_default()
     }
 
     pub(crate) fn builder(&self) -> Build {
@@ -107,6 +131,7 @@ impl Registry {
             commands: commands.to_vec(),
             build,
             checks: Vec::new(),
+            waits_for: None,
         };
         match self.kinds.entry(name.to_owned()) {
             Entry::Vacant(free) => free.insert(kind),
@@ -191,6 +216,7 @@ impl Registry {
         for task in &app.tasks {
             match self.kind(&task.handler) {
                 Some(kind) => {
+                    codes::check(kind, task, &mut findings);
                     for check in &kind.checks {
                         check(task, app, &mut findings);
                     }
@@ -208,6 +234,7 @@ impl Registry {
                 ),
             }
         }
+        waiting::check(app, self, &mut findings);
         for check in self.app_checks.values() {
             check(app, self, &mut findings);
         }

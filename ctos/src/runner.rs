@@ -15,8 +15,9 @@ use crate::{
     mailbox::Mailbox,
     message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
     processor::{Processor, panic_text},
-    system::{ChassisDown, EnterPhase, StopTask},
+    system::{ChassisDown, ChassisUp, EnterPhase, RestartTask, StopTask},
     task::{DynHandler, Handled, HandlerError, Phase},
+    waits::Waits,
 };
 
 /// How many messages the queue of a runtime task holds.
@@ -32,6 +33,7 @@ pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<T
         tid,
         mailbox: Arc::new(Mailbox::new(capacity)),
         statistics: Arc::default(),
+        waits: Waits::default(),
     })
 }
 
@@ -184,6 +186,8 @@ impl Runner {
             EnterPhase::CODE => Box::pin(self.enter_phase(cx, message)),
             StopTask::CODE => Box::pin(self.stop(cx, message)),
             ChassisDown::CODE => Box::pin(self.chassis_down(cx, message)),
+            ChassisUp::CODE => Box::pin(self.chassis_up(cx, message)),
+            RestartTask::CODE => Box::pin(self.restart(cx, message)),
             command if command >= SYSTEM_COMMANDS && cx.config().is_some() => {
                 let handled = cx.default_processing(message);
                 Box::pin(std::future::ready(handled))
@@ -196,7 +200,7 @@ impl Runner {
         let (EnterPhase { phase }, reply) = message.open::<EnterPhase>()?;
         self.handler.phase(cx, phase).await?;
         self.phase = Some(phase);
-        self.record.statistics.entered(phase);
+        self.record.statistics.entered(phase, cx.now());
         reply.ok(())
     }
 
@@ -211,6 +215,26 @@ impl Runner {
     async fn chassis_down(&mut self, cx: &Context, message: Message) -> Handled {
         let (ChassisDown { chassis }, _) = message.open::<ChassisDown>()?;
         self.handler.chassis_down(cx, &chassis).await
+    }
+
+    async fn chassis_up(&mut self, cx: &Context, message: Message) -> Handled {
+        let (ChassisUp { chassis }, _) = message.open::<ChassisUp>()?;
+        self.handler.chassis_up(cx, &chassis).await
+    }
+
+    /// A person wants the handler built anew. One that cannot be is no handler any more.
+    async fn restart(&mut self, cx: &Context, message: Message) -> Handled {
+        let (RestartTask {}, reply) = message.open::<RestartTask>()?;
+        if self.stopped || cx.config().is_none() {
+            return reply.fail("it is being stopped, or belongs to the runtime".to_owned());
+        }
+        self.record.statistics.restarted();
+        if let Err(error) = self.rebuild().await {
+            cx.fail(&format!("could not be restarted: {error}"));
+            return Err(error);
+        }
+        tracing::warn!(task = %cx.name(), "restarted by order");
+        reply.ok(())
     }
 
     /// What happens after a panic: the configuration's restart policy, or the end of the task.

@@ -20,11 +20,12 @@ use std::{
     time::Duration,
 };
 
+use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     boot::{self, BootError, BootEvent, End, Observer, Outcome},
-    bootstrap::EndSlot,
+    bootstrap::{EndSlot, Processes, Seat},
     call::lock,
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
@@ -49,9 +50,6 @@ pub use self::{
 #[cfg(doctest)]
 #[doc = include_str!("../../docs/time-and-simulation.md")]
 struct Page;
-
-/// How long a chassis waits for a sign of another one before it gives it up.
-const PEER_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// So many steps without the clock moving are a task that never waits.
 const STEPS_AT_ONCE: u64 = 10_000_000;
@@ -146,6 +144,39 @@ pub fn run_shared(
     Ok(Simulation::new(app, registry, setup, &boot::contained(observer))?.run())
 }
 
+/// How long the process of a chassis takes to start, ns.
+const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
+
+/// What the bootstrap service wants of the simulated machines.
+#[derive(Default)]
+struct Orders(Mutex<VecDeque<Order>>);
+
+enum Order {
+    Start(u8, u32),
+    Kill(u8),
+}
+
+impl Processes for Orders {
+    fn start(&self, index: u8, incarnation: u32) {
+        lock(&self.0).push_back(Order::Start(index, incarnation));
+    }
+
+    fn kill(&self, index: u8) {
+        lock(&self.0).push_back(Order::Kill(index));
+    }
+}
+
+/// The exits that chassis asked for: number, incarnation and exit code.
+type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
+
+fn watch_exit(chassis: &Arc<Chassis>, incarnation: u32, exits: &Exits) {
+    let (exits, index) = (exits.clone(), chassis.index());
+    chassis.set_on_exit(move |code| lock(&exits).push_back((index, incarnation, code)));
+}
+
+/// How a process ended that a fault, or the supervisor, ended.
+const KILLED: &str = "was killed by signal 9 (SIGKILL)";
+
 struct Simulation {
     clock: Clock,
     machines: Vec<Machine>,
@@ -157,9 +188,15 @@ struct Simulation {
     drawn: Drawn,
     stop_at: Option<Instant>,
     happened: Vec<Mishap>,
-    /// Chassis whose process would have ended by itself now, with its exit code.
-    exits: Arc<Mutex<VecDeque<(u8, i32)>>>,
-    casualties: Vec<(String, String)>,
+    /// Processes that would have ended by themselves now.
+    exits: Exits,
+    /// How the last process of a chassis ended, if otherwise than it should have.
+    casualties: BTreeMap<u8, String>,
+    /// Which process of each chassis is the last that was wanted, from 1.
+    incarnations: BTreeMap<u8, u32>,
+    orders: Arc<Orders>,
+    /// Processes on their way up, by the moment at which they are there.
+    starts: BTreeMap<(Instant, u8), u32>,
     events: EventLog,
     observer: Observer,
     steps_at_once: u64,
@@ -188,7 +225,7 @@ impl Simulation {
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
         let script = schedule(&names, faults.script, &mut happened)?;
-        let network = Network::new(clock.clone(), seed, PEER_TIMEOUT, breach);
+        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
         let events = EventLog::new(events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
         let chassis: Vec<Arc<Chassis>> = (0..=count)
@@ -198,7 +235,7 @@ impl Simulation {
                 Chassis::new(index, app.clone(), registry.clone(), clock)
             })
             .collect();
-        let exits = Arc::new(Mutex::new(VecDeque::new()));
+        let exits = Exits::default();
         for from in &chassis {
             events.watch(from, &chassis);
             for to in from.others() {
@@ -209,17 +246,22 @@ impl Simulation {
                     chassis: from.name().to_owned(),
                     pid: None,
                 });
-                let (exits, index) = (exits.clone(), from.index());
-                from.set_on_exit(move |code| lock(&exits).push_back((index, code)));
+                watch_exit(from, 1, &exits);
             }
         }
         for fault in &happened {
             events.note(|| format!("fault {fault}"));
         }
         let machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
-        let end = EndSlot::default();
+        let orders = Arc::new(Orders::default());
+        let seat = Seat {
+            observer: observer.clone(),
+            end: EndSlot::default(),
+            processes: orders.clone(),
+        };
         for machine in &machines {
-            boot::start_system_tasks(&machine.chassis, observer, &end);
+            let boots = machine.chassis.index() == 0;
+            boot::start_system_tasks(&machine.chassis, boots.then_some(&seat));
         }
         Ok(Self {
             stop_at: stop_after.map(|after| clock.now() + after),
@@ -227,12 +269,15 @@ impl Simulation {
             machines,
             network,
             rng: ChaCha8Rng::seed_from_u64(mix(seed, &["schedule"])),
-            end,
+            end: seat.end,
             script,
             drawn,
             happened,
             exits,
-            casualties: Vec::new(),
+            casualties: BTreeMap::new(),
+            incarnations: BTreeMap::new(),
+            orders,
+            starts: BTreeMap::new(),
             events,
             observer: observer.clone(),
             steps_at_once: 0,
@@ -267,10 +312,15 @@ impl Simulation {
         for machine in &self.machines {
             machine.chassis.close();
         }
+        let casualties = self.casualties.into_iter().map(|(index, how)| {
+            let machine = self.machines.get(usize::from(index));
+            let name = machine.map_or("", |machine| machine.chassis.name());
+            (name.to_owned(), how)
+        });
         Run {
             outcome: Outcome {
                 end,
-                casualties: self.casualties,
+                casualties: casualties.collect(),
                 took,
             },
             faults: self.happened,
@@ -280,7 +330,7 @@ impl Simulation {
     /// Runs what is ready, or moves the clock to what happens next, but not beyond `limit`. False when
     /// nothing can happen any more, or nothing until then.
     fn step(&mut self, limit: Option<Instant>) -> bool {
-        if self.run_jobs() || self.run_exits() || self.poll_one() {
+        if self.run_jobs() || self.run_exits() || self.run_orders() || self.poll_one() {
             self.steps_at_once += 1;
             if self.steps_at_once > STEPS_AT_ONCE {
                 let moment = self.clock.now();
@@ -315,29 +365,65 @@ impl Simulation {
             if left.is_some_and(|machine| !machine.gone) {
                 (self.observer)(&BootEvent::Signalled {
                     chassis: boot.name_of(index).to_owned(),
-                    signal: "SIGKILL",
+                    signal: "SIGKILL".to_owned(),
                 });
-                self.end_chassis(index, Some("was killed by signal 9 (SIGKILL)"));
+                self.kill(index);
             }
         }
     }
 
     /// Ends the processes that have come to their end by themselves.
     fn run_exits(&mut self) -> bool {
-        let Some((index, code)) = lock(&self.exits).pop_front() else {
+        let Some((index, incarnation, code)) = lock(&self.exits).pop_front() else {
             return false;
         };
-        // 0 and 1 are what the boot orders; anything else the chassis chose itself.
-        if code > 1 {
-            self.end_chassis(index, Some(&format!("ended with exit code {code}")));
-        } else {
-            self.end_chassis(index, None);
+        if incarnation == self.incarnation(index) {
+            let how = format!("ended with exit code {code}");
+            // 0 and 1 are what the boot orders; anything else the chassis chose itself.
+            self.end_chassis(index, &how, Some(code), code > 1);
         }
         true
     }
 
+    /// Does what the bootstrap service wants.
+    fn run_orders(&mut self) -> bool {
+        let order = lock(&self.orders.0).pop_front();
+        match order {
+            Some(Order::Start(index, incarnation)) => {
+                let delay = Duration::from_nanos(self.rng.random_range(START_NS));
+                self.starts
+                    .insert((self.clock.now() + delay, index), incarnation);
+                self.incarnations.insert(index, incarnation);
+            }
+            Some(Order::Kill(index)) => self.kill(index),
+            None => return false,
+        }
+        true
+    }
+
+    /// Which process of chassis `index` is the last that was wanted.
+    fn incarnation(&self, index: u8) -> u32 {
+        self.incarnations.get(&index).copied().unwrap_or(1)
+    }
+
+    fn kill(&mut self, index: u8) {
+        self.end_chassis(index, KILLED, None, true);
+    }
+
     /// A process ends: nothing of it runs any more, and the others see its links close.
-    fn end_chassis(&mut self, index: u8, casualty: Option<&str>) {
+    fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
+        let incarnation = self.incarnation(index);
+        if let Some(boot) = self.machines.first() {
+            // Also of one that has not started yet: it never will.
+            let ended = system::ProcessEnded {
+                chassis: index,
+                incarnation,
+                how: how.to_owned(),
+                code,
+            };
+            boot.chassis.post_system(system::BOOTSTRAP, ended);
+        }
+        self.starts.retain(|(_, starting), _| *starting != index);
         let Some(machine) = self.machines.get_mut(usize::from(index)) else {
             return;
         };
@@ -345,12 +431,10 @@ impl Simulation {
             return;
         }
         let chassis = machine.chassis.clone();
-        let how = casualty.unwrap_or("ended");
         self.events
             .note(|| format!("chassis {} {how}", chassis.name()));
-        if let Some(how) = casualty {
-            let name = chassis.name().to_owned();
-            self.casualties.push((name, how.to_owned()));
+        if casualty {
+            self.casualties.insert(index, how.to_owned());
         }
         // First the links, so that what its destructors send reaches nobody.
         chassis.drop_links();
@@ -359,6 +443,47 @@ impl Simulation {
             self.network.hang_up(index, other);
         }
         chassis.close();
+    }
+
+    /// A process starts in place of the one that ended, and is connected to those that live.
+    fn start_chassis(&mut self, index: u8, incarnation: u32) {
+        let Some(old) = self.machines.get(usize::from(index)) else {
+            return;
+        };
+        let old = &old.chassis;
+        let (app, registry) = (old.app.clone(), old.registry.clone());
+        let new = Chassis::new(index, app, registry, old.clock.clone());
+        self.events
+            .note(|| format!("chassis {} starts again", new.name()));
+        for machine in self.machines.iter().filter(|machine| !machine.gone) {
+            let peer = &machine.chassis;
+            // Nothing of the old process may come out of the links of the new one.
+            peer.link_down(index);
+            peer.link_up(index, self.network.link(peer.index(), index));
+            new.link_up(peer.index(), self.network.link(index, peer.index()));
+        }
+        watch_exit(&new, incarnation, &self.exits);
+        let mut all: Vec<_> = self
+            .machines
+            .iter()
+            .map(|one| one.chassis.clone())
+            .collect();
+        if let Some(place) = all.get_mut(usize::from(index)) {
+            place.clone_from(&new);
+        }
+        self.events.watch(&new, &all);
+        boot::start_system_tasks(&new, None);
+        self.casualties.remove(&index);
+        if let Some(place) = self.machines.get_mut(usize::from(index)) {
+            *place = Machine::new(new);
+        }
+        if let Some(boot) = self.machines.first() {
+            let linked = system::ChassisLinked {
+                chassis: index,
+                incarnation,
+            };
+            boot.chassis.post_system(system::BOOTSTRAP, linked);
+        }
     }
 
     fn index(&self, name: &str) -> Option<usize> {
@@ -389,9 +514,7 @@ impl Simulation {
         };
         let number = machine.chassis.index();
         match mishap {
-            Mishap::Kill { .. } => {
-                self.end_chassis(number, Some("was killed by signal 9 (SIGKILL)"));
-            }
+            Mishap::Kill { .. } => self.kill(number),
             Mishap::Freeze { until, .. } if !machine.gone => {
                 machine.freeze(*until);
                 for other in self.machines.iter().filter(|other| !other.gone) {
@@ -474,7 +597,11 @@ impl Simulation {
         let now = self.clock.now();
         let machines = self.machines.iter();
         let machines = machines.filter_map(|machine| machine.next_event(now));
-        let next = machines.chain(self.network.next_arrival()).min();
+        let starts = self.starts.keys().next().map(|key| key.0);
+        let next = machines
+            .chain(self.network.next_arrival())
+            .chain(starts)
+            .min();
         // When nothing else can ever happen, what is given still can; what is drawn has no end.
         let drawn = next.and(self.drawn.next());
         let given = self.script.keys().next().copied();
@@ -496,6 +623,14 @@ impl Simulation {
             for mishap in entry.remove() {
                 self.happen(mishap);
             }
+        }
+        while let Some(entry) = self.starts.first_entry() {
+            let (due, index) = *entry.key();
+            if due > moment {
+                break;
+            }
+            let incarnation = entry.remove();
+            self.start_chassis(index, incarnation);
         }
         while let Some(mishap) = self.drawn.pop(moment) {
             self.happen(mishap);

@@ -22,6 +22,7 @@ pub(crate) struct TaskStatistics {
     command: AtomicU16,
     restarts: AtomicU64,
     phase: AtomicU8,
+    phase_since_ns: AtomicU64,
 }
 
 /// The counters of one task at a moment.
@@ -71,13 +72,21 @@ impl TaskStatistics {
     }
 
     /// The task has entered `phase`.
-    pub(crate) fn entered(&self, phase: Phase) {
+    pub(crate) fn entered(&self, phase: Phase, now: Instant) {
         let number = match phase {
             Phase::Create => 1,
             Phase::Connect => 2,
             Phase::Run => 3,
         };
-        self.phase.store(number, Ordering::Relaxed);
+        self.phase_since_ns.store(now.as_nanos(), Ordering::Relaxed);
+        self.phase.store(number, Ordering::Release);
+    }
+
+    /// When the last startup phase was entered.
+    pub(crate) fn phase_since(&self) -> Option<Instant> {
+        let entered = self.phase.load(Ordering::Acquire) > 0;
+        let since = self.phase_since_ns.load(Ordering::Relaxed);
+        entered.then_some(Instant::from_nanos(since))
     }
 
     /// The counters as they are now. Each is exact; together they may be of slightly different moments.
@@ -108,7 +117,7 @@ mod tests {
     #[test]
     fn a_message_counts_once_with_the_time_it_took() {
         let statistics = TaskStatistics::default();
-        statistics.entered(Phase::Run);
+        statistics.entered(Phase::Run, Instant::START);
         statistics.begin(7, Instant::START);
         assert_eq!(statistics.read().began, Some(Instant::START));
         statistics.end(true, Instant::from_nanos(30));

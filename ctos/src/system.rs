@@ -3,10 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    bootstrap::{BootState, ChassisState},
     command,
-    message::Tid,
+    message::{Command, CommandInfo, Tid},
     statistics::TaskCounters,
     task::{Phase, StopReason},
+    time::Instant,
 };
 
 /// The task that starts and stops the tasks of chassis `index`.
@@ -19,6 +21,9 @@ pub(crate) const TID_SERVER: Tid = Tid::new(0, 0, 1);
 
 /// The bootstrap service, on the chassis that boots.
 pub(crate) const BOOTSTRAP: Tid = Tid::new(0, 0, 2);
+
+/// The inter-processor blocking service, on the chassis that boots.
+pub(crate) const SEMAPHORE_SERVER: Tid = Tid::new(0, 0, 7);
 
 /// How an app ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -92,8 +97,9 @@ command! {
     pub(crate) struct QueryTid { pub(crate) name: String } => Result<Tid, Vec<String>>, 0xff11, "query_tid"
 }
 command! {
-    /// Creates the tasks of this chassis.
-    pub(crate) struct CreateTasks => Created, 0xff20, "create_tasks"
+    /// Creates the tasks of this chassis. No task of an earlier incarnation has a slot from
+    /// `first_slots` on, which holds one number for each processor.
+    pub(crate) struct CreateTasks { pub(crate) first_slots: Vec<u16> } => Created, 0xff20, "create_tasks"
 }
 command! {
     /// Ends the process.
@@ -125,3 +131,91 @@ command! {
     /// Tells that every chassis is connected.
     pub(crate) struct AllLinked => (), 0xff34, "all_linked"
 }
+command! {
+    /// Tells that a chassis that was gone is back.
+    pub(crate) struct ChassisUp { pub(crate) chassis: String } => (), 0xff51, "chassis_up"
+}
+command! {
+    /// Lets an agent tell all its tasks that a chassis is back.
+    pub(crate) struct AnnounceUp { pub(crate) chassis: String } => (), 0xff52, "announce_up"
+}
+command! {
+    /// Builds the task's handler anew.
+    pub(crate) struct RestartTask => (), 0xff53, "restart"
+}
+command! {
+    /// Tells the bootstrap service that the process of a chassis is dead, and how it died.
+    pub(crate) struct ProcessEnded {
+        pub(crate) chassis: u8,
+        pub(crate) incarnation: u32,
+        pub(crate) how: String,
+        pub(crate) code: Option<i32>,
+    } => (), 0xff54, "process_ended"
+}
+command! {
+    /// Tells the bootstrap service that a chassis that was started anew is connected to all others.
+    pub(crate) struct ChassisLinked { pub(crate) chassis: u8, pub(crate) incarnation: u32 } => (), 0xff55, "chassis_linked"
+}
+command! {
+    /// Restarts a chassis whatever its policy; answered when its tasks have passed all phases.
+    pub(crate) struct RestartChassis { pub(crate) chassis: u8 } => (), 0xff56, "restart_chassis"
+}
+command! {
+    /// Asks the bootstrap service how the app and its chassis are.
+    pub(crate) struct Overview => AppReport, 0xff57, "overview"
+}
+
+/// The app as its bootstrap service sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AppReport {
+    /// Where it is between its first process and its last.
+    pub state: BootState,
+    /// The moment, on the app's clock.
+    pub now: Instant,
+    /// Its chassis, in declared order.
+    pub chassis: Vec<MemberReport>,
+}
+
+/// A chassis as the bootstrap service sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MemberReport {
+    /// Its name.
+    pub name: String,
+    /// Where it is in its life.
+    pub state: ChassisState,
+    /// Since when.
+    pub since: Instant,
+    /// Counts its processes from 1.
+    pub incarnation: u32,
+    /// Why the process before this one ended; `None` for the first.
+    pub last_end: Option<String>,
+    /// The tasks of this incarnation.
+    pub tasks: Vec<TaskName>,
+}
+
+/// Every command of the runtime that a task may be seen at.
+pub(crate) const ALL: &[CommandInfo] = &[
+    Ping::INFO,
+    Introspect::INFO,
+    Statistics::INFO,
+    EnterPhase::INFO,
+    StopTask::INFO,
+    ChassisDown::INFO,
+    ChassisUp::INFO,
+    RestartTask::INFO,
+    RegisterTid::INFO,
+    QueryTid::INFO,
+    CreateTasks::INFO,
+    Exit::INFO,
+    Progress::INFO,
+    Finish::INFO,
+    TaskFailed::INFO,
+    Interrupt::INFO,
+    AllLinked::INFO,
+    AnnounceUp::INFO,
+    ProcessEnded::INFO,
+    ChassisLinked::INFO,
+    RestartChassis::INFO,
+    Overview::INFO,
+    crate::survey::Survey::INFO,
+];

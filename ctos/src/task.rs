@@ -149,6 +149,13 @@ pub trait EventHandler: 'static {
         let _ = (cx, chassis);
         async { Ok(()) }
     }
+
+    /// Another chassis that was gone is back, and its tasks have passed all phases. Its names lead to
+    /// its new tasks.
+    fn chassis_up(&mut self, cx: &Context, chassis: &str) -> impl Future<Output = Handled> {
+        let _ = (cx, chassis);
+        async { Ok(()) }
+    }
 }
 
 /// [`EventHandler`] behind a pointer; implemented for every event handler.
@@ -161,6 +168,11 @@ pub(crate) trait DynHandler {
         reason: &'a StopReason,
     ) -> LocalBoxFuture<'a, Handled>;
     fn chassis_down<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        chassis: &'a str,
+    ) -> LocalBoxFuture<'a, Handled>;
+    fn chassis_up<'a>(
         &'a mut self,
         cx: &'a Context,
         chassis: &'a str,
@@ -194,5 +206,13 @@ impl<H: EventHandler> DynHandler for H {
         chassis: &'a str,
     ) -> LocalBoxFuture<'a, Handled> {
         boxed(EventHandler::chassis_down(self, cx, chassis))
+    }
+
+    fn chassis_up<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        chassis: &'a str,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::chassis_up(self, cx, chassis))
     }
 }

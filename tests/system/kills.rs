@@ -107,7 +107,7 @@ fn a_termination_signal_stops_the_app_in_order_too() {
     run.signal(Signal::TERM);
     let ended = run.end();
     ended
-        .must_exit(130)
+        .must_exit(143)
         .must_say("stop     the app was interrupted")
         .must_not_say("does not end");
 }

@@ -16,7 +16,8 @@ pub fn register(registry: &mut Registry, sources: FrameSources) {
     let sources = Arc::new(sources);
     registry
         .handler("vss.vsm", vsm::COMMANDS, vsm::ServicesManager::new)
-        .check(arguments::<vsm::VsmArgs>);
+        .check(arguments::<vsm::VsmArgs>)
+        .waits_for(vsm::waits_for);
     registry
         .handler("vss.vmm", vmm::COMMANDS, vmm::ModuleManager::new)
         .check(arguments::<vmm::VmmArgs>);

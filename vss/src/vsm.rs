@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use ctos::{
+    config::TaskConfig,
     message::{Command, CommandInfo, Message},
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
@@ -56,6 +57,12 @@ impl ServicesManager {
             }
         })
     }
+}
+
+/// The Vision Modules, which it initializes while the app is connected.
+pub(crate) fn waits_for(task: &TaskConfig) -> Vec<String> {
+    let args = task.args.parse::<VsmArgs>();
+    args.map_or_else(|_| Vec::new(), |args| args.vms)
 }
 
 impl EventHandler for ServicesManager {

@@ -1,6 +1,12 @@
 //! `ctos boot`.
 
-use std::{ffi::OsString, sync::Arc};
+use std::{
+    ffi::OsString,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use clap::Args;
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
@@ -12,9 +18,6 @@ use crate::{
 };
 
 /// Check an app, start it, wait for its result and stop it
-///
-/// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in one
-/// process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos boot configs/calibrate.toml
@@ -27,15 +30,47 @@ pub struct BootArgs {
     /// Print the result as one JSON object, last on standard output
     #[arg(long)]
     pub json: bool,
+    /// What goes wrong on purpose
+    #[command(flatten)]
+    pub injure: InjureArgs,
     /// How much to say
     #[command(flatten)]
     pub log: LogArgs,
 }
 
+/// What goes wrong on purpose with the links between chassis, to see what becomes of the app.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Injured links, drawn from the seed")]
+pub struct InjureArgs {
+    /// Probability that a packet is lost, 0 to 0.9
+    #[arg(long, value_name = "P")]
+    pub drop: Option<f64>,
+    /// How much later each packet leaves, for example `5ms` or `5ms..20ms`
+    #[arg(long, value_name = "TIME")]
+    pub delay: Option<String>,
+    /// Cut the link of two chassis (or of one and `boot`) at a moment, for a while or for good (can be repeated)
+    #[arg(long = "cut", value_name = "A:B@TIME[+TIME]")]
+    pub cuts: Vec<String>,
+}
+
+impl InjureArgs {
+    /// The same as `--set` texts, which reach every chassis.
+    fn sets(&self) -> Vec<String> {
+        let drop = self.drop.map(|drop| format!("injure.drop={drop:?}"));
+        let delay = self.delay.as_ref();
+        let delay = delay.map(|delay| format!("injure.delay={delay:?}"));
+        let cuts = &self.cuts;
+        let cuts = (!cuts.is_empty()).then(|| format!("injure.cut={cuts:?}"));
+        [drop, delay, cuts].into_iter().flatten().collect()
+    }
+}
+
 /// Runs the command.
 #[must_use]
 pub fn run(args: &BootArgs, registry: Registry) -> u8 {
-    let (app, warnings) = match program::checked(&args.app.selection(), &registry) {
+    let mut selection = args.app.selection();
+    selection.sets.extend(args.injure.sets());
+    let (app, warnings) = match program::checked(&selection, &registry) {
         Ok(checked) => checked,
         Err(findings) => {
             let counted = show::counted(&findings);
@@ -69,11 +104,25 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     };
     let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
-    let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
+    let terminated = Arc::new(AtomicBool::new(false));
+    let told = terminated.clone();
+    let observer: Observer = Arc::new(move |event: &BootEvent| {
+        if matches!(event, BootEvent::Terminated) {
+            told.store(true, Ordering::Release);
+        }
+        shown.show(event);
+    });
     let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
     display.finish();
     match outcome {
-        Ok(outcome) => report(&outcome, args.json),
+        Ok(outcome) => {
+            let code = report(&outcome, args.json);
+            if code == exit::INTERRUPTED && terminated.load(Ordering::Acquire) {
+                exit::TERMINATED
+            } else {
+                code
+            }
+        }
         Err(error) => {
             show::say(&format!("error: {error}"));
             match error {
@@ -89,7 +138,7 @@ fn child_arguments(args: &BootArgs) -> Vec<OsString> {
     for profile in &args.app.profiles {
         arguments.extend(["--profile".into(), profile.into()]);
     }
-    for set in &args.app.sets {
+    for set in args.app.sets.iter().cloned().chain(args.injure.sets()) {
         arguments.extend(["--set".into(), set.into()]);
     }
     if args.log.quiet {

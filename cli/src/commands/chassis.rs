@@ -1,8 +1,7 @@
 //! `ctos chassis`: the process of one chassis. People do not call it; `ctos boot` does.
 
-use std::net::SocketAddr;
-
 use clap::Args;
+use ctos::boot::Address;
 use ctos::registry::Registry;
 use ctos::time::Clock;
 
@@ -25,7 +24,7 @@ pub struct ChassisArgs {
     pub chassis: String,
     /// Where the boot listens
     #[arg(long)]
-    pub boot: SocketAddr,
+    pub boot: Address,
     /// Start of the app on the host's monotonic clock, ns
     #[arg(long)]
     pub origin: u64,
@@ -44,7 +43,7 @@ pub fn run(args: &ChassisArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    match ctos::boot::run_chassis(app, registry, &args.chassis, args.boot, args.origin) {
+    match ctos::boot::run_chassis(app, registry, &args.chassis, &args.boot, args.origin) {
         Ok(code) => u8::try_from(code).unwrap_or(exit::FAILED),
         Err(error) => {
             show::say(&format!("error: chassis `{}`: {error}", args.chassis));

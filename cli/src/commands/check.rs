@@ -1,21 +1,24 @@
 //! `ctos check`.
 
+use std::path::PathBuf;
+
 use clap::Args;
-use ctos::registry::Registry;
+use ctos::{config::Selection, registry::Registry};
 
 use crate::{commands::AppArgs, exit, program, show};
 
-/// Check an app without starting anything
-///
-/// Reads the configuration and everything it names, resolves every name, and explores the state space of all nets
-/// composed. All findings are shown at once, each with its place and what to do.
+/// Check apps without starting anything
 #[derive(Debug, Args)]
-#[command(after_help = "Example:
-  ctos check configs/calibrate.toml --json")]
+#[command(after_help = "Examples:
+  ctos check configs/calibrate.toml --json
+  ctos check apps/*.toml")]
 pub struct CheckArgs {
     /// Which app
     #[command(flatten)]
     pub app: AppArgs,
+    /// Further apps to check, with the same overrides and profiles
+    #[arg(value_name = "FILE")]
+    pub more: Vec<PathBuf>,
     /// Print one JSON object per finding
     #[arg(long)]
     pub json: bool,
@@ -27,10 +30,20 @@ pub struct CheckArgs {
     pub quiet: bool,
 }
 
-/// Runs the command.
+/// Runs the command. The code is the worst of all apps.
 #[must_use]
 pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
-    let (found, code) = match program::checked(&args.app.selection(), registry) {
+    let further = args.more.iter().map(|file| Selection {
+        file: file.clone(),
+        ..args.app.selection()
+    });
+    let all = std::iter::once(args.app.selection()).chain(further);
+    let codes = all.map(|selection| check(&selection, args, registry));
+    codes.max().unwrap_or(exit::OK)
+}
+
+fn check(selection: &Selection, args: &CheckArgs, registry: &Registry) -> u8 {
+    let (found, code) = match program::checked(selection, registry) {
         Ok((_, warnings)) => (warnings, exit::OK),
         Err(findings) => (findings, exit::CONFIG),
     };
@@ -50,7 +63,7 @@ pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
     };
     show::findings_up_to(found, most);
     if !args.quiet {
-        show::say(&format!("{}: {counted}", args.app.file.display()));
+        show::say(&format!("{}: {counted}", selection.file.display()));
     }
     code
 }

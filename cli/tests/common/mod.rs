@@ -1,4 +1,6 @@
-//! What the tests of examples and documents share.
+//! What the tests of commands, examples and documents share.
+
+#![allow(dead_code, reason = "each file of tests uses its own part")]
 
 use std::{
     path::{Path, PathBuf},

@@ -1,27 +1,23 @@
 //! The process of one chassis: connects to the others, runs its processors until it is told to end.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    net::SocketAddr,
-    ops::ControlFlow,
-    sync::Arc,
-};
+use std::sync::Arc;
 
-use tokio::{
-    net::{TcpListener, TcpStream},
-    sync::oneshot,
-    task::JoinHandle,
-};
+use tokio::sync::oneshot;
 
 use crate::{
-    boot::{self, Observer},
-    bootstrap::EndSlot,
+    boot::{
+        self,
+        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+    },
     chassis::Chassis,
     config::App,
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, VERSION, callers},
+    link::{handshake::Token, session::DownReason, transport::Address},
     registry::Registry,
     time::Clock,
 };
+
+/// Exit code of a chassis that the boot has given up: it was silent for too long.
+const EXIT_GIVEN_UP: i32 = 6;
 
 /// Why a chassis could not start.
 #[derive(Debug, thiserror::Error)]
@@ -39,14 +35,17 @@ pub enum ChildError {
     },
     /// Its address is taken.
     #[error(
-        "cannot listen on {address}: {reason}; another program uses the port: choose another `listen`, or leave it out for a free one"
+        "cannot listen on {address}: {reason}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
     )]
     Listen {
         /// The address of the configuration.
-        address: SocketAddr,
+        address: String,
         /// What the system said.
         reason: String,
     },
+    /// Its keys cannot be used.
+    #[error("{0}")]
+    Keys(String),
     /// The system refused a thread or a timer.
     #[error("cannot start: {0}")]
     System(#[from] std::io::Error),
@@ -61,7 +60,7 @@ pub fn run_chassis(
     app: App,
     registry: Registry,
     name: &str,
-    boot: SocketAddr,
+    boot: &Address,
     origin_ns: u64,
 ) -> Result<i32, ChildError> {
     let app = Arc::new(app);
@@ -76,29 +75,45 @@ pub fn run_chassis(
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
-    let code = runtime.block_on(serve(&chassis, boot, &token))?;
+    let incarnation = std::env::var(super::INCARNATION_VARIABLE).ok();
+    let incarnation = incarnation.and_then(|text| text.parse().ok()).unwrap_or(1);
+    let who = Identification { token, incarnation };
+    let code = runtime.block_on(serve(&chassis, boot, who))?;
     runtime.shutdown_background();
     Ok(code)
 }
 
-async fn serve(chassis: &Arc<Chassis>, boot: SocketAddr, token: &Token) -> Result<i32, ChildError> {
-    let (sender, exited) = oneshot::channel();
+async fn serve(
+    chassis: &Arc<Chassis>,
+    boot: &Address,
+    who: Identification,
+) -> Result<i32, ChildError> {
+    let (sender, mut exited) = oneshot::channel();
     chassis.set_on_exit(move |code| {
         // The receiver lives as long as this function.
         let _ = sender.send(code);
     });
-    let silent: Observer = Arc::new(|_| ());
-    boot::start_system_tasks(chassis, &silent, &EndSlot::default());
+    boot::start_system_tasks(chassis, None);
     let limit = chassis.app.phase_timeout;
-    let connected = tokio::time::timeout(limit, connect(chassis, boot, token)).await;
-    let writers = connected.map_err(|_| ChildError::Connect {
+    let connected = tokio::time::timeout(limit, connect(chassis, boot, who)).await;
+    let mut mesh = connected.map_err(|_| ChildError::Connect {
         what: "the other chassis".to_owned(),
         reason: format!("not done within {:.3} s", limit.as_secs_f64()),
     })??;
     let threads = boot::start_processors(chassis)?;
-    // Without a sender left, every chassis thread is gone: an error exit.
-    let code = exited.await.unwrap_or(1);
-    finish(chassis, writers).await;
+    let code = loop {
+        tokio::select! {
+            // Without a sender left, every chassis thread is gone: an error exit.
+            code = &mut exited => break code.unwrap_or(1),
+            event = mesh.next() => {
+                if let Some(MeshEvent::Down { chassis: 0, reason: DownReason::GivenUp, .. }) = event {
+                    tracing::error!("the boot has given this chassis up, which was silent for too long: it ends");
+                    break EXIT_GIVEN_UP;
+                }
+            }
+        }
+    };
+    finish(chassis, &mut mesh).await;
     chassis.stop_processors();
     // A processor that is stuck in a handler must not keep the process; it ends with it.
     let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
@@ -107,134 +122,52 @@ async fn serve(chassis: &Arc<Chassis>, boot: SocketAddr, token: &Token) -> Resul
 }
 
 /// Lets the last frames out.
-async fn finish(chassis: &Arc<Chassis>, writers: Vec<JoinHandle<()>>) {
+async fn finish(chassis: &Arc<Chassis>, mesh: &mut Mesh) {
     chassis.drop_links();
-    let flushed = futures_util::future::join_all(writers);
-    // What cannot be written within the limit belongs to a peer that no longer reads.
-    let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
+    mesh.close().await;
 }
 
-/// Connects to the boot and to every other chassis.
+/// Connects to the boot and, as that says, to every other chassis.
 async fn connect(
     chassis: &Arc<Chassis>,
-    boot: SocketAddr,
-    token: &Token,
-) -> Result<Vec<JoinHandle<()>>, ChildError> {
-    let failed = |what: &str, error: HandshakeError| ChildError::Connect {
-        what: what.to_owned(),
-        reason: error.to_string(),
-    };
-    let stream = TcpStream::connect(boot).await;
-    let mut parent = stream
-        .and_then(Connection::new)
-        .map_err(|error| failed("the boot", error.into()))?;
-    let listener = match listen(chassis).await {
-        Ok(listener) => listener,
+    boot: &Address,
+    who: Identification,
+) -> Result<Mesh, ChildError> {
+    let token = who.token.clone();
+    let mut mesh = match Mesh::start(chassis, who).await {
+        Ok(mesh) => mesh,
         Err(error) => {
-            // The boot shows the reason; if it cannot be told, it sees the process end.
-            let refused = Handshake::Refused {
-                token: token.clone(),
-                reason: error.to_string(),
+            let error = match error {
+                MeshError::Listen { address, error } => ChildError::Listen {
+                    address,
+                    reason: error.to_string(),
+                },
+                MeshError::Keys(error) => ChildError::Keys(error.to_string()),
             };
-            let _ = parent.tell(&refused).await;
+            Mesh::unable(boot, chassis, None, &token, &error.to_string()).await;
             return Err(error);
         }
     };
-    let hello = |listen| Handshake::Hello {
-        version: VERSION,
-        token: token.clone(),
-        chassis: chassis.index(),
-        listen,
-    };
-    let address = listener.local_addr()?;
-    let told = parent.tell(&hello(Some(address))).await;
-    told.map_err(|error| failed("the boot", error))?;
-    let peers = match parent.hear().await {
-        Ok(Handshake::Peers(peers)) => peers,
-        Ok(other) => {
-            return Err(failed(
-                "the boot",
-                HandshakeError::Unexpected(Box::new(other)),
-            ));
-        }
-        Err(error) => return Err(failed("the boot", error)),
-    };
-    let mut connections = BTreeMap::new();
-    // Lower numbers are called, higher ones call.
-    for (peer, address) in &peers {
-        if *peer < chassis.index() {
-            let name = chassis.name_of(*peer);
-            let stream = TcpStream::connect(address).await;
-            let mut connection = stream
-                .and_then(Connection::new)
-                .map_err(|error| failed(name, error.into()))?;
-            let told = connection.tell(&hello(None)).await;
-            told.map_err(|error| failed(name, error))?;
-            connections.insert(*peer, connection);
-        }
-    }
-    let mut missing: BTreeSet<u8> = peers
-        .iter()
-        .map(|(peer, _)| *peer)
-        .filter(|peer| *peer > chassis.index())
-        .collect();
-    if !missing.is_empty() {
-        let called = callers(&listener, token, |caller| {
-            if missing.remove(&caller.chassis) {
-                connections.insert(caller.chassis, caller.connection);
+    mesh.join(boot);
+    loop {
+        match mesh.next().await {
+            Some(MeshEvent::Joined { .. }) => return Ok(mesh),
+            // Another chassis that goes is the boot's affair; without the boot there is no app.
+            Some(MeshEvent::Down {
+                chassis: 0, reason, ..
+            }) => {
+                return Err(ChildError::Connect {
+                    what: format!("the boot at {boot}"),
+                    reason: reason.to_string(),
+                });
             }
-            if missing.is_empty() {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            }
-        });
-        // The boot says nothing until all are connected; if it does, or is gone, there is no app.
-        tokio::select! {
-            called = called => called.map_err(|error| failed("the other chassis", error))?,
-            heard = parent.hear() => {
-                let error = heard.map_or_else(
-                    |error| error,
-                    |other| HandshakeError::Unexpected(Box::new(other)),
-                );
-                return Err(failed("the boot", error));
+            Some(_) => {}
+            None => {
+                return Err(ChildError::Connect {
+                    what: "the other chassis".to_owned(),
+                    reason: "the mesh has ended".to_owned(),
+                });
             }
         }
     }
-    let told = parent.tell(&Handshake::Ready).await;
-    told.map_err(|error| failed("the boot", error))?;
-    match parent.hear().await {
-        Ok(Handshake::Go) => {}
-        Ok(other) => {
-            return Err(failed(
-                "the boot",
-                HandshakeError::Unexpected(Box::new(other)),
-            ));
-        }
-        Err(error) => return Err(failed("the boot", error)),
-    }
-    connections.insert(0, parent);
-    let links = connections.into_iter();
-    Ok(links
-        .map(|(peer, connection)| connection.into_link(chassis, peer))
-        .collect())
 }
-
-async fn listen(chassis: &Arc<Chassis>) -> Result<TcpListener, ChildError> {
-    let configured = chassis
-        .app
-        .chassis
-        .iter()
-        .find(|config| config.name == chassis.name())
-        .and_then(|config| config.listen);
-    let address = configured.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 0)));
-    TcpListener::bind(address)
-        .await
-        .map_err(|error| ChildError::Listen {
-            address,
-            reason: error.to_string(),
-        })
-}
-
-#[cfg(test)]
-mod tests;

@@ -1,62 +1,32 @@
 //! The process that boots: starts one process per chassis, connects them, and sees them end.
 
 use std::{
-    cell::RefCell,
-    collections::{BTreeMap, BTreeSet, VecDeque},
-    net::SocketAddr,
-    ops::ControlFlow,
-    process::{ExitStatus, Stdio},
-    sync::{Arc, Mutex},
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
     time::Duration,
 };
 
-use futures_util::future::try_join_all;
-use rustix::process::{Pid, Signal, kill_process};
 use tokio::{
-    io::{AsyncBufReadExt, BufReader},
-    net::TcpListener,
-    process::{Child, Command},
     signal::unix::{SignalKind, signal},
     sync::oneshot,
-    task::JoinHandle,
 };
 
 use crate::{
-    boot::{self, BootError, BootEvent, End, Launcher, Observer, Outcome, TOKEN_VARIABLE},
-    bootstrap::EndSlot,
+    boot::{
+        self, BootError, BootEvent, End, Launcher, Observer, Outcome, io_error as io,
+        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+        processes::{Keeper, Process, Starter},
+    },
+    bootstrap::{EndSlot, Seat},
     call::lock,
     chassis::Chassis,
     config::App,
-    link::tcp::{Connection, FLUSH_LIMIT, Handshake, HandshakeError, Token, callers},
+    control::{LogStore, Server, Ticker},
+    link::handshake::Token,
     registry::Registry,
     system,
     time::Clock,
 };
-
-/// How many of its last lines are kept of a chassis's log, for the error that its end causes.
-const LAST_LINES: usize = 5;
-
-/// A chassis's process.
-struct Process {
-    name: String,
-    child: Child,
-    last_lines: Arc<Mutex<VecDeque<String>>>,
-    /// Reads its log; `None` when that is read to its end.
-    log: Option<JoinHandle<()>>,
-}
-
-impl Process {
-    /// Waits until it has ended and its last words are known.
-    async fn ended(&mut self) -> std::io::Result<ExitStatus> {
-        let status = self.child.wait().await;
-        if let Some(log) = &mut self.log
-            && tokio::time::timeout(FLUSH_LIMIT, log).await.is_ok()
-        {
-            self.log = None;
-        }
-        status
-    }
-}
 
 /// Boots `app` with one process per chassis.
 pub(crate) fn boot(
@@ -76,11 +46,6 @@ pub(crate) fn boot(
     outcome
 }
 
-fn io(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> BootError {
-    let what = what.into();
-    move |error| BootError::Io { what, error }
-}
-
 async fn run(
     chassis: &Arc<Chassis>,
     launcher: &Launcher,
@@ -90,8 +55,8 @@ async fn run(
     let outcome = run_processes(chassis, launcher, observer, &mut processes).await;
     // Those that are still in the list were not brought up: nothing moves yet, and nobody may be left.
     for mut process in processes {
-        // An error says that it has ended already.
-        let _ = process.child.kill().await;
+        process.kill();
+        process.ended().await;
     }
     outcome
 }
@@ -105,63 +70,114 @@ async fn run_processes(
     processes: &mut Vec<Process>,
 ) -> Result<Outcome, BootError> {
     let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
-    let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
+    let who = Identification {
+        token: token.clone(),
+        incarnation: 1,
+    };
+    let mut mesh = Mesh::start(chassis, who)
         .await
-        .map_err(io("cannot listen on the loopback"))?;
-    let address = listener.local_addr().map_err(io("cannot listen"))?;
+        .map_err(|error| match error {
+            MeshError::Listen { address, error } => {
+                io(format!("cannot listen at {address}"))(error)
+            }
+            MeshError::Keys(error) => BootError::Keys(error.to_string()),
+        })?;
+    let Some(address) = mesh.addresses().first().cloned() else {
+        return Err(io("cannot listen")(
+            std::io::ErrorKind::AddrNotAvailable.into(),
+        ));
+    };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
-    for config in &chassis.app.chassis {
-        let process = start(&config.name, launcher, address, &token, chassis, observer)?;
-        processes.push(process);
+    let logs = Arc::new(LogStore::new(chassis.clock.clone()));
+    let (ticker, observer) = &Ticker::observe(observer);
+    let starter = Starter {
+        chassis: chassis.clone(),
+        launcher: launcher.clone(),
+        observer: observer.clone(),
+        boot: address,
+        token: token.clone(),
+        logs: logs.clone(),
+    };
+    for index in chassis.others() {
+        processes.push(starter.start(index, 1)?);
     }
     let limit = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
-    let writers = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &listener, &token, processes, &mut missing)) => {
+    tokio::select! {
+        connected = tokio::time::timeout(limit, connect(chassis, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
                 Err(_) => return Err(late(chassis, &missing, limit)),
             }
         }
         _ = interrupt.recv() => return Ok(interrupted(chassis)),
-        _ = terminate.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => {
+            observer(&BootEvent::Terminated);
+            return Ok(interrupted(chassis));
+        }
     };
-    let end_slot = EndSlot::default();
+    let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
+    let seat = Seat {
+        observer: observer.clone(),
+        end: EndSlot::default(),
+        processes: orders,
+    };
     let (sender, mut exited) = oneshot::channel();
     chassis.set_on_exit(move |code| {
         // The receiver lives until the service has exited.
         let _ = sender.send(code);
     });
-    boot::start_system_tasks(chassis, observer, &end_slot);
+    boot::start_system_tasks(chassis, Some(&seat));
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
+    let server = serve(chassis, &logs, ticker);
+    let mut newcomers = Newcomers::default();
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
         tokio::select! {
             _ = &mut exited => break,
             _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
-            _ = terminate.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            _ = terminate.recv() => {
+                observer(&BootEvent::Terminated);
+                chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
+            }
+            (index, incarnation) = keeper.serve() => mesh.expect(index, incarnation),
+            // What a chassis that is gone means is decided by the tasks, which have been told.
+            Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
         }
     }
-    let end = lock(&end_slot).take().unwrap_or(End::Interrupted);
+    let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
     let took = chassis.clock.now().since_start();
     chassis.drop_links();
-    let flushed = futures_util::future::join_all(writers);
     // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
-    let _ = tokio::time::timeout(FLUSH_LIMIT, flushed).await;
-    let processes = std::mem::take(processes);
-    let casualties = end_processes(processes, chassis.app.stop_timeout, &end, observer).await;
+    mesh.close().await;
+    let casualties = keeper.end(chassis.app.stop_timeout, &end).await;
     chassis.stop_processors();
     for thread in threads {
         // The service is the last thing that ran on it.
         let _ = thread.ended.await;
     }
     chassis.close();
-    Ok(Outcome {
+    let outcome = Outcome {
         end,
         casualties,
         took,
-    })
+    };
+    if let Some(server) = server {
+        server.finish(&outcome).await;
+    }
+    Ok(outcome)
+}
+
+/// Serves the control socket. An app that cannot have one runs without.
+fn serve(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Option<Server> {
+    match Server::start(chassis, logs, ticker.clone()) {
+        Ok(server) => Some(server),
+        Err(error) => {
+            tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
+            None
+        }
+    }
 }
 
 fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
@@ -182,162 +198,86 @@ fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> Boot
     }
 }
 
-/// Starts the process of chassis `name`; its log is shown line by line.
-fn start(
-    name: &str,
-    launcher: &Launcher,
-    boot: SocketAddr,
-    token: &Token,
-    chassis: &Arc<Chassis>,
-    observer: &Observer,
-) -> Result<Process, BootError> {
-    let origin = chassis.clock.origin_ns().unwrap_or(0);
-    let mut child = Command::new(&launcher.program)
-        .args(&launcher.arguments)
-        .args(["--chassis", name, "--boot", &boot.to_string()])
-        .args(["--origin", &origin.to_string()])
-        .env(TOKEN_VARIABLE, &token.0)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .process_group(0)
-        .kill_on_drop(true)
-        .spawn()
-        .map_err(io(format!("cannot start chassis `{name}`")))?;
-    observer(&BootEvent::Started {
-        chassis: name.to_owned(),
-        pid: child.id(),
-    });
-    let last_lines = Arc::new(Mutex::new(VecDeque::new()));
-    let log = child.stderr.take().map(|stderr| {
-        let kept = last_lines.clone();
-        let observer = observer.clone();
-        let chassis = name.to_owned();
-        tokio::spawn(async move {
-            let mut lines = BufReader::new(stderr).lines();
-            while let Ok(Some(line)) = lines.next_line().await {
-                let mut kept = lock(&kept);
-                if kept.len() == LAST_LINES {
-                    kept.pop_front();
-                }
-                kept.push_back(line.clone());
-                drop(kept);
-                let chassis = chassis.clone();
-                observer(&BootEvent::Log { chassis, line });
+/// The processes that joined the running app, by chassis.
+#[derive(Default)]
+struct Newcomers(BTreeMap<u8, u32>);
+
+impl Newcomers {
+    /// Tells the bootstrap service of a process that has just been connected to all the others. The mesh
+    /// tells of each chassis again whenever one joins.
+    fn welcome(&mut self, chassis: &Arc<Chassis>, event: &MeshEvent) {
+        match event {
+            MeshEvent::Joined {
+                chassis: index,
+                incarnation,
+            } if *incarnation > self.0.get(index).copied().unwrap_or(1) => {
+                self.0.insert(*index, *incarnation);
+                let linked = system::ChassisLinked {
+                    chassis: *index,
+                    incarnation: *incarnation,
+                };
+                chassis.post_system(system::BOOTSTRAP, linked);
             }
-        })
-    });
-    Ok(Process {
-        name: name.to_owned(),
-        child,
-        last_lines,
-        log,
-    })
+            MeshEvent::Unable {
+                chassis: index,
+                reason,
+            } => {
+                // Its process ends, which the supervisor sees.
+                tracing::error!(chassis = chassis.name_of(*index), reason, "cannot join");
+            }
+            _ => {}
+        }
+    }
 }
 
-/// Waits until all chassis have called, lets them call each other, and turns the calls into links.
-/// `missing` says at any time who is not connected yet.
+/// Waits until all chassis are connected to each other and to this one. `missing` says at any time who
+/// is not.
 async fn connect(
     chassis: &Arc<Chassis>,
-    listener: &TcpListener,
-    token: &Token,
+    mesh: &mut Mesh,
     processes: &mut [Process],
     missing: &mut BTreeSet<u8>,
-) -> Result<Vec<JoinHandle<()>>, BootError> {
-    if missing.is_empty() {
-        return Ok(Vec::new());
+) -> Result<(), BootError> {
+    for index in missing.iter() {
+        mesh.expect(*index, 1);
     }
-    let mut connections: BTreeMap<u8, (Connection, SocketAddr)> = BTreeMap::new();
-    let called = callers(listener, token, |caller| {
-        if let Some(listen) = caller.listen
-            && missing.remove(&caller.chassis)
-        {
-            connections.insert(caller.chassis, (caller.connection, listen));
+    while !missing.is_empty() {
+        let event = tokio::select! {
+            // The process first: that it ended says more than that its connection did.
+            biased;
+            ended = first_exit(processes) => return Err(ended),
+            event = mesh.next() => event,
+        };
+        let (index, reason) = match event {
+            Some(MeshEvent::Joined { chassis, .. }) => {
+                missing.remove(&chassis);
+                continue;
+            }
+            Some(MeshEvent::Up { .. }) => continue,
+            Some(MeshEvent::Down {
+                chassis,
+                ref reason,
+                ..
+            }) => (chassis, reason.to_string()),
+            Some(MeshEvent::Unable {
+                chassis,
+                ref reason,
+            }) => (chassis, reason.clone()),
+            None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
+        };
+        let error = BootError::Chassis {
+            chassis: chassis.name_of(index).to_owned(),
+            reason,
+        };
+        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // said why it cannot start has said more than its end would.
+        if matches!(&event, Some(MeshEvent::Unable { .. })) {
+            return Err(error);
         }
-        if missing.is_empty() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    });
-    let called = tokio::select! {
-        called = called => called,
-        ended = first_exit(processes) => return Err(ended),
-    };
-    if let Err(error) = called {
-        return Err(refused(processes, error.to_string()).await);
+        let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+        return Err(ended.unwrap_or(error));
     }
-    let peers: Vec<(u8, SocketAddr)> = connections
-        .iter()
-        .map(|(index, (_, address))| (*index, *address))
-        .collect();
-    missing.extend(connections.keys());
-    let waiting = RefCell::new(missing);
-    let introduced =
-        try_join_all(connections.into_iter().map(|(index, (connection, _))| {
-            introduce(chassis, index, connection, &peers, &waiting)
-        }));
-    let connections = tokio::select! {
-        // The process first: that it ended says more than that its connection did.
-        biased;
-        ended = first_exit(processes) => return Err(ended),
-        introduced = introduced => introduced,
-    };
-    let connections = match connections {
-        Ok(connections) => connections,
-        // A connection that breaks off mostly belongs to a process that is just ending.
-        Err(error) => {
-            let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
-            return Err(ended.unwrap_or(error));
-        }
-    };
-    let mut writers = Vec::new();
-    for (index, mut connection) in connections {
-        let told = connection.tell(&Handshake::Go).await;
-        told.map_err(|error| failed(chassis, index, &error))?;
-        writers.push(connection.into_link(chassis, index));
-    }
-    Ok(writers)
-}
-
-/// Tells chassis `index` where the others listen, and waits until it is connected to all of them.
-async fn introduce(
-    chassis: &Arc<Chassis>,
-    index: u8,
-    mut connection: Connection,
-    peers: &[(u8, SocketAddr)],
-    waiting: &RefCell<&mut BTreeSet<u8>>,
-) -> Result<(u8, Connection), BootError> {
-    let told = connection.tell(&Handshake::Peers(peers.to_vec())).await;
-    told.map_err(|error| failed(chassis, index, &error))?;
-    match connection.hear().await {
-        Ok(Handshake::Ready) => {
-            waiting.borrow_mut().remove(&index);
-            Ok((index, connection))
-        }
-        Ok(other) => {
-            let error = HandshakeError::Unexpected(Box::new(other));
-            Err(failed(chassis, index, &error))
-        }
-        Err(error) => Err(failed(chassis, index, &error)),
-    }
-}
-
-fn failed(chassis: &Arc<Chassis>, index: u8, error: &HandshakeError) -> BootError {
-    BootError::Chassis {
-        chassis: chassis.name_of(index).to_owned(),
-        reason: error.to_string(),
-    }
-}
-
-/// A chassis said why it cannot start, and is about to end; which one it was, its end tells.
-async fn refused(processes: &mut [Process], reason: String) -> BootError {
-    let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
-    let chassis = match ended {
-        Ok(BootError::Chassis { chassis, .. }) => chassis,
-        _ => "unknown".to_owned(),
-    };
-    BootError::Chassis { chassis, reason }
+    Ok(())
 }
 
 /// Ends when the first process does.
@@ -347,8 +287,8 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
         let lines = process.last_lines.clone();
         Box::pin(async move { (name, process.ended().await, lines) })
     });
-    let ((chassis, status, lines), _, _) = futures_util::future::select_all(waits).await;
-    let how = status.map_or_else(|error| error.to_string(), |status| describe(&status));
+    let ((chassis, ending, lines), _, _) = futures_util::future::select_all(waits).await;
+    let how = ending.how;
     let lines = lock(&lines).iter().cloned().collect::<Vec<_>>().join("\n");
     let reason = if lines.is_empty() {
         format!("it {how}")
@@ -356,54 +296,4 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
         format!("it {how}; its last lines:\n{lines}")
     };
     BootError::Chassis { chassis, reason }
-}
-
-fn describe(status: &ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("ended with exit code {code}"),
-        (None, Some(9)) => "was killed by signal 9 (SIGKILL)".to_owned(),
-        (None, Some(15)) => "was ended by signal 15 (SIGTERM)".to_owned(),
-        (None, Some(11)) => "crashed with signal 11 (SIGSEGV)".to_owned(),
-        (None, Some(6)) => "aborted with signal 6 (SIGABRT)".to_owned(),
-        (None, Some(number)) => format!("was ended by signal {number}"),
-        (None, None) => "ended".to_owned(),
-    }
-}
-
-/// Waits for all processes: those that do not end by themselves get SIGTERM, then SIGKILL.
-/// Names those that ended otherwise than they should have.
-async fn end_processes(
-    processes: Vec<Process>,
-    limit: Duration,
-    end: &End,
-    observer: &Observer,
-) -> Vec<(String, String)> {
-    let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
-    let mut casualties = Vec::new();
-    for mut process in processes {
-        let mut status = tokio::time::timeout(limit, process.ended()).await;
-        for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
-            if status.is_ok() {
-                break;
-            }
-            let pid = process.child.id().and_then(|pid| i32::try_from(pid).ok());
-            if let Some(pid) = pid.and_then(Pid::from_raw) {
-                observer(&BootEvent::Signalled {
-                    chassis: process.name.clone(),
-                    signal: name,
-                });
-                // It may have ended just now; the wait below tells.
-                let _ = kill_process(pid, number);
-            }
-            status = tokio::time::timeout(limit, process.ended()).await;
-        }
-        match status {
-            Ok(Ok(status)) if status.code() == Some(expected) => {}
-            Ok(Ok(status)) => casualties.push((process.name, describe(&status))),
-            Ok(Err(error)) => casualties.push((process.name, error.to_string())),
-            Err(_) => casualties.push((process.name, "could not be ended".to_owned())),
-        }
-    }
-    casualties
 }

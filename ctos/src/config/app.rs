@@ -1,8 +1,9 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
 use super::trail::Trail;
-use super::{Node, Selection};
+use super::{LinkConfig, Node, SecurityConfig, Selection};
 use crate::diagnostic::{Findings, Place};
+use crate::semaphore::Scope;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -23,10 +24,18 @@ pub struct App {
     pub stop_timeout: Duration,
     /// Which clock the app runs on.
     pub time: TimeMode,
+    /// How links behave.
+    pub links: LinkConfig,
+    /// Whose keys count beyond this host; `None` = nobody beyond this host is let in.
+    pub security: Option<SecurityConfig>,
     /// The chassis, in declared order.
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.
     pub tasks: Vec<TaskConfig>,
+    /// The semaphores that the configuration declares, in declared order.
+    pub semaphores: Vec<SemaphoreConfig>,
+    /// The barriers that the configuration declares, in declared order.
+    pub barriers: Vec<BarrierConfig>,
     /// The file as given.
     pub file: PathBuf,
     /// The profiles that were chosen, the later ones on top.
@@ -61,10 +70,61 @@ pub struct ChassisConfig {
     pub listen: Option<SocketAddr>,
     /// Whether it is stopped before the others (hardware that must come to rest first).
     pub stop_first: bool,
+    /// What happens when its process ends while the app runs.
+    pub supervision: ChassisSupervision,
     /// Its processors, in declared order; never empty.
     pub processors: Vec<ProcessorConfig>,
     /// Where its name stands.
     pub place: Place,
+}
+
+/// What the boot does about a chassis that fails.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChassisSupervision {
+    /// When its process is started again.
+    pub restart: ChassisRestart,
+    /// So many restarts within `window` are too many: the app ends.
+    pub max_restarts: u32,
+    /// The window in which restarts are counted.
+    pub window: Duration,
+    /// The pause before the first restart; it doubles with each further one within the window.
+    pub backoff: Duration,
+    /// What a task that failed for good leads to.
+    pub on_task_failure: OnTaskFailure,
+}
+
+impl Default for ChassisSupervision {
+    fn default() -> Self {
+        Self {
+            restart: ChassisRestart::Never,
+            max_restarts: 3,
+            window: Duration::from_secs(60),
+            backoff: Duration::from_millis(500),
+            on_task_failure: OnTaskFailure::App,
+        }
+    }
+}
+
+/// When the process of a chassis is started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ChassisRestart {
+    /// Never: the app ends with it.
+    #[default]
+    Never,
+    /// When it ended otherwise than by itself with exit code 0.
+    OnFailure,
+    /// However it ended.
+    Always,
+}
+
+/// What a task that failed for good leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnTaskFailure {
+    /// The end of the app.
+    #[default]
+    App,
+    /// A restart of its chassis, under that chassis's policy.
+    RestartChassis,
 }
 
 /// One thread of a chassis.
@@ -87,6 +147,32 @@ pub struct ProcessorConfig {
     /// How long before a tick it is awake and waits spinning.
     pub spin: Duration,
     /// Where its name stands (the chassis's for the implicit `main`).
+    pub place: Place,
+}
+
+/// What the configuration says of a semaphore.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SemaphoreConfig {
+    /// Its name.
+    pub name: String,
+    /// Who shares it; `None` = its name says so.
+    pub scope: Option<Scope>,
+    /// How many permits it has; `None` = as many as the tasks say.
+    pub permits: Option<u32>,
+    /// Where its name stands.
+    pub place: Place,
+}
+
+/// What the configuration says of a barrier.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BarrierConfig {
+    /// Its name.
+    pub name: String,
+    /// Who shares it; `None` = its name says so.
+    pub scope: Option<Scope>,
+    /// How many must arrive; `None` = as many as the tasks say.
+    pub parties: Option<u32>,
+    /// Where its name stands.
     pub place: Place,
 }
 

@@ -4,12 +4,17 @@
 //! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
-use super::app::{App, ChassisConfig, ProcessorConfig, Restart, TaskConfig, TimeMode};
+use super::app::{
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
+    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
+};
 use super::fields::{Fields, FlagOr, check_name};
+use super::links;
 use super::node::{Entry, Node};
 use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
+use crate::semaphore::Scope;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -23,11 +28,38 @@ pub(super) const APP_KEYS: &[&str] = &[
     "until",
     "phase_timeout_s",
     "stop_timeout_s",
+    links::KEYS[0],
+    links::KEYS[1],
+    links::KEYS[2],
+    links::KEYS[3],
 ];
-const TOP_KEYS: &[&str] = &["include", "app", "time", "chassis", "task", "profile"];
-const CHASSIS_KEYS: &[&str] = &["listen", "stop_first", "processors"];
+const TOP_KEYS: &[&str] = &[
+    "include",
+    "app",
+    "time",
+    "chassis",
+    "task",
+    "semaphore",
+    "barrier",
+    "injure",
+    "security",
+    "profile",
+];
+const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
+const BARRIER_KEYS: &[&str] = &["scope", "parties"];
+const PARTIES_MOST: u32 = 1_000_000;
 const PROCESSOR_KEYS: &[&str] = &[
     "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
+];
+const CHASSIS_KEYS: &[&str] = &[
+    "listen",
+    "stop_first",
+    "restart",
+    "max_restarts",
+    "restart_window_s",
+    "restart_backoff_s",
+    "on_task_failure",
+    "processors",
 ];
 const TASK_KEYS: &[&str] = &[
     "handler",
@@ -49,6 +81,10 @@ const MAIN: &str = "main";
 const SPIN_US: u64 = 80;
 const SPIN_MOST_US: u64 = 10_000;
 const PERIOD_MOST_S: f64 = 3600.0;
+/// A task id has 8 bits for the chassis; 0 is the one that boots, 255 is kept for the runtime.
+const MOST_CHASSIS: usize = 254;
+/// A task id has 8 bits for the processor; 0 is the runtime's own.
+const MOST_PROCESSORS: usize = 255;
 
 /// Where an app came from.
 #[derive(Clone)]
@@ -80,6 +116,8 @@ pub(super) fn build(
         builder.push_at_start(finding);
     }
     let time = builder.time(&root);
+    let semaphores = builder.semaphores(&root);
+    let barriers = builder.barriers(&root);
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
@@ -92,6 +130,9 @@ pub(super) fn build(
     let phase_timeout = fields.seconds("phase_timeout_s", 3600.0);
     let stop_timeout = fields.seconds("stop_timeout_s", 3600.0);
     let until = fields.text("until");
+    let mut links = links::links(&mut fields);
+    links.injury = links::injury(&root, &chassis, builder.findings);
+    let security = links::security(&root, &chassis, builder.findings);
     let until = until.map(|(task, place)| {
         builder.check_until(task, place, &root, &tasks);
         task.to_owned()
@@ -108,8 +149,12 @@ pub(super) fn build(
         phase_timeout: phase_timeout.unwrap_or(Duration::from_secs_f64(PHASE_TIMEOUT_S)),
         stop_timeout: stop_timeout.unwrap_or(Duration::from_secs_f64(STOP_TIMEOUT_S)),
         time,
+        links,
+        security,
         chassis,
         tasks,
+        semaphores,
+        barriers,
         file: origin.file,
         profiles: Vec::new(),
         sets: origin.sets,
@@ -201,6 +246,7 @@ impl Builder<'_> {
 
     fn all_chassis(&mut self, root: &Node) -> Vec<ChassisConfig> {
         let entries = self.named(root, "chassis");
+        self.too_many(entries, MOST_CHASSIS, "an app", "chassis");
         let chassis: Vec<_> = entries.iter().map(|entry| self.chassis(entry)).collect();
         for (index, one) in chassis.iter().enumerate() {
             let same = |other: &&ChassisConfig| {
@@ -223,15 +269,32 @@ impl Builder<'_> {
         chassis
     }
 
+    /// Points at the first that a task id has no room for.
+    fn too_many(&mut self, entries: &[Entry], most: usize, whole: &str, parts: &str) {
+        if let Some(first) = entries.get(most) {
+            let finding = Finding::error(
+                "ctos::config::too_many",
+                format!(
+                    "{whole} has room for {most} {parts}, and this is one of {}",
+                    entries.len()
+                ),
+            )
+            .help("put more tasks on one processor");
+            self.findings.push(finding.at(self.place_of(first)));
+        }
+    }
+
     fn chassis(&mut self, entry: &Entry) -> ChassisConfig {
         let place = self.place_of(entry);
         let what = format!("chassis `{}`", entry.key);
         let mut fields = Fields::new(Some(&entry.value), what, CHASSIS_KEYS, self.findings);
         let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:0\"");
         let stop_first = fields.flag("stop_first").unwrap_or(false);
+        let supervision = supervision(&mut fields);
         let table = fields.table("processors");
-        let mut processors: Vec<_> = table
-            .map_or(&[][..], Node::entries)
+        let named = table.map_or(&[][..], Node::entries);
+        self.too_many(named, MOST_PROCESSORS, "a chassis", "processors");
+        let mut processors: Vec<_> = named
             .iter()
             .map(|processor| self.processor(&entry.key, processor))
             .collect();
@@ -252,6 +315,7 @@ impl Builder<'_> {
             name: entry.key.clone(),
             listen,
             stop_first,
+            supervision,
             processors,
             place,
         }
@@ -305,6 +369,36 @@ impl Builder<'_> {
             spin: Duration::from_micros(spin_us),
             place,
         }
+    }
+
+    fn semaphores(&mut self, root: &Node) -> Vec<SemaphoreConfig> {
+        let entries = self.named(root, "semaphore").iter();
+        let read = entries.map(|entry| {
+            let what = format!("semaphore `{}`", entry.key);
+            let mut fields = Fields::new(Some(&entry.value), what, SEMAPHORE_KEYS, self.findings);
+            SemaphoreConfig {
+                name: entry.key.clone(),
+                scope: scope(&mut fields),
+                permits: fields.integer("permits", 1..=PARTIES_MOST),
+                place: self.place_of(entry),
+            }
+        });
+        read.collect()
+    }
+
+    fn barriers(&mut self, root: &Node) -> Vec<BarrierConfig> {
+        let entries = self.named(root, "barrier").iter();
+        let read = entries.map(|entry| {
+            let what = format!("barrier `{}`", entry.key);
+            let mut fields = Fields::new(Some(&entry.value), what, BARRIER_KEYS, self.findings);
+            BarrierConfig {
+                name: entry.key.clone(),
+                scope: scope(&mut fields),
+                parties: fields.integer("parties", 1..=PARTIES_MOST),
+                place: self.place_of(entry),
+            }
+        });
+        read.collect()
     }
 
     fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
@@ -477,6 +571,56 @@ impl Builder<'_> {
             known.dedup();
             self.findings.push(finding.suggest(until, known).at(place));
         }
+    }
+}
+
+/// The keys of a chassis that say what happens when it fails.
+fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {
+    let defaults = ChassisSupervision::default();
+    let restart = match fields.choice("restart", &["never", "on-failure", "always"]) {
+        Some("on-failure") => ChassisRestart::OnFailure,
+        Some("always") => ChassisRestart::Always,
+        _ => ChassisRestart::Never,
+    };
+    let max_restarts = fields.integer("max_restarts", 1..=1_000_000_u32);
+    let window = fields.seconds("restart_window_s", 86_400.0);
+    let backoff = fields.seconds("restart_backoff_s", 3600.0);
+    let on_task_failure = match fields.choice("on_task_failure", &["app", "restart-chassis"]) {
+        Some("restart-chassis") => OnTaskFailure::RestartChassis,
+        _ => OnTaskFailure::App,
+    };
+    if restart == ChassisRestart::Never {
+        let mut idle = vec!["max_restarts", "restart_window_s", "restart_backoff_s"];
+        if on_task_failure == OnTaskFailure::RestartChassis {
+            idle.push("on_task_failure");
+        }
+        for key in idle {
+            if let Some(place) = fields.place(key) {
+                fields.push(
+                    Finding::warning(
+                        "ctos::config::no_effect",
+                        format!("`{key}` has no effect on a chassis that is never restarted"),
+                    )
+                    .help("add restart = \"on-failure\" or restart = \"always\"")
+                    .at(place),
+                );
+            }
+        }
+    }
+    ChassisSupervision {
+        restart,
+        max_restarts: max_restarts.unwrap_or(defaults.max_restarts),
+        window: window.unwrap_or(defaults.window),
+        backoff: backoff.unwrap_or(defaults.backoff),
+        on_task_failure,
+    }
+}
+
+/// Who shares a semaphore or barrier.
+fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
+    match fields.choice("scope", &["chassis", "app"])? {
+        "app" => Some(Scope::App),
+        _ => Some(Scope::Chassis),
     }
 }
 

@@ -180,6 +180,17 @@ impl<'n, 'f> Fields<'n, 'f> {
         number
     }
 
+    /// A number within a range.
+    pub(super) fn number(&mut self, key: &str, range: RangeInclusive<f64>) -> Option<f64> {
+        let node = self.value(key)?;
+        let number = node.as_f64().filter(|number| range.contains(number));
+        if number.is_none() {
+            let expected = format!("a number from {} to {}", range.start(), range.end());
+            self.wrong_key(key, node, &expected);
+        }
+        number
+    }
+
     /// A time in seconds, above 0 and at most `most`.
     pub(super) fn seconds(&mut self, key: &str, most: f64) -> Option<Duration> {
         let node = self.value(key)?;

@@ -29,8 +29,12 @@ pub(super) enum Kind {
     Choice(&'static [&'static str]),
     /// `true` or `false`.
     Flag,
+    /// `true`, `false` or this word.
+    FlagOr(&'static str),
     /// A whole number from the first to the second.
     Integer(u64, u64),
+    /// A number from the first to the second.
+    Number(f64, f64),
     /// A time in s, above 0 and at most this.
     Seconds(f64),
     /// A list of strings.
@@ -67,6 +71,12 @@ const CHASSIS: &str = "chassis.NAME";
 /// The processors of a chassis.
 pub(super) const PROCESSOR: &str = "chassis.NAME.processors.NAME";
 const TASK: &str = "task.NAME";
+const SEMAPHORE: &str = "semaphore.NAME";
+const BARRIER: &str = "barrier.NAME";
+
+const SCOPE_DOC: &str = "Shared by the tasks of each chassis, or of the whole app. Default: of the app when the name begins with `app/`, else of the chassis.";
+const INJURE: &str = "injure";
+const SECURITY: &str = "security";
 
 /// All tables, outer ones first.
 pub(super) const TABLES: &[Table] = &[
@@ -88,6 +98,30 @@ pub(super) const TABLES: &[Table] = &[
                 "Its processes, by name.",
             ),
             key("task", Kind::Named(TASK), None, "Its tasks, by name."),
+            key(
+                "semaphore",
+                Kind::Named(SEMAPHORE),
+                None,
+                "Counting semaphores that tasks take turns with, by name. Default: as the tasks say.",
+            ),
+            key(
+                "barrier",
+                Kind::Named(BARRIER),
+                None,
+                "Barriers where tasks wait for each other, by name. Default: as the tasks say.",
+            ),
+            key(
+                "injure",
+                Kind::One(INJURE),
+                None,
+                "What goes wrong on purpose with the links between chassis.",
+            ),
+            key(
+                "security",
+                Kind::One(SECURITY),
+                None,
+                "Keys for connections beyond this host.",
+            ),
             key(
                 "profile",
                 Kind::Profiles,
@@ -135,6 +169,30 @@ pub(super) const TABLES: &[Table] = &[
                 Some("5.0"),
                 "How long an orderly stop may take, s.",
             ),
+            key(
+                "peer_timeout_s",
+                Kind::Seconds(3600.0),
+                Some("2.0"),
+                "After how long without a sign of life a chassis is given up, s.",
+            ),
+            key(
+                "same_host",
+                Kind::Choice(&["shm", "unix", "tcp"]),
+                Some("\"shm\""),
+                "How chassis of one host are joined: shared memory, Unix sockets, or the loopback.",
+            ),
+            key(
+                "spin_us",
+                Kind::Integer(0, 1_000_000),
+                None,
+                "How long a reader of shared memory looks for news before it sleeps, us. Default: 5, with one CPU 0.",
+            ),
+            key(
+                "link_room_mib",
+                Kind::Integer(1, 65_536),
+                Some("64"),
+                "How much may be under way to another chassis and not acknowledged, MiB.",
+            ),
         ],
     },
     Table {
@@ -162,6 +220,36 @@ pub(super) const TABLES: &[Table] = &[
                 "Whether it is stopped before the others, for hardware that must come to rest first.",
             ),
             key(
+                "restart",
+                Kind::Choice(&["never", "on-failure", "always"]),
+                Some("\"never\""),
+                "When its process is started again after it ended; \"never\": the app ends with it.",
+            ),
+            key(
+                "max_restarts",
+                Kind::Integer(1, 1_000_000),
+                Some("3"),
+                "So many restarts within the window are the last; the next failure ends the app.",
+            ),
+            key(
+                "restart_window_s",
+                Kind::Seconds(86_400.0),
+                Some("60.0"),
+                "The window in which restarts are counted, s.",
+            ),
+            key(
+                "restart_backoff_s",
+                Kind::Seconds(3600.0),
+                Some("0.5"),
+                "The pause before a restart, s; doubles with each one within the window.",
+            ),
+            key(
+                "on_task_failure",
+                Kind::Choice(&["app", "restart-chassis"]),
+                Some("\"app\""),
+                "What a task that failed for good leads to.",
+            ),
+            key(
                 "processors",
                 Kind::Named(PROCESSOR),
                 None,
@@ -174,9 +262,9 @@ pub(super) const TABLES: &[Table] = &[
         keys: &[
             key(
                 "realtime",
-                Kind::Flag,
+                Kind::FlagOr("require"),
                 Some("false"),
-                "Whether it asks for the real-time scheduler (SCHED_FIFO).",
+                "Whether it asks for the real-time scheduler (SCHED_FIFO) and locked memory; \"require\" undoes the boot when they are refused.",
             ),
             key(
                 "priority",
@@ -189,6 +277,24 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Integer(0, 1023),
                 None,
                 "The CPU it is pinned to, counted from 0. Default: none.",
+            ),
+            key(
+                "period_s",
+                Kind::Seconds(3600.0),
+                None,
+                "The base period of its synchronous functions, s. Default: they bring their own.",
+            ),
+            key(
+                "overrun",
+                Kind::Choice(&["skip", "run-late-once", "stop"]),
+                Some("\"skip\""),
+                "Functions whose turn was among ticks that could not begin in time wait for their next turn, run once, late, or the app is stopped in order.",
+            ),
+            key(
+                "spin_us",
+                Kind::Integer(0, 10_000),
+                None,
+                "How long before a tick it wakes up and spins, us. Default: 80 with `realtime`, else 0.",
             ),
         ],
     },
@@ -236,6 +342,76 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Free,
                 None,
                 "What the handler wants to know; each handler has keys of its own.",
+            ),
+        ],
+    },
+    Table {
+        path: SEMAPHORE,
+        keys: &[
+            key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
+            key(
+                "permits",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How many tasks may hold it at once. Default: as the tasks say.",
+            ),
+        ],
+    },
+    Table {
+        path: INJURE,
+        keys: &[
+            key(
+                "drop",
+                Kind::Number(0.0, 0.9),
+                Some("0.0"),
+                "The probability that a packet is lost; it is sent again.",
+            ),
+            key(
+                "delay",
+                Kind::Text,
+                None,
+                "How much later each packet leaves, such as \"5ms\" or \"5ms..20ms\". Default: not at all.",
+            ),
+            key(
+                "cut",
+                Kind::Texts,
+                Some("[]"),
+                "Links that are cut: two chassis (or `boot`), when, and for how long, such as \"a:b@2s+0.5s\".",
+            ),
+            key(
+                "break_bytes",
+                Kind::Integer(0, 1 << 40),
+                Some("0"),
+                "After how many bytes the first stream of each link breaks, on average; 0 = never.",
+            ),
+        ],
+    },
+    Table {
+        path: BARRIER,
+        keys: &[
+            key("scope", Kind::Choice(&["chassis", "app"]), None, SCOPE_DOC),
+            key(
+                "parties",
+                Kind::Integer(1, 1_000_000),
+                None,
+                "How many must arrive before all go on. Default: as the tasks say.",
+            ),
+        ],
+    },
+    Table {
+        path: SECURITY,
+        keys: &[
+            key(
+                "key",
+                Kind::Text,
+                None,
+                "The key of the app's chassis without its ending, made by `ctos keys new`.",
+            ),
+            key(
+                "authority",
+                Kind::Text,
+                None,
+                "The certificate of the authority that signs all keys.",
             ),
         ],
     },

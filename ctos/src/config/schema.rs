@@ -64,8 +64,14 @@ fn of_kind(kind: &Kind) -> Value {
             "anyOf": [{ "enum": words }, { "type": "string", "pattern": "\\$\\{" }],
         }),
         Kind::Flag => json!({ "type": "boolean" }),
+        Kind::FlagOr(word) => json!({
+            "anyOf": [{ "type": "boolean" }, { "enum": [word] }],
+        }),
         Kind::Integer(least, most) => {
             json!({ "type": "integer", "minimum": least, "maximum": most })
+        }
+        Kind::Number(least, most) => {
+            json!({ "type": "number", "minimum": least, "maximum": most })
         }
         Kind::Seconds(most) => json!({ "type": "number", "exclusiveMinimum": 0, "maximum": most }),
         Kind::Texts => json!({ "type": "array", "items": { "type": "string" } }),

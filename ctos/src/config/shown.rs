@@ -62,6 +62,21 @@ impl App {
         }
         text.push('\n');
         self.write_table(&self.completed(), "", &mut text);
+        let written = self.root.entry("task");
+        let written = |name: &str| written.is_some_and(|tasks| tasks.value.entry(name).is_some());
+        let mut made = self
+            .tasks
+            .iter()
+            .filter(|task| !written(&task.name))
+            .peekable();
+        if made.peek().is_some() {
+            text.push_str("\n# Made from these tables:\n");
+        }
+        for task in made {
+            let (name, handler) = (&task.name, &task.handler);
+            let (chassis, processor) = (&task.chassis, &task.processor);
+            let _ = writeln!(text, "# task {name}: {handler} on {chassis}/{processor}");
+        }
         text
     }
 

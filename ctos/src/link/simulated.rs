@@ -18,7 +18,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use crate::{
     call::lock,
     context::mix,
-    link::{Frame, Link},
+    link::{Frame, Full, Link},
     simulation::Breach,
     time::{Clock, Instant},
 };
@@ -411,8 +411,9 @@ struct SimulatedLink {
 }
 
 impl Link for SimulatedLink {
-    fn post(&self, frame: Frame) {
+    fn post(&self, frame: Frame) -> Result<(), Full> {
         self.network.put(self.from, self.to, Arrival::Frame(frame));
+        Ok(())
     }
 }
 

@@ -11,7 +11,7 @@ use std::{
 };
 
 use super::{Cyclic, CyclicStatistics, Directory, Tick, flow::Flow, grid::Due, schedule::Overrun};
-use crate::time::Clock;
+use crate::time::{Clock, Instant};
 
 /// Called with why a function cannot go on, or the app should not.
 pub(super) type FailureHook = Rc<dyn Fn(&str)>;
@@ -205,14 +205,19 @@ impl Function {
         self.wanted.load(Ordering::Acquire)
     }
 
-    /// Runs it if base tick `due` is its turn.
-    pub(super) fn run(&mut self, due: &Due, overrun: Overrun, clock: &Clock) {
+    /// Runs it, now, if base tick `due` is its turn. Returns the moment after it.
+    pub(super) fn run(
+        &mut self,
+        due: &Due,
+        overrun: Overrun,
+        now: Instant,
+        clock: &Clock,
+    ) -> Instant {
         let turn = self.turns.at(due.tick, overrun);
         self.statistics.count_missed(turn.missed);
         let Some(run) = turn.run else {
-            return;
+            return now;
         };
-        let now = clock.now();
         let tick = Tick {
             due: due.of_tick(run.tick),
             now,
@@ -227,6 +232,7 @@ impl Function {
         if now < due.next && ended >= due.next {
             self.statistics.count_overrun();
         }
+        ended
     }
 }
 

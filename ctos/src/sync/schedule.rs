@@ -278,15 +278,16 @@ impl Schedule {
         let mut ticked = false;
         let mut index = 0;
         loop {
+            let now = self.clock.now();
             let begun = match self.grids.borrow_mut().get_mut(index) {
-                Some(grid) => grid.begin(self.clock.now()),
+                Some(grid) => grid.begin(now),
                 None => break,
             };
             match begun {
                 Begun::Nothing => {}
                 Begun::Tick(due, functions) => {
                     ticked = true;
-                    self.tick(index, &due, functions);
+                    self.tick(index, &due, functions, now);
                 }
                 Begun::SourceFailed(reason, hooks) => {
                     let processor = &self.settings.processor;
@@ -303,7 +304,7 @@ impl Schedule {
         ticked
     }
 
-    fn tick(&self, grid: usize, due: &Due, mut functions: Vec<Function>) {
+    fn tick(&self, grid: usize, due: &Due, mut functions: Vec<Function>, mut now: Instant) {
         let mut index = 0;
         while let Some(function) = functions.get_mut(index) {
             if !function.is_wanted() {
@@ -311,9 +312,12 @@ impl Schedule {
                 continue;
             }
             let overrun = self.settings.overrun;
-            let run = || function.run(due, overrun, &self.clock);
+            let run = || function.run(due, overrun, now, &self.clock);
             match catch_unwind(AssertUnwindSafe(run)) {
-                Ok(()) => index += 1,
+                Ok(ended) => {
+                    now = ended;
+                    index += 1;
+                }
                 Err(panic) => {
                     let function = functions.remove(index);
                     let text = panic_text(panic.as_ref());

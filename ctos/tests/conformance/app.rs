@@ -9,20 +9,26 @@ use ctos::{
 
 use crate::{cases, peer};
 
+/// The folder of the keys that some placements need.
+pub const KEYS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/conformance-keys");
+
 /// Where the far tasks live, seen from the near ones.
 pub struct Placement {
     pub name: &'static str,
     mode: &'static str,
+    /// What the configuration says of links.
+    links: &'static [&'static str],
     near: &'static str,
     far: &'static str,
     pub seeds: Range<u64>,
 }
 
 impl Placement {
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 9] = [
         Self {
             name: "same_processor",
             mode: "real",
+            links: &[],
             near: "a/main",
             far: "a/main",
             seeds: 1..2,
@@ -30,13 +36,54 @@ impl Placement {
         Self {
             name: "two_processors",
             mode: "real",
+            links: &[],
             near: "a/main",
             far: "a/second",
             seeds: 1..2,
         },
         Self {
+            name: "two_chassis_shm",
+            mode: "real",
+            links: &["same_host=shm"],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
+        Self {
+            name: "two_chassis_unix",
+            mode: "real",
+            links: &["same_host=unix"],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
+        Self {
             name: "two_chassis_tcp",
             mode: "real",
+            links: &["same_host=tcp"],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
+        Self {
+            name: "two_chassis_tls",
+            mode: "real",
+            links: &[
+                "same_host=tcp",
+                r#"security={ key = "KEYS/cell", authority = "KEYS/ca.pem" }"#,
+            ],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
+        Self {
+            name: "two_chassis_tcp_breaking",
+            mode: "real",
+            links: &[
+                "same_host=tcp",
+                "injure.break_bytes=2000",
+                "injure.drop=0.02",
+            ],
             near: "a/main",
             far: "b/main",
             seeds: 1..2,
@@ -44,6 +91,7 @@ impl Placement {
         Self {
             name: "two_processors_virtual",
             mode: "virtual",
+            links: &[],
             near: "a/main",
             far: "a/second",
             seeds: 1..9,
@@ -51,6 +99,7 @@ impl Placement {
         Self {
             name: "two_chassis_virtual",
             mode: "virtual",
+            links: &[],
             near: "a/main",
             far: "b/main",
             seeds: 1..9,
@@ -59,7 +108,11 @@ impl Placement {
 
     pub fn app(&self, seed: u64, case: &str) -> App {
         let Self {
-            mode, near, far, ..
+            mode,
+            links,
+            near,
+            far,
+            ..
         } = self;
         let second = if far.starts_with('b') {
             "[chassis.b]"
@@ -101,7 +154,9 @@ impl Placement {
             on = "{far}"
             "#
         );
-        load_texts(&[("conformance.toml", &text)], &[], &[]).unwrap()
+        let sets = links.iter().map(|set| set.replace("KEYS", KEYS));
+        let sets: Vec<String> = sets.collect();
+        load_texts(&[("conformance.toml", &text)], &sets, &[]).unwrap()
     }
 }
 

@@ -642,3 +642,37 @@ pub fn register(registry: &mut Registry) {
         Ok(Driver { case })
     });
 }
+
+async fn a_semaphore_of_the_app_counts_its_permits_and_gives_them_on(suite: Suite) -> Outcome {
+    let cx = &suite.cx;
+    let board = cx.semaphore("app/board", 2)?;
+    let (first, second) = (board.acquire().await?, board.acquire().await?);
+    let refused = board.acquire().deadline(Duration::from_millis(20)).await;
+    let text = refused
+        .err()
+        .map(|error| error.to_string())
+        .unwrap_or_default();
+    check(
+        text.contains("held by `driver` for ") && text.contains(" and `driver` for "),
+        || text,
+    )?;
+    // Given up while the answer may be on its way: nothing is lost.
+    for _ in 0..20 {
+        let waits = async { board.acquire().await.map(drop) };
+        let _ = cx.timeout(Duration::from_micros(50), waits).await;
+    }
+    let third = board.acquire();
+    let released = async {
+        cx.sleep(Duration::from_millis(20)).await;
+        drop(first);
+    };
+    let (third, ()) = join(third.into_future(), released).await;
+    let third = third?;
+    same(board.try_acquire().await?.is_some(), false)?;
+    drop((second, third));
+    let all = (board.try_acquire().await?, board.try_acquire().await?);
+    same((all.0.is_some(), all.1.is_some()), (true, true))?;
+    let start = cx.barrier("app/start", 2)?;
+    let (one, other) = join(start.wait(), start.wait()).await;
+    same((one?.last, other?.last), (false, true))
+}

@@ -1,5 +1,5 @@
 //! One suite for every way in which two tasks can be placed: what holds on one processor must hold
-//! between threads, over simulated links and over TCP between processes.
+//! between threads, over simulated links and over every kind of link between processes, whole or injured.
 //!
 //! Each trial boots an app of its own. Its own `main`, because the chassis of the real placements are
 //! processes of this program.
@@ -17,14 +17,15 @@ mod peer;
 
 use std::{
     ffi::OsString,
-    net::SocketAddr,
     panic::AssertUnwindSafe,
+    path::Path,
     process::ExitCode,
     sync::{Arc, mpsc},
     time::Duration,
 };
 
-use ctos::boot::{BootEvent, End, Launcher, Observer, boot, run_chassis};
+use ctos::boot::{Address, BootEvent, End, Launcher, Observer, boot, run_chassis};
+use ctos::security::{Role, make_key};
 use libtest_mimic::{Arguments, Failed, Trial};
 
 use app::Placement;
@@ -61,6 +62,21 @@ fn watched(placement: &'static Placement, case: &'static Case) -> Result<(), Fai
         .unwrap_or_else(|_| Err(format!("hangs; nothing came for {WATCHDOG:?}").into()))
 }
 
+/// Makes the keys that some placements need, once for all runs.
+fn make_keys() -> Result<(), Failed> {
+    let keys = Path::new(app::KEYS);
+    if keys.exists() {
+        return Ok(());
+    }
+    let begun = keys.with_extension(std::process::id().to_string());
+    make_key(&begun.join("cell"), Role::Boot)?;
+    // Another trial may have been faster.
+    if std::fs::rename(&begun, keys).is_err() && keys.exists() {
+        std::fs::remove_dir_all(&begun)?;
+    }
+    Ok(())
+}
+
 fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
     let launcher = Launcher {
         program: std::env::current_exe()?,
@@ -68,6 +84,7 @@ fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
             .map(OsString::from)
             .to_vec(),
     };
+    make_keys()?;
     // A schedule drawn from another seed is another interleaving.
     for seed in placement.seeds.clone() {
         let log: Arc<std::sync::Mutex<Vec<String>>> = Arc::default();
@@ -101,12 +118,12 @@ fn chassis(arguments: &[String]) -> ExitCode {
     };
     let placement = Placement::ALL.iter().find(|one| one.name == *placement);
     let (Some(placement), Ok(address), Ok(origin)) =
-        (placement, address.parse::<SocketAddr>(), origin.parse())
+        (placement, address.parse::<Address>(), origin.parse())
     else {
         return ExitCode::from(2);
     };
     let app = placement.app(1, case);
-    match run_chassis(app, app::registry(), name, address, origin) {
+    match run_chassis(app, app::registry(), name, &address, origin) {
         Ok(code) => ExitCode::from(u8::try_from(code).unwrap_or(255)),
         Err(_) => ExitCode::from(4),
     }

@@ -285,7 +285,7 @@ impl Check<'_> {
                 shaky || !self.run.faults.is_empty()
             }
             End::TaskFailed { task, .. } => task == "shaky",
-            End::ChassisDown { .. } => lost,
+            End::ChassisDown { .. } | End::GivenUp { .. } => lost,
             End::Interrupted | End::Stuck => false,
         };
         if !reasonable && !broken {

@@ -35,8 +35,11 @@ fn the_reader_knows_the_listed_keys_and_no_others() {
     }
 }
 
-/// The tables of `defaults.toml`: each header with its keys, those in comments too, and their values.
-fn defaults() -> Vec<(String, Vec<(String, String, bool)>)> {
+/// A key of `defaults.toml`: its name, its value, and whether it is more than a comment.
+type DefaultKey = (String, String, bool);
+
+/// The tables of `defaults.toml`: each header with its keys.
+fn defaults() -> Vec<(String, Vec<DefaultKey>)> {
     let mut tables = vec![(String::new(), Vec::new())];
     for line in DEFAULTS.lines() {
         if let Some(header) = line.strip_prefix('[') {
@@ -177,13 +180,14 @@ fn the_schema_refuses_what_the_reader_refuses_of_keys_and_values() {
             let wrong = match key.kind {
                 Kind::Text => vec!["3", "\"\"", "[]"],
                 Kind::Choice(_) => vec!["3", "\"zzz\""],
-                Kind::Flag => vec!["1", "\"true\""],
+                Kind::Flag | Kind::FlagOr(_) => vec!["1", "\"true\""],
                 Kind::Integer(0, _) => vec!["-1", "1.5", "\"1\""],
                 Kind::Integer(_, most) => {
                     let above = format!("{name} = {}", most + 1);
                     assert!(!accepts(&validator, &with(&above)), "[{path}] {above}");
                     vec!["0", "1.5", "\"1\""]
                 }
+                Kind::Number(..) => vec!["-1", "1.5", "\"1\""],
                 Kind::Seconds(_) => vec!["0", "-1.0", "1e9", "\"1\""],
                 Kind::Texts => vec!["3", "[3]"],
                 Kind::One(_) | Kind::Named(_) | Kind::Profiles | Kind::Free => vec!["3", "[]"],

@@ -280,3 +280,30 @@ fn two_chassis_cannot_listen_at_one_address() {
             .starts_with("app.toml:27:1: error: chassis `b` and `c` listen at the same address")
     );
 }
+
+#[test]
+fn more_chassis_or_processors_than_a_task_id_can_tell_apart_are_refused_at_the_first_too_many() {
+    let rest = "[task.a]\nhandler = \"h\"\non = \"c0\"\n";
+    let chassis = |count: usize| {
+        let all: String = (0..count).map(|n| format!("[chassis.c{n}]\n")).collect();
+        load_one(&format!("{all}{rest}"))
+    };
+    assert!(chassis(254).is_ok());
+    assert_eq!(
+        refused(chassis(256)),
+        [
+            "app.toml:255:10: error: an app has room for 254 chassis, and this is one of 256 (put more tasks on one processor)"
+        ]
+    );
+    let processors = |count: usize| {
+        let all: String = (0..count).map(|n| format!("p{n} = {{}}\n")).collect();
+        load_one(&format!("[chassis.c0.processors]\n{all}{rest}"))
+    };
+    assert!(processors(255).is_ok());
+    assert_eq!(
+        refused(processors(256)),
+        [
+            "app.toml:257:1: error: a chassis has room for 255 processors, and this is one of 256 (put more tasks on one processor)"
+        ]
+    );
+}

@@ -58,6 +58,18 @@ fn each_value_is_shown_with_where_it_comes_from() {
 }
 
 #[test]
+fn tasks_that_a_table_makes_are_told_as_comments() {
+    let text = format!("{CELL}[vss]\nservices = [\"spot\"]\n");
+    let app = load_texts(&[("app.toml", &text)], &[], &[("vss", &Services)]).unwrap();
+    let shown = app.to_toml();
+    assert!(
+        shown.ends_with("\n# Made from these tables:\n# task spot: vss.spot on ws1/main\n"),
+        "{shown}"
+    );
+    assert!(!sim().to_toml().contains("# Made from"));
+}
+
+#[test]
 fn what_is_shown_makes_the_same_app_by_itself() {
     let app = sim();
     let text = app.to_toml();

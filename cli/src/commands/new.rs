@@ -1,0 +1,191 @@
+//! `ctos new`: a small app that runs, as files to start from.
+//!
+//! The files are those of `cli/examples/template`, which is compiled and tested with the workspace.
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+
+use crate::{exit, program, show};
+
+/// Write a small app of your own: handlers, configuration, test
+#[derive(Debug, Args)]
+#[command(after_help = "Example:
+  ctos new my-app
+  cd my-app && cargo run -- boot app.toml")]
+pub struct NewArgs {
+    /// Folder to make
+    pub folder: PathBuf,
+    /// Folder of the CTOS workspace that the app is built with [default: the one this program was built in]
+    #[arg(long, value_name = "FOLDER")]
+    pub path: Option<PathBuf>,
+    /// Say nothing when all is well
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+/// The files: path and text, with `my-app`, `my_app` and `CTOS/` for what is filled in.
+const FILES: [(&str, &str); 7] = [
+    (
+        "Cargo.toml",
+        include_str!("../../examples/template/Cargo.toml.in"),
+    ),
+    (".gitignore", "/target\n"),
+    (
+        "README.md",
+        include_str!("../../examples/template/README.md"),
+    ),
+    ("app.toml", include_str!("../../examples/template/app.toml")),
+    (
+        "src/main.rs",
+        include_str!("../../examples/template/src/main.rs"),
+    ),
+    (
+        "src/handlers.rs",
+        include_str!("../../examples/template/src/handlers.rs"),
+    ),
+    (
+        "src/tests.rs",
+        include_str!("../../examples/template/src/tests.rs"),
+    ),
+];
+
+/// Words that cannot name a package: of the language, of its libraries, or of what the app is built with.
+const TAKEN: [&str; 9] = [
+    "cli",
+    "core",
+    "crate",
+    "ctos",
+    "self",
+    "serde",
+    "serde_json",
+    "std",
+    "test",
+];
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &NewArgs) -> u8 {
+    let name = match name(&args.folder) {
+        Ok(name) => name,
+        Err(reason) => {
+            show::say(&format!("error: {reason}"));
+            return exit::USAGE;
+        }
+    };
+    let built_in = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    let workspace = args.path.as_deref().or(built_in).unwrap_or(Path::new("."));
+    let Some(workspace) = workspace
+        .canonicalize()
+        .ok()
+        .filter(|folder| folder.join("ctos/Cargo.toml").is_file())
+    else {
+        show::say(&format!(
+            "error: `{}` is not the CTOS workspace; say with --path where it is",
+            workspace.display()
+        ));
+        return exit::FAILED;
+    };
+    match write(&args.folder, name, &workspace) {
+        Ok(()) => {}
+        Err((path, error)) if error.kind() == io::ErrorKind::AlreadyExists => {
+            show::say(&format!(
+                "error: `{}` is there already; nothing was written",
+                path.display()
+            ));
+            return exit::FAILED;
+        }
+        Err((path, error)) => {
+            show::say(&format!(
+                "error: cannot write `{}`: {error}",
+                path.display()
+            ));
+            return exit::FAILED;
+        }
+    }
+    if !args.quiet {
+        let folder = args.folder.display();
+        show::say(&format!(
+            "wrote {folder}; next (the first build takes some minutes):\n  cd {folder}\n  cargo test\n  cargo run -- boot app.toml"
+        ));
+    }
+    exit::OK
+}
+
+/// The app's name, from the folder's.
+fn name(folder: &Path) -> Result<&str, String> {
+    let name = folder.file_name().and_then(|name| name.to_str());
+    let name = name.ok_or_else(|| format!("`{}` names no folder to make", folder.display()))?;
+    let letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '-' || letter == '_';
+    let first = name.starts_with(|letter: char| letter.is_ascii_alphabetic());
+    if !first || !name.chars().all(letter) || name.len() > 64 {
+        return Err(format!(
+            "`{name}` cannot be the name of an app: use letters, digits, `-` and `_`, beginning with a letter"
+        ));
+    }
+    if TAKEN.contains(&name) {
+        return Err(format!(
+            "`{name}` cannot be the name of an app: it is taken"
+        ));
+    }
+    Ok(name)
+}
+
+/// The text of a file for the app called `name`.
+fn filled(text: &str, name: &str, workspace: &Path) -> String {
+    // A path is a TOML string here: quotes and backslashes in it would end or change it.
+    let workspace = workspace.display().to_string();
+    let workspace = workspace.replace('\\', "\\\\").replace('"', "\\\"");
+    text.replace("my-app", name)
+        .replace("my_app", &name.replace('-', "_"))
+        .replace("CTOS/", &format!("{workspace}/"))
+}
+
+/// Writes all files into `folder`, which must not be there.
+fn write(folder: &Path, name: &str, workspace: &Path) -> Result<(), (PathBuf, io::Error)> {
+    let at = |path: &Path| {
+        let path = path.to_owned();
+        move |error| (path, error)
+    };
+    std::fs::create_dir(folder).map_err(at(folder))?;
+    let source = folder.join("src");
+    std::fs::create_dir(&source).map_err(at(&source))?;
+    let schema = format!("{:#}\n", program::schema());
+    let files = FILES.map(|(path, text)| (path, filled(text, name, workspace)));
+    for (path, text) in files.into_iter().chain([("ctos.schema.json", schema)]) {
+        let path = folder.join(path);
+        std::fs::write(&path, text).map_err(at(&path))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_that_of_a_package_or_refused() {
+        assert_eq!(name(Path::new("a/b/my-app_2")), Ok("my-app_2"));
+        for bad in ["", "..", "a b", "1a", "é", "-a", "cli", "ctos", "a.b", "/"] {
+            assert!(name(Path::new(bad)).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn nothing_of_the_template_is_left_unfilled() {
+        for (path, text) in FILES {
+            let text = filled(text, "thing", Path::new("/w \"s\""));
+            for word in ["my-app", "my_app", "CTOS/", "{{"] {
+                assert!(!text.contains(word), "{path} holds {word}");
+            }
+        }
+        let manifest = filled(FILES[0].1, "thing", Path::new("/w \"s\\"));
+        assert!(
+            manifest.contains("path = \"/w \\\"s\\\\/cli\""),
+            "{manifest}"
+        );
+    }
+}

@@ -1,0 +1,626 @@
+//! The mesh: who connects to whom, for as long as the app runs.
+//!
+//! Every chassis has a mesh. The boot's is called by all others and tells them of each other; of any two
+//! others, one calls ([`calls`]). Calls are taken for the whole run, so a chassis that was started again
+//! (with a higher incarnation number) can join: the link of its predecessor goes down first, then its
+//! own comes up. Streams that break are had anew until the peer counts as silent.
+//!
+//! Knows sessions and streams; what supervision makes of a chassis that is gone is not its business.
+
+mod call;
+mod door;
+
+use std::{
+    collections::BTreeMap,
+    io,
+    path::Path,
+    sync::{
+        Arc, Mutex, OnceLock, Weak,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use rustix::process::{Pid, PidfdFlags, pidfd_open};
+use serde::{Deserialize, Serialize};
+use tokio::{
+    io::{Interest, unix::AsyncFd},
+    runtime::Handle,
+    sync::mpsc,
+};
+
+use crate::{
+    call::lock,
+    chassis::Chassis,
+    config::{InjuryConfig, SameHost},
+    link::{
+        Frame,
+        handshake::{Process, Token},
+        injure::Injury,
+        session::{DownReason, Limits, Receiver, Session, state::Event, state::State},
+        transport::{Address, Listener},
+    },
+    security::{KeyError, Keys},
+};
+
+/// How long the last frames may take when a process ends.
+pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
+
+/// What the mesh of one chassis tells that of another.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+enum Notice {
+    /// From the boot: who belongs to the app now.
+    Members { round: u32, members: Vec<Member> },
+    /// To the boot: connected to all members of that round.
+    Ready { round: u32 },
+}
+
+/// A chassis that others can call.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Member {
+    chassis: u8,
+    incarnation: u32,
+    process: Process,
+    listen: Vec<Address>,
+}
+
+/// What happens to the links of a chassis.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum MeshEvent {
+    /// A chassis is connected to this one.
+    Up { chassis: u8, incarnation: u32 },
+    /// At the boot: a chassis is connected to every other one. Elsewhere: this one (and `chassis` is its
+    /// number).
+    Joined { chassis: u8, incarnation: u32 },
+    /// A chassis is gone.
+    Down {
+        chassis: u8,
+        incarnation: u32,
+        reason: DownReason,
+    },
+    /// A chassis that was started cannot take part.
+    Unable { chassis: u8, reason: String },
+}
+
+/// Why a mesh could not be made.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum MeshError {
+    /// The address of the configuration cannot be listened at.
+    #[error("cannot listen at {address}: {error}")]
+    Listen { address: String, error: io::Error },
+    /// The keys cannot be used.
+    #[error("the keys of [security] cannot be used: {0}")]
+    Keys(#[from] KeyError),
+}
+
+/// Who this chassis is to the others.
+pub(crate) struct Identification {
+    pub(crate) token: Token,
+    /// How often it was started; the first time is 1.
+    pub(crate) incarnation: u32,
+}
+
+/// A peer as this mesh knows it.
+#[derive(Default)]
+struct Peer {
+    incarnation: u32,
+    session: Option<Arc<Session>>,
+    /// What the boot, or the peer itself, said of it.
+    member: Option<Member>,
+    /// At the boot: the last round for which it is connected to all.
+    ready: u32,
+    /// Somebody is calling it.
+    called: bool,
+}
+
+#[derive(Default)]
+struct Roll {
+    peers: BTreeMap<u8, Peer>,
+    /// At the boot: of the last announcement. Elsewhere: of the last one heard.
+    round: u32,
+    /// Elsewhere: the members of that round, until they are all connected.
+    awaited: Option<Vec<Member>>,
+}
+
+/// What the tasks of a mesh share.
+struct Inner {
+    chassis: Arc<Chassis>,
+    who: Identification,
+    process: Process,
+    keys: Option<Arc<Keys>>,
+    runtime: Handle,
+    listen: OnceLock<Vec<Address>>,
+    state: Mutex<Roll>,
+    /// Whose link the chassis has: number and incarnation. Held while that changes.
+    live: Mutex<BTreeMap<u8, u32>>,
+    events: mpsc::UnboundedSender<MeshEvent>,
+    refused: AtomicU64,
+}
+
+/// The links of one chassis.
+pub(crate) struct Mesh {
+    inner: Arc<Inner>,
+    events: mpsc::UnboundedReceiver<MeshEvent>,
+    doors: Vec<tokio::task::JoinHandle<()>>,
+}
+
+/// Whether chassis `ours` calls chassis `theirs` (number and incarnation): the one that came later does,
+/// and of two that came together the one with the higher number.
+fn calls(ours: (u8, u32), theirs: (u8, u32)) -> bool {
+    (ours.1, ours.0) > (theirs.1, theirs.0)
+}
+
+impl Mesh {
+    /// Listens where the configuration says, from now on.
+    ///
+    /// # Errors
+    /// [`MeshError`].
+    pub(crate) async fn start(
+        chassis: &Arc<Chassis>,
+        who: Identification,
+    ) -> Result<Self, MeshError> {
+        let app = &chassis.app;
+        let keys = match &app.security {
+            Some(security) => {
+                let place = |path: &Path| app.folder.join(path);
+                let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
+                Some(Arc::new(keys))
+            }
+            None => None,
+        };
+        let listeners = listeners(chassis, keys.as_ref()).await?;
+        let addresses: io::Result<Vec<Address>> = listeners.iter().map(Listener::address).collect();
+        let addresses = addresses.map_err(|error| MeshError::Listen {
+            address: chassis.name().to_owned(),
+            error,
+        })?;
+        let (sender, events) = mpsc::unbounded_channel();
+        let inner = Arc::new(Inner {
+            chassis: chassis.clone(),
+            who,
+            process: Process::this(),
+            keys,
+            runtime: Handle::current(),
+            listen: OnceLock::from(addresses),
+            state: Mutex::default(),
+            live: Mutex::default(),
+            events: sender,
+            refused: AtomicU64::new(0),
+        });
+        let doors = listeners
+            .into_iter()
+            .map(|listener| tokio::spawn(door::keep(inner.clone(), listener)))
+            .collect();
+        Ok(Self {
+            inner,
+            events,
+            doors,
+        })
+    }
+
+    /// Where this chassis can be called, the nearest first.
+    pub(crate) fn addresses(&self) -> &[Address] {
+        self.inner.addresses()
+    }
+
+    /// At the boot: from now on only this incarnation of `chassis`, or a later one, may call; the link
+    /// of an earlier one goes down.
+    pub(crate) fn expect(&self, chassis: u8, incarnation: u32) {
+        self.inner.supersede(chassis, incarnation);
+    }
+
+    /// At the boot: the process of `chassis` has ended, its parent says. What it still said is read,
+    /// then its link goes down.
+    pub(crate) fn ended(&self, chassis: u8) {
+        if let Some(session) = self.inner.session(chassis) {
+            session.event(Event::PeerEnded, DownReason::Ended);
+        }
+    }
+
+    /// What happens next.
+    pub(crate) async fn next(&mut self) -> Option<MeshEvent> {
+        self.events.recv().await
+    }
+
+    /// How many callers were refused.
+    pub(crate) fn refused(&self) -> u64 {
+        self.inner.refused.load(Ordering::Relaxed)
+    }
+
+    /// Joins the app whose boot listens at `boot`; what comes of it are events.
+    pub(crate) fn join(&self, boot: &Address) {
+        let member = Member {
+            chassis: 0,
+            incarnation: 1,
+            process: self.inner.process.clone(),
+            listen: vec![boot.clone()],
+        };
+        self.inner.call(member);
+    }
+
+    /// Tells the boot at `boot` why `chassis` cannot start.
+    pub(crate) async fn unable(
+        boot: &Address,
+        chassis: &Chassis,
+        keys: Option<&Arc<Keys>>,
+        token: &Token,
+        reason: &str,
+    ) {
+        call::unable(boot, chassis, keys, token, reason).await;
+    }
+
+    /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
+    pub(crate) async fn close(&mut self) {
+        for door in self.doors.drain(..) {
+            door.abort();
+        }
+        let sessions: Vec<Arc<Session>> = {
+            let mut state = lock(&self.inner.state);
+            let peers = state.peers.values_mut();
+            peers.filter_map(|peer| peer.session.take()).collect()
+        };
+        for session in &sessions {
+            session.close();
+        }
+        let down = sessions.iter().map(|session| {
+            let mut state = session.watch();
+            async move {
+                // An error says that the session is gone.
+                let _ = state.wait_for(|state| *state == State::Down).await;
+            }
+        });
+        let down = futures_util::future::join_all(down);
+        // What cannot be written within the limit belongs to a peer that no longer reads.
+        let _ = tokio::time::timeout(FLUSH_LIMIT, down).await;
+    }
+}
+
+impl Drop for Mesh {
+    fn drop(&mut self) {
+        for door in &self.doors {
+            door.abort();
+        }
+    }
+}
+
+/// Where this chassis listens: for its own host, and where the configuration says.
+async fn listeners(
+    chassis: &Arc<Chassis>,
+    keys: Option<&Arc<Keys>>,
+) -> Result<Vec<Listener>, MeshError> {
+    let app = &chassis.app;
+    let mut configured = app.chassis.iter();
+    let configured = configured.find(|config| config.name == chassis.name());
+    let listen = configured.and_then(|config| config.listen);
+    let mut listeners = Vec::new();
+    if app.links.same_host != SameHost::Tcp {
+        let listener = Listener::unix(chassis.name()).map_err(|error| MeshError::Listen {
+            address: "a socket of this user's own".to_owned(),
+            error,
+        })?;
+        listeners.push(listener);
+    }
+    if listen.is_some() || listeners.is_empty() {
+        let address = listen.unwrap_or_else(|| ([127, 0, 0, 1], 0).into());
+        let listener = Listener::tcp(address, keys.cloned()).await;
+        listeners.push(listener.map_err(|error| MeshError::Listen {
+            address: address.to_string(),
+            error,
+        })?);
+    }
+    Ok(listeners)
+}
+
+impl Inner {
+    fn addresses(&self) -> &[Address] {
+        self.listen.get().map_or(&[], Vec::as_slice)
+    }
+
+    fn session(&self, chassis: u8) -> Option<Arc<Session>> {
+        lock(&self.state).peers.get(&chassis)?.session.clone()
+    }
+
+    fn send(&self, event: MeshEvent) {
+        // Nobody may listen any more.
+        let _ = self.events.send(event);
+    }
+
+    /// Ends the session of an earlier incarnation than `incarnation`. False when there is a later one.
+    fn supersede(&self, chassis: u8, incarnation: u32) -> bool {
+        let old = {
+            let mut state = lock(&self.state);
+            let peer = state.peers.entry(chassis).or_default();
+            if peer.incarnation >= incarnation {
+                return peer.incarnation == incarnation;
+            }
+            peer.incarnation = incarnation;
+            peer.called = false;
+            peer.member = None;
+            peer.session.take()
+        };
+        if let Some(old) = old {
+            // Its successor is there, so nothing more can come of it.
+            old.event(Event::PeerEnded, DownReason::Ended);
+            old.event(Event::Silence, DownReason::Ended);
+        }
+        true
+    }
+
+    /// The session with an incarnation of `chassis`, made when there is none. `None` when a later
+    /// incarnation is known.
+    fn session_with(
+        self: &Arc<Self>,
+        chassis: u8,
+        incarnation: u32,
+        process: &Process,
+    ) -> Option<Arc<Session>> {
+        if !self.supersede(chassis, incarnation) {
+            return None;
+        }
+        let mut state = lock(&self.state);
+        let peer = state.peers.entry(chassis).or_default();
+        if let Some(session) = &peer.session {
+            return Some(session.clone());
+        }
+        let app = &self.chassis.app;
+        let limits = Limits {
+            timeout: app.links.peer_timeout,
+            room: app.links.room,
+        };
+        let injury = self.injury(&app.links.injury, chassis);
+        let receiver = PeerReceiver {
+            mesh: Arc::downgrade(self),
+            chassis,
+            incarnation,
+        };
+        let clock = self.chassis.clock.clone();
+        let session = Session::new(clock, limits, injury, Box::new(receiver));
+        peer.session = Some(session.clone());
+        self.runtime.spawn(keep(session.clone()));
+        if self.process.sees(process) {
+            self.runtime.spawn(watch(session.clone(), process.pid));
+        }
+        Some(session)
+    }
+
+    fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
+        let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
+        Injury::of(config, self.chassis.app.seed, from, to)
+    }
+
+    /// A link came up, or went down.
+    fn changed(self: &Arc<Self>) {
+        if self.chassis.index() == 0 {
+            self.announce();
+        } else {
+            self.report();
+        }
+    }
+
+    /// At the boot: when everybody who is expected has called, all are told of all.
+    fn announce(&self) {
+        let (notice, sessions) = {
+            let mut state = lock(&self.state);
+            let is_up = |peer: &Peer| {
+                let session = peer.session.as_ref();
+                // One that has just lost its stream is a member all the same.
+                session.is_some_and(|session| matches!(session.state(), State::Up | State::Broken))
+            };
+            let expected = |peer: &&Peer| {
+                let session = peer.session.as_ref();
+                session.is_none_or(|session| session.state() != State::Down)
+            };
+            let mut peers = state.peers.values().filter(expected);
+            if !peers.all(|peer| is_up(peer) && peer.member.is_some()) {
+                return;
+            }
+            state.round += 1;
+            let round = state.round;
+            let up = || state.peers.values().filter(|peer| is_up(peer));
+            let members = up().filter_map(|peer| peer.member.clone()).collect();
+            let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
+            (Notice::Members { round, members }, sessions)
+        };
+        for session in sessions {
+            tell(&session, &notice);
+        }
+    }
+
+    /// Elsewhere: when all members are connected, or gone again, the boot is told.
+    fn report(&self) {
+        let (round, boot) = {
+            let mut state = lock(&self.state);
+            let Some(awaited) = &state.awaited else {
+                return;
+            };
+            let connected = |member: &Member| {
+                let Some(peer) = state.peers.get(&member.chassis) else {
+                    return false;
+                };
+                let session = peer.session.as_ref();
+                let met = session.is_some_and(|session| session.state() != State::Waiting);
+                peer.incarnation > member.incarnation
+                    || peer.incarnation == member.incarnation && met
+            };
+            let ours = self.chassis.index();
+            let mut others = awaited.iter().filter(|member| member.chassis != ours);
+            if !others.all(connected) {
+                return;
+            }
+            state.awaited = None;
+            let boot = state.peers.get(&0).and_then(|peer| peer.session.clone());
+            (state.round, boot)
+        };
+        if let Some(boot) = boot {
+            tell(&boot, &Notice::Ready { round });
+        }
+        self.send(MeshEvent::Joined {
+            chassis: self.chassis.index(),
+            incarnation: self.who.incarnation,
+        });
+    }
+
+    /// What the mesh of `chassis` says.
+    fn heard(self: &Arc<Self>, chassis: u8, notice: Notice) {
+        match notice {
+            Notice::Members { round, members } if chassis == 0 => {
+                let ours = (self.chassis.index(), self.who.incarnation);
+                for member in &members {
+                    let theirs = (member.chassis, member.incarnation);
+                    if theirs.0 != ours.0 && calls(ours, theirs) {
+                        self.call(member.clone());
+                    }
+                }
+                {
+                    let mut state = lock(&self.state);
+                    state.round = round;
+                    state.awaited = Some(members);
+                }
+                self.report();
+            }
+            Notice::Ready { round } if self.chassis.index() == 0 => {
+                let incarnation = {
+                    let mut state = lock(&self.state);
+                    let last = state.round;
+                    let Some(peer) = state.peers.get_mut(&chassis) else {
+                        return;
+                    };
+                    if round != last {
+                        return;
+                    }
+                    peer.ready = round;
+                    peer.incarnation
+                };
+                self.send(MeshEvent::Joined {
+                    chassis,
+                    incarnation,
+                });
+            }
+            other => {
+                let peer = self.chassis.name_of(chassis);
+                tracing::error!(peer, notice = ?other, "not for this chassis to hear");
+            }
+        }
+    }
+}
+
+/// Sends a message of the mesh.
+fn tell(session: &Session, notice: &Notice) {
+    match postcard::to_stdvec(notice) {
+        Ok(bytes) => session.notify(bytes),
+        Err(error) => tracing::error!(error = %error, "a message of the mesh cannot be written"),
+    }
+}
+
+/// Looks after a session until it is over.
+async fn keep(session: Arc<Session>) {
+    let mut ticks = tokio::time::interval(session.pulse_every());
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    while session.state() != State::Down {
+        ticks.tick().await;
+        session.keep();
+    }
+}
+
+/// Tells a session when the process at its other end is gone.
+#[allow(
+    deprecated,
+    reason = "the file belongs to the watcher alone, which is what the function's replacement asks to be promised in unsafe code"
+)]
+async fn watch(session: Arc<Session>, pid: u32) {
+    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
+    let opened = pid.map(|pid| pidfd_open(pid, PidfdFlags::NONBLOCK));
+    let ended = match opened {
+        Some(Ok(process)) => AsyncFd::with_interest(process, Interest::READABLE),
+        Some(Err(rustix::io::Errno::SRCH)) => {
+            return session.event(Event::PeerEnded, DownReason::Ended);
+        }
+        // Then its silence tells.
+        _ => return,
+    };
+    let Ok(process) = ended else {
+        return;
+    };
+    let mut state = session.watch();
+    tokio::select! {
+        _ = process.readable() => session.event(Event::PeerEnded, DownReason::Ended),
+        _ = state.wait_for(|state| *state == State::Down) => {}
+    }
+}
+
+/// Takes what one session brings.
+struct PeerReceiver {
+    mesh: Weak<Inner>,
+    chassis: u8,
+    incarnation: u32,
+}
+
+impl Receiver for PeerReceiver {
+    fn up(&self, session: Arc<Session>) {
+        let Some(mesh) = self.mesh.upgrade() else {
+            return;
+        };
+        {
+            let mut live = lock(&mesh.live);
+            live.insert(self.chassis, self.incarnation);
+            mesh.chassis.link_up(self.chassis, session);
+        }
+        mesh.send(MeshEvent::Up {
+            chassis: self.chassis,
+            incarnation: self.incarnation,
+        });
+        // The session shows that it is up only when this has returned.
+        let runtime = mesh.runtime.clone();
+        runtime.spawn(async move { mesh.changed() });
+    }
+
+    fn frame(&self, frame: Frame) {
+        if let Some(mesh) = self.mesh.upgrade() {
+            mesh.chassis.receive(self.chassis, frame);
+        }
+    }
+
+    fn notice(&self, bytes: Vec<u8>) {
+        let Some(mesh) = self.mesh.upgrade() else {
+            return;
+        };
+        match postcard::from_bytes(&bytes) {
+            Ok(notice) => mesh.heard(self.chassis, notice),
+            Err(error) => {
+                let peer = mesh.chassis.name_of(self.chassis);
+                tracing::error!(peer, error = %error, "a message of the mesh cannot be read");
+            }
+        }
+    }
+
+    fn down(&self, reason: &DownReason) {
+        let Some(mesh) = self.mesh.upgrade() else {
+            return;
+        };
+        let peer = mesh.chassis.name_of(self.chassis);
+        match reason {
+            DownReason::Bye | DownReason::Closed => {
+                tracing::debug!(peer, reason = %reason, "link down");
+            }
+            _ => tracing::warn!(peer, reason = %reason, "link down"),
+        }
+        {
+            let mut live = lock(&mesh.live);
+            // The link of a successor must not go down with this one.
+            if live.get(&self.chassis) == Some(&self.incarnation) {
+                live.remove(&self.chassis);
+                mesh.chassis.link_down(self.chassis);
+            }
+        }
+        mesh.send(MeshEvent::Down {
+            chassis: self.chassis,
+            incarnation: self.incarnation,
+            reason: reason.clone(),
+        });
+        let runtime = mesh.runtime.clone();
+        runtime.spawn(async move { mesh.changed() });
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,191 @@
+//! The door of a mesh: takes calls for the whole run and lets in who belongs to it.
+//!
+//! Everything a stranger does is bounded: how many of them are heard at a time, for how long, and how
+//! much they may say. Who is refused is logged and counted.
+
+use std::{
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
+
+use tokio::sync::Semaphore;
+
+use super::{Inner, Member, MeshEvent};
+use crate::{
+    link::{
+        handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
+        session::{AttachError, Session, drive},
+        shm,
+        transport::{Call, Listener, Stream},
+    },
+    security::{Identity, KeyError, Role},
+};
+
+/// How many callers who have not shown who they are are heard at a time.
+const STRANGERS: usize = 64;
+
+/// How long a caller may take to show who it is.
+const HELLO_LIMIT: Duration = Duration::from_secs(5);
+
+/// How long to wait after an `accept` that failed: no file descriptors for the moment, perhaps.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(20);
+
+/// Why a caller was not let in.
+#[derive(Debug, thiserror::Error)]
+enum RefusedError {
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    #[error(transparent)]
+    Handshake(#[from] HandshakeError),
+    #[error(transparent)]
+    Attach(#[from] AttachError),
+    #[error("chassis {chassis} of incarnation {incarnation} was given up")]
+    GivenUp { chassis: u8, incarnation: u32 },
+}
+
+/// Takes calls until it is aborted.
+pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
+    let strangers = Arc::new(Semaphore::new(STRANGERS));
+    loop {
+        let call = match listener.accept().await {
+            Ok(call) => call,
+            Err(error) => {
+                tracing::warn!(error = %error, "a call was lost");
+                tokio::time::sleep(ACCEPT_PAUSE).await;
+                continue;
+            }
+        };
+        let Ok(place) = strangers.clone().try_acquire_owned() else {
+            mesh.refused.fetch_add(1, Ordering::Relaxed);
+            tracing::warn!(
+                most = STRANGERS,
+                "too many callers at once; one was turned away"
+            );
+            continue;
+        };
+        let mesh = mesh.clone();
+        tokio::spawn(async move {
+            let heard = tokio::time::timeout(HELLO_LIMIT, hear(&mesh, call)).await;
+            let heard = heard.unwrap_or_else(|_| Err(HandshakeError::Late.into()));
+            drop(place);
+            let served = match heard {
+                Ok(Some((stream, hello))) => serve(&mesh, stream, hello).await,
+                Ok(None) => Ok(()),
+                Err(error) => Err(error),
+            };
+            match served {
+                Ok(()) | Err(RefusedError::Attach(AttachError::Cut)) => {}
+                Err(error) => {
+                    mesh.refused.fetch_add(1, Ordering::Relaxed);
+                    tracing::warn!(reason = %error, "a caller was refused");
+                }
+            }
+        });
+    }
+}
+
+/// Hears who calls; `None` when that is all it wanted to say.
+async fn hear(mesh: &Arc<Inner>, call: Call) -> Result<Option<(Stream, Hello)>, RefusedError> {
+    let (mut stream, identity) = call.prove().await?;
+    may_be_chassis(identity.as_ref())?;
+    let greeting = hear_greeting(&mut stream).await?;
+    if *greeting.token() != mesh.who.token {
+        return Err(HandshakeError::Stranger.into());
+    }
+    let known = |chassis: u8| {
+        let mut others = mesh.chassis.others();
+        others.any(|other| other == chassis && chassis != 0)
+    };
+    match greeting {
+        Greeting::Hello { hello, .. } if known(hello.chassis) => Ok(Some((stream, hello))),
+        Greeting::Unable {
+            chassis, reason, ..
+        } if known(chassis) => {
+            mesh.send(MeshEvent::Unable { chassis, reason });
+            Ok(None)
+        }
+        Greeting::Hello { hello, .. } => Err(HandshakeError::Nobody(hello.chassis).into()),
+        Greeting::Unable { chassis, .. } => Err(HandshakeError::Nobody(chassis).into()),
+    }
+}
+
+/// A chassis runs what it is told, and tells others; that takes the highest role.
+pub(super) fn may_be_chassis(identity: Option<&Identity>) -> Result<(), HandshakeError> {
+    match identity {
+        Some(identity) if !identity.may(Role::Boot) => Err(HandshakeError::Role {
+            role: identity.role,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Answers a chassis of this run and carries its session over the stream.
+async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<(), RefusedError> {
+    let Hello {
+        chassis,
+        incarnation,
+        process,
+        listen,
+        received,
+        shared,
+    } = hello;
+    let session = mesh.session_with(chassis, incarnation, &process);
+    let Some(session) = session.filter(|session| session.is_open()) else {
+        say(&mut stream, &Answer::GivenUp).await?;
+        return Err(RefusedError::GivenUp {
+            chassis,
+            incarnation,
+        });
+    };
+    mesh.introduce(Member {
+        chassis,
+        incarnation,
+        process,
+        listen,
+    });
+    let shared = shared && matches!(stream, Stream::Unix(_)) && !session.is_injured();
+    let welcome = Answer::Welcome {
+        chassis: mesh.chassis.index(),
+        incarnation: mesh.who.incarnation,
+        process: mesh.process.clone(),
+        received: session.received(),
+        shared,
+    };
+    tokio::time::timeout(HELLO_LIMIT, say(&mut stream, &welcome))
+        .await
+        .map_err(|_| HandshakeError::Late)??;
+    if !shared {
+        return Ok(drive::drive(&session, stream, received).await?);
+    }
+    let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream)).await;
+    let (socket, shared) = taken
+        .map_err(|_| HandshakeError::Late)?
+        .map_err(HandshakeError::from)?;
+    mesh.carry_shared(&session, socket, shared, received, chassis)
+        .await?;
+    Ok(())
+}
+
+impl Inner {
+    /// What a chassis says of itself, for the others.
+    fn introduce(&self, member: Member) {
+        let mut state = crate::call::lock(&self.state);
+        if let Some(peer) = state.peers.get_mut(&member.chassis) {
+            peer.member = Some(member);
+        }
+    }
+
+    /// Carries a session through shared memory.
+    pub(super) async fn carry_shared(
+        &self,
+        session: &Arc<Session>,
+        socket: tokio::net::UnixStream,
+        shared: shm::Shared,
+        received: u64,
+        peer: u8,
+    ) -> Result<(), AttachError> {
+        let name = format!("{}<{}", self.chassis.name(), self.chassis.name_of(peer));
+        let spin = self.chassis.app.links.spin;
+        drive::drive_shared(session, socket, shared, received, spin, &name).await
+    }
+}

@@ -1,0 +1,432 @@
+//! What the configuration says of links: how chassis of one host are joined, how long a silent peer
+//! may be silent, what shall go wrong on purpose, and whose keys count.
+
+use std::{net::IpAddr, path::PathBuf, time::Duration};
+
+use super::{
+    app::ChassisConfig,
+    fields::Fields,
+    node::{Node, Value},
+};
+use crate::{
+    diagnostic::{Finding, Findings, Place},
+    time::Instant,
+};
+
+/// The keys of `[app]` that are read here.
+pub(super) const KEYS: [&str; 4] = ["peer_timeout_s", "same_host", "spin_us", "link_room_mib"];
+
+const PEER_TIMEOUT_S: f64 = 2.0;
+const ROOM_MIB: usize = 64;
+const SPIN: Duration = Duration::from_micros(5);
+
+/// How chassis of one host are joined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SameHost {
+    /// By shared memory, beside a Unix socket that shows when one of them ends.
+    #[default]
+    Shared,
+    /// By Unix sockets.
+    Unix,
+    /// By TCP over the loopback.
+    Tcp,
+}
+
+/// How links behave.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinkConfig {
+    /// A peer that is silent for so long is given up.
+    pub peer_timeout: Duration,
+    /// How chassis of one host are joined.
+    pub same_host: SameHost,
+    /// How long a reader of shared memory looks before it sleeps.
+    pub spin: Duration,
+    /// How many bytes of requests, and of answers, may be under way to one peer.
+    pub room: usize,
+    /// What goes wrong on purpose.
+    pub injury: InjuryConfig,
+}
+
+impl Default for LinkConfig {
+    fn default() -> Self {
+        Self {
+            peer_timeout: Duration::from_secs_f64(PEER_TIMEOUT_S),
+            same_host: SameHost::default(),
+            spin: default_spin(),
+            room: ROOM_MIB << 20,
+            injury: InjuryConfig::default(),
+        }
+    }
+}
+
+/// With one CPU the one for which a spinning reader waits could not run.
+fn default_spin() -> Duration {
+    match std::thread::available_parallelism() {
+        Ok(count) if count.get() > 1 => SPIN,
+        _ => Duration::ZERO,
+    }
+}
+
+/// What goes wrong on purpose with the links of an app, to see what becomes of it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct InjuryConfig {
+    /// The probability that a packet is lost, 0 to 0.9.
+    pub drop: f64,
+    /// How much later than it could each packet leaves, least and most.
+    pub delay: (Duration, Duration),
+    /// When which links are cut.
+    pub cuts: Vec<Cut>,
+    /// After how many bytes the first stream of a link breaks, on average; 0 = never. Each further one
+    /// lives longer.
+    pub break_bytes: usize,
+}
+
+impl InjuryConfig {
+    /// Whether nothing goes wrong.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// A link that is cut for a while.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cut {
+    /// One end: a chassis, or `boot`.
+    pub one: String,
+    /// The other end.
+    pub other: String,
+    /// From when.
+    pub at: Instant,
+    /// Until when.
+    pub until: Instant,
+}
+
+impl Cut {
+    /// Whether it is the link of these two.
+    #[must_use]
+    pub fn is_between(&self, a: &str, b: &str) -> bool {
+        let ends = (self.one.as_str(), self.other.as_str());
+        ends == (a, b) || ends == (b, a)
+    }
+
+    /// Reads `ONE:OTHER@TIME` or `ONE:OTHER@TIME+TIME`.
+    fn parse(text: &str) -> Option<Self> {
+        let (ends, when) = text.rsplit_once('@')?;
+        let (one, other) = ends.split_once(':')?;
+        let (at, lasts) = match when.split_once('+') {
+            Some((at, lasts)) => (at, Some(duration(lasts)?)),
+            None => (when, None),
+        };
+        let at = Instant::START + duration(at)?;
+        let until = match lasts {
+            Some(lasts) => at + lasts,
+            None => Instant::from_nanos(u64::MAX),
+        };
+        (one != other).then(|| Self {
+            one: one.to_owned(),
+            other: other.to_owned(),
+            at,
+            until,
+        })
+    }
+}
+
+/// Reads `2s`, `5ms`, `50us`.
+fn duration(text: &str) -> Option<Duration> {
+    let unit = text.find(|letter: char| letter.is_ascii_alphabetic())?;
+    let (number, unit) = text.split_at_checked(unit)?;
+    let scale = match unit {
+        "s" => 1.0,
+        "ms" => 1e-3,
+        "us" => 1e-6,
+        _ => return None,
+    };
+    let seconds = number.parse::<f64>().ok()? * scale;
+    (0.0..=86_400.0)
+        .contains(&seconds)
+        .then(|| Duration::from_secs_f64(seconds))
+}
+
+/// Reads `5ms` or `5ms..20ms`.
+fn delay(text: &str) -> Option<(Duration, Duration)> {
+    let (least, most) = text.split_once("..").unwrap_or((text, text));
+    let delay = (duration(least)?, duration(most)?);
+    (delay.0 <= delay.1).then_some(delay)
+}
+
+/// Whose keys count beyond this host.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SecurityConfig {
+    /// The key of this app's chassis, without its ending.
+    pub key: PathBuf,
+    /// The certificate of the authority that signs all keys.
+    pub authority: PathBuf,
+    /// Where `key` stands.
+    pub place: Place,
+}
+
+/// Reads the keys of `[app]` that belong to links; `[injure]` is read by [`injury`].
+pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
+    let default = LinkConfig::default();
+    let same_host = match app.choice("same_host", &["shm", "unix", "tcp"]) {
+        Some("unix") => SameHost::Unix,
+        Some("tcp") => SameHost::Tcp,
+        _ => SameHost::Shared,
+    };
+    let spin = app.integer("spin_us", 0..=1_000_000_u64);
+    let room = app.integer("link_room_mib", 1..=65_536_usize);
+    LinkConfig {
+        peer_timeout: app
+            .seconds("peer_timeout_s", 3600.0)
+            .unwrap_or(default.peer_timeout),
+        same_host,
+        spin: spin.map_or(default.spin, Duration::from_micros),
+        room: room.unwrap_or(ROOM_MIB) << 20,
+        injury: InjuryConfig::default(),
+    }
+}
+
+const INJURE_KEYS: &[&str] = &["drop", "delay", "cut", "break_bytes"];
+
+/// Reads `[injure]`.
+pub(super) fn injury(
+    root: &Node,
+    chassis: &[ChassisConfig],
+    findings: &mut Findings,
+) -> InjuryConfig {
+    let node = root.entry("injure").map(|entry| &entry.value);
+    let mut fields = Fields::new(node, "[injure]".to_owned(), INJURE_KEYS, findings);
+    let drop = fields.number("drop", 0.0..=0.9).unwrap_or(0.0);
+    let late = fields
+        .text("delay")
+        .map(|(text, place)| (delay(text), place));
+    let delay = match late {
+        Some((Some(delay), _)) => delay,
+        Some((None, place)) => {
+            fields.push(
+                Finding::error("ctos::config::value", "[injure]: `delay` cannot be read")
+                    .help("write a time such as \"5ms\", or a range such as \"5ms..20ms\"")
+                    .at(place),
+            );
+            Default::default()
+        }
+        None => Default::default(),
+    };
+    let break_bytes = fields.integer("break_bytes", 0..=1 << 40_usize);
+    let cuts = match node.and_then(|node| node.entry("cut")) {
+        Some(entry) => all_cuts(&entry.value, chassis, findings),
+        None => Vec::new(),
+    };
+    InjuryConfig {
+        drop,
+        delay,
+        cuts,
+        break_bytes: break_bytes.unwrap_or(0),
+    }
+}
+
+fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> Vec<Cut> {
+    let at = |finding: Finding, node: &Node| match node.place() {
+        Some(place) => finding.at(place.clone()),
+        None => finding,
+    };
+    if !matches!(node.value(), Value::Array(_)) {
+        let finding = Finding::error("ctos::config::value", "[injure]: `cut` must be a list")
+            .help("write cut = [\"a:b@2s\"]");
+        findings.push(at(finding, node));
+    }
+    let names = || {
+        let names = chassis.iter().map(|chassis| chassis.name.as_str());
+        names.chain([crate::chassis::BOOT_CHASSIS])
+    };
+    let mut cuts = Vec::new();
+    for text in node.elements() {
+        let mut push = |finding: Finding| findings.push(at(finding, text));
+        let Some(cut) = text.as_str().and_then(Cut::parse) else {
+            push(
+                Finding::error("ctos::config::value", "[injure]: a `cut` cannot be read").help(
+                    "write two chassis, when, and for how long: \"a:b@2s\", \"a:boot@2s+0.5s\"",
+                ),
+            );
+            continue;
+        };
+        for end in [&cut.one, &cut.other] {
+            if !names().any(|name| name == end) {
+                let text = format!("[injure]: there is no chassis `{end}` to cut off");
+                push(Finding::error("ctos::config::unknown_chassis", text).suggest(end, names()));
+            }
+        }
+        cuts.push(cut);
+    }
+    cuts
+}
+
+const SECURITY_KEYS: &[&str] = &["key", "authority"];
+
+/// Reads `[security]`, and finds chassis that would be open to strangers without it.
+pub(super) fn security(
+    root: &Node,
+    chassis: &[ChassisConfig],
+    findings: &mut Findings,
+) -> Option<SecurityConfig> {
+    let node = root.entry("security").map(|entry| &entry.value);
+    let mut fields = Fields::new(node, "[security]".to_owned(), SECURITY_KEYS, findings);
+    if node.is_none_or(|node| node.entries().is_empty()) {
+        for one in chassis {
+            open_to_strangers(one, root, findings);
+        }
+        return None;
+    }
+    let help = "make keys with `ctos keys new keys/NAME --role boot`, then add";
+    let key = fields.required("key", &format!("{help} key = \"keys/NAME\""));
+    let authority = fields.required("authority", &format!("{help} authority = \"keys/ca.pem\""));
+    let ((key, place), (authority, _)) = key.zip(authority)?;
+    Some(SecurityConfig {
+        key: key.into(),
+        authority: authority.into(),
+        place,
+    })
+}
+
+/// Whoever can reach an address beyond the loopback could drive the robot.
+fn open_to_strangers(chassis: &ChassisConfig, root: &Node, findings: &mut Findings) {
+    let Some(listen) = chassis.listen.filter(|listen| !is_loopback(listen.ip())) else {
+        return;
+    };
+    let text = format!(
+        "chassis `{}` would listen at {listen}, where others can reach it, and the app has no keys",
+        chassis.name
+    );
+    let finding = Finding::error("ctos::config::no_keys", text).help(
+        "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]; or listen at 127.0.0.1",
+    );
+    let place = root.locate(&format!("chassis.\"{}\".listen", chassis.name));
+    findings.push(finding.at(place.unwrap_or_else(|| chassis.place.clone())));
+}
+
+fn is_loopback(address: IpAddr) -> bool {
+    address.to_canonical().is_loopback()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::load_texts;
+
+    use super::*;
+
+    const APP: &str = "[task.t]\nhandler = \"h\"\non = \"a\"\n[chassis.a]\n";
+
+    fn app(more: &str) -> crate::config::App {
+        let text = format!("{APP}{more}");
+        load_texts(&[("app.toml", &text)], &[], &[])
+            .map_err(|found| found.to_string())
+            .unwrap()
+    }
+
+    fn refused(more: &str) -> String {
+        let text = format!("{APP}{more}");
+        load_texts(&[("app.toml", &text)], &[], &[])
+            .unwrap_err()
+            .to_string()
+    }
+
+    #[test]
+    fn what_is_left_out_is_as_it_is_without_injuries_and_keys() {
+        let app = app("");
+        assert_eq!(app.links, LinkConfig::default());
+        assert!(app.links.injury.is_none() && app.security.is_none());
+    }
+
+    #[test]
+    fn links_injuries_and_keys_are_read() {
+        let app = app(r#"
+            [app]
+            peer_timeout_s = 0.5
+            same_host = "tcp"
+            spin_us = 0
+            link_room_mib = 3
+            [injure]
+            drop = 0.25
+            delay = "5ms..20ms"
+            cut = ["a:boot@2s+0.5s", "a:boot@3s"]
+            break_bytes = 1000
+            [security]
+            key = "keys/a"
+            authority = "keys/ca.pem"
+            "#);
+        assert_eq!(app.links.peer_timeout, Duration::from_millis(500));
+        assert_eq!(
+            (app.links.same_host, app.links.spin),
+            (SameHost::Tcp, Duration::ZERO)
+        );
+        assert_eq!(app.links.room, 3 << 20);
+        let injury = &app.links.injury;
+        assert_eq!((injury.drop, injury.break_bytes), (0.25, 1000));
+        let delay = (Duration::from_millis(5), Duration::from_millis(20));
+        assert_eq!(injury.delay, delay);
+        let ends = injury
+            .cuts
+            .iter()
+            .map(|cut| (cut.at.as_nanos(), cut.until.as_nanos()));
+        let second = 1_000_000_000;
+        let expected = [(2 * second, 5 * second / 2), (3 * second, u64::MAX)];
+        assert_eq!(ends.collect::<Vec<_>>(), expected);
+        assert!(injury.cuts[0].is_between("boot", "a"));
+        let security = app.security.unwrap();
+        assert_eq!(security.key, std::path::Path::new("keys/a"));
+    }
+
+    #[test]
+    fn an_address_that_others_can_reach_needs_keys() {
+        for listen in [
+            "0.0.0.0:7000",
+            "192.168.1.5:0",
+            "[::]:0",
+            "[::ffff:10.0.0.1]:0",
+        ] {
+            let found = refused(&format!("listen = \"{listen}\"\n"));
+            assert!(
+                found.contains("has no keys") && found.contains("app.toml:5:1"),
+                "{found}"
+            );
+            let keys = "[security]\nkey = \"keys/a\"\nauthority = \"keys/ca.pem\"";
+            app(&format!("listen = \"{listen}\"\n{keys}"));
+        }
+        for listen in ["127.0.0.1:0", "[::1]:0", "[::ffff:127.0.0.1]:0"] {
+            app(&format!("listen = \"{listen}\"\n"));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_meant_is_found_with_its_place() {
+        for (text, says) in [
+            ("[injure]\ndrop = 1.5", "from 0 to 0.9"),
+            ("[injure]\ndelay = \"soon\"", "`delay` cannot be read"),
+            ("[injure]\ndelay = \"20ms..5ms\"", "`delay` cannot be read"),
+            ("[injure]\ncut = \"a:b@2s\"", "`cut` must be a list"),
+            ("[injure]\ncut = [\"a@2s\"]", "a `cut` cannot be read"),
+            ("[injure]\ncut = [\"a:a@2s\"]", "a `cut` cannot be read"),
+            ("[injure]\ncut = [3]", "a `cut` cannot be read"),
+            ("[injure]\ncut = [\"a:boott@2s\"]", "did you mean `boot`"),
+            ("[injure]\ndrops = 0.1", "unknown key `drops`"),
+            ("[security]\nkey = \"k\"", "has no `authority`"),
+            ("[app]\nsame_host = \"sm\"", "unknown choice `sm`"),
+        ] {
+            let found = refused(text);
+            assert!(
+                found.contains(says) && found.contains("app.toml:"),
+                "{text}: {found}"
+            );
+        }
+    }
+
+    #[test]
+    fn times_are_read_with_their_units() {
+        assert_eq!(duration("1.5s"), Some(Duration::from_millis(1500)));
+        assert_eq!(duration("50us"), Some(Duration::from_micros(50)));
+        for text in ["", "s", "5", "5m", "-1s", "1e9s", "nans", "infs"] {
+            assert_eq!(duration(text), None, "{text}");
+        }
+    }
+}

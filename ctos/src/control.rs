@@ -1,0 +1,19 @@
+//! The control plane: how a person, or a program, looks at a running app and tells it what to do.
+//!
+//! The process that boots an app serves a Unix socket in a folder that belongs to its user alone
+//! ([`folder`]). [`client::Client`] speaks to it in lines of JSON ([`protocol`]); looking at an app
+//! sends its tasks nothing, so a task that is stuck is seen as well as any other.
+
+pub mod client;
+pub mod protocol;
+
+mod logs;
+mod place;
+mod server;
+mod view;
+
+pub use logs::{Level, LogLine};
+pub use place::{Socket, folder};
+
+pub(crate) use logs::LogStore;
+pub(crate) use server::{Server, Ticker};

@@ -1,0 +1,321 @@
+//! What is said over the control socket: one JSON object a line. Fields are only ever added; a request
+//! that this version does not know is answered with an error and the connection lives on.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    boot::{BootEvent, BootState, ChassisState},
+    control::{Level, LogLine},
+    task::Phase,
+};
+
+/// The version of the protocol.
+pub const VERSION: u32 = 1;
+
+/// The longest request, bytes.
+pub(crate) const REQUEST_LIMIT: u64 = 64 * 1024;
+
+/// A line that a client writes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Ask {
+    /// [`VERSION`].
+    pub version: u32,
+    /// What is asked for.
+    pub request: Request,
+}
+
+/// What can be asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Request {
+    /// How the app, its chassis and its tasks are: an [`Answer::App`].
+    Ps {},
+    /// Everything about one task or chassis: an [`Answer::Status`].
+    Status {
+        /// Its name.
+        name: String,
+    },
+    /// Log lines: [`Answer::Log`]s, then [`Answer::Done`].
+    Logs(LogRequest),
+    /// Stops the app: [`Answer::Event`]s as it happens, then [`Answer::Ended`].
+    Stop {
+        /// Skips the polite stop of every task that does not answer at once.
+        now: bool,
+    },
+    /// Restarts a task, or a chassis with all its tasks: [`Answer::Done`] when it runs again.
+    Restart {
+        /// Its name.
+        name: String,
+    },
+}
+
+/// Which log lines.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LogRequest {
+    /// Of this chassis, or about this task; all when absent.
+    pub name: Option<String>,
+    /// Those that matter at least so much.
+    pub level: Option<Level>,
+    /// Those from so many seconds after the start of the app on.
+    pub since_s: Option<f64>,
+    /// The last so many of those that there are.
+    pub last: Option<usize>,
+    /// And those that follow, until the app ends.
+    pub follow: bool,
+}
+
+/// A line that the app answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Answer {
+    /// The app.
+    App(AppView),
+    /// A task or a chassis.
+    Status(Box<StatusView>),
+    /// A log line.
+    Log(LogLine),
+    /// So many log lines were lost because they were not read in time.
+    Lost {
+        /// How many.
+        lines: u64,
+    },
+    /// Something happened.
+    Event {
+        /// What.
+        what: BootEvent,
+    },
+    /// The app has ended.
+    Ended(EndView),
+    /// That was all.
+    Done {},
+    /// It could not be done.
+    Error(ErrorView),
+}
+
+/// Why something could not be done.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ErrorView {
+    /// What kind of error.
+    pub code: ErrorCode,
+    /// What is wrong, and what to do.
+    pub message: String,
+    /// The names that there are, when the name is wrong.
+    #[serde(default)]
+    pub known: Vec<String>,
+}
+
+/// Kinds of errors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorCode {
+    /// The request cannot be read, or this version does not know it.
+    BadRequest,
+    /// Nothing has this name.
+    NoSuchName,
+    /// It was tried and failed.
+    Failed,
+    /// It took too long.
+    TimedOut,
+    /// Too many ask at once.
+    Busy,
+    #[serde(other)]
+    /// One that this version does not know.
+    Other,
+}
+
+/// An app.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AppView {
+    /// Its name.
+    pub app: String,
+    /// Its configuration's file.
+    pub file: String,
+    /// The process that booted it.
+    pub pid: u32,
+    /// Where it is between its first process and its last.
+    pub state: BootState,
+    /// How long ago it was started, s.
+    pub up_s: f64,
+    /// Its chassis, in declared order.
+    pub chassis: Vec<ChassisView>,
+    /// Its tasks, chassis by chassis.
+    pub tasks: Vec<TaskView>,
+}
+
+/// A chassis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ChassisView {
+    /// Its name.
+    pub name: String,
+    /// Its process, if it has one.
+    pub pid: Option<u32>,
+    /// Where it is in its life.
+    pub state: ChassisState,
+    /// For how long, s.
+    pub since_s: f64,
+    /// How often its process was started again.
+    pub restarts: u32,
+    /// Why the process before this one ended.
+    pub last_end: Option<String>,
+    /// Whether it answers.
+    pub answers: bool,
+    /// Its processors, that of the runtime first.
+    pub processors: Vec<String>,
+    /// How many tasks it has.
+    pub tasks: usize,
+}
+
+/// What a task does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Activity {
+    /// It waits for messages.
+    Idle,
+    /// Its handler is at work.
+    Busy,
+    /// Its handler, or a child, waits for another task.
+    Waits,
+    /// Its chassis is gone, or does not answer.
+    Gone,
+}
+
+/// A task.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TaskView {
+    /// Its symbolic name.
+    pub name: String,
+    /// Its chassis.
+    pub chassis: String,
+    /// Its processor.
+    pub processor: String,
+    /// Its handler's registered name.
+    pub handler: String,
+    /// The process it runs in.
+    pub pid: Option<u32>,
+    /// What it does.
+    pub activity: Activity,
+    /// The startup phase it has passed.
+    pub phase: Option<Phase>,
+    /// For how long, s.
+    pub phase_s: f64,
+    /// Messages handled.
+    pub handled: u64,
+    /// Of these, those that ended with an error.
+    pub failed: u64,
+    /// Time spent in the handler, waiting for others included, s.
+    pub busy_s: f64,
+    /// The longest that one message took, s.
+    pub longest_s: f64,
+    /// How long it has been at the message at hand, s.
+    pub in_handler_s: Option<f64>,
+    /// The command at hand, or the last one.
+    pub command: Option<String>,
+    /// Messages of high priority in its queue.
+    pub urgent: u64,
+    /// Messages of normal priority in its queue.
+    pub queued: u64,
+    /// Senders that wait for room in its queue.
+    pub senders_waiting: u64,
+    /// How many messages of each priority its queue holds.
+    pub capacity: u64,
+    /// How often its handler was built anew.
+    pub restarts: u64,
+    /// What it waits for, longest first.
+    pub waits: Vec<WaitView>,
+}
+
+/// What a task waits for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WaitView {
+    /// The asked task.
+    pub to: String,
+    /// The command.
+    pub command: String,
+    /// For how long, s.
+    pub for_s: f64,
+}
+
+/// Everything about one task or chassis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StatusView {
+    /// The app.
+    pub app: String,
+    /// How long ago the app was started, s.
+    pub up_s: f64,
+    /// The chassis, or that of the task.
+    pub chassis: ChassisView,
+    /// The task, or all tasks of the chassis.
+    pub tasks: Vec<TaskView>,
+    /// Whether it is about one task.
+    pub is_task: bool,
+    /// The last log lines of the present process and of those before it, that of the present one last.
+    pub logs: Vec<ProcessLog>,
+}
+
+/// The log of one process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ProcessLog {
+    /// Which of its chassis's processes, counted from 1.
+    pub incarnation: u32,
+    /// Its process id.
+    pub pid: Option<u32>,
+    /// Its last lines.
+    pub lines: Vec<LogLine>,
+}
+
+/// How an app ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EndView {
+    /// Whether it has done what it was asked.
+    pub ok: bool,
+    /// Why it ended.
+    pub reason: String,
+    /// Chassis that ended otherwise than they should have: name and how.
+    pub casualties: Vec<(String, String)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn requests_and_answers_are_what_the_reference_says() {
+        let ask = Ask {
+            version: VERSION,
+            request: Request::Logs(LogRequest {
+                name: Some("arm".to_owned()),
+                level: Some(Level::Warn),
+                follow: true,
+                ..LogRequest::default()
+            }),
+        };
+        let text = r#"{"version":1,"request":{"kind":"logs","name":"arm","level":"warn","since_s":null,"last":null,"follow":true}}"#;
+        assert_eq!(serde_json::to_string(&ask).unwrap(), text);
+        let short =
+            r#"{"version":1,"request":{"kind":"logs","name":"arm","level":"warn","follow":true}}"#;
+        assert_eq!(serde_json::from_str::<Ask>(short).unwrap(), ask);
+        let done = serde_json::to_string(&Answer::Done {}).unwrap();
+        assert_eq!(done, r#"{"kind":"done"}"#);
+    }
+
+    #[test]
+    fn an_error_of_a_later_version_is_still_an_error() {
+        let text = r#"{"kind":"error","code":"frobnicated","message":"no","more":1}"#;
+        let Answer::Error(error) = serde_json::from_str(text).unwrap() else {
+            panic!("not an error");
+        };
+        assert_eq!(error.code, ErrorCode::Other);
+    }
+
+    proptest! {
+        #[test]
+        fn rubbish_is_no_request_and_no_panic(text in ".{0,200}") {
+            let _ = serde_json::from_str::<Ask>(&text);
+        }
+    }
+}

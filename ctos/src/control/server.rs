@@ -1,0 +1,469 @@
+//! The boot's end of the control socket.
+
+use std::{io, os::unix::fs::PermissionsExt, path::PathBuf, sync::Arc, time::Duration};
+
+use tokio::{
+    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
+    net::{
+        UnixListener,
+        unix::{OwnedReadHalf, OwnedWriteHalf},
+    },
+    sync::{Semaphore, broadcast},
+    task::{JoinHandle, JoinSet},
+};
+
+use crate::{
+    boot::{BootEvent, End, Observer, Outcome},
+    call::Fault,
+    chassis::Chassis,
+    control::{
+        LogStore,
+        logs::LogLine,
+        place,
+        protocol::{
+            Answer, Ask, EndView, ErrorCode, ErrorView, LogRequest, ProcessLog, REQUEST_LIMIT,
+            Request, StatusView, VERSION,
+        },
+        view,
+    },
+    system::{self, Interrupt, RestartChassis, RestartTask},
+};
+
+/// How many clients are served at a time.
+const CLIENTS: usize = 64;
+/// How many events a client may be behind before it loses some.
+const BEHIND: usize = 1024;
+/// How long clients may take to hear how the app ended.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// How many of its last lines the status of a chassis shows of each process.
+const STATUS_LINES: usize = 10;
+
+/// What happens to an app, for its clients.
+#[derive(Debug, Clone)]
+enum News {
+    Event(BootEvent),
+    Ended(EndView),
+}
+
+/// What happens to an app, for whoever subscribes.
+#[derive(Debug, Clone)]
+pub(crate) struct Ticker(broadcast::Sender<News>);
+
+impl Ticker {
+    /// An observer that tells `observer` and the clients.
+    pub(crate) fn observe(observer: &Observer) -> (Self, Observer) {
+        let ticker = Self(broadcast::channel(BEHIND).0);
+        let (news, observer) = (ticker.0.clone(), observer.clone());
+        let both: Observer = Arc::new(move |event: &BootEvent| {
+            // Progress and log lines are asked for in other ways.
+            if !matches!(event, BootEvent::Log { .. } | BootEvent::Progress { .. }) {
+                // Nobody may be listening.
+                let _ = news.send(News::Event(event.clone()));
+            }
+            observer(event);
+        });
+        (ticker, both)
+    }
+}
+
+/// Serves clients until it is told how the app ended. Dropped without that, it takes its socket away.
+pub(crate) struct Server {
+    path: PathBuf,
+    ticker: Ticker,
+    serving: JoinHandle<()>,
+    clients: Arc<Semaphore>,
+}
+
+impl Server {
+    /// Serves in the user's folder of sockets.
+    ///
+    /// # Errors
+    /// When there can be no such socket; the app needs none to run.
+    pub(crate) fn start(
+        chassis: &Arc<Chassis>,
+        logs: &Arc<LogStore>,
+        ticker: Ticker,
+    ) -> io::Result<Self> {
+        let folder = place::folder();
+        place::prepare(&folder)?;
+        // Removes those of apps that were killed.
+        place::sockets(&folder);
+        let socket = place::socket(&folder, &chassis.app.name, std::process::id());
+        // One of a process of the same number, before the last start of the machine.
+        let _ = std::fs::remove_file(&socket.path);
+        let listener = UnixListener::bind(&socket.path)?;
+        std::fs::set_permissions(&socket.path, std::fs::Permissions::from_mode(0o600))?;
+        let clients = Arc::new(Semaphore::new(CLIENTS));
+        let desk = Arc::new(Desk {
+            chassis: chassis.clone(),
+            logs: logs.clone(),
+            ticker: ticker.clone(),
+        });
+        Ok(Self {
+            path: socket.path,
+            ticker,
+            serving: tokio::spawn(serve(listener, desk, clients.clone())),
+            clients,
+        })
+    }
+
+    /// Tells the clients how the app ended, and goes.
+    pub(crate) async fn finish(self, outcome: &Outcome) {
+        let ended = EndView {
+            ok: matches!(&outcome.end, End::Finished(result) if result.ok),
+            reason: match &outcome.end {
+                End::Finished(result) if !result.ok => result.text.clone(),
+                end => end.reason().to_string(),
+            },
+            casualties: outcome.casualties.clone(),
+        };
+        // Nobody may be listening.
+        let _ = self.ticker.0.send(News::Ended(ended));
+        let count = u32::try_from(CLIENTS).unwrap_or(u32::MAX);
+        let all_gone = self.clients.acquire_many(count);
+        // One that does not read is not waited for.
+        let _ = tokio::time::timeout(FAREWELL, all_gone).await;
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.serving.abort();
+        // Nobody else removes it but for good reasons.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>) {
+    let mut serving = JoinSet::new();
+    loop {
+        tokio::select! {
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => {
+                    let own = stream.peer_cred().is_ok_and(|peer| {
+                        peer.uid() == place::uid() || peer.uid() == 0
+                    });
+                    if !own {
+                        tracing::warn!("a client of another user was refused");
+                        continue;
+                    }
+                    let place = clients.clone().try_acquire_owned();
+                    let desk = desk.clone();
+                    serving.spawn(async move {
+                        let (reader, mut writer) = stream.into_split();
+                        match place {
+                            Ok(_place) => desk.client(reader, writer).await,
+                            Err(_) => {
+                                let busy = error(ErrorCode::Busy, "too many clients at once");
+                                tell(&mut writer, &busy).await
+                            }
+                        }
+                    });
+                }
+                Err(error) => {
+                    tracing::warn!(error = %error, "a client was lost");
+                    tokio::time::sleep(Duration::from_millis(20)).await;
+                }
+            },
+            Some(_) = serving.join_next() => {}
+        }
+    }
+}
+
+fn error(code: ErrorCode, message: impl Into<String>) -> Answer {
+    Answer::Error(ErrorView {
+        code,
+        message: message.into(),
+        known: Vec::new(),
+    })
+}
+
+fn failed(fault: &Fault) -> Answer {
+    match fault {
+        Fault::Refused { text } => error(ErrorCode::Failed, text),
+        Fault::Deadline { after } => error(
+            ErrorCode::TimedOut,
+            format!("no answer within {:.1} s", after.as_secs_f64()),
+        ),
+        Fault::PeerDown { chassis } => {
+            error(ErrorCode::Failed, format!("chassis `{chassis}` is gone"))
+        }
+        other => error(ErrorCode::Failed, format!("{other:?}")),
+    }
+}
+
+async fn tell(writer: &mut OwnedWriteHalf, answer: &Answer) -> io::Result<()> {
+    let mut line = serde_json::to_vec(answer)?;
+    line.push(b'\n');
+    writer.write_all(&line).await
+}
+
+/// What clients are served from.
+struct Desk {
+    chassis: Arc<Chassis>,
+    logs: Arc<LogStore>,
+    ticker: Ticker,
+}
+
+impl Desk {
+    /// Serves one client until it goes.
+    async fn client(&self, reader: OwnedReadHalf, mut writer: OwnedWriteHalf) -> io::Result<()> {
+        let mut reader = BufReader::new(reader);
+        let mut news = self.ticker.0.subscribe();
+        loop {
+            let mut line = Vec::new();
+            let mut limited = (&mut reader).take(REQUEST_LIMIT);
+            tokio::select! {
+                read = limited.read_until(b'\n', &mut line) => {
+                    if read? == 0 {
+                        return Ok(());
+                    }
+                }
+                // A client that asks for nothing must not be waited for when the app has ended.
+                () = ended(&mut news) => return Ok(()),
+            }
+            if line.last() != Some(&b'\n') {
+                let long = error(
+                    ErrorCode::BadRequest,
+                    "a request is one line of at most 64 KiB",
+                );
+                return tell(&mut writer, &long).await;
+            }
+            match serde_json::from_slice::<Ask>(&line) {
+                Ok(ask) if ask.version > VERSION => {
+                    let text = format!(
+                        "this app speaks version {VERSION} of the protocol, not {}",
+                        ask.version
+                    );
+                    tell(&mut writer, &error(ErrorCode::BadRequest, text)).await?;
+                }
+                Ok(ask) => {
+                    let answered = std::pin::pin!(self.answer(ask.request, &mut writer));
+                    tokio::select! {
+                        biased;
+                        answered = answered => answered?,
+                        () = closed(&mut reader) => return Ok(()),
+                    }
+                }
+                Err(reason) => {
+                    let text = format!("cannot read the request: {reason}");
+                    tell(&mut writer, &error(ErrorCode::BadRequest, text)).await?;
+                }
+            }
+        }
+    }
+
+    async fn answer(&self, request: Request, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+        match request {
+            Request::Ps {} => {
+                let answer = view::app(&self.chassis, &self.logs).await;
+                let answer = answer.map_or_else(|fault| failed(&fault), Answer::App);
+                tell(writer, &answer).await
+            }
+            Request::Status { name } => {
+                let answer = self.status(&name).await;
+                tell(writer, &answer).await
+            }
+            Request::Logs(request) => self.logs(&request, writer).await,
+            Request::Stop { now } => self.stop(now, writer).await,
+            Request::Restart { name } => {
+                let answer = self.restart(&name).await;
+                tell(writer, &answer).await
+            }
+        }
+    }
+
+    fn no_such_name(&self, name: &str) -> Answer {
+        let app = &self.chassis.app;
+        let tasks = app.tasks.iter().map(|task| task.name.clone());
+        let chassis = app.chassis.iter().map(|chassis| chassis.name.clone());
+        Answer::Error(ErrorView {
+            code: ErrorCode::NoSuchName,
+            message: format!("no task or chassis of `{}` is called `{name}`", app.name),
+            known: tasks.chain(chassis).collect(),
+        })
+    }
+
+    async fn status(&self, name: &str) -> Answer {
+        let app = match view::app(&self.chassis, &self.logs).await {
+            Ok(app) => app,
+            Err(fault) => return failed(&fault),
+        };
+        let task = app.tasks.iter().find(|task| task.name == name).cloned();
+        let home = task.as_ref().map_or(name, |task| task.chassis.as_str());
+        let Some(chassis) = app.chassis.iter().find(|one| one.name == home).cloned() else {
+            return self.no_such_name(name);
+        };
+        let is_task = task.is_some();
+        let tasks = match task {
+            Some(task) => vec![task],
+            None => app
+                .tasks
+                .into_iter()
+                .filter(|task| task.chassis == chassis.name)
+                .collect(),
+        };
+        Answer::Status(Box::new(StatusView {
+            app: app.app,
+            up_s: app.up_s,
+            logs: self.process_logs(&chassis.name, is_task.then_some(name)),
+            chassis,
+            tasks,
+            is_task,
+        }))
+    }
+
+    /// The last lines of a chassis's processes; of the present one those about `task`, if one is named.
+    fn process_logs(&self, chassis: &str, task: Option<&str>) -> Vec<ProcessLog> {
+        let mut logs: Vec<ProcessLog> = self
+            .logs
+            .processes(chassis)
+            .into_iter()
+            .map(|(incarnation, pid)| ProcessLog {
+                incarnation,
+                pid,
+                lines: Vec::new(),
+            })
+            .collect();
+        let present = logs.last().map_or(0, |log| log.incarnation);
+        for line in self.logs.lines() {
+            let wanted = line.chassis == chassis
+                && (line.incarnation != present || task.is_none_or(|task| line.is_about(task)));
+            let log = logs
+                .iter_mut()
+                .find(|log| log.incarnation == line.incarnation);
+            if let Some(log) = log.filter(|_| wanted) {
+                if log.lines.len() == STATUS_LINES {
+                    log.lines.remove(0);
+                }
+                log.lines.push(line);
+            }
+        }
+        logs
+    }
+
+    async fn logs(&self, request: &LogRequest, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+        let app = &self.chassis.app;
+        if let Some(name) = &request.name {
+            let chassis = app.chassis.iter().any(|chassis| chassis.name == *name);
+            if !chassis && app.task(name).is_none() {
+                return tell(writer, &self.no_such_name(name)).await;
+            }
+        }
+        let mut news = self.ticker.0.subscribe();
+        let (lines, mut following) = self.logs.follow();
+        let last_at = lines.last().map_or(f64::NEG_INFINITY, |line| line.at_s);
+        let chosen: Vec<LogLine> = lines
+            .into_iter()
+            .filter(|line| self.is_wanted(line, request))
+            .collect();
+        let skipped = request
+            .last
+            .map_or(0, |last| chosen.len().saturating_sub(last));
+        for line in chosen.into_iter().skip(skipped) {
+            tell(writer, &Answer::Log(line)).await?;
+        }
+        while request.follow {
+            tokio::select! {
+                biased;
+                line = following.recv() => match line {
+                    Ok(line) if line.at_s > last_at && self.is_wanted(&line, request) => {
+                        tell(writer, &Answer::Log(line)).await?;
+                    }
+                    Ok(_) => {}
+                    Err(broadcast::error::RecvError::Lagged(lines)) => {
+                        tell(writer, &Answer::Lost { lines }).await?;
+                    }
+                    Err(broadcast::error::RecvError::Closed) => break,
+                },
+                () = ended(&mut news) => break,
+            }
+        }
+        tell(writer, &Answer::Done {}).await
+    }
+
+    fn is_wanted(&self, line: &LogLine, request: &LogRequest) -> bool {
+        let level = request.level.is_none_or(|level| line.level >= level);
+        let since = request.since_s.is_none_or(|since| line.at_s >= since);
+        let name = request.name.as_ref().is_none_or(|name| {
+            line.chassis == *name
+                || self
+                    .chassis
+                    .app
+                    .task(name)
+                    .is_some_and(|task| task.chassis == line.chassis && line.is_about(name))
+        });
+        level && since && name
+    }
+
+    async fn stop(&self, now: bool, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+        let mut news = self.ticker.0.subscribe();
+        self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
+        loop {
+            match news.recv().await {
+                Ok(News::Event(what)) => {
+                    if now && matches!(what, BootEvent::Stopping { .. } | BootEvent::Stopped { .. })
+                    {
+                        self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
+                    }
+                    tell(writer, &Answer::Event { what }).await?;
+                }
+                Ok(News::Ended(ended)) => return tell(writer, &Answer::Ended(ended)).await,
+                Err(broadcast::error::RecvError::Lagged(_)) => {}
+                Err(broadcast::error::RecvError::Closed) => return Ok(()),
+            }
+        }
+    }
+
+    async fn restart(&self, name: &str) -> Answer {
+        let app = &self.chassis.app;
+        // Every phase and every rung of the ladder may take its time.
+        let limit = app.phase_timeout.saturating_mul(4) + app.stop_timeout.saturating_mul(4);
+        let chassis = (1..).zip(&app.chassis).find(|(_, one)| one.name == name);
+        let restarted = if let Some((chassis, _)) = chassis {
+            view::ask(
+                &self.chassis,
+                system::BOOTSTRAP,
+                RestartChassis { chassis },
+                limit,
+            )
+            .await
+        } else {
+            let overview = view::app(&self.chassis, &self.logs).await;
+            if let Err(fault) = overview {
+                return failed(&fault);
+            }
+            let query = system::QueryTid {
+                name: name.to_owned(),
+            };
+            match view::ask(&self.chassis, system::TID_SERVER, query, limit).await {
+                Ok(Ok(tid)) => view::ask(&self.chassis, tid, RestartTask {}, limit).await,
+                Ok(Err(_)) => return self.no_such_name(name),
+                Err(fault) => Err(fault),
+            }
+        };
+        match restarted {
+            Ok(()) => Answer::Done {},
+            Err(fault) => failed(&fault),
+        }
+    }
+}
+
+/// Ends when the app has.
+async fn ended(news: &mut broadcast::Receiver<News>) {
+    loop {
+        match news.recv().await {
+            Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return,
+            Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
+        }
+    }
+}
+
+/// Ends when the client has closed its end, also while it is being answered.
+async fn closed(reader: &mut BufReader<OwnedReadHalf>) {
+    match reader.fill_buf().await {
+        Ok([]) | Err(_) => {}
+        // Its next request, which is read in its turn.
+        Ok(_) => std::future::pending().await,
+    }
+}

@@ -1,0 +1,688 @@
+//! A session: what makes a link out of streams that may break. Frames posted to it arrive once, in
+//! order, or the peer is down.
+//!
+//! One session joins this chassis to one incarnation of one peer, over any number of streams, one at a
+//! time. Packets are numbered and kept until the other end has acknowledged them; a new stream goes on
+//! where the old one broke. Signs of life tell a peer that is frozen or cut off from one that is idle.
+//!
+//! Knows streams only as something that takes bytes ([`Writer`]); who connects to whom is decided
+//! elsewhere.
+
+pub(crate) mod drive;
+pub(crate) mod packet;
+pub(crate) mod state;
+mod window;
+
+use std::{
+    fmt, io,
+    pin::Pin,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicU64, Ordering},
+    },
+    task::{Context as PollContext, Poll, Waker},
+    time::Duration,
+};
+
+use tokio::{
+    io::AsyncWrite,
+    net::{tcp, unix},
+    sync::watch,
+};
+
+use self::{
+    packet::{Content, Kind, Packet, PacketError},
+    state::{Event, State},
+    window::{Arrival, Incoming, Lane, NoRoom, Outgoing, Pumped},
+};
+use crate::{
+    call::{Fault, lock},
+    link::{Counts, Frame, Full, Link, injure::Injury, shm},
+    message::{Flags, SYSTEM_COMMANDS},
+    time::{Clock, Instant},
+};
+
+/// How often a session says that it lives, as a part of the time after which silence counts.
+const PULSES: u32 = 4;
+
+/// How often an injured session looks after what was lost.
+const INJURED_PULSE: Duration = Duration::from_millis(20);
+
+/// Faults are let through when there is no room for answers; they are small.
+const SMALL: usize = 4 * 1024;
+
+/// Where a session writes.
+pub(crate) enum Writer {
+    Tcp(tcp::OwnedWriteHalf),
+    Unix(unix::OwnedWriteHalf),
+    Shared(shm::Sender),
+    /// Written to by its driver only.
+    Other(Box<dyn AsyncWrite + Send + Unpin>),
+}
+
+impl Writer {
+    /// Writes from any thread what can be written at once.
+    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => stream.try_write_vectored(slices),
+            Self::Unix(stream) => stream.try_write_vectored(slices),
+            Self::Shared(sender) => sender.try_write(slices),
+            Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
+        }
+    }
+
+    /// Writes from the driver, which is woken when more can be written.
+    fn poll_write(
+        &mut self,
+        cx: &mut PollContext<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        match self {
+            Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Shared(sender) => match sender.try_write(slices) {
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
+                written => Poll::Ready(written),
+            },
+        }
+    }
+
+    fn poll_flush(&mut self, cx: &mut PollContext<'_>) -> Poll<io::Result<()>> {
+        match self {
+            Self::Other(stream) => Pin::new(stream).poll_flush(cx),
+            Self::Tcp(_) | Self::Unix(_) | Self::Shared(_) => Poll::Ready(Ok(())),
+        }
+    }
+}
+
+/// Why a session is down.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum DownReason {
+    /// Nothing was heard for so long.
+    Silence(Duration),
+    /// The peer's process has ended.
+    Ended,
+    /// The peer said that it ends.
+    Bye,
+    /// The peer has given this chassis up.
+    GivenUp,
+    /// What the peer sent cannot be read.
+    Rubbish(String),
+    /// This end wanted it.
+    Closed,
+}
+
+impl fmt::Display for DownReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Silence(limit) => {
+                write!(
+                    f,
+                    "nothing was heard of it for {:.3} s",
+                    limit.as_secs_f64()
+                )
+            }
+            Self::Ended => f.write_str("its process has ended"),
+            Self::Bye => f.write_str("it said goodbye"),
+            Self::GivenUp => f.write_str("it has given this chassis up"),
+            Self::Rubbish(what) => write!(f, "it sent what no peer may send: {what}"),
+            Self::Closed => f.write_str("this end closed the link"),
+        }
+    }
+}
+
+/// Who takes what a session brings. Called in order, never twice at a time.
+pub(crate) trait Receiver: Send + Sync {
+    /// The first stream is there; frames may be posted, and come from now on.
+    fn up(&self, session: Arc<Session>);
+    /// A frame of a task.
+    fn frame(&self, frame: Frame);
+    /// A message of the peer's mesh.
+    fn notice(&self, bytes: Vec<u8>);
+    /// Nothing more will come. Called once, also if it was never up.
+    fn down(&self, reason: &DownReason);
+}
+
+/// What a session holds to.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// A peer that is silent for so long is down.
+    pub(crate) timeout: Duration,
+    /// How many bytes of requests, and of answers, may be under way.
+    pub(crate) room: usize,
+}
+
+struct Core {
+    state: State,
+    outgoing: Outgoing,
+    incoming: Incoming,
+    writer: Option<Writer>,
+    /// Which stream: what is left of an earlier one is not listened to.
+    stream: u64,
+    driver: Option<Waker>,
+    /// When anything was heard last.
+    heard: Instant,
+    /// When the keeper was to look next: a process that was frozen must not blame its peers.
+    due: Instant,
+    reason: Option<DownReason>,
+    greeted: bool,
+}
+
+/// One end of a session.
+pub(crate) struct Session {
+    clock: Clock,
+    limits: Limits,
+    injured: bool,
+    core: Mutex<Core>,
+    /// Held while something is handed to the receiver, so that one stream's last packet comes before
+    /// the next one's first.
+    handing: Mutex<()>,
+    receiver: Box<dyn Receiver>,
+    state: watch::Sender<State>,
+    counts: [AtomicU64; 6],
+}
+
+/// The places of the counters.
+const FRAMES_OUT: usize = 0;
+const BYTES_OUT: usize = 1;
+const FRAMES_IN: usize = 2;
+const BYTES_IN: usize = 3;
+const STREAMS: usize = 4;
+const REFUSED: usize = 5;
+
+/// The stream is of no use to the session.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum AttachError {
+    #[error("the session is {0:?}")]
+    State(State),
+    #[error(transparent)]
+    Packet(#[from] PacketError),
+    #[error("the link is cut on purpose")]
+    Cut,
+}
+
+impl Session {
+    /// A session without a stream.
+    pub(crate) fn new(
+        clock: Clock,
+        limits: Limits,
+        injury: Option<Injury>,
+        receiver: Box<dyn Receiver>,
+    ) -> Arc<Self> {
+        let now = clock.now();
+        let injured = injury.is_some();
+        let core = Core {
+            state: State::Waiting,
+            outgoing: Outgoing::new(limits.room, injury),
+            incoming: Incoming::default(),
+            writer: None,
+            stream: 0,
+            driver: None,
+            heard: now,
+            due: now,
+            reason: None,
+            greeted: false,
+        };
+        Arc::new(Self {
+            clock,
+            limits,
+            injured,
+            core: Mutex::new(core),
+            handing: Mutex::new(()),
+            receiver,
+            state: watch::Sender::new(State::Waiting),
+            counts: Default::default(),
+        })
+    }
+
+    /// Its state, and every change of it.
+    pub(crate) fn watch(&self) -> watch::Receiver<State> {
+        self.state.subscribe()
+    }
+
+    pub(crate) fn state(&self) -> State {
+        *self.state.borrow()
+    }
+
+    /// Whether a stream may still be had for it.
+    pub(crate) fn is_open(&self) -> bool {
+        matches!(self.state(), State::Waiting | State::Up | State::Broken)
+    }
+
+    /// Whether it has had no stream at all.
+    pub(crate) fn was_never_up(&self) -> bool {
+        !lock(&self.core).greeted
+    }
+
+    /// Whether it is injured on purpose.
+    pub(crate) fn is_injured(&self) -> bool {
+        self.injured
+    }
+
+    /// Whether its streams are cut on purpose at the moment.
+    pub(crate) fn is_cut(&self) -> bool {
+        lock(&self.core).outgoing.is_cut(self.clock.now())
+    }
+
+    /// The number up to which everything of the peer has come; said when a stream begins.
+    pub(crate) fn received(&self) -> u64 {
+        lock(&self.core).incoming.received()
+    }
+
+    fn count(&self, which: usize, by: u64) {
+        if let Some(count) = self.counts.get(which) {
+            count.fetch_add(by, Ordering::Relaxed);
+        }
+    }
+
+    /// Goes on over a new stream, whose other end has received everything up to `received`. The number
+    /// is the stream's; what comes from it must be handed in under that number.
+    ///
+    /// # Errors
+    /// When the session is over, or the other end claims to have what was never sent.
+    pub(crate) fn attach(
+        self: &Arc<Self>,
+        writer: Writer,
+        received: u64,
+    ) -> Result<u64, AttachError> {
+        let _handing = lock(&self.handing);
+        let now = self.clock.now();
+        let (stream, first) = {
+            let mut core = lock(&self.core);
+            if core.outgoing.is_cut(now) {
+                return Err(AttachError::Cut);
+            }
+            // A newer stream takes the place of one that has not been seen to break.
+            if core.state != State::Up {
+                let next = core.state.after(Event::Attached);
+                core.state = next.ok_or(AttachError::State(core.state))?;
+            }
+            core.outgoing.restart(received)?;
+            core.writer = Some(writer);
+            core.stream += 1;
+            core.heard = now;
+            let first = !std::mem::replace(&mut core.greeted, true);
+            (core.stream, first)
+        };
+        self.count(STREAMS, 1);
+        self.state.send_replace(State::Up);
+        if first {
+            self.receiver.up(self.clone());
+        }
+        self.wake_driver();
+        Ok(stream)
+    }
+
+    /// Something happened. Down is told to the receiver, once.
+    pub(crate) fn event(&self, event: Event, reason: DownReason) {
+        let changed = {
+            let mut core = lock(&self.core);
+            self.change(&mut core, event, reason)
+        };
+        if changed {
+            self.announce();
+        }
+    }
+
+    /// The session of `stream` lost it.
+    pub(crate) fn lost(&self, stream: u64) {
+        let changed = {
+            let mut core = lock(&self.core);
+            core.stream == stream && self.change(&mut core, Event::StreamLost, DownReason::Ended)
+        };
+        if changed {
+            self.announce();
+        }
+    }
+
+    /// Makes the transition; whether there was one. The caller announces it without the lock.
+    fn change(&self, core: &mut Core, event: Event, reason: DownReason) -> bool {
+        let Some(next) = core.state.after(event) else {
+            return false;
+        };
+        core.state = next;
+        match next {
+            State::Broken => core.writer = None,
+            State::Down => {
+                core.reason.get_or_insert(reason);
+                if event == Event::Silence {
+                    // If it can hear again, it shall know.
+                    core.outgoing.pulse(Kind::GivenUp);
+                }
+                // A last attempt; nobody waits for it.
+                let _ = Self::pump_now(core, self.clock.now());
+                core.writer = None;
+            }
+            State::Waiting | State::Up | State::Draining | State::Closing => {}
+        }
+        true
+    }
+
+    /// Tells the present state to those who watch it, and to the receiver when it is the last.
+    fn announce(&self) {
+        let (state, reason) = {
+            let mut core = lock(&self.core);
+            let down = core.state == State::Down;
+            (core.state, if down { core.reason.take() } else { None })
+        };
+        if let Some(reason) = reason {
+            self.receiver.down(&reason);
+        }
+        self.state.send_replace(state);
+        self.wake_driver();
+    }
+
+    fn wake_driver(&self) {
+        let driver = lock(&self.core).driver.take();
+        if let Some(driver) = driver {
+            driver.wake();
+        }
+    }
+
+    /// Writes what can be written at once, from whatever thread.
+    fn pump_now(core: &mut Core, now: Instant) -> io::Result<Pumped> {
+        let Core {
+            outgoing,
+            incoming,
+            writer: Some(writer),
+            ..
+        } = core
+        else {
+            return Ok(Pumped::Idle);
+        };
+        outgoing.pump(incoming.received(), now, |slices| writer.try_write(slices))
+    }
+
+    /// Takes packets and writes as far as the stream allows; what is left the driver writes.
+    fn put(&self, put: impl FnOnce(&mut Core, Instant)) {
+        let now = self.clock.now();
+        let driver = {
+            let mut core = lock(&self.core);
+            if core.state == State::Down {
+                return;
+            }
+            put(&mut core, now);
+            // A stream that fails is found by its driver.
+            match Self::pump_now(&mut core, now) {
+                Ok(Pumped::Idle) if !self.injured => None,
+                Ok(_) | Err(_) => core.driver.take(),
+            }
+        };
+        if let Some(driver) = driver {
+            driver.wake();
+        }
+    }
+
+    /// Writes from the driver of `stream`; ends only with an error, or when another stream has taken
+    /// its place.
+    pub(crate) fn poll_pump(&self, cx: &mut PollContext<'_>, stream: u64) -> Poll<io::Error> {
+        let now = self.clock.now();
+        let mut core = lock(&self.core);
+        let core = &mut *core;
+        if core.stream != stream || core.outgoing.is_cut(now) {
+            return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
+        }
+        let Some(writer) = &mut core.writer else {
+            return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
+        };
+        core.driver = Some(cx.waker().clone());
+        let received = core.incoming.received();
+        let pumped = core.outgoing.pump(received, now, |slices| {
+            match writer.poll_write(cx, slices) {
+                Poll::Ready(written) => written,
+                Poll::Pending => Err(io::ErrorKind::WouldBlock.into()),
+            }
+        });
+        match pumped {
+            Err(error) => Poll::Ready(error),
+            Ok(_) => match writer.poll_flush(cx) {
+                Poll::Ready(Err(error)) => Poll::Ready(error),
+                Poll::Ready(Ok(())) | Poll::Pending => Poll::Pending,
+            },
+        }
+    }
+
+    /// A message to the peer's mesh.
+    pub(crate) fn notify(&self, bytes: Vec<u8>) {
+        self.put(|core, now| core.outgoing.put_control(Kind::Notice, bytes, now));
+    }
+
+    /// Something came over `stream`. False when nothing more may come over it.
+    pub(crate) fn receive(&self, stream: u64, packet: Packet) -> bool {
+        let _handing = lock(&self.handing);
+        let now = self.clock.now();
+        let mut core = lock(&self.core);
+        if core.stream != stream || core.state == State::Down {
+            return false;
+        }
+        core.heard = now;
+        let (take, event) = match self.accept(&mut core, &packet, now) {
+            Ok(accepted) => accepted,
+            Err(error) => (
+                false,
+                Some((Event::Rubbish, DownReason::Rubbish(error.to_string()))),
+            ),
+        };
+        let state = core.state;
+        drop(core);
+        if take {
+            self.hand_over(packet.content);
+        }
+        if let Some((event, reason)) = event {
+            self.event(event, reason);
+        } else if state == State::Closing && lock(&self.core).outgoing.is_empty() {
+            self.event(Event::Flushed, DownReason::Closed);
+        }
+        self.state() != State::Down
+    }
+
+    /// What a packet means: whether its content is to be handed over, and what has happened.
+    fn accept(
+        &self,
+        core: &mut Core,
+        packet: &Packet,
+        now: Instant,
+    ) -> Result<(bool, Option<(Event, DownReason)>), PacketError> {
+        core.outgoing.acknowledge(packet.received)?;
+        if packet.kind == Kind::GivenUp {
+            return Ok((false, Some((Event::GivenUp, DownReason::GivenUp))));
+        }
+        if packet.kind == Kind::Again {
+            core.outgoing.again();
+        }
+        if !packet.kind.is_numbered() {
+            if packet.number > core.incoming.received() {
+                core.outgoing.pulse(Kind::Again);
+            }
+            self.pump_or_wake(core, now);
+            return Ok((false, None));
+        }
+        match core.incoming.take(packet.number, packet.content.size()) {
+            Arrival::Old => Ok((false, None)),
+            Arrival::Early => {
+                if core.incoming.must_ask() {
+                    core.outgoing.pulse(Kind::Again);
+                    self.pump_or_wake(core, now);
+                }
+                Ok((false, None))
+            }
+            Arrival::Next => {
+                let bye = packet.kind == Kind::Bye;
+                if core.incoming.must_acknowledge(self.limits.room / 16) || bye {
+                    core.outgoing.pulse(Kind::Pulse);
+                    self.pump_or_wake(core, now);
+                }
+                Ok((!bye, bye.then_some((Event::Bye, DownReason::Bye))))
+            }
+        }
+    }
+
+    /// As [`Self::put`], for one that holds the lock and is the driver.
+    fn pump_or_wake(&self, core: &mut Core, now: Instant) {
+        let pumped = Self::pump_now(core, now);
+        if (!matches!(pumped, Ok(Pumped::Idle)) || self.injured)
+            && let Some(driver) = &core.driver
+        {
+            driver.wake_by_ref();
+        }
+    }
+
+    fn hand_over(&self, content: Content) {
+        match content {
+            Content::Frame(frame) => {
+                self.count(FRAMES_IN, 1);
+                self.count(BYTES_IN, frame.body.len() as u64);
+                tracing::trace!(
+                    target: "ctos::link",
+                    from = %frame.header.from,
+                    to = %frame.header.to,
+                    command = frame.header.command,
+                    bytes = frame.body.len(),
+                    "in"
+                );
+                self.receiver.frame(frame);
+            }
+            Content::Notice(bytes) => self.receiver.notice(bytes),
+            Content::Nothing => {}
+        }
+    }
+
+    /// How often [`Self::keep`] is to be called.
+    pub(crate) fn pulse_every(&self) -> Duration {
+        let pulse = self.limits.timeout / PULSES;
+        if self.injured {
+            pulse.min(INJURED_PULSE)
+        } else {
+            pulse
+        }
+    }
+
+    /// Says that this end lives, and sees whether the other one does.
+    pub(crate) fn keep(&self) {
+        let now = self.clock.now();
+        let silent = {
+            let mut core = lock(&self.core);
+            let late = now.since(core.due);
+            core.due = now + self.pulse_every();
+            if late > self.pulse_every() {
+                // This process itself stood still: what the peer said meanwhile has not been read yet.
+                core.heard = core.heard + late;
+            }
+            now.since(core.heard) >= self.limits.timeout
+        };
+        if silent {
+            let limit = self.limits.timeout;
+            return self.event(Event::Silence, DownReason::Silence(limit));
+        }
+        self.put(|core, _| core.outgoing.pulse(Kind::Pulse));
+    }
+
+    /// Ends in order: what was posted goes out first.
+    pub(crate) fn close(&self) {
+        self.put(|core, now| {
+            if core.state == State::Up {
+                core.outgoing.put_control(Kind::Bye, Vec::new(), now);
+            }
+        });
+        self.event(Event::Close, DownReason::Closed);
+    }
+
+    /// What went over it.
+    pub(crate) fn counts(&self) -> Counts {
+        let count = |which: usize| {
+            let count = self.counts.get(which);
+            count.map_or(0, |count| count.load(Ordering::Relaxed))
+        };
+        Counts {
+            frames_out: count(FRAMES_OUT),
+            bytes_out: count(BYTES_OUT),
+            frames_in: count(FRAMES_IN),
+            bytes_in: count(BYTES_IN),
+            streams: count(STREAMS),
+            refused: count(REFUSED),
+            bytes_under_way: lock(&self.core).outgoing.bytes() as u64,
+        }
+    }
+}
+
+impl Content {
+    fn size(&self) -> usize {
+        match self {
+            Self::Nothing => 0,
+            Self::Frame(frame) => frame.body.len(),
+            Self::Notice(bytes) => bytes.len(),
+        }
+    }
+}
+
+impl Link for Session {
+    fn post(&self, frame: Frame) -> Result<(), Full> {
+        let lane = lane_of(&frame);
+        let size = frame.body.len();
+        tracing::trace!(
+            target: "ctos::link",
+            from = %frame.header.from,
+            to = %frame.header.to,
+            command = frame.header.command,
+            bytes = size,
+            "out"
+        );
+        let mut result = Ok(());
+        self.put(|core, now| match core.outgoing.has_room(lane, size) {
+            Ok(()) => core.outgoing.put_frame(frame, lane, now),
+            Err(NoRoom { held }) => {
+                self.count(REFUSED, 1);
+                result = Err(Full { bytes: held });
+                if lane == Lane::Control {
+                    core.outgoing
+                        .put_frame(without_body(frame, held), lane, now);
+                    result = Ok(());
+                }
+            }
+        });
+        if result.is_ok() {
+            self.count(FRAMES_OUT, 1);
+            self.count(BYTES_OUT, size as u64);
+        }
+        result
+    }
+
+    fn counts(&self) -> Counts {
+        self.counts()
+    }
+}
+
+/// Answers and the runtime's own messages are never kept out by requests.
+fn lane_of(frame: &Frame) -> Lane {
+    let flags = frame.header.flags;
+    let answers = flags.contains(Flags::REPLY) || flags.contains(Flags::ABANDONED);
+    if answers || frame.header.command >= SYSTEM_COMMANDS {
+        Lane::Control
+    } else {
+        Lane::Data
+    }
+}
+
+/// A control frame for which there is no room: what is small goes anyway, a large answer becomes the
+/// fault that says so.
+fn without_body(mut frame: Frame, held: usize) -> Frame {
+    if frame.body.len() <= SMALL || !frame.header.flags.contains(Flags::REPLY) {
+        return frame;
+    }
+    let fault = Fault::LinkFull { bytes: held };
+    // A fault is plain data; should it fail to encode, the empty body is read as one.
+    frame.body = postcard::to_stdvec(&fault).unwrap_or_default();
+    frame.header.flags = frame.header.flags.with(Flags::FAULT);
+    frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
+    frame
+}
+
+impl fmt::Debug for Session {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Session({:?})", self.state())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,372 @@
+//! Packets: what a session writes on a stream, and how they are read from one.
+//!
+//! A packet is its length (4 bytes, little-endian, of all that follows), its kind (1 byte), two
+//! numbers (8 bytes each) and, for a frame, the frame: the 16-byte header exactly as it is, the call
+//! number and whatever else travels with it, and the data. Lengths are believed only up to the limit,
+//! and memory is reserved only as bytes arrive.
+
+use bytes::{BufMut, BytesMut};
+
+use crate::link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
+
+/// Length, kind, two numbers.
+pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
+
+/// The most data of a message of the mesh, bytes.
+pub(crate) const NOTICE_LIMIT: usize = 64 * 1024;
+
+/// How much memory an announced length reserves before any of it has come, bytes.
+const RESERVE: usize = 64 * 1024;
+
+/// What a packet is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// A frame of a task. The numbers: its own, and the last one received from the other end.
+    Frame = 1,
+    /// A message of the mesh to the mesh; numbered as frames are.
+    Notice = 2,
+    /// The last packet of an end that ends; numbered as frames are.
+    Bye = 3,
+    /// A sign of life. The numbers: the last one sent, the last one received.
+    Pulse = 4,
+    /// As a pulse, and something is missing: send again what comes after the last one received.
+    Again = 5,
+    /// The other end has been given up.
+    GivenUp = 6,
+}
+
+impl Kind {
+    fn from_byte(byte: u8) -> Option<Self> {
+        [
+            Self::Frame,
+            Self::Notice,
+            Self::Bye,
+            Self::Pulse,
+            Self::Again,
+            Self::GivenUp,
+        ]
+        .into_iter()
+        .find(|kind| *kind as u8 == byte)
+    }
+
+    /// Whether packets of this kind are numbered, kept until acknowledged and sent again when lost.
+    pub(crate) fn is_numbered(self) -> bool {
+        matches!(self, Self::Frame | Self::Notice | Self::Bye)
+    }
+
+    /// The bytes that must, and those that may, follow the packet's head.
+    fn sizes(self) -> std::ops::RangeInclusive<usize> {
+        match self {
+            Self::Frame => FRAME_FIXED..=FRAME_LIMIT,
+            Self::Notice => 0..=NOTICE_LIMIT,
+            Self::Bye | Self::Pulse | Self::Again | Self::GivenUp => 0..=0,
+        }
+    }
+}
+
+/// A packet that was read.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Packet {
+    pub(crate) kind: Kind,
+    /// Its number, or the last number that was sent.
+    pub(crate) number: u64,
+    /// The last number that the sender has received.
+    pub(crate) received: u64,
+    pub(crate) content: Content,
+}
+
+/// What a packet carries.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Content {
+    Nothing,
+    Frame(Frame),
+    Notice(Vec<u8>),
+}
+
+/// What no peer may send.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum PacketError {
+    #[error("a packet of unknown kind {0}")]
+    Kind(u8),
+    #[error(
+        "a packet of kind {kind:?} announces {length} bytes; between {least} and {most} are allowed"
+    )]
+    Length {
+        kind: Kind,
+        length: usize,
+        least: usize,
+        most: usize,
+    },
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    #[error("a packet acknowledges number {received} and only {sent} were sent")]
+    Acknowledges { received: u64, sent: u64 },
+}
+
+/// Writes the head of a packet that `size` more bytes follow.
+pub(crate) fn put_head(into: &mut BytesMut, kind: Kind, numbers: [u64; 2], size: usize) {
+    // The largest frame is far below 4 GiB; what is larger was refused when it was posted.
+    let length = u32::try_from(PACKET_HEAD - 4 + size).unwrap_or(u32::MAX);
+    into.put_u32_le(length);
+    into.put_u8(kind as u8);
+    into.put_u64_le(numbers[0]);
+    into.put_u64_le(numbers[1]);
+}
+
+enum Stage {
+    /// The head of the next packet, so far.
+    Head,
+    /// The rest of a packet, so far, and how long it is.
+    Rest {
+        kind: Kind,
+        numbers: [u64; 2],
+        size: usize,
+    },
+}
+
+/// Reads packets out of a stream that is cut anywhere.
+pub(crate) struct Decoder {
+    stage: Stage,
+    /// What has come of the packet's head, or of its fixed part behind the head.
+    head: BytesMut,
+    body: Vec<u8>,
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self {
+            stage: Stage::Head,
+            head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
+            body: Vec::new(),
+        }
+    }
+}
+
+impl Decoder {
+    /// Takes what it needs from the front of `bytes`; a packet when one is complete.
+    ///
+    /// # Errors
+    /// [`PacketError`]; the stream is of no use afterwards.
+    pub(crate) fn feed(&mut self, bytes: &mut &[u8]) -> Result<Option<Packet>, PacketError> {
+        loop {
+            match self.stage {
+                Stage::Head => {
+                    if !fill(&mut self.head, PACKET_HEAD, bytes) {
+                        return Ok(None);
+                    }
+                    self.begin()?;
+                }
+                Stage::Rest {
+                    kind,
+                    numbers,
+                    size,
+                } => {
+                    let fixed = fixed_size(kind);
+                    if !fill(&mut self.head, fixed, bytes) {
+                        return Ok(None);
+                    }
+                    let missing = size - fixed - self.body.len();
+                    let (now, later) = bytes.split_at(missing.min(bytes.len()));
+                    self.body.extend_from_slice(now);
+                    *bytes = later;
+                    if now.len() < missing {
+                        return Ok(None);
+                    }
+                    return self.finish(kind, numbers).map(Some);
+                }
+            }
+        }
+    }
+
+    fn begin(&mut self) -> Result<(), PacketError> {
+        let length = usize::try_from(number(&self.head, 0, 4)).unwrap_or(usize::MAX);
+        let byte = u8::try_from(number(&self.head, 4, 1)).unwrap_or(0);
+        let kind = Kind::from_byte(byte).ok_or(PacketError::Kind(byte))?;
+        let allowed = kind.sizes();
+        let wrong = PacketError::Length {
+            kind,
+            length,
+            least: PACKET_HEAD - 4 + allowed.start(),
+            most: PACKET_HEAD - 4 + allowed.end(),
+        };
+        let size = length
+            .checked_sub(PACKET_HEAD - 4)
+            .filter(|size| allowed.contains(size))
+            .ok_or(wrong)?;
+        let numbers = [number(&self.head, 5, 8), number(&self.head, 13, 8)];
+        self.head.clear();
+        self.body = Vec::with_capacity((size - fixed_size(kind)).min(RESERVE));
+        self.stage = Stage::Rest {
+            kind,
+            numbers,
+            size,
+        };
+        Ok(())
+    }
+
+    fn finish(&mut self, kind: Kind, numbers: [u64; 2]) -> Result<Packet, PacketError> {
+        self.stage = Stage::Head;
+        let body = std::mem::take(&mut self.body);
+        let content = match kind {
+            Kind::Frame => Content::Frame(Frame::from_parts(&self.head, body)?),
+            Kind::Notice => Content::Notice(body),
+            Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => Content::Nothing,
+        };
+        self.head.clear();
+        let [number, received] = numbers;
+        Ok(Packet {
+            kind,
+            number,
+            received,
+            content,
+        })
+    }
+
+    /// Bytes that are reserved for the body of the packet that is being read.
+    #[cfg(test)]
+    pub(crate) fn reserved(&self) -> usize {
+        self.body.capacity()
+    }
+
+    /// How many bytes of a large body are still to come, and where they go: they may be read there
+    /// without a copy. `None` when little or nothing is missing.
+    pub(crate) fn large_body(&mut self) -> Option<bytes::buf::Limit<&mut Vec<u8>>> {
+        let Stage::Rest { kind, size, .. } = self.stage else {
+            return None;
+        };
+        let fixed = fixed_size(kind);
+        if self.head.len() < fixed {
+            return None;
+        }
+        // The last byte goes through `feed`, which then finds the packet complete.
+        let missing = (size - fixed - self.body.len()).saturating_sub(1);
+        if missing < RESERVE / 4 {
+            return None;
+        }
+        // Grows with what has come: an announcement alone reserves little.
+        let grown = self.body.len().max(RESERVE);
+        self.body.reserve(missing.min(grown));
+        Some((&mut self.body).limit(missing.min(grown)))
+    }
+}
+
+/// What stands between a packet's head and its data.
+fn fixed_size(kind: Kind) -> usize {
+    match kind {
+        Kind::Frame => FRAME_FIXED,
+        Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => 0,
+    }
+}
+
+/// Moves bytes into `head` until it holds `wanted`; whether it does.
+fn fill(head: &mut BytesMut, wanted: usize, bytes: &mut &[u8]) -> bool {
+    let missing = wanted.saturating_sub(head.len());
+    let (now, later) = bytes.split_at(missing.min(bytes.len()));
+    head.extend_from_slice(now);
+    *bytes = later;
+    head.len() >= wanted
+}
+
+/// A little-endian number of `size` bytes, 0 where there are none.
+fn number(bytes: &[u8], at: usize, size: usize) -> u64 {
+    let digits = bytes.iter().skip(at).take(size).rev();
+    digits.fold(0, |number, digit| number << 8 | u64::from(*digit))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn bytes_of(kind: Kind, numbers: [u64; 2], rest: &[u8]) -> Vec<u8> {
+        let mut bytes = BytesMut::new();
+        put_head(&mut bytes, kind, numbers, rest.len());
+        bytes.extend_from_slice(rest);
+        bytes.to_vec()
+    }
+
+    fn read(mut bytes: &[u8], cuts: &[usize]) -> Result<Vec<Packet>, PacketError> {
+        let mut decoder = Decoder::default();
+        let mut packets = Vec::new();
+        let mut cuts = cuts.iter().cycle();
+        while !bytes.is_empty() {
+            let cut = cuts.next().copied().unwrap_or(1).clamp(1, bytes.len());
+            let (mut now, later) = bytes.split_at(cut);
+            while let Some(packet) = decoder.feed(&mut now)? {
+                packets.push(packet);
+            }
+            assert!(now.is_empty());
+            bytes = later;
+        }
+        Ok(packets)
+    }
+
+    proptest! {
+        #[test]
+        fn packets_survive_a_stream_that_is_cut_anywhere(
+            numbers: [u64; 2],
+            body in proptest::collection::vec(any::<u8>(), 0..300),
+            notice in proptest::collection::vec(any::<u8>(), 0..300),
+            cuts in proptest::collection::vec(1_usize..40, 1..20),
+        ) {
+            let frame = Frame::of_body(body);
+            let stream = [
+                bytes_of(Kind::Frame, numbers, &frame.encode()),
+                bytes_of(Kind::Pulse, numbers, &[]),
+                bytes_of(Kind::Notice, numbers, &notice),
+                bytes_of(Kind::Bye, numbers, &[]),
+            ].concat();
+            let packets = read(&stream, &cuts).unwrap();
+            let kinds: Vec<Kind> = packets.iter().map(|packet| packet.kind).collect();
+            prop_assert_eq!(kinds, vec![Kind::Frame, Kind::Pulse, Kind::Notice, Kind::Bye]);
+            prop_assert!(packets.iter().all(|packet| [packet.number, packet.received] == numbers));
+            prop_assert_eq!(&packets[0].content, &Content::Frame(frame));
+            prop_assert_eq!(&packets[2].content, &Content::Notice(notice));
+        }
+
+        #[test]
+        fn rubbish_is_an_error_or_waits_and_reserves_little(
+            bytes in proptest::collection::vec(any::<u8>(), 0..400),
+        ) {
+            let mut decoder = Decoder::default();
+            let mut rest = bytes.as_slice();
+            while let Ok(Some(_)) = decoder.feed(&mut rest) {}
+            prop_assert!(decoder.body.capacity() <= RESERVE.max(bytes.len()));
+        }
+
+        #[test]
+        fn a_large_body_may_be_read_in_place(size in RESERVE..4 * RESERVE, step in 1_usize..RESERVE) {
+            let body: Vec<u8> = (0..size).map(|index| (index % 251) as u8).collect();
+            let frame = Frame::of_body(body);
+            let stream = bytes_of(Kind::Frame, [1, 0], &frame.encode());
+            let mut bytes = stream.as_slice();
+            let mut decoder = Decoder::default();
+            let mut packet = None;
+            let mut in_place = 0;
+            while packet.is_none() {
+                if let Some(mut space) = decoder.large_body() {
+                    let count = step.min(space.remaining_mut()).min(bytes.len());
+                    space.put_slice(&bytes[..count]);
+                    bytes = &bytes[count..];
+                    in_place += count;
+                } else {
+                    let (mut now, later) = bytes.split_at(step.min(bytes.len()).min(100));
+                    packet = decoder.feed(&mut now).unwrap();
+                    prop_assert!(now.is_empty());
+                    bytes = later;
+                }
+            }
+            prop_assert!(in_place > 0);
+            prop_assert_eq!(packet.unwrap().content, Content::Frame(frame));
+        }
+    }
+
+    #[test]
+    fn two_gibibytes_announced_are_refused_at_once() {
+        let mut bytes = bytes_of(Kind::Frame, [1, 0], &[]);
+        bytes[..4].copy_from_slice(&(1_u32 << 31).to_le_bytes());
+        let error = read(&bytes, &[1]).unwrap_err();
+        assert!(error.to_string().contains("2147483648"), "{error}");
+    }
+}

@@ -1,0 +1,535 @@
+//! Two sessions joined by streams that lose, break and are had anew: first as pure state machines
+//! through memory, then over real sockets.
+
+use std::{collections::VecDeque, io::IoSlice};
+
+use proptest::prelude::*;
+
+use super::{
+    packet::Decoder,
+    window::{Arrival, Incoming, Outgoing},
+    *,
+};
+use crate::{config::InjuryConfig, link::FRAME_FIXED};
+
+const MANY: usize = 1 << 30;
+
+/// What happens between the two ends, one step at a time.
+#[derive(Debug, Clone)]
+enum Step {
+    /// One end posts a frame of this size.
+    Post(usize, usize),
+    /// The stream takes so many bytes from one end.
+    Write(usize, usize),
+    /// So many bytes arrive at one end.
+    Read(usize, usize),
+    /// The stream breaks; whatever is under way in it is lost.
+    Break,
+    /// One end gives a sign of life.
+    Pulse(usize),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let end = 0..2_usize;
+    prop_oneof![
+        4 => (end.clone(), prop_oneof![0..50_usize, 5_000..20_000_usize])
+            .prop_map(|(end, size)| Step::Post(end, size)),
+        6 => (end.clone(), 1..30_000_usize).prop_map(|(end, most)| Step::Write(end, most)),
+        6 => (end.clone(), 1..30_000_usize).prop_map(|(end, most)| Step::Read(end, most)),
+        1 => Just(Step::Break),
+        1 => end.prop_map(Step::Pulse),
+    ]
+}
+
+/// One end, without a session around it.
+struct End {
+    outgoing: Outgoing,
+    incoming: Incoming,
+    decoder: Decoder,
+    /// On their way to the other end.
+    wire: VecDeque<u8>,
+    posted: u64,
+    /// The numbers of the frames that were handed over.
+    heard: Vec<u64>,
+}
+
+impl End {
+    fn new(injury: Option<Injury>) -> Self {
+        Self {
+            outgoing: Outgoing::new(MANY, injury),
+            incoming: Incoming::default(),
+            decoder: Decoder::default(),
+            wire: VecDeque::new(),
+            posted: 0,
+            heard: Vec::new(),
+        }
+    }
+
+    fn post(&mut self, size: usize) {
+        self.posted += 1;
+        let mut frame = Frame::of_body(vec![self.posted as u8; size]);
+        frame.call = self.posted;
+        self.outgoing.put_frame(frame, Lane::Data, Instant::START);
+    }
+
+    /// False when the stream breaks.
+    fn write(&mut self, most: usize) -> bool {
+        let mut room = most;
+        let wire = &mut self.wire;
+        let write = |slices: &[IoSlice<'_>]| {
+            let mut taken = 0;
+            for slice in slices {
+                let now = slice.len().min(room);
+                wire.extend(&slice[..now]);
+                room -= now;
+                taken += now;
+            }
+            if taken == 0 {
+                Err(io::ErrorKind::WouldBlock.into())
+            } else {
+                Ok(taken)
+            }
+        };
+        let received = self.incoming.received();
+        self.outgoing.pump(received, Instant::START, write).is_ok()
+    }
+
+    fn read(&mut self, bytes: &[u8]) {
+        let mut bytes = bytes;
+        while let Some(packet) = self.decoder.feed(&mut bytes).unwrap() {
+            self.take(packet);
+        }
+    }
+
+    fn take(&mut self, packet: Packet) {
+        self.outgoing.acknowledge(packet.received).unwrap();
+        if packet.kind == Kind::Again {
+            self.outgoing.again();
+        }
+        if !packet.kind.is_numbered() {
+            if packet.number > self.incoming.received() {
+                self.outgoing.pulse(Kind::Again);
+            }
+            return;
+        }
+        match self.incoming.take(packet.number, packet.content.size()) {
+            Arrival::Next => {
+                let Content::Frame(frame) = packet.content else {
+                    panic!("no frame")
+                };
+                assert!(frame.body.iter().all(|byte| *byte == frame.call as u8));
+                self.heard.push(frame.call);
+            }
+            Arrival::Early if self.incoming.must_ask() => self.outgoing.pulse(Kind::Again),
+            Arrival::Early | Arrival::Old => {}
+        }
+    }
+}
+
+struct Pair {
+    ends: [End; 2],
+}
+
+impl Pair {
+    fn both(&mut self, index: usize) -> (&mut End, &mut End) {
+        let [one, other] = &mut self.ends;
+        if index == 0 {
+            (one, other)
+        } else {
+            (other, one)
+        }
+    }
+
+    fn break_stream(&mut self) {
+        let received = self.ends.each_ref().map(|end| end.incoming.received());
+        for (end, received) in self.ends.iter_mut().zip([received[1], received[0]]) {
+            end.wire.clear();
+            end.decoder = Decoder::default();
+            end.outgoing.restart(received).unwrap();
+        }
+    }
+
+    fn make(&mut self, step: &Step) {
+        match *step {
+            Step::Post(index, size) => self.ends[index].post(size),
+            Step::Write(index, most) => {
+                if !self.ends[index].write(most) {
+                    self.break_stream();
+                }
+            }
+            Step::Read(index, most) => {
+                let (reader, writer) = self.both(index);
+                let count = most.min(writer.wire.len());
+                let bytes: Vec<u8> = writer.wire.drain(..count).collect();
+                reader.read(&bytes);
+            }
+            Step::Break => self.break_stream(),
+            Step::Pulse(index) => self.ends[index].outgoing.pulse(Kind::Pulse),
+        }
+        for index in 0..2 {
+            // At every moment what was heard is the beginning of what was posted.
+            let (hearer, poster) = self.both(index);
+            let heard = hearer.heard.len() as u64;
+            assert!(heard <= poster.posted);
+            assert_eq!(hearer.heard.last().copied().unwrap_or(0), heard);
+        }
+    }
+
+    /// Lets everything arrive.
+    fn settle(&mut self) {
+        for _ in 0..2_000 {
+            for index in 0..2 {
+                self.make(&Step::Pulse(index));
+                self.make(&Step::Write(index, MANY));
+                self.make(&Step::Read(1 - index, MANY));
+            }
+            if self.ends.iter().all(|end| end.outgoing.is_empty()) {
+                return;
+            }
+        }
+        panic!("it does not settle");
+    }
+}
+
+fn injury(drop: f64, break_bytes: usize, seed: u64, from: &str) -> Option<Injury> {
+    let config = InjuryConfig {
+        drop,
+        break_bytes,
+        ..InjuryConfig::default()
+    };
+    Injury::of(&config, seed, from, "peer")
+}
+
+fn play(steps: &[Step], drop: f64, break_bytes: usize, seed: u64) {
+    let end = |name| End::new(injury(drop, break_bytes, seed, name));
+    let mut pair = Pair {
+        ends: [end("a"), end("b")],
+    };
+    for step in steps {
+        pair.make(step);
+    }
+    pair.settle();
+    for index in 0..2 {
+        let (hearer, poster) = pair.both(index);
+        assert_eq!(hearer.heard, (1..=poster.posted).collect::<Vec<_>>());
+        assert_eq!(poster.outgoing.bytes(), 0);
+    }
+}
+
+proptest! {
+    #[test]
+    fn streams_that_break_at_any_byte_lose_double_and_reorder_nothing(
+        steps in proptest::collection::vec(step(), 0..200),
+    ) {
+        play(&steps, 0.0, 0, 0);
+    }
+
+    #[test]
+    fn packets_that_are_lost_and_streams_that_are_injured_are_repaired(
+        steps in proptest::collection::vec(step(), 0..100), drop in 0.0..0.5, seed: u64,
+        break_bytes in prop_oneof![Just(0_usize), 1_000..20_000_usize],
+    ) {
+        play(&steps, drop, break_bytes, seed);
+    }
+
+    #[test]
+    fn what_a_peer_may_not_acknowledge_is_an_error(posted in 0..10_u64, received in 11..u64::MAX) {
+        let mut end = End::new(None);
+        for _ in 0..posted {
+            end.post(1);
+        }
+        prop_assert!(end.outgoing.acknowledge(received).is_err());
+        prop_assert!(end.outgoing.acknowledge(posted).is_ok());
+    }
+}
+
+#[test]
+fn a_large_body_is_written_from_where_it_is() {
+    let mut end = End::new(None);
+    let body = vec![9; 100_000];
+    let place = body.as_ptr();
+    end.outgoing
+        .put_frame(Frame::of_body(body), Lane::Data, Instant::START);
+    let mut seen = false;
+    let write = |slices: &[IoSlice<'_>]| {
+        seen |= slices
+            .iter()
+            .any(|slice| slice.as_ptr() == place && slice.len() == 100_000);
+        Ok(slices.iter().map(|slice| slice.len()).sum())
+    };
+    end.outgoing.pump(0, Instant::START, write).unwrap();
+    assert!(seen);
+}
+
+/// What a session told its receiver.
+#[derive(Default)]
+struct Told {
+    ups: u32,
+    frames: Vec<u64>,
+    downs: Vec<DownReason>,
+}
+
+struct Keeps(Arc<Mutex<Told>>);
+
+impl Receiver for Keeps {
+    fn up(&self, _session: Arc<Session>) {
+        lock(&self.0).ups += 1;
+    }
+
+    fn frame(&self, frame: Frame) {
+        lock(&self.0).frames.push(frame.call);
+    }
+
+    fn notice(&self, _bytes: Vec<u8>) {}
+
+    fn down(&self, reason: &DownReason) {
+        lock(&self.0).downs.push(reason.clone());
+    }
+}
+
+const TIMEOUT: Duration = Duration::from_secs(2);
+const ROOM: usize = 1 << 20;
+
+fn session(clock: &Clock) -> (Arc<Session>, Arc<Mutex<Told>>) {
+    let told: Arc<Mutex<Told>> = Arc::default();
+    let limits = Limits {
+        timeout: TIMEOUT,
+        room: ROOM,
+    };
+    let session = Session::new(clock.clone(), limits, None, Box::new(Keeps(told.clone())));
+    (session, told)
+}
+
+/// A writer that takes nothing: the peer does not read.
+fn frozen() -> Writer {
+    struct Frozen;
+    impl AsyncWrite for Frozen {
+        fn poll_write(
+            self: Pin<&mut Self>,
+            _: &mut PollContext<'_>,
+            _: &[u8],
+        ) -> Poll<io::Result<usize>> {
+            Poll::Pending
+        }
+        fn poll_flush(self: Pin<&mut Self>, _: &mut PollContext<'_>) -> Poll<io::Result<()>> {
+            Poll::Pending
+        }
+        fn poll_shutdown(self: Pin<&mut Self>, _: &mut PollContext<'_>) -> Poll<io::Result<()>> {
+            Poll::Pending
+        }
+    }
+    Writer::Other(Box::new(Frozen))
+}
+
+fn advance(clock: &Clock, by: Duration) {
+    clock.advance_to(clock.now() + by);
+}
+
+fn packet(kind: Kind, number: u64, content: Content) -> Packet {
+    Packet {
+        kind,
+        number,
+        received: 0,
+        content,
+    }
+}
+
+fn frame(number: u64) -> Packet {
+    let mut frame = Frame::of_body(vec![1]);
+    frame.call = number;
+    packet(Kind::Frame, number, Content::Frame(frame))
+}
+
+#[test]
+fn a_peer_that_is_silent_is_down_after_the_limit_and_told_once() {
+    let clock = Clock::virtual_clock();
+    let (session, told) = session(&clock);
+    let stream = session.attach(frozen(), 0).unwrap();
+    for _ in 0..3 {
+        advance(&clock, session.pulse_every());
+        session.keep();
+    }
+    assert_eq!(session.state(), State::Up);
+    assert!(session.receive(stream, packet(Kind::Pulse, 0, Content::Nothing)));
+    for _ in 0..3 {
+        advance(&clock, session.pulse_every());
+        session.keep();
+    }
+    assert_eq!(session.state(), State::Up);
+    for _ in 0..3 {
+        advance(&clock, session.pulse_every());
+        session.keep();
+    }
+    assert_eq!(session.state(), State::Down);
+    assert_eq!(lock(&told).downs, [DownReason::Silence(TIMEOUT)]);
+    assert!(!session.receive(stream, frame(1)));
+    assert!(session.attach(frozen(), 0).is_err());
+}
+
+#[test]
+fn a_chassis_that_stood_still_itself_does_not_blame_its_peers() {
+    let clock = Clock::virtual_clock();
+    let (session, told) = session(&clock);
+    let stream = session.attach(frozen(), 0).unwrap();
+    session.keep();
+    advance(&clock, 10 * TIMEOUT);
+    session.keep();
+    assert_eq!(session.state(), State::Up);
+    // What the peer said meanwhile is read now.
+    assert!(session.receive(stream, frame(1)));
+    assert_eq!(lock(&told).frames, [1]);
+}
+
+#[test]
+fn memory_under_way_to_a_frozen_peer_is_bounded_and_answers_still_pass() {
+    let clock = Clock::virtual_clock();
+    let (session, _) = session(&clock);
+    session.attach(frozen(), 0).unwrap();
+    let mut posted = 0;
+    let full = loop {
+        match session.post(Frame::of_body(vec![0; 10_000])) {
+            Ok(()) => posted += 10_000,
+            Err(full) => break full,
+        }
+    };
+    assert!(
+        full.bytes <= ROOM && posted > ROOM - 20_000,
+        "{full:?}, {posted} bytes posted"
+    );
+    let mut reply = Frame::of_body(vec![0; 10_000]);
+    reply.header.flags = Flags::REPLY;
+    for _ in 0..1_000 {
+        session.post(reply.clone()).unwrap();
+    }
+    // Large answers have become small faults.
+    let held = session.counts().bytes_under_way;
+    assert!(held < 3 * ROOM as u64, "{held} bytes");
+    let mut system = Frame::of_body(Vec::new());
+    system.header.command = SYSTEM_COMMANDS;
+    session.post(system).unwrap();
+}
+
+#[test]
+fn a_frame_larger_than_the_room_passes_when_nothing_else_is_under_way() {
+    let clock = Clock::virtual_clock();
+    let (session, _) = session(&clock);
+    session.attach(frozen(), 0).unwrap();
+    session.post(Frame::of_body(vec![0; 2 * ROOM])).unwrap();
+    assert!(session.post(Frame::of_body(Vec::new())).is_err());
+}
+
+#[test]
+fn what_an_earlier_stream_still_brings_is_not_listened_to() {
+    let clock = Clock::virtual_clock();
+    let (session, told) = session(&clock);
+    let first = session.attach(frozen(), 0).unwrap();
+    assert!(session.receive(first, frame(1)));
+    let second = session.attach(frozen(), 0).unwrap();
+    assert!(!session.receive(first, frame(2)));
+    session.lost(first);
+    assert_eq!(session.state(), State::Up);
+    // Sent again, as the other end did not know how far this one had heard.
+    assert!(session.receive(second, frame(1)));
+    assert!(session.receive(second, frame(2)));
+    let told = lock(&told);
+    assert_eq!((told.ups, &told.frames[..]), (1, &[1, 2][..]));
+}
+
+#[test]
+fn a_peer_whose_process_has_ended_is_read_to_its_end_and_then_down_at_once() {
+    let clock = Clock::virtual_clock();
+    let (session, told) = session(&clock);
+    let stream = session.attach(frozen(), 0).unwrap();
+    session.event(Event::PeerEnded, DownReason::Ended);
+    assert!(session.receive(stream, frame(1)));
+    assert!(lock(&told).downs.is_empty());
+    session.lost(stream);
+    let told = lock(&told);
+    assert_eq!(
+        (&told.frames[..], &told.downs[..]),
+        (&[1][..], &[DownReason::Ended][..])
+    );
+}
+
+#[test]
+fn rubbish_ends_the_session_and_says_what_it_was() {
+    let clock = Clock::virtual_clock();
+    let (session, told) = session(&clock);
+    let stream = session.attach(frozen(), 0).unwrap();
+    let mut claims = frame(1);
+    claims.received = 5;
+    assert!(!session.receive(stream, claims));
+    let downs = lock(&told).downs.clone();
+    assert!(
+        matches!(&downs[..], [DownReason::Rubbish(what)] if what.contains('5')),
+        "{downs:?}"
+    );
+    assert!(lock(&told).frames.is_empty());
+}
+
+#[test]
+fn one_that_was_given_up_learns_so_and_one_that_says_goodbye_is_not_missed() {
+    let clock = Clock::virtual_clock();
+    for (kind, number, reason) in [
+        (Kind::GivenUp, 0, DownReason::GivenUp),
+        (Kind::Bye, 1, DownReason::Bye),
+    ] {
+        let (session, told) = session(&clock);
+        let stream = session.attach(frozen(), 0).unwrap();
+        assert!(!session.receive(stream, packet(kind, number, Content::Nothing)));
+        assert_eq!(lock(&told).downs, [reason]);
+    }
+}
+
+/// Two sessions over the two ends of a Unix socket.
+fn joined(test: impl AsyncFnOnce([(Arc<Session>, Arc<Mutex<Told>>); 2])) {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
+    runtime.unwrap().block_on(async {
+        let clock = Clock::real();
+        let pair = [session(&clock), session(&clock)];
+        let (one, other) = tokio::net::UnixStream::pair().unwrap();
+        for ((session, _), stream) in pair.clone().into_iter().zip([one, other]) {
+            tokio::spawn(async move {
+                let stream = crate::link::transport::Stream::Unix(stream);
+                drive::drive(&session, stream, 0).await.unwrap();
+            });
+        }
+        tokio::time::timeout(Duration::from_secs(60), test(pair))
+            .await
+            .unwrap();
+    });
+}
+
+async fn reaches(session: &Session, state: State) {
+    session.watch().wait_for(|now| *now == state).await.unwrap();
+}
+
+#[test]
+fn frames_of_any_size_go_there_and_the_last_ones_before_goodbye() {
+    joined(async |[(one, one_told), (other, other_told)]| {
+        reaches(&one, State::Up).await;
+        reaches(&other, State::Up).await;
+        let sizes = [0, 1, 100, 70_000, 900_000, 3, 200_000];
+        for (index, size) in sizes.into_iter().enumerate() {
+            let mut frame = Frame::of_body(vec![1; size]);
+            frame.call = index as u64;
+            // In the lane of answers, so that the small room of these sessions is no matter.
+            frame.header.flags = Flags::ABANDONED;
+            one.post(frame).unwrap();
+        }
+        one.close();
+        reaches(&other, State::Down).await;
+        reaches(&one, State::Down).await;
+        assert_eq!(lock(&other_told).frames, [0, 1, 2, 3, 4, 5, 6]);
+        assert_eq!(lock(&other_told).downs, [DownReason::Bye]);
+        assert_eq!(lock(&one_told).downs, [DownReason::Closed]);
+        let bytes = sizes.iter().sum::<usize>() as u64;
+        assert_eq!(
+            (other.counts().bytes_in, one.counts().bytes_out),
+            (bytes, bytes)
+        );
+        assert!(bytes > FRAME_FIXED as u64);
+    });
+}

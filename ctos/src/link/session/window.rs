@@ -1,0 +1,388 @@
+//! What a session keeps: packets until the other end has acknowledged them, and the number up to which
+//! the other end's packets have come. Pure: knows no stream, no clock of its own and no task.
+
+use std::{collections::VecDeque, io, io::IoSlice};
+
+use bytes::{Buf, BufMut, Bytes, BytesMut};
+
+use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
+use crate::{
+    link::{FRAME_FIXED, Frame, injure::Injury},
+    time::Instant,
+};
+
+/// Bodies up to this size, bytes, are copied behind their heads, so that many small packets leave
+/// with one system call; larger ones are written from where they are.
+const COPIED: usize = 4 * 1024;
+
+/// How many bytes are made ready for the stream at a time, at least.
+const BATCH: usize = 64 * 1024;
+
+/// How many slices one write takes.
+const SLICES: usize = 32;
+
+/// Which room a packet takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Lane {
+    /// Requests of tasks.
+    Data,
+    /// Answers, and everything of the runtime: never kept out by requests.
+    Control,
+}
+
+/// A packet that may have to be sent again.
+struct Kept {
+    kind: Kind,
+    /// The fixed part of a frame; empty for others.
+    head: Bytes,
+    body: Bytes,
+    lane: Lane,
+    /// Not to be sent before (injured links only).
+    ready: Instant,
+}
+
+impl Kept {
+    fn size(&self) -> usize {
+        PACKET_HEAD + self.head.len() + self.body.len()
+    }
+}
+
+/// There is no room for a packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct NoRoom {
+    /// Bytes that are under way already.
+    pub(crate) held: usize,
+}
+
+/// How far a stream took what there was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Pumped {
+    /// All of it.
+    Idle,
+    /// The stream takes no more for the moment.
+    Blocked,
+}
+
+/// The sending half.
+pub(crate) struct Outgoing {
+    /// Those from `acked + 1` on.
+    kept: VecDeque<Kept>,
+    acked: u64,
+    /// The next number that goes to the stream.
+    next: u64,
+    /// Bytes on their way into the stream.
+    staged: VecDeque<Bytes>,
+    /// An unnumbered packet that goes before the next numbered one.
+    pulse: Option<Kind>,
+    room: usize,
+    held_data: usize,
+    held_control: usize,
+    injury: Option<Injury>,
+}
+
+impl Outgoing {
+    /// With `room` bytes for each lane.
+    pub(crate) fn new(room: usize, injury: Option<Injury>) -> Self {
+        Self {
+            kept: VecDeque::new(),
+            acked: 0,
+            next: 1,
+            staged: VecDeque::new(),
+            pulse: None,
+            room,
+            held_data: 0,
+            held_control: 0,
+            injury,
+        }
+    }
+
+    /// Whether `size` more bytes have room. A lane that is empty takes a packet of any size.
+    pub(crate) fn has_room(&self, lane: Lane, size: usize) -> Result<(), NoRoom> {
+        let held = match lane {
+            Lane::Data => self.held_data,
+            Lane::Control => self.held_control,
+        };
+        if held > 0 && held.saturating_add(size) > self.room {
+            return Err(NoRoom { held });
+        }
+        Ok(())
+    }
+
+    fn held(&mut self, lane: Lane) -> &mut usize {
+        match lane {
+            Lane::Data => &mut self.held_data,
+            Lane::Control => &mut self.held_control,
+        }
+    }
+
+    /// Takes a frame; the caller has asked for room.
+    pub(crate) fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
+        let head = Bytes::copy_from_slice(&frame.head());
+        self.put(Kind::Frame, head, Bytes::from(frame.body), lane, now);
+    }
+
+    /// Takes a message of the mesh, or the last packet of all.
+    pub(crate) fn put_control(&mut self, kind: Kind, body: Vec<u8>, now: Instant) {
+        self.put(kind, Bytes::new(), Bytes::from(body), Lane::Control, now);
+    }
+
+    fn put(&mut self, kind: Kind, head: Bytes, body: Bytes, lane: Lane, now: Instant) {
+        let earliest = self.kept.back().map_or(Instant::START, |last| last.ready);
+        let ready = match &mut self.injury {
+            Some(injury) => injury.delayed(now).max(earliest),
+            None => Instant::START,
+        };
+        let kept = Kept {
+            kind,
+            head,
+            body,
+            lane,
+            ready,
+        };
+        *self.held(lane) += kept.size();
+        self.kept.push_back(kept);
+    }
+
+    /// Asks for a packet without a number.
+    pub(crate) fn pulse(&mut self, kind: Kind) {
+        // What asks for more must not be replaced by what asks for less.
+        if self.pulse.is_none_or(|now| now == Kind::Pulse) || kind == Kind::GivenUp {
+            self.pulse = Some(kind);
+        }
+    }
+
+    /// The last number that was given out.
+    pub(crate) fn last(&self) -> u64 {
+        self.acked + self.kept.len() as u64
+    }
+
+    /// The last number that went to the stream.
+    fn sent(&self) -> u64 {
+        self.next - 1
+    }
+
+    /// Whether the other end has acknowledged everything.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// Whether the stream is cut on purpose at this moment.
+    pub(crate) fn is_cut(&self, now: Instant) -> bool {
+        let injury = self.injury.as_ref();
+        injury.is_some_and(|injury| injury.is_cut(now))
+    }
+
+    /// Bytes under way.
+    pub(crate) fn bytes(&self) -> usize {
+        self.held_data + self.held_control
+    }
+
+    /// The other end has received everything up to `received`.
+    ///
+    /// # Errors
+    /// When that was never sent.
+    pub(crate) fn acknowledge(&mut self, received: u64) -> Result<(), PacketError> {
+        if received > self.last() {
+            let sent = self.last();
+            return Err(PacketError::Acknowledges { received, sent });
+        }
+        while self.acked < received {
+            let Some(kept) = self.kept.pop_front() else {
+                break;
+            };
+            *self.held(kept.lane) -= kept.size();
+            self.acked += 1;
+        }
+        // What was acknowledged on an earlier stream need not be written on this one.
+        self.next = self.next.max(self.acked + 1);
+        Ok(())
+    }
+
+    /// Begins again after the last acknowledged packet.
+    pub(crate) fn again(&mut self) {
+        self.next = self.acked + 1;
+    }
+
+    /// A new stream whose other end has received everything up to `received`.
+    ///
+    /// # Errors
+    /// As [`Self::acknowledge`].
+    pub(crate) fn restart(&mut self, received: u64) -> Result<(), PacketError> {
+        self.acknowledge(received)?;
+        self.staged.clear();
+        self.pulse = None;
+        self.again();
+        if let Some(injury) = &mut self.injury {
+            injury.restarted();
+        }
+        Ok(())
+    }
+
+    /// Writes until everything is written or `write` takes no more. `received` is what this end tells
+    /// the other one that it has.
+    ///
+    /// # Errors
+    /// What `write` says, other than that it would block.
+    pub(crate) fn pump(
+        &mut self,
+        received: u64,
+        now: Instant,
+        mut write: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
+    ) -> io::Result<Pumped> {
+        loop {
+            if self.staged.is_empty() {
+                self.stage(received, now);
+            }
+            if self.staged.is_empty() {
+                return Ok(Pumped::Idle);
+            }
+            let most = match &self.injury {
+                Some(injury) => injury.bytes_left()?,
+                None => usize::MAX,
+            };
+            let written = {
+                let mut slices = [IoSlice::new(&[]); SLICES];
+                let mut count = 0;
+                for (slice, bytes) in slices.iter_mut().zip(&self.staged) {
+                    *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
+                    count += 1;
+                    if most != usize::MAX {
+                        break;
+                    }
+                }
+                let (filled, _) = slices.split_at(count);
+                write(filled)
+            };
+            match written {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(written) => self.written(written),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    return Ok(Pumped::Blocked);
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn written(&mut self, mut count: usize) {
+        if let Some(injury) = &mut self.injury {
+            injury.wrote(count);
+        }
+        while count > 0 {
+            let Some(first) = self.staged.front_mut() else {
+                return;
+            };
+            if first.len() > count {
+                first.advance(count);
+                return;
+            }
+            count -= first.len();
+            self.staged.pop_front();
+        }
+    }
+
+    /// Makes the next packets ready to be written.
+    fn stage(&mut self, received: u64, now: Instant) {
+        let mut small = BytesMut::new();
+        let mut size = 0;
+        while size < BATCH {
+            let Some(index) = usize::try_from(self.next - self.acked - 1).ok() else {
+                break;
+            };
+            // A pulse tells what was sent before it, so it goes in between where it was asked for.
+            if let Some(kind) = self.pulse.take() {
+                if !self.loses() {
+                    put_head(&mut small, kind, [self.sent(), received], 0);
+                    size += PACKET_HEAD;
+                }
+                continue;
+            }
+            let Some(kept) = self.kept.get(index).filter(|kept| kept.ready <= now) else {
+                break;
+            };
+            let number = self.next;
+            self.next += 1;
+            size += kept.size();
+            if self.injury.as_mut().is_some_and(Injury::loses) {
+                continue;
+            }
+            let rest = kept.head.len() + kept.body.len();
+            put_head(&mut small, kept.kind, [number, received], rest);
+            small.put_slice(&kept.head);
+            if kept.body.len() <= COPIED {
+                small.put_slice(&kept.body);
+            } else {
+                self.staged.push_back(small.split().freeze());
+                self.staged.push_back(kept.body.clone());
+            }
+        }
+        if !small.is_empty() {
+            self.staged.push_back(small.freeze());
+        }
+    }
+
+    fn loses(&mut self) -> bool {
+        self.injury.as_mut().is_some_and(Injury::loses)
+    }
+}
+
+/// What a numbered packet is to the receiving half.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Arrival {
+    /// The one that was awaited.
+    Next,
+    /// One that has come before.
+    Old,
+    /// One after another that is missing.
+    Early,
+}
+
+/// The receiving half.
+#[derive(Debug, Default)]
+pub(crate) struct Incoming {
+    received: u64,
+    /// Bytes that came since the last acknowledgement left.
+    unacknowledged: usize,
+    /// After which number the missing ones have been asked for.
+    asked: Option<u64>,
+}
+
+impl Incoming {
+    /// The number up to which everything has come.
+    pub(crate) fn received(&self) -> u64 {
+        self.received
+    }
+
+    /// Takes a numbered packet of `size` bytes.
+    pub(crate) fn take(&mut self, number: u64, size: usize) -> Arrival {
+        if number <= self.received {
+            return Arrival::Old;
+        }
+        if number > self.received + 1 {
+            return Arrival::Early;
+        }
+        self.received = number;
+        self.unacknowledged += PACKET_HEAD + FRAME_FIXED + size;
+        self.asked = None;
+        Arrival::Next
+    }
+
+    /// Whether the missing packets must be asked for now: once for each gap.
+    pub(crate) fn must_ask(&mut self) -> bool {
+        if self.asked == Some(self.received) {
+            return false;
+        }
+        self.asked = Some(self.received);
+        true
+    }
+
+    /// Whether so much has come that the other end must be told.
+    pub(crate) fn must_acknowledge(&mut self, most: usize) -> bool {
+        let must = self.unacknowledged >= most;
+        if must {
+            self.unacknowledged = 0;
+        }
+        must
+    }
+}

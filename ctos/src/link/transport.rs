@@ -1,0 +1,401 @@
+//! Byte streams between chassis: where one listens, how it is called, and what comes of a call.
+//!
+//! Unix sockets stay in a folder that only this user may enter; TCP is for the loopback and, with keys,
+//! for other hosts. Knows nothing of sessions and frames.
+
+use std::{
+    fmt, io,
+    net::SocketAddr,
+    os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt},
+    path::{Path, PathBuf},
+    pin::Pin,
+    str::FromStr,
+    sync::Arc,
+    task::{Context, Poll},
+};
+
+use serde::{Deserialize, Serialize};
+use tokio::{
+    io::{AsyncRead, AsyncWrite, ReadBuf},
+    net::{TcpListener, TcpStream, UnixListener, UnixStream},
+};
+use tokio_rustls::TlsStream;
+
+use crate::{
+    link::session::Writer,
+    security::{Identity, KeyError, Keys},
+};
+
+/// Where a chassis can be reached.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Address {
+    /// A port of a host.
+    Tcp(SocketAddr),
+    /// A socket in the file system of this host.
+    Unix(PathBuf),
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(address) => write!(f, "tcp:{address}"),
+            Self::Unix(path) => write!(f, "unix:{}", path.display()),
+        }
+    }
+}
+
+/// A text that is no address.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not an address; write tcp:IP:PORT or unix:/PATH")]
+pub struct AddressError(String);
+
+impl FromStr for Address {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        let wrong = || AddressError(text.to_owned());
+        if let Some(path) = text.strip_prefix("unix:") {
+            let path = PathBuf::from(path);
+            return if path.is_absolute() {
+                Ok(Self::Unix(path))
+            } else {
+                Err(wrong())
+            };
+        }
+        let address = text.strip_prefix("tcp:").unwrap_or(text);
+        address.parse().map(Self::Tcp).map_err(|_| wrong())
+    }
+}
+
+/// A stream between two processes.
+pub(crate) enum Stream {
+    Tcp(TcpStream),
+    Unix(UnixStream),
+    Tls(Box<TlsStream<TcpStream>>),
+}
+
+impl Stream {
+    /// The half that is read, and the half that is written.
+    pub(crate) fn split(self) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
+        match self {
+            Self::Tcp(stream) => {
+                let (reader, writer) = stream.into_split();
+                (Box::new(reader), Writer::Tcp(writer))
+            }
+            Self::Unix(stream) => {
+                let (reader, writer) = stream.into_split();
+                (Box::new(reader), Writer::Unix(writer))
+            }
+            Self::Tls(stream) => {
+                let (reader, writer) = tokio::io::split(*stream);
+                (Box::new(reader), Writer::Other(Box::new(writer)))
+            }
+        }
+    }
+}
+
+macro_rules! each_stream {
+    ($stream:expr, $inner:ident => $does:expr) => {
+        match $stream {
+            Stream::Tcp($inner) => $does,
+            Stream::Unix($inner) => $does,
+            Stream::Tls($inner) => $does,
+        }
+    };
+}
+
+impl AsyncRead for Stream {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        into: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_read(cx, into))
+    }
+}
+
+impl AsyncWrite for Stream {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_write(cx, bytes))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_flush(cx))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_shutdown(cx))
+    }
+}
+
+/// A connection that could not be made, or whose other end did not prove who it is.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ConnectError {
+    #[error("{address}: {error}")]
+    Io { address: Address, error: io::Error },
+    #[error("{address}: {error}")]
+    Key { address: Address, error: KeyError },
+}
+
+impl ConnectError {
+    /// Whether nobody listens there: on the same host the process is gone then.
+    pub(crate) fn is_refused(&self) -> bool {
+        let Self::Io { error, .. } = self else {
+            return false;
+        };
+        matches!(
+            error.kind(),
+            io::ErrorKind::ConnectionRefused | io::ErrorKind::NotFound
+        )
+    }
+}
+
+/// Calls `address`; over TCP with keys, when there are any.
+///
+/// # Errors
+/// [`ConnectError`].
+pub(crate) async fn connect(
+    address: &Address,
+    keys: Option<&Arc<Keys>>,
+) -> Result<(Stream, Option<Identity>), ConnectError> {
+    let io = |error| ConnectError::Io {
+        address: address.clone(),
+        error,
+    };
+    match address {
+        Address::Unix(path) => {
+            let stream = UnixStream::connect(path).await.map_err(io)?;
+            Ok((Stream::Unix(stream), None))
+        }
+        Address::Tcp(to) => {
+            let stream = TcpStream::connect(to).await.map_err(io)?;
+            stream.set_nodelay(true).map_err(io)?;
+            let Some(keys) = keys else {
+                return Ok((Stream::Tcp(stream), None));
+            };
+            let key = |error| ConnectError::Key {
+                address: address.clone(),
+                error,
+            };
+            let (stream, identity) = keys.call(stream).await.map_err(key)?;
+            Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
+        }
+    }
+}
+
+/// A caller who has not said anything yet.
+pub(crate) enum Call {
+    Tcp(TcpStream, Option<Arc<Keys>>),
+    Unix(UnixStream),
+}
+
+impl Call {
+    /// Lets the caller prove who it is, where that is asked for.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub(crate) async fn prove(self) -> Result<(Stream, Option<Identity>), KeyError> {
+        match self {
+            Self::Unix(stream) => {
+                let theirs = stream.peer_cred()?.uid();
+                let ours = rustix::process::geteuid().as_raw();
+                if theirs != ours && ours != 0 {
+                    return Err(KeyError::User { user: theirs });
+                }
+                Ok((Stream::Unix(stream), None))
+            }
+            Self::Tcp(stream, None) => {
+                stream.set_nodelay(true)?;
+                Ok((Stream::Tcp(stream), None))
+            }
+            Self::Tcp(stream, Some(keys)) => {
+                stream.set_nodelay(true)?;
+                let (stream, identity) = keys.answer(stream).await?;
+                Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
+            }
+        }
+    }
+}
+
+/// Where calls come in.
+pub(crate) enum Listener {
+    Tcp(TcpListener, Option<Arc<Keys>>),
+    Unix(UnixListener, SocketFile),
+}
+
+impl Listener {
+    /// Listens at a port of this host; port 0 is a free one.
+    ///
+    /// # Errors
+    /// What the system says: the port is taken, the address is not one of this host.
+    pub(crate) async fn tcp(address: SocketAddr, keys: Option<Arc<Keys>>) -> io::Result<Self> {
+        Ok(Self::Tcp(TcpListener::bind(address).await?, keys))
+    }
+
+    /// Listens at a new socket of this user's own folder; `name` stands in the file's name.
+    ///
+    /// # Errors
+    /// When the folder is not this user's alone, or what the system says.
+    pub(crate) fn unix(name: &str) -> io::Result<Self> {
+        let folder = socket_folder()?;
+        remove_stale(&folder);
+        let mut noise = [0_u8; 6];
+        getrandom::fill(&mut noise).map_err(|error| io::Error::other(error.to_string()))?;
+        let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
+        let short: String = name.chars().take(16).collect();
+        let path = folder.join(format!("{short}-{noise}.sock"));
+        // Bound under another name until it listens: a socket to which nobody listens is stale.
+        let begun = path.with_extension("new");
+        let listener = UnixListener::bind(&begun)?;
+        let file = SocketFile { path };
+        std::fs::set_permissions(&begun, std::fs::Permissions::from_mode(0o600))?;
+        std::fs::rename(&begun, &file.path)?;
+        Ok(Self::Unix(listener, file))
+    }
+
+    /// Where others reach it.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(crate) fn address(&self) -> io::Result<Address> {
+        match self {
+            Self::Tcp(listener, _) => Ok(Address::Tcp(listener.local_addr()?)),
+            Self::Unix(_, file) => Ok(Address::Unix(file.path.clone())),
+        }
+    }
+
+    /// The next caller.
+    ///
+    /// # Errors
+    /// When this one was lost; others may succeed.
+    pub(crate) async fn accept(&self) -> io::Result<Call> {
+        match self {
+            Self::Tcp(listener, keys) => {
+                let (stream, _) = listener.accept().await?;
+                Ok(Call::Tcp(stream, keys.clone()))
+            }
+            Self::Unix(listener, _) => {
+                let (stream, _) = listener.accept().await?;
+                Ok(Call::Unix(stream))
+            }
+        }
+    }
+}
+
+/// A socket's file, removed when nobody listens any more.
+pub(crate) struct SocketFile {
+    path: PathBuf,
+}
+
+impl Drop for SocketFile {
+    fn drop(&mut self) {
+        // Somebody else has removed it: that is what was wanted.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// The longest path that a socket's folder may have, so that the files in it fit into an address.
+const FOLDER_LIMIT: usize = 64;
+
+/// The folder of this user's sockets, made when it is not there: below `XDG_RUNTIME_DIR`, else below
+/// the folder for temporary files.
+fn socket_folder() -> io::Result<PathBuf> {
+    let user = rustix::process::geteuid().as_raw();
+    let own = std::env::var_os("XDG_RUNTIME_DIR").map(|folder| PathBuf::from(folder).join("ctos"));
+    let fits = |folder: &PathBuf| folder.is_absolute() && folder.as_os_str().len() <= FOLDER_LIMIT;
+    let temporary = std::env::temp_dir().join(format!("ctos-{user}"));
+    let last = PathBuf::from(format!("/tmp/ctos-{user}"));
+    let mut error = None;
+    for folder in own.into_iter().chain([temporary, last]).filter(fits) {
+        match private_folder(&folder, user) {
+            Ok(()) => return Ok(folder),
+            Err(reason) => error = Some(reason),
+        }
+    }
+    Err(error.unwrap_or_else(|| io::Error::other("there is no folder for sockets")))
+}
+
+/// Makes sure that `folder` exists and that nobody but `user` may enter it.
+fn private_folder(folder: &Path, user: u32) -> io::Result<()> {
+    match std::fs::DirBuilder::new().mode(0o700).create(folder) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    let found = std::fs::symlink_metadata(folder)?;
+    if !found.is_dir() || found.uid() != user || found.mode() & 0o077 != 0 {
+        let text = format!(
+            "{} is not a folder of this user alone (mode 0700); remove it, or set XDG_RUNTIME_DIR",
+            folder.display()
+        );
+        return Err(io::Error::new(io::ErrorKind::PermissionDenied, text));
+    }
+    Ok(())
+}
+
+/// Removes the sockets of processes that could not do so themselves.
+fn remove_stale(folder: &Path) {
+    let Ok(files) = std::fs::read_dir(folder) else {
+        return;
+    };
+    for file in files.flatten() {
+        let path = file.path();
+        if path.extension().is_none_or(|end| end != "sock") {
+            continue;
+        }
+        let refused = std::os::unix::net::UnixStream::connect(&path)
+            .is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused);
+        if refused {
+            // Another process that starts may have been faster.
+            let _ = std::fs::remove_file(&path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_survive_their_text() {
+        for text in ["tcp:127.0.0.1:80", "tcp:[::1]:1", "unix:/run/x.sock"] {
+            assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
+        }
+        assert_eq!(
+            "127.0.0.1:80".parse::<Address>().unwrap().to_string(),
+            "tcp:127.0.0.1:80"
+        );
+        for text in ["", "unix:", "unix:relative", "tcp:host", "127.0.0.1"] {
+            assert!(text.parse::<Address>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_folder_that_others_may_enter_is_not_used() {
+        let user = rustix::process::geteuid().as_raw();
+        let base = tempfile::tempdir().unwrap();
+        let folder = base.path().join("ctos");
+        private_folder(&folder, user).unwrap();
+        private_folder(&folder, user).unwrap();
+        std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
+        assert!(private_folder(&folder, user).is_err());
+        let link = base.path().join("link");
+        std::os::unix::fs::symlink(&folder, &link).unwrap();
+        std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o700)).unwrap();
+        assert!(private_folder(&link, user).is_err());
+    }
+
+    #[test]
+    fn sockets_to_which_nobody_listens_are_removed_and_others_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let stale = folder.path().join("a.sock");
+        drop(std::os::unix::net::UnixListener::bind(&stale).unwrap());
+        let live = folder.path().join("b.sock");
+        let _listener = std::os::unix::net::UnixListener::bind(&live).unwrap();
+        remove_stale(folder.path());
+        assert!(!stale.exists() && live.exists());
+    }
+}

@@ -1,0 +1,114 @@
+//! What a chassis tells about its tasks without disturbing them: read from their records, so that a
+//! task that is busy, or stuck, is seen as well as one that is idle.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    chassis::{Chassis, TaskRecord},
+    command,
+    message::Tid,
+    statistics::TaskCounters,
+    time::Instant,
+};
+
+pub use crate::waits::WaitReport;
+
+command! {
+    /// Asks an agent for everything that is known of its chassis.
+    pub(crate) struct Survey => ChassisReport, 0xff50, "survey"
+}
+
+/// A chassis at a moment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ChassisReport {
+    /// Its name.
+    pub chassis: String,
+    /// Its process.
+    pub pid: u32,
+    /// The moment, on the chassis's clock.
+    pub now: Instant,
+    /// Its processors, in declared order, that of the runtime first.
+    pub processors: Vec<String>,
+    /// Its tasks, those of the runtime too.
+    pub tasks: Vec<TaskReport>,
+}
+
+/// A task at a moment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TaskReport {
+    /// Its symbolic name.
+    pub name: String,
+    /// Its id.
+    pub tid: Tid,
+    /// The registered name of its handler; empty for tasks that no configuration declares.
+    pub handler: String,
+    /// Its processor's name.
+    pub processor: String,
+    /// What it has done.
+    pub counters: TaskCounters,
+    /// When it entered its last startup phase.
+    pub phase_since: Option<Instant>,
+    /// The command at hand, or the last one, by name; `None` before the first.
+    pub command: Option<String>,
+    /// What is in its queue.
+    pub queue: QueueReport,
+    /// What it waits for, longest first.
+    pub waits: Vec<WaitReport>,
+}
+
+/// What is in a queue.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct QueueReport {
+    /// Messages of high priority.
+    pub urgent: u64,
+    /// Messages of normal priority.
+    pub normal: u64,
+    /// Senders that wait for room.
+    pub waiting: u64,
+    /// How many messages of each priority it holds at most.
+    pub capacity: u64,
+}
+
+/// Everything that is known of `chassis` now.
+pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
+    let processors = chassis.processors.iter();
+    ChassisReport {
+        chassis: chassis.name().to_owned(),
+        pid: std::process::id(),
+        now: chassis.clock.now(),
+        processors: processors.map(|(name, _)| name.clone()).collect(),
+        tasks: chassis
+            .tasks()
+            .iter()
+            .map(|task| report(chassis, task))
+            .collect(),
+    }
+}
+
+fn report(chassis: &Chassis, task: &TaskRecord) -> TaskReport {
+    let counters = task.statistics.read();
+    let config = chassis.app.task(&task.name);
+    let handler = config.map_or_else(String::new, |config| config.handler.clone());
+    let any = counters.handled > 0 || counters.began.is_some();
+    let processor = chassis.processors.get(usize::from(task.tid.processor()));
+    TaskReport {
+        name: task.name.to_string(),
+        tid: task.tid,
+        processor: processor.map_or_else(String::new, |(name, _)| name.clone()),
+        command: any.then(|| command_name(chassis, &handler, counters.command)),
+        handler,
+        counters,
+        phase_since: task.statistics.phase_since(),
+        queue: task.mailbox.lengths(),
+        waits: task.waits.read(),
+    }
+}
+
+/// The name of a command, as far as it is known.
+fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
+    let kind = chassis.registry.kind(handler);
+    let own = kind.into_iter().flat_map(|kind| kind.commands());
+    let mut all = own.chain(crate::system::ALL);
+    all.find(|command| command.code == code)
+        .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
+}

@@ -1,0 +1,114 @@
+//! Whom a task waits for. Noted by every call as it is made, readable from any thread while it waits.
+
+use std::sync::{Arc, Mutex};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{call::lock, time::Instant};
+
+/// A call, or a send, that has not ended yet.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WaitReport {
+    /// The asked task.
+    pub to: String,
+    /// The command's name.
+    pub command: String,
+    /// Since when.
+    pub since: Instant,
+}
+
+struct Entry {
+    to: Arc<str>,
+    command: &'static str,
+    since: Instant,
+}
+
+/// What one task waits for. Its children's calls count as its own.
+#[derive(Default)]
+pub(crate) struct Waits {
+    /// Free places are used again, so that a call allocates nothing.
+    entries: Mutex<Vec<Option<Entry>>>,
+}
+
+impl Waits {
+    /// Notes a call until the guard is dropped.
+    pub(crate) fn begin(
+        &self,
+        to: &Arc<str>,
+        command: &'static str,
+        since: Instant,
+    ) -> WaitGuard<'_> {
+        let entry = Some(Entry {
+            to: to.clone(),
+            command,
+            since,
+        });
+        let mut entries = lock(&self.entries);
+        let place = match entries.iter().position(Option::is_none) {
+            Some(free) => {
+                if let Some(place) = entries.get_mut(free) {
+                    *place = entry;
+                }
+                free
+            }
+            None => {
+                entries.push(entry);
+                entries.len() - 1
+            }
+        };
+        WaitGuard { waits: self, place }
+    }
+
+    /// What is waited for now, longest first.
+    pub(crate) fn read(&self) -> Vec<WaitReport> {
+        let entries = lock(&self.entries);
+        let mut waits: Vec<WaitReport> = entries
+            .iter()
+            .flatten()
+            .map(|entry| WaitReport {
+                to: entry.to.to_string(),
+                command: entry.command.to_owned(),
+                since: entry.since,
+            })
+            .collect();
+        drop(entries);
+        waits.sort_by(|one, other| (one.since, &one.to).cmp(&(other.since, &other.to)));
+        waits
+    }
+}
+
+/// Takes the note away when the call has ended, however it ends.
+pub(crate) struct WaitGuard<'w> {
+    waits: &'w Waits,
+    place: usize,
+}
+
+impl Drop for WaitGuard<'_> {
+    fn drop(&mut self) {
+        if let Some(place) = lock(&self.waits.entries).get_mut(self.place) {
+            *place = None;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_has_ended_is_not_waited_for_and_the_longest_comes_first() {
+        let waits = Waits::default();
+        let first = waits.begin(&"arm".into(), "go", Instant::from_nanos(5));
+        let second = waits.begin(&"eye".into(), "look", Instant::from_nanos(3));
+        let names = |waits: &Waits| -> Vec<String> {
+            waits.read().into_iter().map(|wait| wait.to).collect()
+        };
+        assert_eq!(names(&waits), ["eye", "arm"]);
+        drop(first);
+        assert_eq!(names(&waits), ["eye"]);
+        let _third = waits.begin(&"ear".into(), "listen", Instant::from_nanos(9));
+        drop(second);
+        assert_eq!(names(&waits), ["ear"]);
+        assert_eq!(lock(&waits.entries).len(), 2, "a free place was not used");
+    }
+}
