@@ -79,9 +79,20 @@ pub fn stopped_in_time(placement: &str) -> Result<(), Failed> {
     }
 }
 
+/// How often the wrong one may be the first to miss a chassis.
+const RACES: u32 = 10;
+
 /// One that is stopped for longer is given up, is told so when it goes on, and ends itself.
 pub fn stopped_for_too_long(placement: &str) -> Result<(), Failed> {
-    let outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+    let mut outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+    // The task on the other chassis may miss it first and end the app; then it goes on in time.
+    for _ in 0..RACES {
+        match &outcome.end {
+            End::Finished(result) if !result.ok && outcome.casualties.is_empty() => {}
+            _ => break,
+        }
+        outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+    }
     let ended = ("b".to_owned(), "ended with exit code 6".to_owned());
     if matches!(outcome.end, End::Finished(_)) || !outcome.casualties.contains(&ended) {
         return Err(format!("{outcome:?}").into());
