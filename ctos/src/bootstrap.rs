@@ -26,6 +26,7 @@ use crate::{
         RestartChassis, TaskFailed,
     },
     task::{EventHandler, Handled, Phase, StopReason},
+    watch,
 };
 
 use serde::{Deserialize, Serialize};
@@ -298,6 +299,7 @@ impl EventHandler for Bootstrap {
         let board = self.board(cx).clone();
         match message.command() {
             AllLinked::CODE => {
+                watch::start(cx);
                 board.all_linked();
                 cx.spawn(Sequence::new(board.clone()).run());
                 for index in board.indices() {
