@@ -24,6 +24,7 @@ use crate::{
         RestartChassis, TaskFailed,
     },
     task::{EventHandler, Handled, Phase, StopReason},
+    watch,
 };
 
 use serde::{Deserialize, Serialize};
@@ -266,6 +267,7 @@ impl EventHandler for Bootstrap {
         let board = self.board(cx).clone();
         match message.command() {
             AllLinked::CODE => {
+                watch::start(cx);
                 board.all_linked();
                 cx.spawn(Sequence::new(board.clone()).run());
                 for index in board.indices() {
