@@ -17,6 +17,7 @@ use tokio::sync::oneshot;
 use crate::{
     agent::{self, Agent},
     bootstrap::{self, Bootstrap, Seat},
+    call::lock,
     chassis::Chassis,
     config::{App, TimeMode},
     message::{CommandInfo, Tid},

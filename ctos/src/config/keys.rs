@@ -294,7 +294,7 @@ pub(super) const TABLES: &[Table] = &[
                 "restart_backoff_s",
                 Kind::Seconds(3600.0),
                 None,
-                "The pause before a restart, s; doubles with each one within the window.",
+                "The pause before a restart, s; doubles with each one within the window. Default: 0.5.",
             ),
             key(
                 "on_task_failure",

@@ -7,6 +7,11 @@ use super::{
     metrics::{ChassisMetrics, CyclicMetrics, Quantiles},
 };
 
+/// A number of a task.
+type OfTask<T> = fn(&super::metrics::TaskMetrics) -> T;
+/// A number of a synchronous function.
+type OfCyclic<T> = fn(&CyclicMetrics) -> T;
+
 /// A chassis and what it counts; `None` when it did not answer.
 pub(super) type Answers = Vec<(String, Option<ChassisMetrics>)>;
 
@@ -91,7 +96,7 @@ pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
         page.line(&format!("{name}_sum"), &labels, task.busy_s);
         page.line(&format!("{name}_count"), &labels, seen);
     }
-    let gauges: [(&str, &str, &str, fn(&super::metrics::TaskMetrics) -> u64); 3] = [
+    let gauges: [(&str, &str, &str, OfTask<u64>); 3] = [
         (
             "ctos_queue_length",
             "gauge",
@@ -117,7 +122,7 @@ pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
             page.line(name, &[("task", &task.task)], value(task));
         }
     }
-    let summaries: [(&str, &str, fn(&CyclicMetrics) -> Quantiles); 2] = [
+    let summaries: [(&str, &str, OfCyclic<Quantiles>); 2] = [
         (
             "ctos_cyclic_lateness_seconds",
             "How late a synchronous function began, since the start of the app.",
@@ -142,7 +147,7 @@ pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
             page.line(&format!("{name}_count"), &[function], of.count);
         }
     }
-    let counters: [(&str, &str, fn(&CyclicMetrics) -> u64); 2] = [
+    let counters: [(&str, &str, OfCyclic<u64>); 2] = [
         ("ctos_cyclic_missed_total", "Periods skipped.", |cyclic| {
             cyclic.missed
         }),
