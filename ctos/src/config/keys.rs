@@ -281,20 +281,20 @@ pub(super) const TABLES: &[Table] = &[
             key(
                 "max_restarts",
                 Kind::Integer(1, 1_000_000),
-                Some("3"),
-                "So many restarts within the window are the last; the next failure ends the app.",
+                None,
+                "So many restarts within the window are the last; the next failure ends the app. Default, where there are restarts: 3.",
             ),
             key(
                 "restart_window_s",
                 Kind::Seconds(86_400.0),
-                Some("60.0"),
-                "The window in which restarts are counted, s.",
+                None,
+                "The window in which restarts are counted, s. Default, where there are restarts: 60.",
             ),
             key(
                 "restart_backoff_s",
                 Kind::Seconds(3600.0),
-                Some("0.5"),
-                "The pause before a restart, s; doubles with each one within the window.",
+                None,
+                "The pause before a restart, s; doubles with each one within the window. Default, where there are restarts: 0.5.",
             ),
             key(
                 "on_task_failure",
