@@ -183,8 +183,9 @@ fn main() {
         && first == CHASSIS
     {
         let app = app(file, port.parse().unwrap());
-        let (address, origin) = (address.parse().unwrap(), origin.parse().unwrap());
-        run_chassis(app, registry(), name, address, origin).unwrap();
+        let (address, origin): (ctos::boot::Address, u64) =
+            (address.parse().unwrap(), origin.parse().unwrap());
+        run_chassis(app, registry(), name, &address, origin).unwrap();
         return;
     }
     let quick = arguments.iter().any(|argument| argument == "--quick");

@@ -307,10 +307,10 @@ impl Mailbox {
     }
 
     /// Ends when a message waits in the queue that ends whatever the handler is doing; true when that is
-    /// no order to stop, but the news that a part of the handler broke.
+    /// no order, but the news that a part of the handler broke.
     pub(crate) async fn interruption_waits(&self) -> bool {
         let command = self.waits_for(interrupts).await;
-        command.is_some_and(|command| command != StopTask::CODE)
+        command == Some(Broke::CODE)
     }
 
     async fn waits_for(&self, wanted: fn(u16) -> bool) -> Option<u16> {

@@ -413,6 +413,5 @@ pub(crate) struct Waits {
 
 /// Whether a message of `command` interrupts a handler that is at work.
 pub(crate) const fn interrupts(command: u16) -> bool {
-    use crate::message::Command;
-    command == StopTask::CODE || command == Broke::CODE
+    command == StopTask::CODE || command == RestartTask::CODE || command == Broke::CODE
 }

@@ -8,6 +8,7 @@
 )]
 
 mod bad_input;
+mod control;
 mod determinism;
 mod faults;
 mod harness;
@@ -15,4 +16,5 @@ mod kills;
 mod machine;
 mod main_job;
 mod manners;
+mod restarts;
 mod startup;
