@@ -15,9 +15,10 @@ use common::{good, hello, root};
 
 /// The pages a person reads: those of the top folder and all of `docs`.
 fn documents() -> Vec<String> {
-    let pages = fs::read_dir(root().join("docs")).unwrap();
+    let pages = fs::read_dir(root().join("docs")).expect("docs is a folder");
     let mut pages: Vec<String> = pages
-        .map(|page| format!("docs/{}", page.unwrap().file_name().to_string_lossy()))
+        .map(|page| page.expect("docs can be read").file_name())
+        .map(|name| format!("docs/{}", name.to_string_lossy()))
         .filter(|page| page.ends_with(".md"))
         .collect();
     pages.sort_unstable();

@@ -258,8 +258,9 @@ fn main() {
         && first == CHASSIS
     {
         let registry = registry(Duration::from_secs(seconds.parse().unwrap()));
-        let (address, origin) = (address.parse().unwrap(), origin.parse().unwrap());
-        run_chassis(app(processor), registry, name, address, origin).unwrap();
+        let (address, origin): (ctos::boot::Address, u64) =
+            (address.parse().unwrap(), origin.parse().unwrap());
+        run_chassis(app(processor), registry, name, &address, origin).unwrap();
         return;
     }
     let quick = arguments.iter().any(|argument| argument == "--quick");

@@ -282,6 +282,7 @@ impl Lab<'_> {
                     .clone()
                     .unwrap_or_else(|| "off".to_owned()),
             ),
+            log_format: self.args.log.log_format,
         };
         if let Err(code) = start_log(&quiet, Clock::virtual_clock(), true) {
             return code;
@@ -341,6 +342,7 @@ impl Lab<'_> {
                 let how = how.map_or("was not heard any more", |(_, how)| how.as_str());
                 format!("chassis `{chassis}` {how} while the app ran")
             }
+            End::GivenUp { chassis, reason } => format!("chassis `{chassis}` {reason}"),
             End::TaskFailed { task, reason } => format!("task `{task}` failed: {reason}"),
             End::PhaseFailed { phase, failures } => {
                 let failures = failures
@@ -455,6 +457,7 @@ fn kind_of(end: &End) -> (&'static str, String) {
         End::Finished(_) => ("finished", String::new()),
         End::Interrupted => ("interrupted", String::new()),
         End::ChassisDown { chassis } => ("chassis down", chassis.clone()),
+        End::GivenUp { chassis, .. } => ("given up", chassis.clone()),
         End::TaskFailed { task, .. } => ("task failed", task.clone()),
         End::PhaseFailed { phase, .. } => ("phase failed", phase.to_string()),
         End::Stuck => ("stuck", String::new()),
