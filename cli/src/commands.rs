@@ -9,12 +9,21 @@ pub mod doctor;
 pub mod explain;
 pub mod keys;
 pub mod log;
+pub mod logs;
 pub mod new;
+pub mod ps;
+pub mod remote;
 pub mod replay;
+pub mod restart;
 pub mod sim;
+pub mod status;
+pub mod stop;
+pub mod top;
 
+mod detach;
 mod progress;
 mod record;
+mod table;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -82,6 +91,18 @@ pub enum Command {
     Log(log::LogCommandArgs),
     /// Let one task do again what it did in a record, and compare
     Replay(replay::ReplayArgs),
+    /// Show the running apps, their chassis and their tasks
+    Ps(ps::PsArgs),
+    /// Show everything about one task or chassis on one screen
+    Status(status::StatusArgs),
+    /// Show the log of an app, a chassis or a task
+    Logs(logs::LogsArgs),
+    /// Stop an app in order
+    Stop(stop::StopArgs),
+    /// Restart a task, or a chassis with all its tasks
+    Restart(restart::RestartArgs),
+    /// Watch the tasks of an app, busiest first
+    Top(top::TopArgs),
     /// Print completions for a shell
     Completions(completions::CompletionsArgs),
     /// Run one chassis of an app (started by `ctos boot`)
@@ -149,6 +170,12 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::New(args) => new::run(&args),
         Command::Log(args) => log::run(&args),
         Command::Replay(args) => replay::run(&args, registry),
+        Command::Ps(args) => ps::run(&args),
+        Command::Status(args) => status::run(&args),
+        Command::Logs(args) => logs::run(&args),
+        Command::Stop(args) => stop::run(&args),
+        Command::Restart(args) => restart::run(&args),
+        Command::Top(args) => top::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),
     };

@@ -13,7 +13,7 @@ mod server;
 mod view;
 
 pub use logs::{Level, LogLine};
-pub use place::{Socket, folder};
+pub use place::{Socket, folder, prepared_folder};
 
 pub(crate) use logs::LogStore;
 pub(crate) use server::{Server, Ticker};

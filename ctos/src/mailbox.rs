@@ -15,9 +15,9 @@ use std::{
 use crate::{
     call::{Fault, Promise, lock},
     chassis::{Chassis, Inbound},
-    message::{Command, Data, Flags, Message, SYSTEM_COMMANDS},
+    message::{Data, Flags, Message, SYSTEM_COMMANDS},
     survey::QueueReport,
-    system::StopTask,
+    system::interrupts,
 };
 
 /// How many senders may wait for room, as a multiple of the capacity.
@@ -124,7 +124,7 @@ impl Lanes {
     /// Whom to wake for a message of `command`.
     fn wakes(&mut self, command: u16) -> Option<Waker> {
         match self.receiver.take() {
-            Some(Receiver::Busy(waker)) if command != StopTask::CODE => {
+            Some(Receiver::Busy(waker)) if !interrupts(command) => {
                 self.receiver = Some(Receiver::Busy(waker));
                 None
             }
@@ -255,11 +255,11 @@ impl Mailbox {
         .await
     }
 
-    /// Ends when a [`StopTask`] waits in the queue. For the loop of the task, while its handler runs.
+    /// Ends when an order to stop, or to begin anew, waits in the queue. For the loop of the task, while its handler runs.
     pub(crate) async fn stop_waits(&self) {
         poll_fn(|cx| {
             let mut lanes = lock(&self.lanes);
-            let stop = |message: &Message| message.header.command == StopTask::CODE;
+            let stop = |message: &Message| interrupts(message.header.command);
             if lanes.closed || lanes.urgent.queue.iter().any(stop) {
                 return Poll::Ready(());
             }
@@ -311,7 +311,8 @@ mod tests {
     use super::*;
     use crate::{
         call::Waiting,
-        message::{Header, Tid},
+        message::{Command, Header, Tid},
+        system::StopTask,
     };
 
     fn message(number: u32, flags: Flags) -> Message {

@@ -207,6 +207,11 @@ pub struct MemberReport {
     pub tasks: Vec<TaskName>,
 }
 
+/// Whether a handler that is at work is dropped for the sake of `command`.
+pub(crate) const fn interrupts(command: u16) -> bool {
+    command == StopTask::CODE || command == RestartTask::CODE
+}
+
 /// Every command of the runtime that a task may be seen at.
 pub(crate) const ALL: &[CommandInfo] = &[
     Ping::INFO,

@@ -505,3 +505,31 @@ fn a_task_that_never_acknowledges_says_what_it_waits_for() {
         why("hand")
     );
 }
+
+#[test]
+fn keys_of_restarts_without_restarts_are_pointed_out() {
+    let load = |set: &str| load_texts(&[("app.toml", APP)], &[set.to_owned()], &[]);
+    assert!(
+        load("chassis.cage.max_restarts=5")
+            .unwrap()
+            .warnings
+            .is_empty()
+    );
+    for set in [
+        "chassis.desk.max_restarts=5",
+        "chassis.desk.restart_window_s=5",
+        "chassis.desk.restart_backoff_s=5",
+        "chassis.desk.on_task_failure=restart-chassis",
+    ] {
+        let warnings = load(set).unwrap().warnings.into_sorted();
+        assert_eq!(warnings.len(), 1, "{set}");
+        assert!(warnings[0].message.contains("has no effect"), "{set}");
+    }
+    for set in [
+        "chassis.cage.restart=sometimes",
+        "chassis.cage.max_restarts=0",
+        "chassis.cage.restart_backoff_s=0",
+    ] {
+        assert!(load(set).is_err(), "{set}");
+    }
+}

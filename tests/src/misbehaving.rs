@@ -1,11 +1,12 @@
 //! A program like `ctos` with event handlers of its own, which break the rules of startup and of
 //! stopping: what the boot must then say and undo is tested with it.
 
-use std::process::ExitCode;
+use std::{process::ExitCode, time::Duration};
 
 use ctos::{
-    message::Message,
+    message::{Command, Message},
     registry::Registry,
+    system::AppResult,
     task::{Context, EventHandler, Handled, Phase, StopReason},
 };
 use serde::Deserialize;
@@ -69,8 +70,135 @@ impl EventHandler for Misbehaving {
     }
 }
 
+ctos::command! {
+    /// Counts.
+    pub struct Count => u32, 1, "count"
+}
+ctos::command! {
+    /// Waits for ever.
+    pub struct Wait => (), 2, "wait"
+}
+
+/// Arguments of [`Steady`].
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SteadyArgs {
+    /// How long each phase takes, s.
+    slow_s: f64,
+    /// The phase in which its process dies.
+    dies: Option<String>,
+    /// A task that is asked to wait for ever, in phase run.
+    waits_for: Option<String>,
+}
+
+/// Counts, takes its time in every phase and says so.
+struct Steady {
+    args: SteadyArgs,
+    count: u32,
+}
+
+impl EventHandler for Steady {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            Count::CODE => {
+                let (Count {}, reply) = message.open::<Count>()?;
+                self.count += 1;
+                reply.ok(self.count)
+            }
+            Wait::CODE => std::future::pending().await,
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        tracing::warn!(task = %cx.name(), "is in phase {phase}");
+        if self.args.dies == Some(phase.to_string()) {
+            std::process::abort();
+        }
+        cx.sleep(Duration::from_secs_f64(self.args.slow_s)).await;
+        if let (Phase::Run, Some(task)) = (phase, self.args.waits_for.clone()) {
+            let cx = cx.clone();
+            cx.clone().spawn(async move {
+                if let Ok(task) = cx.task(&task).await {
+                    // Ends with the app.
+                    let _ = cx
+                        .call(&task, Wait {})
+                        .deadline(Duration::from_secs(3600))
+                        .await;
+                }
+            });
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        tracing::warn!(task = %cx.name(), "stops because {reason}");
+        Ok(())
+    }
+}
+
+/// Arguments of [`Caller`].
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CallerArgs {
+    /// Whom it lets count.
+    calls: String,
+    /// How far one life of that task must count.
+    enough: u32,
+}
+
+/// Lets another task count, finds it anew by its name each time, and ends the app when it has counted
+/// far enough.
+struct Caller(CallerArgs);
+
+impl EventHandler for Caller {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let (args, cx) = (self.0.clone(), cx.clone());
+            cx.clone().spawn(async move {
+                loop {
+                    cx.sleep(Duration::from_millis(10)).await;
+                    let Ok(task) = cx.task(&args.calls).await else {
+                        continue;
+                    };
+                    if let Ok(count) = cx.call(&task, Count {}).await
+                        && count >= args.enough
+                    {
+                        break;
+                    }
+                }
+                cx.finish(AppResult {
+                    ok: true,
+                    text: "counted".to_owned(),
+                    json: r#"{"ok":true}"#.to_owned(),
+                });
+            });
+        }
+        Ok(())
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        tracing::warn!(task = %cx.name(), "misses {chassis}");
+        Ok(())
+    }
+
+    async fn chassis_up(&mut self, cx: &Context, chassis: &str) -> Handled {
+        tracing::warn!(task = %cx.name(), "greets {chassis}");
+        Ok(())
+    }
+}
+
 fn main() -> ExitCode {
     let mut registry = Registry::new();
+    registry.handler("test.steady", &[Count::INFO, Wait::INFO], |cx| {
+        let args = cx.args()?;
+        Ok(Steady { args, count: 0 })
+    });
+    registry.handler("test.caller", &[], |cx| Ok(Caller(cx.args()?)));
     registry.handler("test.misbehaving", &[], |cx| Ok(Misbehaving(cx.args()?)));
     cli::commands::main(registry)
 }

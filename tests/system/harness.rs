@@ -152,6 +152,9 @@ impl Scratch {
             .env_remove("NO_COLOR")
             .env_remove("CLICOLOR_FORCE")
             .env_remove("RUST_LOG")
+            .env_remove("NOTIFY_SOCKET")
+            // Control sockets of this folder's apps, and nobody else's.
+            .env("XDG_RUNTIME_DIR", self.folder.path())
             .envs(environment.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

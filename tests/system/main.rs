@@ -9,10 +9,12 @@
 
 mod bad_input;
 mod determinism;
+mod control;
 mod faults;
 mod harness;
 mod kills;
 mod machine;
 mod main_job;
 mod manners;
+mod restarts;
 mod startup;

@@ -2,19 +2,21 @@
 
 use std::{
     ffi::OsString,
-    path::PathBuf,
+    io::Write,
+    path::{Path, PathBuf},
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
 };
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
 use ctos::registry::Registry;
+use ctos::task::Phase;
 
 use crate::{
-    commands::{AppArgs, LogArgs, progress::Display, record, start_log},
+    commands::{AppArgs, LogArgs, detach, progress::Display, record, start_log},
     exit, program, show,
 };
 
@@ -24,6 +26,7 @@ use crate::{
   ctos boot configs/calibrate.toml
   ctos boot configs/calibrate.toml -v
   ctos boot configs/calibrate.toml --record run.mcap
+  ctos boot configs/calibrate.toml --detach --log-file calibrate.log
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
 pub struct BootArgs {
     /// Which app
@@ -38,6 +41,15 @@ pub struct BootArgs {
     /// Record messages, phases, firings and log lines to FILE; each process puts its name before the extension
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// Boot in the background: return when the app is up, and say where its log is and how to stop it
+    #[arg(long)]
+    pub detach: bool,
+    /// The startup phase after which the app counts as ready, for `--detach` and for service managers
+    #[arg(long, value_enum, default_value_t)]
+    pub until: Until,
+    /// Write the logs of all chassis to this file too; with `--detach` everything that is said
+    #[arg(long, value_name = "FILE")]
+    pub log_file: Option<PathBuf>,
     /// How much to say
     #[command(flatten)]
     pub log: LogArgs,
@@ -67,6 +79,31 @@ impl InjureArgs {
         let cuts = &self.cuts;
         let cuts = (!cuts.is_empty()).then(|| format!("injure.cut={cuts:?}"));
         [drop, delay, cuts].into_iter().flatten().collect()
+    }
+}
+
+/// When an app counts as ready.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum Until {
+    /// All tasks are created
+    #[value(alias = "created")]
+    Create,
+    /// All tasks have found each other
+    #[value(alias = "connected")]
+    Connect,
+    /// All tasks run
+    #[default]
+    #[value(alias = "running")]
+    Run,
+}
+
+impl From<Until> for Phase {
+    fn from(until: Until) -> Self {
+        match until {
+            Until::Create => Self::Create,
+            Until::Connect => Self::Connect,
+            Until::Run => Self::Run,
+        }
     }
 }
 
@@ -121,13 +158,33 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         program,
         arguments: child_arguments(args),
     };
+    if args.detach {
+        let mut arguments = boot_arguments(args);
+        arguments.insert(0, "boot".into());
+        let log = args.log_file.as_deref();
+        return detach::run(&app, &arguments, log, args.until.into());
+    }
+    let log_file = match args.log_file.as_deref().map(LogFile::open).transpose() {
+        Ok(log_file) => log_file,
+        Err(error) => {
+            show::say(&format!("error: cannot write `--log-file`: {error}"));
+            return exit::FAILED;
+        }
+    };
     let display = Arc::new(Display::new(&app, args.log.quiet));
     let shown = display.clone();
     let terminated = Arc::new(AtomicBool::new(false));
     let told = terminated.clone();
+    let ready = Phase::from(args.until);
     let observer: Observer = Arc::new(move |event: &BootEvent| {
         if matches!(event, BootEvent::Terminated) {
             told.store(true, Ordering::Release);
+        }
+        if matches!(event, BootEvent::PhaseDone { phase, .. } if *phase == ready) {
+            detach::notify_ready();
+        }
+        if let (Some(file), BootEvent::Log { chassis, line }) = (&log_file, event) {
+            file.write(chassis, line);
         }
         shown.show(event);
     });
@@ -152,8 +209,46 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
     }
 }
 
+/// A file that the logs of the chassis go to.
+struct LogFile {
+    file: Mutex<std::fs::File>,
+    /// A full disk is told once.
+    told: AtomicBool,
+}
+
+impl LogFile {
+    fn open(path: &Path) -> std::io::Result<Self> {
+        let file = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(path)?;
+        Ok(Self {
+            file: Mutex::new(file),
+            told: AtomicBool::new(false),
+        })
+    }
+
+    fn write(&self, chassis: &str, line: &str) {
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        // In one call, so that no line is cut by another.
+        let written = file.write_all(format!("{chassis} │ {line}\n").as_bytes());
+        if let Err(error) = written
+            && !self.told.swap(true, Ordering::Relaxed)
+        {
+            show::say(&format!("warning: the log file cannot be written: {error}"));
+        }
+    }
+}
+
 fn child_arguments(args: &BootArgs) -> Vec<OsString> {
-    let mut arguments: Vec<OsString> = vec!["chassis".into(), args.app.file.clone().into()];
+    let mut arguments = boot_arguments(args);
+    arguments.insert(0, "chassis".into());
+    arguments
+}
+
+/// What a further process of this program must be told to read the same app and to say as much.
+fn boot_arguments(args: &BootArgs) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = vec![args.app.file.clone().into()];
     for profile in &args.app.profiles {
         arguments.extend(["--profile".into(), profile.into()]);
     }
@@ -199,6 +294,7 @@ fn report(outcome: &Outcome, json: bool) -> u8 {
                 format!("chassis `{chassis}` {how} while the app ran; its log above may tell why"),
             )
         }
+        End::GivenUp { chassis, reason } => (exit::FAILED, format!("chassis `{chassis}` {reason}")),
         End::TaskFailed { task, reason } => {
             (exit::FAILED, format!("task `{task}` failed: {reason}"))
         }

@@ -55,26 +55,14 @@ impl Display {
             BootEvent::Log { .. }
                 | BootEvent::Stopped { error: Some(_), .. }
                 | BootEvent::Signalled { .. }
+                | BootEvent::ChassisFailed { .. }
+                | BootEvent::Restarting { .. }
+                | BootEvent::Restarted { .. }
         );
         if self.quiet && !wrong {
             return;
         }
         match event {
-            BootEvent::Started { chassis, pid } => {
-                let pid =
-                    pid.map_or_else(|| "in this process".to_owned(), |pid| format!("pid {pid}"));
-                self.line(&format!(
-                    "chassis  {chassis:<width$}  {pid}",
-                    width = self.width
-                ));
-            }
-            BootEvent::PhaseDone { phase, tasks, took } => {
-                let number = Phase::ALL.iter().position(|one| one == phase).unwrap_or(0) + 1;
-                self.line(&format!(
-                    "phase {number}  {phase:<8} ✓ {tasks}/{tasks}  {}",
-                    seconds(*took)
-                ));
-            }
             BootEvent::Progress {
                 task,
                 done,
@@ -82,23 +70,11 @@ impl Display {
                 step,
                 what,
             } => self.progress(task, *done, *total, step, what),
-            BootEvent::Log { chassis, line } => {
-                self.line(&format!("{chassis:<width$} │ {line}", width = self.width));
+            _ => {
+                if let Some(words) = words(event, self.width) {
+                    self.line(&words);
+                }
             }
-            BootEvent::Stopping { reason } => {
-                self.line(&format!("stop     {reason}"));
-            }
-            BootEvent::Stopped {
-                task,
-                error: Some(error),
-            } => self.line(&format!("stop     {task}: {error}")),
-            BootEvent::AtRest { chassis } => {
-                self.line(&format!("stop     {chassis} is at rest"));
-            }
-            BootEvent::Signalled { chassis, signal } => {
-                self.line(&format!("stop     {chassis} does not end: {signal}"));
-            }
-            _ => {}
         }
     }
 
@@ -146,6 +122,52 @@ impl Display {
         bar.set_prefix(format!("{task}: {step}"));
         bar.set_message(what.to_owned());
     }
+}
+
+/// An event as a line, chassis names `width` wide; `None` for one that is shown in another way, or not
+/// at all.
+pub(crate) fn words(event: &BootEvent, width: usize) -> Option<String> {
+    Some(match event {
+        BootEvent::Started { chassis, pid } => {
+            let pid = pid.map_or_else(|| "in this process".to_owned(), |pid| format!("pid {pid}"));
+            format!("chassis  {chassis:<width$}  {pid}")
+        }
+        BootEvent::PhaseDone { phase, tasks, took } => {
+            let number = Phase::ALL.iter().position(|one| one == phase).unwrap_or(0) + 1;
+            format!(
+                "phase {number}  {phase:<8} ✓ {tasks}/{tasks}  {}",
+                seconds(*took)
+            )
+        }
+        BootEvent::Log { chassis, line } => format!("{chassis:<width$} │ {line}"),
+        BootEvent::Stopping { reason } => format!("stop     {reason}"),
+        BootEvent::Stopped {
+            task,
+            error: Some(error),
+        } => format!("stop     {task}: {error}"),
+        BootEvent::AtRest { chassis } => format!("stop     {chassis} is at rest"),
+        BootEvent::Signalled { chassis, signal } => {
+            format!("stop     {chassis} does not end: {signal}")
+        }
+        BootEvent::ChassisFailed { chassis, reason } => format!("failed   {chassis} {reason}"),
+        BootEvent::Restarting {
+            chassis,
+            incarnation,
+            pause,
+        } => format!(
+            "restart  {chassis} as process {incarnation} in {}",
+            seconds(*pause)
+        ),
+        BootEvent::Restarted {
+            chassis,
+            tasks,
+            took,
+        } => format!(
+            "restart  {chassis} is up again ✓ {tasks}/{tasks}  after {}",
+            seconds(*took)
+        ),
+        _ => return None,
+    })
 }
 
 fn seconds(duration: Duration) -> String {

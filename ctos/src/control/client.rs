@@ -175,7 +175,7 @@ impl Client {
         set.map_err(|error| self.failed(error))
     }
 
-    /// Asks. The answers are read with [`Self::next`].
+    /// Asks. The answers are read with [`Self::read`].
     ///
     /// # Errors
     /// [`ClientError::Unreachable`] and [`ClientError::TimedOut`].
@@ -196,7 +196,7 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`], also [`ClientError::Refused`] when the answer is an error.
-    pub fn next(&mut self) -> Result<Option<Answer>, ClientError> {
+    pub fn read(&mut self) -> Result<Option<Answer>, ClientError> {
         let mut line = String::new();
         match self.reader.read_line(&mut line) {
             Ok(0) => return Ok(None),
@@ -216,10 +216,10 @@ impl Client {
     /// Asks for what is answered in one line.
     ///
     /// # Errors
-    /// As [`Self::next`]; [`ClientError::Unreachable`] when the app goes instead of answering.
+    /// As [`Self::read`]; [`ClientError::Unreachable`] when the app goes instead of answering.
     pub fn get(&mut self, request: Request) -> Result<Answer, ClientError> {
         self.ask(request)?;
-        match self.next()? {
+        match self.read()? {
             Some(answer) => Ok(answer),
             None => Err(self.failed(io::ErrorKind::UnexpectedEof.into())),
         }

@@ -37,17 +37,24 @@ impl Level {
     /// The level that a line bears, as `tracing` writes it; a line without one matters as information.
     #[must_use]
     pub fn of(line: &str) -> Self {
-        line.split_whitespace()
-            .take(3)
-            .find_map(|word| match word {
-                "TRACE" => Some(Self::Trace),
-                "DEBUG" => Some(Self::Debug),
-                "INFO" => Some(Self::Info),
-                "WARN" => Some(Self::Warn),
-                "ERROR" | "error:" => Some(Self::Error),
-                _ => None,
-            })
-            .unwrap_or(Self::Info)
+        let named = if line.starts_with('{') {
+            let object: Option<serde_json::Value> = serde_json::from_str(line).ok();
+            object.and_then(|object| Self::named(object.get("level")?.as_str()?))
+        } else {
+            line.split_whitespace().take(3).find_map(Self::named)
+        };
+        named.unwrap_or(Self::Info)
+    }
+
+    fn named(word: &str) -> Option<Self> {
+        match word {
+            "TRACE" => Some(Self::Trace),
+            "DEBUG" => Some(Self::Debug),
+            "INFO" => Some(Self::Info),
+            "WARN" => Some(Self::Warn),
+            "ERROR" | "error:" => Some(Self::Error),
+            _ => None,
+        }
     }
 }
 
@@ -71,6 +78,9 @@ impl LogLine {
     #[must_use]
     pub fn is_about(&self, name: &str) -> bool {
         let fields = [format!("task={name}"), format!("task=\"{name}\"")];
+        if self.text.contains(&format!("\"task\":\"{name}\"")) {
+            return true;
+        }
         let mut words = self.text.split_whitespace();
         words.any(|word| {
             fields.iter().any(|field| word == field)
@@ -200,6 +210,8 @@ mod tests {
             ("    1.0 TRACE x", Level::Trace),
             ("thread panicked and somebody said WARN", Level::Info),
             ("", Level::Info),
+            (r#"{"level":"WARN","fields":{"task":"arm"}}"#, Level::Warn),
+            ("{not json WARN", Level::Info),
         ] {
             assert_eq!(Level::of(line), level, "{line}");
         }
@@ -232,6 +244,7 @@ mod tests {
         };
         assert!(line("restarted task=arm restarts=1").is_about("arm"));
         assert!(line("the reply of `arm`: late").is_about("arm"));
+        assert!(line(r#"{"level":"WARN","fields":{"task":"arm"}}"#).is_about("arm"));
         assert!(!line("restarted task=armature").is_about("arm"));
     }
 }

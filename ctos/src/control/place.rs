@@ -26,6 +26,16 @@ pub fn folder() -> PathBuf {
     }
 }
 
+/// [`folder`], made if it is missing.
+///
+/// # Errors
+/// When it cannot be made, or does not belong to this user alone.
+pub fn prepared_folder() -> io::Result<PathBuf> {
+    let folder = folder();
+    prepare(&folder)?;
+    Ok(folder)
+}
+
 pub(crate) fn uid() -> u32 {
     rustix::process::getuid().as_raw()
 }

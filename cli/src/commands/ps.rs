@@ -1,0 +1,148 @@
+//! `ctos ps`.
+
+use clap::Args;
+use ctos::control::{
+    client::{self, Client, ClientError},
+    protocol::{Answer, AppView, Request},
+};
+
+use crate::{
+    commands::{
+        remote::{self, RemoteArgs},
+        table::{self, left, right},
+    },
+    exit, show,
+};
+
+/// Show the running apps, their chassis and their tasks
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  ctos ps
+  ctos ps --json | jq '.tasks[] | select(.activity == \"waits\")'")]
+pub struct PsArgs {
+    /// Which app
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+    /// Print one JSON object per app
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &PsArgs) -> u8 {
+    let apps = match &args.remote.app {
+        Some(name) => client::find(Some(name)).map(|app| vec![app]),
+        None => Ok(client::apps()),
+    };
+    let apps = match apps {
+        Ok(apps) if apps.is_empty() => return remote::failed(&ClientError::NoApp),
+        Ok(apps) => apps,
+        Err(error) => return remote::failed(&error),
+    };
+    let mut code = exit::OK;
+    for (index, app) in apps.into_iter().enumerate() {
+        let view = remote::connect(Some(&format!("{}-{}", app.app, app.pid)))
+            .and_then(|mut client| view(&mut client));
+        let shown = match view {
+            Ok(view) if args.json => serde_json::to_string(&view).unwrap_or_default(),
+            Ok(view) => {
+                let gap = if index > 0 { "\n" } else { "" };
+                format!("{gap}{}", lines(&view, table::width()).join("\n"))
+            }
+            Err(error) => {
+                code = remote::failed(&error);
+                continue;
+            }
+        };
+        if show::data(&shown).is_err() {
+            break;
+        }
+    }
+    code
+}
+
+/// Asks an app how it is.
+pub(crate) fn view(client: &mut Client) -> Result<AppView, ClientError> {
+    match client.get(Request::Ps {})? {
+        Answer::App(view) => Ok(view),
+        other => Err(ClientError::Garbled {
+            app: client.app().app.clone(),
+            reason: format!("{other:?} is no answer to this"),
+        }),
+    }
+}
+
+/// The line that says which app it is and how it is.
+pub(crate) fn title(app: &AppView) -> String {
+    format!(
+        "{} · {} · {} since the start · pid {} · {}",
+        app.app,
+        app.state,
+        remote::span(app.up_s),
+        app.pid,
+        app.file
+    )
+}
+
+fn lines(app: &AppView, width: usize) -> Vec<String> {
+    let mut lines = vec![table::fitted(&title(app), width), String::new()];
+    let chassis: Vec<Vec<String>> = app
+        .chassis
+        .iter()
+        .map(|chassis| {
+            let state = if chassis.answers {
+                chassis.state.to_string()
+            } else {
+                format!("{}, no answer", chassis.state)
+            };
+            vec![
+                chassis.name.clone(),
+                chassis
+                    .pid
+                    .map_or_else(|| "-".to_owned(), |pid| pid.to_string()),
+                state,
+                remote::span(chassis.since_s),
+                chassis.restarts.to_string(),
+                chassis.tasks.to_string(),
+            ]
+        })
+        .collect();
+    let columns = [
+        left("CHASSIS"),
+        right("PID"),
+        left("STATE"),
+        right("FOR"),
+        right("RESTARTS"),
+        right("TASKS"),
+    ];
+    lines.extend(table::lines(&columns, &chassis, width));
+    lines.push(String::new());
+    let tasks: Vec<Vec<String>> = app
+        .tasks
+        .iter()
+        .map(|task| {
+            vec![
+                task.name.clone(),
+                format!("{}/{}", task.chassis, task.processor),
+                task.phase
+                    .map_or_else(|| "-".to_owned(), |phase| phase.to_string()),
+                task.handled.to_string(),
+                (task.urgent + task.queued + task.senders_waiting).to_string(),
+                task.restarts.to_string(),
+                remote::does(task),
+            ]
+        })
+        .collect();
+    let columns = [
+        left("TASK"),
+        left("ON"),
+        left("PHASE"),
+        right("HANDLED"),
+        right("QUEUE"),
+        right("RESTARTS"),
+        left("DOES"),
+    ];
+    lines.extend(table::lines(&columns, &tasks, width));
+    lines
+}

@@ -1,0 +1,129 @@
+//! What the commands that talk to a running app share: which app, how to reach it, and what an error
+//! means for the exit code.
+
+use std::time::Duration;
+
+use clap::Args;
+use ctos::control::{
+    Socket,
+    client::{self, Client, ClientError},
+    protocol::TaskView,
+};
+
+use crate::{exit, show};
+
+/// How long an app may take to answer. It asks its chassis itself, and waits for those half a second.
+const LIMIT: Duration = Duration::from_secs(5);
+
+/// Which running app.
+#[derive(Debug, Clone, Args)]
+pub struct RemoteArgs {
+    /// Name of the running app, its process id, or NAME-PID; needed only when several are running
+    #[arg(long, value_name = "APP")]
+    pub app: Option<String>,
+}
+
+/// Connects to the app that is meant.
+pub(crate) fn connect(app: Option<&str>) -> Result<Client, ClientError> {
+    Client::connect(client::find(app)?, LIMIT)
+}
+
+/// What the suggested command lines must add to mean `app`.
+pub(crate) fn app_option(app: &Socket) -> String {
+    if client::apps().len() > 1 {
+        format!(" --app {}-{}", app.app, app.pid)
+    } else {
+        String::new()
+    }
+}
+
+/// Says what went wrong; the exit code.
+pub(crate) fn failed(error: &ClientError) -> u8 {
+    show::say(&format!("error: {error}"));
+    if let ClientError::Refused(refused) = error
+        && !refused.known.is_empty()
+    {
+        show::say(&format!("  there are: {}", refused.known.join(", ")));
+    }
+    if error.is_no_such_name() {
+        exit::NO_SUCH_NAME
+    } else if error.is_timed_out() {
+        exit::TIMED_OUT
+    } else if error.is_refused() {
+        exit::FAILED
+    } else {
+        exit::UNREACHABLE
+    }
+}
+
+/// As [`failed`], with the known name that comes closest to `name`.
+pub(crate) fn failed_for(name: &str, error: &ClientError) -> u8 {
+    let code = failed(error);
+    if let ClientError::Refused(refused) = error {
+        let near = refused
+            .known
+            .iter()
+            .map(|known| (strsim::damerau_levenshtein(known, name), known))
+            .min();
+        if let Some((distance, known)) = near
+            && distance <= 2
+        {
+            show::say(&format!("  did you mean `{known}`?"));
+        }
+    }
+    code
+}
+
+/// A time for a person: "0.3 s", "12 s", "3 min 5 s", "2 h 10 min", "4 d 3 h".
+pub(crate) fn span(seconds: f64) -> String {
+    // A number of seconds fits; what is negative or absurd is shown as zero or as the largest.
+    let whole = seconds.max(0.0) as u64;
+    match whole {
+        0..10 => format!("{:.1} s", seconds.max(0.0)),
+        10..60 => format!("{whole} s"),
+        60..3600 => format!("{} min {} s", whole / 60, whole % 60),
+        3600..86_400 => format!("{} h {} min", whole / 3600, whole % 3600 / 60),
+        _ => format!("{} d {} h", whole / 86_400, whole % 86_400 / 3600),
+    }
+}
+
+/// What a task does, in a few words.
+pub(crate) fn does(task: &TaskView) -> String {
+    use ctos::control::protocol::Activity;
+    let command = task.command.as_deref().unwrap_or("a message");
+    match task.activity {
+        Activity::Idle => "idle".to_owned(),
+        Activity::Gone => "gone".to_owned(),
+        Activity::Busy => {
+            let time = task.in_handler_s.map_or_else(String::new, span);
+            format!("busy {time}: {command}")
+        }
+        Activity::Waits => task.waits.first().map_or_else(String::new, |wait| {
+            format!(
+                "waits {} for {}: {}",
+                span(wait.for_s),
+                wait.to,
+                wait.command
+            )
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_shown_in_the_two_largest_units() {
+        for (seconds, text) in [
+            (-1.0, "0.0 s"),
+            (0.26, "0.3 s"),
+            (59.9, "59 s"),
+            (61.0, "1 min 1 s"),
+            (7_260.0, "2 h 1 min"),
+            (90_000.0, "1 d 1 h"),
+        ] {
+            assert_eq!(span(seconds), text);
+        }
+    }
+}
