@@ -7,15 +7,18 @@
 use std::process::ExitCode;
 
 use ctos::{
-    message::{Command, Message},
+    message::Command,
     registry::Registry,
-    task::{Context, EventHandler, Handled, HandlerError},
+    task::{Context, HandlerError},
 };
 use pnt::library::{Acted, Action, Library};
+use serde::{Deserialize, Serialize};
 
-ctos::command! {
-    /// Greets somebody.
-    struct Greet { name: String } => String, 0x0001, "greet"
+/// Greets somebody.
+#[derive(Serialize, Deserialize, Command)]
+#[command(reply = String, code = 0x0001)]
+struct Greet {
+    name: String,
 }
 
 /// An event handler as a function: one command, no state.
@@ -23,24 +26,20 @@ async fn greet(cx: Context, Greet { name }: Greet) -> Result<String, HandlerErro
     Ok(format!("Hello, {name}, from {}!", cx.chassis().name()))
 }
 
-ctos::command! {
-    /// Counts, and tells how often it has.
-    struct Count => u64, 0x0001, "count"
-}
+/// Counts, and tells how often it has.
+#[derive(Serialize, Deserialize, Command)]
+#[command(reply = u64, code = 0x0001)]
+struct Count {}
 
 /// An event handler as a type: any number of commands, and a state.
 struct Counter(u64);
 
-impl EventHandler for Counter {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        match message.command() {
-            Count::CODE => {
-                let (Count {}, reply) = message.open::<Count>()?;
-                self.0 += 1;
-                reply.ok(self.0)
-            }
-            _ => cx.default_processing(message),
-        }
+#[ctos::handler]
+impl Counter {
+    #[command]
+    fn count(&mut self, _: Count) -> u64 {
+        self.0 += 1;
+        self.0
     }
 }
 
@@ -63,7 +62,7 @@ fn main() -> ExitCode {
     // All of `ctos`, here for the operator that gives the net its command, and these:
     let mut registry: Registry = cli::program::registry();
     registry.function("hello.greeter", greet);
-    registry.handler("hello.counter", &[Count::INFO], |_| Ok(Counter(0)));
+    registry.handler("hello.counter", &Counter::COMMANDS, |_| Ok(Counter(0)));
     pnt::task::register(&mut registry, "hello.net", library);
     cli::commands::main(registry)
 }

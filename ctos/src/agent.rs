@@ -2,28 +2,37 @@
 
 use std::{sync::Arc, time::Duration};
 
+use tokio::sync::oneshot;
+
 use crate::{
-    call::{Fault, Promise, Waiting},
     chassis::{BOOT_CHASSIS, Chassis},
+    circle,
     config::TaskConfig,
     context::{Context, TaskRef},
-    message::{Command, CommandInfo, Data, Message, Tid},
+    message::{Command, CommandInfo, Message, Replier, Tid},
+    moving::{self, Arrivals},
     runner::{TaskSpec, record, start_task},
     survey::{Survey, survey},
     system::{
-        self, AnnounceUp, ChassisUp, CreateTasks, Created, Exit, RegisterTid, StopTask, TaskName,
+        AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, MoveIn, MovedTasks, Place,
+        Rebound, RegisterTid, Settle, Settled, StopTask, TaskName, Transfer, WaitsFor,
     },
     task::{EventHandler, Handled, HandlerError, StopReason},
     watch::{self, Gather},
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 5] = [
+pub(crate) const COMMANDS: [CommandInfo; 10] = [
     CreateTasks::INFO,
     Exit::INFO,
     Survey::INFO,
     AnnounceUp::INFO,
     Gather::INFO,
+    MoveIn::INFO,
+    Transfer::INFO,
+    Settle::INFO,
+    Rebound::INFO,
+    WaitsFor::INFO,
 ];
 
 /// Exit code of a chassis whose boot is gone.
@@ -33,6 +42,7 @@ const EXIT_ORPHAN: i32 = 5;
 #[derive(Default)]
 pub(crate) struct Agent {
     tasks: Vec<TaskName>,
+    arrivals: Arrivals,
 }
 
 impl EventHandler for Agent {
@@ -40,7 +50,8 @@ impl EventHandler for Agent {
         match message.command() {
             CreateTasks::CODE => {
                 let (CreateTasks { first_slots }, reply) = message.open::<CreateTasks>()?;
-                let created = self.create(cx, first_slots).await?;
+                cx.chassis().directory.start_slots_at(&first_slots);
+                let created = self.create(cx).await?;
                 watch::start(cx);
                 reply.ok(created)
             }
@@ -66,11 +77,41 @@ impl EventHandler for Agent {
                 }
                 Ok(())
             }
+            MoveIn::CODE => {
+                let (request, reply) = message.open::<MoveIn>()?;
+                self.arrivals.expect(cx, request, reply);
+                Ok(())
+            }
+            Transfer::CODE => {
+                let (Transfer { to, what }, reply) = message.open::<Transfer>()?;
+                take_load(cx, to, what, reply)
+            }
+            Settle::CODE => {
+                let (Settle { place, how }, reply) = message.open::<Settle>()?;
+                self.settle(cx, place, how);
+                reply.ok(())
+            }
+            Rebound::CODE => {
+                let (rebound, reply) = message.open::<Rebound>()?;
+                turn(cx, rebound, reply);
+                Ok(())
+            }
+            WaitsFor::CODE => {
+                let (WaitsFor { task }, reply) = message.open::<WaitsFor>()?;
+                reply.ok(circle::of_task(cx.chassis(), task))
+            }
             _ => cx.default_processing(message),
         }
     }
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let mut others = cx.chassis().others();
+        if let Some(peer) = others.find(|index| cx.chassis().name_of(*index) == chassis) {
+            self.arrivals.lost(cx, peer);
+            for task in cx.chassis().tasks() {
+                task.mailbox.forget_gate(peer);
+            }
+        }
         if chassis == BOOT_CHASSIS {
             tracing::error!("the boot is gone: stopping");
             self.stop_all(cx).await;
@@ -82,20 +123,21 @@ impl EventHandler for Agent {
 
 impl Agent {
     /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
-    async fn create(&mut self, cx: &Context, mut slots: Vec<u16>) -> Result<Created, HandlerError> {
+    async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
         let chassis = cx.chassis().clone();
         let mut failed: Vec<_> = chassis
             .realtime()
             .iter()
             .filter_map(|grant| Some((format!("processor {}", grant.processor), grant.fatal()?)))
             .collect();
-        slots.resize(chassis.processors.len(), 0);
-        let server = TaskRef::new("tidsvr", system::TID_SERVER);
+        // None before the first move; asked because this chassis may be one that was started again.
+        let moved = cx.call(&Context::server(), MovedTasks {}).await?;
         for config in chassis.app.tasks.iter() {
-            if config.chassis != chassis.name() {
+            let Some(config) = placed_here(&chassis, config, &moved) else {
                 continue;
-            }
-            match create_one(cx, &chassis, config, &mut slots).await {
+            };
+            let config = &config;
+            match create_one(cx, &chassis, config).await {
                 Ok(tid) => {
                     let task = TaskName {
                         name: config.name.clone(),
@@ -103,7 +145,7 @@ impl Agent {
                     };
                     // It runs, so it is stopped with the others even if its name cannot be had.
                     self.tasks.push(task.clone());
-                    if let Err(error) = cx.call(&server, RegisterTid { task }).await {
+                    if let Err(error) = cx.call(&Context::server(), RegisterTid { task }).await {
                         failed.push((config.name.clone(), error.reason()));
                     }
                 }
@@ -116,6 +158,37 @@ impl Agent {
         })
     }
 
+    /// A place that a task comes to or has left is settled.
+    fn settle(&mut self, cx: &Context, place: Tid, how: Settled) {
+        match how {
+            Settled::Go { gone } => {
+                let Some(record) = cx.chassis().task(place) else {
+                    return;
+                };
+                for chassis in gone {
+                    record.mailbox.open_gate(chassis);
+                }
+                // Those that went while the place was made ready were told to nobody here.
+                let chassis = cx.chassis();
+                for other in chassis.others().filter(|other| !chassis.is_linked(*other)) {
+                    record.mailbox.forget_gate(other);
+                }
+                self.arrivals.settle(place, true);
+                self.tasks.push(TaskName {
+                    name: record.name.to_string(),
+                    tid: place,
+                });
+            }
+            Settled::Drop => {
+                self.arrivals.settle(place, false);
+            }
+            Settled::Retire => {
+                cx.chassis().remove_task(place);
+                self.tasks.retain(|task| task.tid != place);
+            }
+        }
+    }
+
     /// Stops the tasks of this chassis when nobody else is left to order it.
     async fn stop_all(&self, cx: &Context) {
         let limit = cx.app().stop_timeout;
@@ -125,9 +198,74 @@ impl Agent {
                 chassis: BOOT_CHASSIS.to_owned(),
             };
             let stopped = cx.call(&reference, StopTask { reason }).deadline(limit);
-            if let Err(error) = stopped.await {
+            if let Err(error) = stopped.await
+                && !error.is_gone()
+            {
                 tracing::warn!(task = %task.name, error = %error, "did not stop");
             }
+        }
+    }
+}
+
+/// The configuration of a task that belongs to this chassis, with the place to which it was moved last.
+fn placed_here(
+    chassis: &Chassis,
+    config: &TaskConfig,
+    moved: &[(String, Place)],
+) -> Option<TaskConfig> {
+    let home = moved.iter().find(|(name, _)| *name == config.name);
+    let Some((_, place)) = home else {
+        return (config.chassis == chassis.name()).then(|| config.clone());
+    };
+    let (name, _) = chassis.processors.get(usize::from(place.processor))?;
+    (place.chassis == chassis.index()).then(|| TaskConfig {
+        chassis: chassis.name().to_owned(),
+        processor: name.clone(),
+        ..config.clone()
+    })
+}
+
+/// Takes what comes by the old place of a task.
+fn take_load(cx: &Context, to: Tid, what: Load, reply: Replier<Transfer>) -> Handled {
+    let chassis = cx.chassis();
+    let opened = match what {
+        Load::Message(message) => {
+            moving::deliver(cx, to, message, reply);
+            return Ok(());
+        }
+        Load::Sync => None,
+        Load::Gate(sender) => Some(sender),
+        Load::Without {
+            chassis: sender,
+            old,
+        } => {
+            if old == chassis.index() || chassis.is_linked(old) {
+                return reply.fail("the old place may still send something");
+            }
+            Some(sender)
+        }
+    };
+    if let (Some(sender), Some(task)) = (opened, chassis.task(to)) {
+        task.mailbox.open_gate(sender);
+    }
+    reply.ok(Ok(Vec::new()))
+}
+
+/// A name has another id now, or none.
+fn turn(cx: &Context, rebound: Rebound, reply: Replier<Rebound>) {
+    let here = cx.clone();
+    match rebound.new {
+        Some(new) if rebound.moved => cx.spawn(async move {
+            // A reply cannot fail, here and below.
+            let _ = match moving::turn(&here, &rebound, new).await {
+                Ok(()) => reply.ok(()),
+                Err(error) => reply.fail(error),
+            };
+        }),
+        new => {
+            let directory = &cx.chassis().directory;
+            directory.rebind(&rebound.name, rebound.old, new);
+            let _ = reply.ok(());
         }
     }
 }
@@ -137,7 +275,6 @@ async fn create_one(
     cx: &Context,
     chassis: &Arc<Chassis>,
     config: &TaskConfig,
-    slots: &mut [u16],
 ) -> Result<Tid, String> {
     let kind = chassis
         .registry
@@ -151,34 +288,25 @@ async fn create_one(
         .find(|(_, (name, _))| *name == config.processor)
         .map(|(index, (_, handle))| (index, handle.clone()))
         .ok_or_else(|| format!("there is no processor `{}`", config.processor))?;
-    let (Ok(number), Some(slot)) = (u8::try_from(index), slots.get_mut(index)) else {
-        return Err("there are too many processors".to_owned());
-    };
-    let tid = Tid::new(chassis.index(), number, *slot);
-    *slot = slot.checked_add(1).ok_or("there are too many tasks")?;
+    let number = u8::try_from(index).map_err(|_| "there are too many processors")?;
+    let slot = chassis.directory.free_slot(number);
+    let slot = slot.ok_or("there are too many tasks")?;
+    let tid = Tid::new(chassis.index(), number, slot);
     let spec = TaskSpec {
         record: record(&config.name, tid, Some(config)),
         config: Some(config.clone()),
         commands: kind.commands().to_vec(),
         build: kind.builder(),
     };
-    let built = Arc::new(Promise::default());
-    let answer = built.clone();
+    let (built, building) = oneshot::channel();
     let home = chassis.clone();
     processor.inject(move |processor| {
-        let result = start_task(&home, processor, spec);
-        answer.fulfil(
-            result
-                .map(|()| Data::Bytes(Vec::new()))
-                .map_err(|error| Fault::Refused {
-                    text: error.to_string(),
-                }),
-        );
+        // Nobody listens any more when the processor was busy for too long.
+        let _ = built.send(start_task(&home, processor, spec).map_err(|error| error.to_string()));
     });
     let limit = cx.app().phase_timeout.max(Duration::from_millis(1));
-    match cx.timeout(limit, Waiting::here(built)).await {
-        Ok(Ok(_)) => Ok(tid),
-        Ok(Err(Fault::Refused { text })) => Err(text),
+    match cx.timeout(limit, building).await {
+        Ok(Ok(started)) => started.map(|()| tid),
         Ok(Err(_)) => Err("its processor has stopped".to_owned()),
         Err(elapsed) => Err(format!("its processor is busy: {elapsed}")),
     }

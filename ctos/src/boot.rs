@@ -9,14 +9,15 @@ use std::{
     ffi::OsString,
     panic::AssertUnwindSafe,
     path::PathBuf,
-    sync::{Arc, mpsc},
+    sync::{Arc, Mutex, mpsc},
 };
 
 use tokio::sync::oneshot;
 
 use crate::{
     agent::{self, Agent},
-    bootstrap::{self, Bootstrap, Seat, UsedSlots},
+    bootstrap::{self, Bootstrap, Seat},
+    call::lock,
     chassis::Chassis,
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
@@ -187,7 +188,6 @@ pub(crate) fn start_system_tasks(chassis: &Arc<Chassis>, seat: Option<&Seat>) {
         Agent::default()
     });
     if let Some(seat) = seat {
-        chassis.share(UsedSlots::KEY, Arc::new(UsedSlots::default()));
         let tidsvr = system::TID_SERVER;
         start(chassis, "tidsvr", tidsvr, &names::COMMANDS, |_| {
             TidServer::default()
@@ -257,8 +257,12 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
     };
     let mut threads = Vec::new();
     let (prepared, grants) = mpsc::channel();
+    // Nothing runs before it is known what was granted: the agent asks.
+    let gate = Arc::new(Mutex::new(()));
+    let closed = lock(&gate);
     for (index, (name, _)) in chassis.processors.iter().enumerate() {
         let (home, memory, prepared) = (chassis.clone(), memory.clone(), prepared.clone());
+        let gate = gate.clone();
         let (ending, ended) = oneshot::channel::<()>();
         let started = std::thread::Builder::new()
             .name(format!("{}/{name}", chassis.name()))
@@ -269,6 +273,7 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
                 // Nobody listens when another thread could not be had.
                 let _ = prepared.send((index, grant));
                 drop(prepared);
+                drop(lock(&gate));
                 if let Some(processor) = home.processor(index) {
                     drop(home);
                     processor.run();
@@ -286,6 +291,7 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
     let configured = grants.into_iter().map(|(_, grant)| grant);
     // The first belongs to the runtime, which asks for nothing.
     chassis.set_realtime(configured.skip(1).inspect(|grant| grant.log()).collect());
+    drop(closed);
     Ok(threads)
 }
 

@@ -11,21 +11,20 @@ mod stop;
 mod supervisor;
 
 use std::{
-    collections::BTreeMap,
     rc::Rc,
     sync::{Arc, Mutex},
     time::Duration,
 };
 
 use crate::{
-    call::lock,
     context::Context,
-    message::{Command, CommandInfo, Message, Tid},
+    message::{Command, CommandInfo, Message},
     system::{
         AllLinked, AppResult, ChassisLinked, Finish, Interrupt, Overview, ProcessEnded, Progress,
         RestartChassis, TaskFailed,
     },
     task::{EventHandler, Handled, Phase, StopReason},
+    watch,
 };
 
 use serde::{Deserialize, Serialize};
@@ -245,36 +244,6 @@ pub(crate) struct Seat {
     pub(crate) processes: Arc<dyn Processes>,
 }
 
-/// The slots of task ids that have been used in this run, so that no id is used twice: a stale one
-/// must never lead to another task.
-#[derive(Debug, Default)]
-pub(crate) struct UsedSlots(Mutex<BTreeMap<(u8, u8), u16>>);
-
-impl UsedSlots {
-    /// Under which the service and the task identification service share it.
-    pub(crate) const KEY: &'static str = "ctos.used_slots";
-
-    /// A task has this id.
-    pub(crate) fn note(&self, tid: Tid) {
-        let mut next = lock(&self.0);
-        let next = next.entry((tid.chassis(), tid.processor())).or_default();
-        *next = (*next).max(tid.slot().saturating_add(1));
-    }
-
-    /// The first free slot of each processor of a chassis.
-    pub(crate) fn first_free(&self, chassis: u8) -> Vec<u16> {
-        let used = lock(&self.0);
-        let mut first = Vec::new();
-        for ((_, processor), next) in used.range((chassis, 0)..=(chassis, u8::MAX)) {
-            first.resize(usize::from(*processor) + 1, 0);
-            if let Some(last) = first.last_mut() {
-                *last = *next;
-            }
-        }
-        first
-    }
-}
-
 /// The service's state.
 pub(crate) struct Bootstrap {
     seat: Seat,
@@ -298,6 +267,7 @@ impl EventHandler for Bootstrap {
         let board = self.board(cx).clone();
         match message.command() {
             AllLinked::CODE => {
+                watch::start(cx);
                 board.all_linked();
                 cx.spawn(Sequence::new(board.clone()).run());
                 for index in board.indices() {

@@ -39,6 +39,13 @@ pub enum Fault {
         /// How long the sender waited.
         after: Duration,
     },
+    /// The reply did not come in time, and could not: tasks wait for one another.
+    Circle {
+        /// How long the sender waited.
+        after: Duration,
+        /// Who waits for whom.
+        circle: String,
+    },
     /// The chassis of the receiver is gone.
     PeerDown {
         /// Its name.
@@ -132,6 +139,11 @@ impl fmt::Display for CallError {
             Fault::Deadline { after } => write!(
                 f,
                 "`{to}` did not answer `{command}` from `{from}` within {:.3} s",
+                after.as_secs_f64()
+            ),
+            Fault::Circle { after, circle } => write!(
+                f,
+                "`{to}` did not answer `{command}` from `{from}` within {:.3} s, because tasks wait for one another: {circle}",
                 after.as_secs_f64()
             ),
             Fault::PeerDown { chassis } => write!(

@@ -17,9 +17,10 @@ use std::{
 use crate::{
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::{App, ProcessorConfig},
+    directory::TaskDirectory,
     link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::{Acceptance, Mailbox},
-    message::{Data, Flags, Header, Message, Tid},
+    message::{Command, Data, Flags, Header, Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
     record::{Asked, Tap},
@@ -134,7 +135,7 @@ pub struct Chassis {
     tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
-    pub(crate) known: Mutex<BTreeMap<String, Tid>>,
+    pub(crate) directory: TaskDirectory,
     on_exit: Mutex<Option<OnExit>>,
     on_delivery: OnceLock<OnDelivery>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
@@ -218,7 +219,7 @@ impl Chassis {
             tasks: RwLock::default(),
             links: Mutex::default(),
             shared: Mutex::default(),
-            known: Mutex::default(),
+            directory: TaskDirectory::default(),
             on_exit: Mutex::default(),
             on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
@@ -347,7 +348,7 @@ impl Chassis {
         }
     }
 
-    fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
+    pub(crate) fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
         self.tasks
             .read()
             .unwrap_or_else(PoisonError::into_inner)
@@ -371,6 +372,10 @@ impl Chassis {
     pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
         if envelope.trace == 0 {
             envelope.trace = self.fresh_trace();
+        }
+        // A fence goes to the old place itself.
+        if envelope.command != system::Fence::CODE {
+            envelope.to = self.directory.current(envelope.to);
         }
         if let Some(replay) = self.tap.replay() {
             return replay.dispatch(&envelope, wait, self.clock.now());
@@ -470,6 +475,7 @@ impl Chassis {
 
     /// Sends only if the receiver is on this chassis and has room now.
     pub(crate) fn try_dispatch_here(&self, mut envelope: Envelope) -> Result<(), Fault> {
+        envelope.to = self.directory.current(envelope.to);
         let there = envelope.to.chassis();
         if there != self.index {
             let chassis = self.name_of(there).to_owned();
@@ -510,7 +516,7 @@ impl Chassis {
 
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
     /// receiver.
-    pub(crate) fn post_system<C: crate::message::Command>(self: &Arc<Self>, to: Tid, request: C) {
+    pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let envelope = Envelope {
             to,
             from: system::agent_tid(self.index),
@@ -712,7 +718,7 @@ impl Chassis {
         for promise in ended {
             promise.fulfil(Err(self.peer_down_fault(peer)));
         }
-        lock(&self.known).retain(|_, tid| tid.chassis() != peer);
+        self.directory.forget_chassis(peer);
         if self.stopping.load(Ordering::Acquire) && peer != 0 {
             return;
         }

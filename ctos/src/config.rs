@@ -31,7 +31,7 @@ mod variables;
 
 pub use app::{
     App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
-    ProcessorConfig, RecordConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
+    ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};

@@ -1,7 +1,7 @@
 //! What a task can reach: the [`Context`] its handler is called with.
 
 use std::{
-    cell::RefCell,
+    cell::{Cell, RefCell},
     collections::BTreeMap,
     fmt,
     future::{Future, IntoFuture},
@@ -17,8 +17,9 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::de::DeserializeOwned;
 
 use crate::{
-    call::{CallError, Fault, lock},
+    call::{CallError, Fault},
     chassis::{Chassis, Envelope, TaskRecord, WaitFor},
+    circle,
     config::TaskConfig,
     diagnostic::Finding,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
@@ -29,7 +30,10 @@ use crate::{
     sync::{
         Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
     },
-    system::{self, AppResult, CommandDescription, Introspect, Ping, QueryTid, Statistics},
+    system::{
+        self, AppResult, AwaitTid, Broke, CommandDescription, Introspect, Monitor, Ping, QueryTid,
+        Shutdown, Statistics,
+    },
     task::Handled,
     time::Instant,
 };
@@ -78,6 +82,24 @@ pub enum NameError {
         /// The names there are.
         known: Vec<String>,
     },
+    /// A task waits for a name that does not appear.
+    #[error("`{from}` waited {:.3} s for a task called `{name}`: {why}", .after.as_secs_f64())]
+    NotYet {
+        /// The waiting task.
+        from: String,
+        /// The name.
+        name: String,
+        /// How long it waited.
+        after: Duration,
+        /// Who waits for whom.
+        why: String,
+    },
+    /// Tasks wait for one another in a circle, so that none of the names can ever appear.
+    #[error("nobody can go on: {circle}")]
+    Circle {
+        /// The circle in words.
+        circle: String,
+    },
     /// The service itself could not be asked.
     #[error(transparent)]
     Service(#[from] CallError),
@@ -88,13 +110,17 @@ pub enum NameError {
 #[error("not finished within {:.3} s", .0.as_secs_f64())]
 pub struct Elapsed(pub Duration);
 
-struct Inner {
-    record: Arc<TaskRecord>,
-    chassis: Arc<Chassis>,
-    processor: Rc<Processor>,
+pub(crate) struct Inner {
+    pub(crate) record: Arc<TaskRecord>,
+    pub(crate) chassis: Arc<Chassis>,
+    pub(crate) processor: Rc<Processor>,
     config: Option<TaskConfig>,
     commands: Vec<CommandInfo>,
     children: RefCell<Children>,
+    /// Counts the handlers that the task had.
+    incarnation: Cell<u64>,
+    /// The tasks that this one started, oldest first.
+    pub(crate) started: RefCell<Vec<TaskRef>>,
 }
 
 /// The children of a task that have not ended, by number, with what cancels them.
@@ -107,7 +133,7 @@ struct Children {
 /// A task's door to the rest of the app. Cheap to clone; stays on its processor.
 #[derive(Clone)]
 pub struct Context {
-    inner: Rc<Inner>,
+    pub(crate) inner: Rc<Inner>,
     /// The trace that whatever is sent from here belongs to; 0: each message begins its own.
     trace: u64,
 }
@@ -128,6 +154,8 @@ impl Context {
                 config,
                 commands,
                 children: RefCell::default(),
+                incarnation: Cell::new(0),
+                started: RefCell::default(),
             }),
             trace: 0,
         }
@@ -199,25 +227,82 @@ impl Context {
     /// # Errors
     /// [`NameError`] when no task has the name or the service cannot be reached.
     pub async fn task(&self, name: &str) -> Result<TaskRef, NameError> {
-        let chassis = &self.inner.chassis;
-        if let Some(tid) = lock(&chassis.known).get(name).copied() {
+        let directory = &self.inner.chassis.directory;
+        if let Some(tid) = directory.known(name) {
             return Ok(TaskRef::new(name, tid));
         }
-        let server = TaskRef::new("tidsvr", system::TID_SERVER);
         let query = QueryTid {
             name: name.to_owned(),
         };
-        match self.call(&server, query).await? {
-            Ok(tid) => {
-                lock(&chassis.known).insert(name.to_owned(), tid);
-                Ok(TaskRef::new(name, tid))
-            }
+        match self.call(&Self::server(), query).await? {
+            Ok(tid) => Ok(TaskRef::new(name, directory.learn(name, tid))),
             Err(known) => Err(NameError::Unknown {
                 from: self.name().to_owned(),
                 name: name.to_owned(),
                 known,
             }),
         }
+    }
+
+    /// The task identification service.
+    pub(crate) fn server() -> TaskRef {
+        TaskRef::new("tidsvr", system::TID_SERVER)
+    }
+
+    /// Finds a task by its symbolic name, and waits for the name to appear if there is none yet: another
+    /// task may be about to [start](Self::start) it, or its chassis is just being started again.
+    ///
+    /// # Errors
+    /// [`NameError::NotYet`] after `limit`, with who waits for whom; [`NameError::Circle`] at once, when
+    /// the task that would start it waits, directly or not, for a name that only this task can start.
+    pub async fn wait_for_task(&self, name: &str, limit: Duration) -> Result<TaskRef, NameError> {
+        let directory = &self.inner.chassis.directory;
+        if let Some(tid) = directory.known(name) {
+            return Ok(TaskRef::new(name, tid));
+        }
+        let request = AwaitTid {
+            name: name.to_owned(),
+            waiter: self.name().to_owned(),
+        };
+        match self.call(&Self::server(), request).deadline(limit).await {
+            Ok(Ok(tid)) => Ok(TaskRef::new(name, directory.learn(name, tid))),
+            Ok(Err(circle)) => Err(NameError::Circle { circle }),
+            Err(error) if matches!(error.fault, Fault::Deadline { .. }) => {
+                let query = system::WhoWaits {
+                    name: name.to_owned(),
+                };
+                Err(NameError::NotYet {
+                    from: self.name().to_owned(),
+                    name: name.to_owned(),
+                    after: limit,
+                    why: self.call(&Self::server(), query).await?,
+                })
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// From now on the handler's `task_down` and `task_up` are called when `task` goes down and comes
+    /// up again. When it is down already, `task_down` is called at once.
+    ///
+    /// # Errors
+    /// When the task identification service cannot be asked.
+    pub async fn monitor(&self, task: &TaskRef) -> Result<(), CallError> {
+        let name = task.name().to_owned();
+        let up = self.call(&Self::server(), Monitor { name }).await?;
+        if !up {
+            let changed = system::TaskChanged {
+                task: system::TaskName {
+                    name: task.name().to_owned(),
+                    tid: task.tid(),
+                },
+                change: system::Change::Down {
+                    reason: "it was not there when it began to be monitored".to_owned(),
+                },
+            };
+            self.inner.chassis.post_system(self.tid(), changed);
+        }
+        Ok(())
     }
 
     /// Asks a task and waits for its reply. Ends with the reply or an error, always: 10 s after the
@@ -287,7 +372,8 @@ impl Context {
     }
 
     /// What every task does with a message that its handler does not know: answers [`Ping`],
-    /// [`Introspect`] and [`Statistics`], and refuses the rest by saying what the task takes.
+    /// [`Introspect`] and [`Statistics`], and refuses the rest by saying what the task takes. (A
+    /// [`Shutdown`] does not come this far: the loop of the task carries it out.)
     ///
     /// # Errors
     /// Never; the result ends a handler.
@@ -305,6 +391,11 @@ impl Context {
                     doc: command.doc.to_owned(),
                 };
                 reply.ok(self.inner.commands.iter().map(describe).collect())
+            }
+            Shutdown::CODE => {
+                // Tasks of the configuration come to their end in their own loop.
+                let (Shutdown {}, reply) = message.open::<Shutdown>()?;
+                reply.fail("it belongs to the runtime and ends with its chassis")
             }
             Statistics::CODE => {
                 let (Statistics {}, reply) = message.open::<Statistics>()?;
@@ -354,12 +445,18 @@ impl Context {
     ) -> Result<Data, Fault> {
         let now = self.now();
         envelope.deadline = Some(now + deadline);
-        let _waits = self.inner.record.waits.begin(&to.name, command, now);
+        let (name, to) = (&to.name, envelope.to);
+        let _waits = self.inner.record.waits.begin(name, to, command, now);
         let asked = Asked::of(&envelope);
-        let waiting = self.inner.chassis.dispatch(envelope, wait);
+        let mut waiting = self.inner.chassis.dispatch(envelope, wait);
         let recorded = waiting.recorded();
-        let answer = match self.timeout(deadline, waiting).await {
+        // Whoever waits long may wait for ever; see `circle.rs`.
+        let answer = match self.timeout(deadline.min(circle::LONG), &mut waiting).await {
             Ok(answer) => answer,
+            Err(_) if deadline > circle::LONG => {
+                let rest = deadline.saturating_sub(circle::LONG);
+                circle::watched(self, to, waiting, rest, deadline).await
+            }
             Err(Elapsed(after)) => Err(Fault::Deadline { after }),
         };
         self.inner.chassis.tap.answered(recorded, &asked, &answer);
@@ -399,7 +496,7 @@ impl Context {
     }
 
     /// Calls a synchronous function every `period` on this task's processor, until the handle is
-    /// dropped. If it panics, it is taken off the schedule and the task has failed; so it has if the
+    /// dropped. If it panics, it is taken off the schedule and the task's restart policy decides; it has failed if the
     /// processor has a base period that `period` is no multiple of. [`Self::schedule`] says more of a
     /// function, and refuses instead.
     #[must_use]
@@ -421,14 +518,13 @@ impl Context {
 
     /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
     /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
-    /// it is taken off the schedule and the task has failed.
+    /// it is taken off the schedule, and the task's restart policy decides.
     ///
     /// # Errors
     /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
     pub fn schedule(&self, function: Synchronous) -> Result<CyclicHandle, CyclicError> {
         let name = format!("{}.{}", self.name(), function.name());
-        let cx = self.clone();
-        let function = function.renamed(name).on_failure(move |text| cx.fail(text));
+        let function = function.renamed(name).on_failure(self.when_broken());
         self.inner.processor.schedule.add(function)
     }
 
@@ -461,11 +557,11 @@ impl Context {
 
     // -- the task itself --------------------------------------------------------------------
 
-    /// Runs a child of this task beside it, on the same processor. It ends with the task; if it
-    /// panics, the task has failed.
+    /// Runs a child of this task beside it, on the same processor. It ends with the task's handler; if
+    /// it panics, the handler has failed with it, and the task's restart policy decides.
     pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
-        let cx = self.clone();
-        let on_panic = move |text: String| cx.fail(&format!("a child panicked: {text}"));
+        let broke = self.when_broken();
+        let on_panic = move |text: String| broke(&format!("a child panicked: {text}"));
         let mut children = self.inner.children.borrow_mut();
         let number = children.next;
         children.next += 1;
@@ -476,6 +572,33 @@ impl Context {
         };
         let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
         children.running.insert(number, id);
+    }
+
+    /// What to call when a part of the present handler breaks: the task's loop decides what follows.
+    pub(crate) fn when_broken(&self) -> impl Fn(&str) + 'static {
+        let cx = self.clone();
+        let incarnation = self.inner.incarnation.get();
+        move |reason| {
+            if cx.config().is_none() {
+                return cx.fail(reason);
+            }
+            let reason = reason.to_owned();
+            let broke = Broke {
+                incarnation,
+                reason,
+            };
+            cx.inner.chassis.post_system(cx.tid(), broke);
+        }
+    }
+
+    /// Counts the handlers that the task had.
+    pub(crate) fn incarnation(&self) -> u64 {
+        self.inner.incarnation.get()
+    }
+
+    /// What breaks of the handler up to now is no news any more.
+    pub(crate) fn next_incarnation(&self) {
+        self.inner.incarnation.set(self.inner.incarnation.get() + 1);
     }
 
     /// Ends all children.

@@ -33,7 +33,10 @@ const SECONDS: f64 = 10.0;
 /// The longest input, bytes.
 const LONGEST: usize = 4096;
 
-const TARGETS: [(&str, fn(&[u8])); 5] = [
+/// What is done with an input.
+type Target = fn(&[u8]);
+
+const TARGETS: [(&str, Target); 5] = [
     ("header", header),
     ("packets", packets),
     ("handshake", handshake),

@@ -28,6 +28,7 @@ pub mod registry;
 pub mod security;
 pub mod semaphore;
 pub mod simulation;
+pub mod supervise;
 pub mod survey;
 pub mod sync;
 pub mod system;
@@ -37,11 +38,15 @@ pub mod watch;
 
 mod agent;
 mod bootstrap;
+mod children;
+mod circle;
 mod context;
+mod directory;
 #[cfg(test)]
 mod fuzz;
 mod link;
 mod mailbox;
+mod moving;
 mod names;
 mod processor;
 mod runner;
@@ -49,13 +54,24 @@ mod statistics;
 mod waits;
 
 pub use context::{DEFAULT_DEADLINE, mix};
+pub use ctos_derive::handler;
+pub use message::Command;
 pub use statistics::TaskCounters;
 pub use task::Context;
 
-/// The page's example is run with the others.
+/// The pages of `docs` whose examples are run as tests.
 #[cfg(doctest)]
-#[doc = include_str!("../../docs/synchronization.md")]
-struct SynchronizationPage;
-/// The examples of the pages, for the tests.
-#[doc = include_str!("../../docs/recording.md")]
-mod pages {}
+mod pages {
+    #[doc = include_str!("../../docs/recording.md")]
+    mod recording {}
+    #[doc = include_str!("../../docs/synchronization.md")]
+    mod synchronization {}
+    #[doc = include_str!("../../docs/messages.md")]
+    mod messages {}
+    #[doc = include_str!("../../docs/names.md")]
+    mod names {}
+    #[doc = include_str!("../../docs/supervision-of-tasks.md")]
+    mod supervision_of_tasks {}
+    #[doc = include_str!("../../docs/tasks.md")]
+    mod tasks {}
+}

@@ -6,7 +6,7 @@
 //! are never refused.
 
 use std::{
-    collections::VecDeque,
+    collections::{BTreeSet, VecDeque},
     future::poll_fn,
     sync::{Arc, Mutex, MutexGuard},
     task::{Poll, Waker},
@@ -15,9 +15,9 @@ use std::{
 use crate::{
     call::{Fault, Promise, lock},
     chassis::{Chassis, Inbound},
-    message::{Data, Flags, Message, SYSTEM_COMMANDS},
+    message::{Command, Data, Flags, Message, SYSTEM_COMMANDS},
     survey::QueueReport,
-    system::interrupts,
+    system::{Broke, StopTask, interrupts},
 };
 
 /// How many senders may wait for room, as a multiple of the capacity.
@@ -47,7 +47,7 @@ impl Acceptance {
     }
 
     /// Whether the sender has been told already that its message was not taken.
-    fn is_abandoned(&self) -> bool {
+    pub(crate) fn is_abandoned(&self) -> bool {
         match self {
             Self::Silent => false,
             Self::Local(promise) => promise.is_abandoned(),
@@ -104,11 +104,30 @@ enum Receiver {
     Busy(Waker),
 }
 
+/// Messages that came straight to a task's new place before everything that their chassis had sent to
+/// the old one.
+struct Gate {
+    closed: BTreeSet<u8>,
+    held: Vec<(Message, Acceptance)>,
+}
+
+impl Gate {
+    fn keeps(&self, message: &Message) -> bool {
+        let header = message.header();
+        header.command < SYSTEM_COMMANDS
+            && !header.flags.contains(Flags::FORWARDED)
+            && self.closed.contains(&header.from.chassis())
+    }
+}
+
 #[derive(Default)]
 struct Lanes {
     urgent: Lane,
     normal: Lane,
     receiver: Option<Receiver>,
+    /// Nothing more is taken into the queues: the task is about to leave, or has left.
+    held: bool,
+    gate: Option<Gate>,
     closed: bool,
 }
 
@@ -130,6 +149,17 @@ impl Lanes {
             }
             Some(Receiver::Idle(waker) | Receiver::Busy(waker)) => Some(waker),
             None => None,
+        }
+    }
+
+    /// Whom to wake for a message that is not in a queue yet.
+    fn idle(&mut self) -> Option<Waker> {
+        match self.receiver.take() {
+            Some(Receiver::Idle(waker)) => Some(waker),
+            other => {
+                self.receiver = other;
+                None
+            }
         }
     }
 }
@@ -157,17 +187,32 @@ impl Mailbox {
             drop(lanes);
             return refuse(message, acceptance, &Fault::Stopping);
         }
+        let most = self.capacity.saturating_mul(WAITING_FACTOR);
+        if let Some(gate) = lanes.gate.as_mut().filter(|gate| gate.keeps(&message)) {
+            if gate.held.len() < most {
+                gate.held.push((message, acceptance));
+                return;
+            }
+            drop(lanes);
+            return refuse(message, acceptance, &self.full());
+        }
         let system = message.header.command >= SYSTEM_COMMANDS;
+        let held = lanes.held;
         let lane = if system {
             &mut lanes.urgent
         } else {
             lanes.lane_of(&message)
         };
-        if system || lane.queue.len() < self.capacity {
+        if system || (lane.queue.len() < self.capacity && !held) {
             Self::accepted(lanes, message, system);
             acceptance.tell(Ok(()));
-        } else if lane.waiting.len() < self.capacity.saturating_mul(WAITING_FACTOR) {
+        } else if lane.waiting.len() < most {
             lane.waiting.push_back((message, acceptance));
+            let waker = if held { lanes.idle() } else { None };
+            drop(lanes);
+            if let Some(waker) = waker {
+                waker.wake();
+            }
         } else {
             drop(lanes);
             refuse(message, acceptance, &self.full());
@@ -180,7 +225,8 @@ impl Mailbox {
         if lanes.closed {
             return Err(Fault::Stopping);
         }
-        if lanes.lane_of(&message).queue.len() >= self.capacity {
+        let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
+        if gated || lanes.held || lanes.lane_of(&message).queue.len() >= self.capacity {
             return Err(self.full());
         }
         Self::accepted(lanes, message, false);
@@ -255,18 +301,178 @@ impl Mailbox {
         .await
     }
 
-    /// Ends when an order to stop, or to begin anew, waits in the queue. For the loop of the task, while its handler runs.
+    /// Ends when a [`StopTask`] waits in the queue. For the loop of the task, while its handler runs.
     pub(crate) async fn stop_waits(&self) {
+        self.waits_for(|command| command == StopTask::CODE).await;
+    }
+
+    /// Ends when a message waits in the queue that ends whatever the handler is doing; true when that is
+    /// no order to stop or to begin anew, but the news that a part of the handler broke.
+    pub(crate) async fn interruption_waits(&self) -> bool {
+        let command = self.waits_for(interrupts).await;
+        command.is_some_and(|command| command == Broke::CODE)
+    }
+
+    async fn waits_for(&self, wanted: fn(u16) -> bool) -> Option<u16> {
         poll_fn(|cx| {
             let mut lanes = lock(&self.lanes);
-            let stop = |message: &Message| interrupts(message.header.command);
-            if lanes.closed || lanes.urgent.queue.iter().any(stop) {
-                return Poll::Ready(());
+            let mut commands = lanes.urgent.queue.iter().map(Message::command);
+            let found = commands.find(|command| wanted(*command));
+            if lanes.closed || found.is_some() {
+                return Poll::Ready(found);
             }
             lanes.receiver = Some(Receiver::Busy(cx.waker().clone()));
             Poll::Pending
         })
-        .await;
+        .await
+    }
+
+    /// Drops the news that parts of the handler broke: it is gone altogether.
+    pub(crate) fn forget_broken(&self) {
+        let mut lanes = lock(&self.lanes);
+        let queue = std::mem::take(&mut lanes.urgent.queue);
+        let is_news = |message: &Message| message.command() == Broke::CODE;
+        let (news, kept): (VecDeque<_>, VecDeque<_>) = queue.into_iter().partition(is_news);
+        lanes.urgent.queue = kept;
+        drop(lanes);
+        drop(news);
+    }
+
+    /// From now on messages of tasks wait and are not taken; those of the runtime are.
+    pub(crate) fn hold(&self) {
+        lock(&self.lanes).held = true;
+    }
+
+    /// Takes messages again: first `before`, which were taken out of the queue, then those that waited.
+    pub(crate) fn release(&self, before: Vec<Message>) {
+        let mut lanes = lock(&self.lanes);
+        lanes.held = false;
+        for message in before.into_iter().rev() {
+            lanes.lane_of(&message).queue.push_front(message);
+        }
+        let mut admitted = Vec::new();
+        let mut given_up = Vec::new();
+        let Lanes { urgent, normal, .. } = &mut *lanes;
+        for lane in [urgent, normal] {
+            while lane.queue.len() < self.capacity
+                && let Some((message, acceptance)) = lane.waiting.pop_front()
+            {
+                if acceptance.is_abandoned() {
+                    given_up.push((message, acceptance));
+                    continue;
+                }
+                lane.queue.push_back(message);
+                admitted.push(acceptance);
+            }
+        }
+        drop(lanes);
+        drop(given_up);
+        for acceptance in admitted {
+            acceptance.tell(Ok(()));
+        }
+    }
+
+    /// Takes out of the queue what tasks sent: the messages that have been accepted.
+    pub(crate) fn take_accepted(&self) -> Vec<Message> {
+        let mut lanes = lock(&self.lanes);
+        let of_runtime = |message: &Message| message.header.command >= SYSTEM_COMMANDS;
+        let urgent = std::mem::take(&mut lanes.urgent.queue);
+        let (kept, taken): (VecDeque<_>, VecDeque<_>) = urgent.into_iter().partition(of_runtime);
+        lanes.urgent.queue = kept;
+        let mut taken = Vec::from(taken);
+        taken.extend(std::mem::take(&mut lanes.normal.queue));
+        taken
+    }
+
+    /// Everything that came while the queue was held: `None` once the mailbox is closed.
+    pub(crate) async fn next_held(&self) -> Option<Vec<(Message, Acceptance)>> {
+        poll_fn(|cx| {
+            let mut lanes = lock(&self.lanes);
+            if lanes.closed {
+                return Poll::Ready(None);
+            }
+            let mut all = Vec::new();
+            let Lanes { urgent, normal, .. } = &mut *lanes;
+            for lane in [urgent, normal] {
+                let queued = lane.queue.drain(..);
+                all.extend(queued.map(|message| (message, Acceptance::Silent)));
+                all.extend(lane.waiting.drain(..));
+            }
+            if all.is_empty() {
+                lanes.receiver = Some(Receiver::Idle(cx.waker().clone()));
+                return Poll::Pending;
+            }
+            Poll::Ready(Some(all))
+        })
+        .await
+    }
+
+    /// Keeps what comes straight from `chassis` until its gate is opened.
+    pub(crate) fn close_gates(&self, chassis: BTreeSet<u8>) {
+        lock(&self.lanes).gate = Some(Gate {
+            closed: chassis,
+            held: Vec::new(),
+        });
+    }
+
+    /// Drops what came straight from `chassis`, which is gone: nobody was told that it was taken.
+    pub(crate) fn forget_gate(&self, chassis: u8) {
+        let mut lanes = lock(&self.lanes);
+        let Some(gate) = lanes.gate.as_mut() else {
+            return;
+        };
+        gate.closed.remove(&chassis);
+        let of_chassis =
+            |(message, _): &(Message, Acceptance)| message.header.from.chassis() == chassis;
+        let (gone, held): (Vec<_>, Vec<_>) = std::mem::take(&mut gate.held)
+            .into_iter()
+            .partition(of_chassis);
+        gate.held = held;
+        drop(lanes);
+        drop(gone);
+    }
+
+    /// Lets in what came straight from `chassis`, in its order, and whatever comes from there later.
+    pub(crate) fn open_gate(&self, chassis: u8) {
+        let mut lanes = lock(&self.lanes);
+        let Some(gate) = lanes.gate.as_mut() else {
+            return;
+        };
+        gate.closed.remove(&chassis);
+        let of_chassis =
+            |(message, _): &(Message, Acceptance)| message.header.from.chassis() == chassis;
+        let (free, held): (Vec<_>, Vec<_>) = std::mem::take(&mut gate.held)
+            .into_iter()
+            .partition(of_chassis);
+        gate.held = held;
+        if gate.closed.is_empty() {
+            lanes.gate = None;
+        }
+        let mut admitted = Vec::new();
+        let mut given_up = Vec::new();
+        for (message, acceptance) in free {
+            if acceptance.is_abandoned() {
+                given_up.push((message, acceptance));
+                continue;
+            }
+            let lane = lanes.lane_of(&message);
+            // Those beyond the room wait. They are bounded already: the gate holds no more than may wait.
+            if lane.queue.len() < self.capacity {
+                lane.queue.push_back(message);
+                admitted.push(acceptance);
+            } else {
+                lane.waiting.push_back((message, acceptance));
+            }
+        }
+        let waker = lanes.idle();
+        drop(lanes);
+        drop(given_up);
+        for acceptance in admitted {
+            acceptance.tell(Ok(()));
+        }
+        if let Some(waker) = waker {
+            waker.wake();
+        }
     }
 
     /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
@@ -276,7 +482,11 @@ impl Mailbox {
         let urgent = std::mem::take(&mut lanes.urgent);
         let normal = std::mem::take(&mut lanes.normal);
         let receiver = lanes.receiver.take();
+        let gate = lanes.gate.take();
         drop(lanes);
+        for (message, acceptance) in gate.into_iter().flat_map(|gate| gate.held) {
+            refuse(message, acceptance, &Fault::Stopping);
+        }
         for lane in [urgent, normal] {
             for message in lane.queue {
                 refuse(message, Acceptance::Silent, &Fault::Stopping);
@@ -311,8 +521,7 @@ mod tests {
     use super::*;
     use crate::{
         call::Waiting,
-        message::{Command, Header, Tid},
-        system::StopTask,
+        message::{Header, Tid},
     };
 
     fn message(number: u32, flags: Flags) -> Message {
@@ -417,6 +626,74 @@ mod tests {
         mailbox.put(order, Acceptance::Silent);
         assert_eq!(woken.0.load(Ordering::Relaxed), 1);
         assert!(poll().is_ready());
+    }
+
+    fn from(chassis: u8, number: u32, flags: Flags) -> Message {
+        let mut message = message(number, flags);
+        message.header.from = Tid::new(chassis, 1, 1);
+        message
+    }
+
+    #[test]
+    fn what_comes_straight_waits_at_the_gate_for_what_comes_by_the_old_place() {
+        let mailbox = Mailbox::new(2);
+        mailbox.close_gates([1, 2].into());
+        for number in [4, 5, 6] {
+            mailbox.put(from(1, number, Flags::NONE), Acceptance::Silent);
+        }
+        mailbox.put(from(2, 7, Flags::HIGH_PRIORITY), Acceptance::Silent);
+        for number in [1, 2, 3] {
+            mailbox.put(from(1, number, Flags::FORWARDED), Acceptance::Silent);
+        }
+        let room = mailbox.try_put(from(1, 9, Flags::NONE));
+        assert_eq!(room.unwrap_err(), Fault::Full { capacity: 2 });
+        assert_eq!(take(&mailbox), Some(1));
+        mailbox.open_gate(1);
+        mailbox.put(from(1, 8, Flags::NONE), Acceptance::Silent);
+        let order: Vec<_> = std::iter::from_fn(|| take(&mailbox)).collect();
+        assert_eq!(order, [2, 3, 4, 5, 6, 8]);
+        // Its chassis is gone before its gate was opened: nobody was told that it was taken.
+        mailbox.forget_gate(2);
+        assert_eq!(take(&mailbox), None);
+    }
+
+    #[test]
+    fn a_held_queue_tells_nobody_that_a_message_was_taken_and_keeps_all_in_order() {
+        let mailbox = Mailbox::new(2);
+        mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
+        mailbox.hold();
+        let accepted = mailbox.take_accepted();
+        let promise = Arc::new(Promise::default());
+        mailbox.put(message(2, Flags::NONE), Acceptance::Local(promise.clone()));
+        mailbox.put(message(3, Flags::NONE), Acceptance::Silent);
+        assert!(mailbox.try_put(message(9, Flags::NONE)).is_err());
+        let mut waiting = Waiting::here(promise);
+        assert!((&mut waiting).now_or_never().is_none());
+        mailbox.release(accepted);
+        assert!((&mut waiting).now_or_never().unwrap().is_ok());
+        let order: Vec<_> = std::iter::from_fn(|| take(&mailbox)).collect();
+        assert_eq!(order, [1, 2, 3]);
+    }
+
+    #[test]
+    fn what_came_while_the_queue_was_held_is_had_at_once_and_wakes_who_waits_for_it() {
+        let mailbox = Mailbox::new(2);
+        mailbox.hold();
+        let woken = Arc::new(Count::default());
+        let waker = Waker::from(woken.clone());
+        let mut next = Box::pin(mailbox.next_held());
+        let mut poll = || {
+            next.as_mut()
+                .poll(&mut std::task::Context::from_waker(&waker))
+        };
+        assert!(poll().is_pending());
+        mailbox.put(message(1, Flags::NONE), Acceptance::Silent);
+        assert_eq!(woken.0.load(Ordering::Relaxed), 1);
+        mailbox.put(message(2, Flags::HIGH_PRIORITY), Acceptance::Silent);
+        let Poll::Ready(Some(all)) = poll() else {
+            panic!("nothing came");
+        };
+        assert_eq!(all.len(), 2);
     }
 
     #[derive(Default)]

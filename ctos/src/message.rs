@@ -90,6 +90,8 @@ impl Flags {
     pub const ACCEPT_WAIT: Self = Self(1 << 5);
     /// The sender of a request no longer waits for its answer. Between chassis only.
     pub const ABANDONED: Self = Self(1 << 6);
+    /// It came by the place where its receiver was before it moved.
+    pub const FORWARDED: Self = Self(1 << 7);
 
     /// Whether all of `flags` are set.
     #[must_use]
@@ -178,8 +180,24 @@ impl Header {
     }
 }
 
-/// A request that a task takes: its data, its code, its name and the type of its reply. Written with
-/// [`command!`](crate::command).
+pub use ctos_derive::Command;
+
+/// A request that a task takes: its data, its code, its name and the type of its reply. Derived:
+///
+/// ```
+/// use ctos::message::Command;
+/// use serde::{Deserialize, Serialize};
+///
+/// /// Greets somebody.
+/// #[derive(Serialize, Deserialize, Command)]
+/// #[command(reply = String, code = 0x0001)]
+/// struct Greet {
+///     name: String,
+/// }
+/// assert_eq!((Greet::NAME, Greet::DOC), ("greet", "Greets somebody."));
+/// ```
+///
+/// [`command!`](crate::command) says the same on one line.
 pub trait Command: Serialize + DeserializeOwned + Send + 'static {
     /// What the task answers.
     type Reply: Serialize + DeserializeOwned + Send + 'static;
@@ -457,6 +475,16 @@ impl Data {
         match self {
             Self::Typed(payload) => payload.encode(),
             Self::Bytes(bytes) => Ok(bytes),
+        }
+    }
+}
+
+impl Data {
+    /// The bytes that would be put on the wire; the data stays.
+    pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
+        match self {
+            Self::Typed(payload) => payload.encode(),
+            Self::Bytes(bytes) => Ok(bytes.clone()),
         }
     }
 }

@@ -16,7 +16,7 @@ use crate::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
     message::{Command, CommandInfo, Message},
-    task::{Context, DynHandler, EventHandler, Handled, HandlerError},
+    task::{Context, DynHandler, EventHandler, Handled, HandlerError, Handover, WithHandover},
 };
 
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
@@ -126,6 +126,25 @@ impl Registry {
             let handler: Box<dyn DynHandler> = Box::new(build(cx)?);
             Ok(handler)
         });
+        self.add(name, commands, build)
+    }
+
+    /// Registers a kind of event handler that passes its state on: its tasks can be moved while they run,
+    /// and a restarted one goes on where the last one ended.
+    pub fn handover<H: Handover>(
+        &mut self,
+        name: &str,
+        commands: &[CommandInfo],
+        build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
+    ) -> &mut HandlerKind {
+        let build: Build = Arc::new(move |cx| {
+            let handler: Box<dyn DynHandler> = Box::new(WithHandover(build(cx)?));
+            Ok(handler)
+        });
+        self.add(name, commands, build)
+    }
+
+    fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {
         let kind = HandlerKind {
             name: name.to_owned(),
             commands: commands.to_vec(),

@@ -207,11 +207,6 @@ pub struct MemberReport {
     pub tasks: Vec<TaskName>,
 }
 
-/// Whether a handler that is at work is dropped for the sake of `command`.
-pub(crate) const fn interrupts(command: u16) -> bool {
-    command == StopTask::CODE || command == RestartTask::CODE
-}
-
 /// Every command of the runtime that a task may be seen at.
 pub(crate) const ALL: &[CommandInfo] = &[
     Ping::INFO,
@@ -237,4 +232,187 @@ pub(crate) const ALL: &[CommandInfo] = &[
     RestartChassis::INFO,
     Overview::INFO,
     crate::survey::Survey::INFO,
+    Shutdown::INFO,
+    Broke::INFO,
+    MoveTask::INFO,
+    MoveOut::INFO,
+    MoveIn::INFO,
+    Transfer::INFO,
+    CommitMove::INFO,
+    AbortMove::INFO,
+    Settle::INFO,
+    Rebound::INFO,
+    Fence::INFO,
+    AwaitTid::INFO,
+    Monitor::INFO,
+    TaskChanged::INFO,
+    WaitsFor::INFO,
+    FirstSlots::INFO,
+    WhoWaits::INFO,
+    MovedTasks::INFO,
 ];
+command! {
+    /// Comes to an orderly stop; the app goes on without the task, or with it built anew.
+    pub struct Shutdown => (), 0xff60, "shutdown"
+}
+command! {
+    /// Tells a task that a part of one of its incarnations panicked.
+    pub(crate) struct Broke { pub(crate) incarnation: u64, pub(crate) reason: String } => (), 0xff61, "broke"
+}
+command! {
+    /// Moves a running task to `CHASSIS` or `CHASSIS:PROCESSOR`; answers with the place.
+    pub struct MoveTask {
+        /// Its symbolic name.
+        pub task: String,
+        /// The place.
+        pub to: String,
+    } => String, 0xff62, "move_task"
+}
+command! {
+    /// Tells a task to go on at another place.
+    pub(crate) struct MoveOut { pub(crate) to: Place } => Tid, 0xff63, "move_out"
+}
+command! {
+    /// Makes a place for a task that comes from `from`.
+    pub(crate) struct MoveIn {
+        pub(crate) name: String,
+        pub(crate) from: Tid,
+        pub(crate) processor: u8,
+        pub(crate) state: Vec<u8>,
+    } => Tid, 0xff64, "move_in"
+}
+command! {
+    /// Brings something that was sent to a task's old place.
+    #[derive(Clone)]
+    pub(crate) struct Transfer { pub(crate) to: Tid, pub(crate) what: Load } => Delivered, 0xff65, "transfer"
+}
+command! {
+    /// Gives a task's name to its new place.
+    pub(crate) struct CommitMove { pub(crate) name: String, pub(crate) old: Tid, pub(crate) new: Tid } => (), 0xff66, "commit_move"
+}
+command! {
+    /// Forbids a move that has not been committed; answers whether it has.
+    pub(crate) struct AbortMove { pub(crate) new: Tid } => bool, 0xff67, "abort_move"
+}
+command! {
+    /// Tells an agent what becomes of a place.
+    pub(crate) struct Settle { pub(crate) place: Tid, pub(crate) how: Settled } => (), 0xff68, "settle"
+}
+command! {
+    /// Tells that a name has another task id now, or none.
+    #[derive(Clone)]
+    pub(crate) struct Rebound {
+        pub(crate) name: String,
+        pub(crate) old: Tid,
+        pub(crate) new: Option<Tid>,
+        pub(crate) moved: bool,
+    } => (), 0xff69, "rebound"
+}
+command! {
+    /// Goes to the old place of a task, behind everything that a chassis sent there.
+    pub(crate) struct Fence { pub(crate) chassis: u8 } => (), 0xff6a, "fence"
+}
+command! {
+    /// Waits until a name is known.
+    pub(crate) struct AwaitTid { pub(crate) name: String, pub(crate) waiter: String } => Result<Tid, String>, 0xff6b, "await_tid"
+}
+command! {
+    /// Asks to be told when a task goes down and comes up.
+    pub(crate) struct Monitor { pub(crate) name: String } => bool, 0xff6c, "monitor"
+}
+command! {
+    /// Tells what became of a task.
+    pub(crate) struct TaskChanged { pub(crate) task: TaskName, pub(crate) change: Change } => (), 0xff6d, "task_changed"
+}
+command! {
+    /// Asks an agent whom a task waits for.
+    pub(crate) struct WaitsFor { pub(crate) task: Tid } => Option<Waits>, 0xff6e, "waits_for"
+}
+command! {
+    /// Asks for the first slot of each processor of a chassis that no task of this run ever had.
+    pub(crate) struct FirstSlots { pub(crate) chassis: u8 } => Vec<u16>, 0xff6f, "first_slots"
+}
+
+command! {
+    /// Says in words who waits for a name and for whom.
+    pub(crate) struct WhoWaits { pub(crate) name: String } => String, 0xff12, "who_waits"
+}
+
+command! {
+    /// Asks where the tasks are that were moved away from where the configuration puts them.
+    pub(crate) struct MovedTasks => Vec<(String, Place)>, 0xff13, "moved_tasks"
+}
+
+/// A processor of a chassis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Place {
+    pub(crate) chassis: u8,
+    pub(crate) processor: u8,
+}
+
+/// What is brought from the old place of a task to the new one.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Load {
+    /// A message, as it was sent.
+    Message(Forwarded),
+    /// Everything that this chassis sent to the old place is there: its direct messages may come in.
+    Gate(u8),
+    /// The old place is gone, so nothing of `chassis` comes from there any more.
+    Without { chassis: u8, old: u8 },
+    /// The sender wants to know that everything before this has been taken.
+    Sync,
+}
+
+/// A message that was sent to a task's old place.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Forwarded {
+    pub(crate) from: Tid,
+    pub(crate) command: u16,
+    pub(crate) flags: u16,
+    pub(crate) trace: u64,
+    /// How long its sender still waits, ns.
+    pub(crate) left_ns: Option<u64>,
+    pub(crate) body: Vec<u8>,
+    /// Whether its sender waits for a reply, or for the message to be taken.
+    pub(crate) reply: bool,
+}
+
+/// What came of a [`Load`]: the reply, or why there is none.
+pub(crate) type Delivered = Result<Vec<u8>, crate::call::Fault>;
+
+/// What becomes of a place that a task comes to or has left.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Settled {
+    /// It is the task's; these chassis send nothing by the old place any more.
+    Go { gone: Vec<u8> },
+    /// It is not; nothing may have begun there.
+    Drop,
+    /// Nobody sends to it any more.
+    Retire,
+}
+
+/// What became of a task.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Change {
+    /// It takes messages again.
+    Up,
+    /// Its handler is being built anew.
+    Down { reason: String },
+    /// It is gone and its name is free.
+    Ended { reason: String },
+}
+
+/// Whom a task waits for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Waits {
+    /// The waiting task.
+    pub(crate) name: String,
+    /// The task whose reply it waits for.
+    pub(crate) to: Tid,
+}
+
+/// Whether a message of `command` interrupts a handler that is at work.
+pub(crate) const fn interrupts(command: u16) -> bool {
+    use crate::message::Command;
+    command == StopTask::CODE || command == RestartTask::CODE || command == Broke::CODE
+}

@@ -8,11 +8,14 @@
 use std::{fmt, future::Future, pin::Pin};
 
 use futures_util::future::LocalBoxFuture;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::message::Message;
 
-pub use crate::context::{Call, Context, Elapsed, NameError, Send, TaskRef};
+pub use crate::{
+    children::StartError,
+    context::{Call, Context, Elapsed, NameError, Send, TaskRef},
+};
 
 /// What a handler returns.
 pub type Handled = Result<(), HandlerError>;
@@ -80,6 +83,8 @@ pub enum StopReason {
     Finished,
     /// The person asked for it.
     Interrupted,
+    /// This task alone was told to end; the app goes on.
+    Shutdown,
     /// A chassis is gone.
     ChassisDown {
         /// Its name.
@@ -97,6 +102,7 @@ impl fmt::Display for StopReason {
         match self {
             Self::Finished => f.write_str("the app has finished"),
             Self::Interrupted => f.write_str("the app was interrupted"),
+            Self::Shutdown => f.write_str("the task was told to shut down"),
             Self::ChassisDown { chassis } => write!(f, "chassis `{chassis}` is gone"),
             Self::Failed { what } => f.write_str(what),
         }
@@ -156,6 +162,53 @@ pub trait EventHandler: 'static {
         let _ = (cx, chassis);
         async { Ok(()) }
     }
+
+    /// A task that this one [monitors](Context::monitor) takes no messages: it is being restarted, has
+    /// ended, has failed, or its chassis is gone.
+    fn task_down(
+        &mut self,
+        cx: &Context,
+        task: &str,
+        reason: &str,
+    ) -> impl Future<Output = Handled> {
+        let _ = (cx, task, reason);
+        async { Ok(()) }
+    }
+
+    /// A task that this one [monitors](Context::monitor) and that was down takes messages again.
+    fn task_up(&mut self, cx: &Context, task: &TaskRef) -> impl Future<Output = Handled> {
+        let _ = (cx, task);
+        async { Ok(()) }
+    }
+}
+
+/// An event handler that can pass on what it knows: to its next incarnation when it is restarted, and
+/// to another processor, process or host when its task is moved. Registered with
+/// [`Registry::handover`](crate::registry::Registry::handover).
+///
+/// What belongs to the place (children, synchronous functions, files) is not passed on: it ends with the
+/// old handler and is begun again by [`take_over`](Self::take_over) or the startup phases, which the new
+/// handler enters afterwards, in order.
+pub trait Handover: EventHandler {
+    /// What is passed on.
+    type State: Serialize + DeserializeOwned;
+
+    /// Whether the state is good also after a panic of this handler. If not, the next incarnation begins
+    /// afresh.
+    const AFTER_PANIC: bool = false;
+
+    /// Gives the state away. Called between two messages; nothing is called afterwards. Repliers that it
+    /// still holds end without an answer.
+    ///
+    /// # Errors
+    /// Why that cannot be now; the task then stays where it is and goes on.
+    fn hand_over(&mut self) -> Result<Self::State, HandlerError>;
+
+    /// Takes the state of the handler before this one, before the first startup phase.
+    ///
+    /// # Errors
+    /// Why the state cannot be used.
+    fn take_over(&mut self, cx: &Context, state: Self::State) -> Handled;
 }
 
 /// [`EventHandler`] behind a pointer; implemented for every event handler.
@@ -177,6 +230,29 @@ pub(crate) trait DynHandler {
         cx: &'a Context,
         chassis: &'a str,
     ) -> LocalBoxFuture<'a, Handled>;
+    fn task_down<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        task: &'a str,
+        reason: &'a str,
+    ) -> LocalBoxFuture<'a, Handled>;
+    fn task_up<'a>(&'a mut self, cx: &'a Context, task: &'a TaskRef)
+    -> LocalBoxFuture<'a, Handled>;
+
+    /// The state in postcard; `None` when the handler passes none on.
+    fn hand_over(&mut self) -> Option<Result<Vec<u8>, HandlerError>> {
+        None
+    }
+
+    /// Whether [`Self::hand_over`] may be asked after a panic.
+    fn survives_panic(&self) -> bool {
+        false
+    }
+
+    fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled {
+        let _ = (cx, state);
+        Err(HandlerError::new("the handler takes no state over"))
+    }
 }
 
 fn boxed<'a, T>(future: impl Future<Output = T> + 'a) -> Pin<Box<dyn Future<Output = T> + 'a>> {
@@ -214,5 +290,98 @@ impl<H: EventHandler> DynHandler for H {
         chassis: &'a str,
     ) -> LocalBoxFuture<'a, Handled> {
         boxed(EventHandler::chassis_up(self, cx, chassis))
+    }
+
+    fn task_down<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        task: &'a str,
+        reason: &'a str,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::task_down(self, cx, task, reason))
+    }
+
+    fn task_up<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        task: &'a TaskRef,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::task_up(self, cx, task))
+    }
+}
+
+/// An event handler whose [`Handover`] is used.
+pub(crate) struct WithHandover<H>(pub(crate) H);
+
+impl<H: Handover> DynHandler for WithHandover<H> {
+    fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::handle(&mut self.0, cx, message))
+    }
+
+    fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::phase(&mut self.0, cx, phase))
+    }
+
+    fn stop<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        reason: &'a StopReason,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::stop(&mut self.0, cx, reason))
+    }
+
+    fn chassis_down<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        chassis: &'a str,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::chassis_down(&mut self.0, cx, chassis))
+    }
+
+    fn chassis_up<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        chassis: &'a str,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::chassis_up(&mut self.0, cx, chassis))
+    }
+
+    fn task_down<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        task: &'a str,
+        reason: &'a str,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::task_down(&mut self.0, cx, task, reason))
+    }
+
+    fn task_up<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        task: &'a TaskRef,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::task_up(&mut self.0, cx, task))
+    }
+
+    fn hand_over(&mut self) -> Option<Result<Vec<u8>, HandlerError>> {
+        let state = Handover::hand_over(&mut self.0);
+        Some(state.and_then(|state| Ok(postcard::to_stdvec(&state)?)))
+    }
+
+    fn survives_panic(&self) -> bool {
+        H::AFTER_PANIC
+    }
+
+    fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled {
+        match postcard::take_from_bytes::<H::State>(state) {
+            Ok((state, [])) => Handover::take_over(&mut self.0, cx, state),
+            Ok((_, rest)) => Err(HandlerError::new(format!(
+                "its state has {} bytes too many",
+                rest.len()
+            ))),
+            Err(error) => Err(HandlerError::new(format!(
+                "its state cannot be read: {error}"
+            ))),
+        }
     }
 }

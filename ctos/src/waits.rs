@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{call::lock, time::Instant};
+use crate::{call::lock, message::Tid, time::Instant};
 
 /// A call, or a send, that has not ended yet.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,6 +19,7 @@ pub struct WaitReport {
 
 struct Entry {
     to: Arc<str>,
+    tid: Tid,
     command: &'static str,
     since: Instant,
 }
@@ -35,11 +36,13 @@ impl Waits {
     pub(crate) fn begin(
         &self,
         to: &Arc<str>,
+        tid: Tid,
         command: &'static str,
         since: Instant,
     ) -> WaitGuard<'_> {
         let entry = Some(Entry {
             to: to.clone(),
+            tid,
             command,
             since,
         });
@@ -57,6 +60,13 @@ impl Waits {
             }
         };
         WaitGuard { waits: self, place }
+    }
+
+    /// Whom the latest of them asked, and when.
+    pub(crate) fn latest(&self) -> Option<(Tid, Instant)> {
+        let entries = lock(&self.entries);
+        let latest = entries.iter().flatten().max_by_key(|entry| entry.since)?;
+        Some((latest.tid, latest.since))
     }
 
     /// What is waited for now, longest first.
@@ -98,15 +108,25 @@ mod tests {
     #[test]
     fn what_has_ended_is_not_waited_for_and_the_longest_comes_first() {
         let waits = Waits::default();
-        let first = waits.begin(&"arm".into(), "go", Instant::from_nanos(5));
-        let second = waits.begin(&"eye".into(), "look", Instant::from_nanos(3));
+        let first = waits.begin(&"arm".into(), Tid::default(), "go", Instant::from_nanos(5));
+        let second = waits.begin(
+            &"eye".into(),
+            Tid::default(),
+            "look",
+            Instant::from_nanos(3),
+        );
         let names = |waits: &Waits| -> Vec<String> {
             waits.read().into_iter().map(|wait| wait.to).collect()
         };
         assert_eq!(names(&waits), ["eye", "arm"]);
         drop(first);
         assert_eq!(names(&waits), ["eye"]);
-        let _third = waits.begin(&"ear".into(), "listen", Instant::from_nanos(9));
+        let _third = waits.begin(
+            &"ear".into(),
+            Tid::default(),
+            "listen",
+            Instant::from_nanos(9),
+        );
         drop(second);
         assert_eq!(names(&waits), ["ear"]);
         assert_eq!(lock(&waits.entries).len(), 2, "a free place was not used");

@@ -287,8 +287,9 @@ fn main() -> ExitCode {
         && first == CHASSIS
     {
         tracing::subscriber::set_global_default(Silence).unwrap();
-        let (address, origin) = (address.parse().unwrap(), origin.parse().unwrap());
-        let code = run_chassis(app(handler, processor), registry(), name, address, origin);
+        let (address, origin): (ctos::boot::Address, u64) =
+            (address.parse().unwrap(), origin.parse().unwrap());
+        let code = run_chassis(app(handler, processor), registry(), name, &address, origin);
         return ExitCode::from(u8::try_from(code.unwrap_or(4)).unwrap_or(255));
     }
     let trials = CASES

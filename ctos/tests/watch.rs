@@ -176,3 +176,79 @@ fn a_queue_that_grows_is_told_until_it_is_half_empty_again() {
         ]
     );
 }
+
+/// Takes the only permit when its time has come, and keeps it for a while.
+struct Holds;
+
+#[derive(serde::Deserialize, Clone)]
+#[serde(deny_unknown_fields)]
+struct HoldsArgs {
+    after_ms: u64,
+    keeps_ms: u64,
+    ends: bool,
+}
+
+impl EventHandler for Holds {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if phase == Phase::Run {
+            let args: HoldsArgs = cx.args()?;
+            let child = cx.clone();
+            cx.spawn(async move {
+                child.sleep(Duration::from_millis(args.after_ms)).await;
+                let gate = child.semaphore("gate", 1).unwrap();
+                let permit = gate.acquire().deadline(Duration::from_secs(100)).await;
+                child.sleep(Duration::from_millis(args.keeps_ms)).await;
+                drop(permit);
+                if args.ends {
+                    child.sleep(Duration::from_secs(2)).await;
+                    child.finish(AppResult {
+                        ok: true,
+                        text: String::new(),
+                        json: "{}".to_owned(),
+                    });
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn a_permit_that_is_held_for_long_is_told_while_somebody_waits_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "[time]\nmode = \"virtual\"\n[record]\nfile = \"run.mcap\"\n[chassis.a]\n[chassis.b]\n\
+        [task.hog]\nhandler = \"holds\"\non = \"a\"\nargs = { after_ms = 0, keeps_ms = 20_000, ends = false }\n\
+        [task.late]\nhandler = \"holds\"\non = \"b\"\nargs = { after_ms = 14_000, keeps_ms = 11_000, ends = true }\n";
+    let file = folder.path().join("app.toml");
+    let app = load_texts(&[(file.to_str().unwrap(), text)], &[], &[])
+        .unwrap_or_else(|findings| panic!("{:?}", findings.into_sorted()));
+    let mut registry = Registry::new();
+    registry.handler("holds", &[], |_| Ok(Holds));
+    let observer: Observer = Arc::new(|_| ());
+    let outcome = simulate(app, registry, &[], &observer).unwrap();
+    assert!(matches!(outcome.end, End::Finished(_)), "{:?}", outcome.end);
+    let filter = Filter {
+        topics: vec!["/lint".to_owned()],
+        ..Filter::default()
+    };
+    let record = Record::read(&[folder.path().join("run.mcap")], &filter).unwrap();
+    let told: Vec<String> = record
+        .entries
+        .iter()
+        .map(|entry| String::from_utf8(entry.json.clone()).unwrap())
+        .collect();
+    // Nobody waits before 14 s, and nobody waits while `late` holds it.
+    assert_eq!(told.len(), 2, "{told:?}");
+    assert!(
+        told[0].contains("\"present\":true") && told[0].contains("`hog` has held semaphore `gate`"),
+        "{told:?}"
+    );
+    assert!(told[0].contains("`late` waits"), "{told:?}");
+    let at = record.entries[0].at.since_start().as_secs_f64();
+    assert!((13.9..15.0).contains(&at), "{at}");
+    assert!(told[1].contains("\"present\":false"), "{told:?}");
+}

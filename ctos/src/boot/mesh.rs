@@ -209,20 +209,12 @@ impl Mesh {
         self.inner.supersede(chassis, incarnation);
     }
 
-    /// At the boot: the process of `chassis` has ended, its parent says. What it still said is read,
-    /// then its link goes down.
-    pub(crate) fn ended(&self, chassis: u8) {
-        if let Some(session) = self.inner.session(chassis) {
-            session.event(Event::PeerEnded, DownReason::Ended);
-        }
-    }
-
     /// What happens next.
     pub(crate) async fn next(&mut self) -> Option<MeshEvent> {
         self.events.recv().await
     }
 
-    /// How many callers were refused.
+    /// How many callers were refused so far.
     pub(crate) fn refused(&self) -> u64 {
         self.inner.refused.load(Ordering::Relaxed)
     }
@@ -251,6 +243,7 @@ impl Mesh {
 
     /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
     pub(crate) async fn close(&mut self) {
+        tracing::debug!(refused = self.refused(), "the mesh closes");
         for door in self.doors.drain(..) {
             door.abort();
         }
@@ -316,6 +309,7 @@ impl Inner {
         self.listen.get().map_or(&[], Vec::as_slice)
     }
 
+    #[cfg(test)]
     fn session(&self, chassis: u8) -> Option<Arc<Session>> {
         lock(&self.state).peers.get(&chassis)?.session.clone()
     }

@@ -4,12 +4,11 @@
 use std::{
     cell::{Cell, RefCell},
     collections::{BTreeMap, VecDeque},
-    sync::Arc,
 };
 
 use crate::{
     bootstrap::{
-        BootEvent, BootState, ChassisState, End, Seat, UsedSlots,
+        BootEvent, BootState, ChassisState, End, Seat,
         intensity::Intensity,
         states::{BootStep, ChassisStep, Table},
     },
@@ -73,7 +72,6 @@ pub(super) struct Board {
     ends: RefCell<VecDeque<End>>,
     ended: Signal,
     changed: Signal,
-    used: Arc<UsedSlots>,
 }
 
 impl Board {
@@ -107,7 +105,6 @@ impl Board {
                 (index, member)
             })
             .collect();
-        let used = cx.shared(UsedSlots::KEY).unwrap_or_default();
         Self {
             cx,
             seat,
@@ -117,7 +114,6 @@ impl Board {
             ends: RefCell::default(),
             ended: Signal::new(),
             changed: Signal::new(),
-            used,
         }
     }
 
@@ -368,16 +364,5 @@ impl Board {
 
     pub(super) fn kill_process(&self, index: u8) {
         self.seat.processes.kill(index);
-    }
-
-    /// Notes the ids of new tasks, so that they are never used again.
-    pub(super) fn note_tasks(&self, tasks: &[TaskName]) {
-        for task in tasks {
-            self.used.note(task.tid);
-        }
-    }
-
-    pub(super) fn first_slots(&self, index: u8) -> Vec<u16> {
-        self.used.first_free(index)
     }
 }

@@ -77,7 +77,7 @@ impl Sequence {
             tasks.iter().rev().partition(|task| board.stops_first(task));
         let mut at_rest = BTreeMap::new();
         for task in first {
-            let chassis = task.tid.chassis();
+            let chassis = board.place_of(task);
             let stopped = board.stop_task_or_skip(task, &reason).await;
             *at_rest.entry(chassis).or_insert(true) &= stopped;
         }

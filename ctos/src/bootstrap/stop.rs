@@ -5,6 +5,7 @@ use futures_util::future::{Either, select};
 
 use crate::{
     bootstrap::{BootEvent, End, board::Board},
+    call::Fault,
     chassis::BOOT_CHASSIS,
     context::TaskRef,
     system::{self, Exit, StopTask, TaskName},
@@ -14,7 +15,7 @@ use crate::{
 impl Board {
     /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
     pub(super) async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
-        if !self.cx.chassis().is_linked(task.tid.chassis()) {
+        if !self.cx.chassis().is_linked(self.place_of(task)) {
             return false;
         }
         let reference = TaskRef::new(task.name.as_str(), task.tid);
@@ -23,7 +24,11 @@ impl Board {
         };
         let limit = self.cx.app().stop_timeout;
         let stopped = self.cx.call(&reference, request).deadline(limit).await;
-        let error = stopped.err().map(|error| error.reason());
+        // A task that is not there was shut down before.
+        let failed = stopped
+            .err()
+            .filter(|error| error.fault != Fault::UnknownTask);
+        let error = failed.map(|error| error.reason());
         let stopped = error.is_none();
         self.event(&BootEvent::Stopped {
             task: task.name.clone(),
@@ -57,8 +62,13 @@ impl Board {
         }
     }
 
+    /// The chassis that a task is on now: it may have moved.
+    pub(super) fn place_of(&self, task: &TaskName) -> u8 {
+        self.cx.chassis().directory.current(task.tid).chassis()
+    }
+
     pub(super) fn stops_first(&self, task: &TaskName) -> bool {
-        let chassis = self.cx.chassis().name_of(task.tid.chassis());
+        let chassis = self.cx.chassis().name_of(self.place_of(task));
         debug_assert_ne!(chassis, BOOT_CHASSIS);
         let mut configured = self.cx.app().chassis.iter();
         configured.any(|config| config.name == chassis && config.stop_first)

@@ -15,8 +15,8 @@ use crate::{
         states::ChassisStep,
     },
     call::Fault,
-    context::TaskRef,
-    system::{self, AnnounceUp, CreateTasks, EnterPhase},
+    context::{Context, TaskRef},
+    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots},
     task::{Phase, StopReason},
 };
 
@@ -222,11 +222,16 @@ impl Supervisor {
         let limit = cx.app().phase_timeout;
         let name = format!("agent of {}", self.name());
         let agent = TaskRef::new(name.as_str(), system::agent_tid(self.index));
-        let first_slots = self.board.first_slots(self.index);
+        let asked = FirstSlots {
+            chassis: self.index,
+        };
+        let first_slots = match cx.call(&Context::server(), asked).deadline(limit).await {
+            Ok(first_slots) => first_slots,
+            Err(error) => return Err(vec![(name, error.to_string())]),
+        };
         let call = cx.call(&agent, CreateTasks { first_slots });
         match call.deadline(limit).await {
             Ok(created) => {
-                self.board.note_tasks(&created.tasks);
                 self.board
                     .with(self.index, |member| member.tasks = created.tasks);
                 if created.failed.is_empty() {

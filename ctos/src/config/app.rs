@@ -4,6 +4,7 @@ use super::trail::Trail;
 use super::{LinkConfig, Node, SecurityConfig, Selection};
 use crate::diagnostic::{Findings, Place};
 use crate::semaphore::Scope;
+use crate::supervise::Policy;
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -212,8 +213,8 @@ pub struct TaskConfig {
     pub on_place: Place,
     /// How many messages wait at most.
     pub queue: usize,
-    /// What happens after a panic.
-    pub restart: Restart,
+    /// When it is restarted, and how often.
+    pub restart: Policy,
     /// How long its handler may be at one message before a warning names it.
     pub handler_limit: Option<Duration>,
     /// Deadline of calls it makes, in place of the runtime's.
@@ -222,19 +223,6 @@ pub struct TaskConfig {
     pub args: Node,
     /// Where its name stands.
     pub place: Place,
-}
-
-/// What happens to a task whose handler panicked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Restart {
-    /// It stays down and its callers are told.
-    #[default]
-    Never,
-    /// It is built anew, at most this many times.
-    Always {
-        /// The number of restarts after which it stays down.
-        max: u32,
-    },
 }
 
 impl App {

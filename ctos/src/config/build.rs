@@ -7,7 +7,7 @@
 
 use super::app::{
     App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
-    ProcessorConfig, Restart, SemaphoreConfig, TaskConfig, TimeMode,
+    ProcessorConfig, SemaphoreConfig, TaskConfig, TimeMode,
 };
 use super::fields::{Fields, FlagOr, check_name};
 use super::links;
@@ -17,6 +17,7 @@ use super::trail::Trail;
 use super::{Expander, GeneratedTask};
 use crate::diagnostic::{Finding, Findings, Place};
 use crate::semaphore::Scope;
+use crate::supervise::{Policy, When};
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -71,6 +72,8 @@ const TASK_KEYS: &[&str] = &[
     "queue",
     "restart",
     "max_restarts",
+    "restart_window_s",
+    "restart_backoff_s",
     "call_deadline_s",
     "handler_limit_s",
     "args",
@@ -80,7 +83,6 @@ const SEED: u64 = 1;
 const PHASE_TIMEOUT_S: f64 = 20.0;
 const STOP_TIMEOUT_S: f64 = 5.0;
 const QUEUE: usize = 64;
-const MAX_RESTARTS: u32 = 3;
 const MAIN: &str = "main";
 /// Waking up takes about so long on a busy machine, even with real-time priority.
 const SPIN_US: u64 = 80;
@@ -541,7 +543,7 @@ impl Builder<'_> {
             processor,
             on_place: place.clone(),
             queue: QUEUE,
-            restart: Restart::default(),
+            restart: Policy::default(),
             handler_limit: None,
             call_deadline: None,
             args: task.args.placed(&place),
@@ -636,23 +638,39 @@ fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
     }
 }
 
-/// `restart` and `max_restarts` together.
-fn restart(fields: &mut Fields<'_, '_>) -> Restart {
-    let always = fields.choice("restart", &["never", "always"]) == Some("always");
+/// `restart` and the keys that go with it.
+fn restart(fields: &mut Fields<'_, '_>) -> Policy {
+    let when = match fields.choice("restart", &["never", "on-failure", "always"]) {
+        Some("on-failure") => When::OnFailure,
+        Some("always") => When::Always,
+        _ => When::Never,
+    };
+    let usual = Policy::default();
     let max = fields.integer("max_restarts", 1..=1_000_000_u32);
-    if always {
-        return Restart::Always {
-            max: max.unwrap_or(MAX_RESTARTS),
-        };
+    let window = fields.seconds("restart_window_s", 86_400.0);
+    let backoff = fields.seconds("restart_backoff_s", 3_600.0);
+    if when == When::Never {
+        for (key, given) in [
+            ("max_restarts", max.is_some()),
+            ("restart_window_s", window.is_some()),
+            ("restart_backoff_s", backoff.is_some()),
+        ] {
+            if let (true, Some(place)) = (given, fields.place(key)) {
+                fields.push(
+                    Finding::warning(
+                        "ctos::config::no_effect",
+                        format!("`{key}` has no effect where nothing is restarted"),
+                    )
+                    .help("add restart = \"on-failure\" or restart = \"always\"")
+                    .at(place),
+                );
+            }
+        }
     }
-    if let (Some(_), Some(place)) = (max, fields.place("max_restarts")) {
-        fields.push(
-            Finding::warning(
-                "ctos::config::no_effect",
-                "`max_restarts` without `restart = \"always\"` has no effect",
-            )
-            .at(place),
-        );
+    Policy {
+        when,
+        max: max.unwrap_or(usual.max),
+        window: window.unwrap_or(usual.window),
+        backoff: backoff.unwrap_or(usual.backoff),
     }
-    Restart::Never
 }

@@ -281,20 +281,20 @@ pub(super) const TABLES: &[Table] = &[
             key(
                 "max_restarts",
                 Kind::Integer(1, 1_000_000),
-                Some("3"),
-                "So many restarts within the window are the last; the next failure ends the app.",
+                None,
+                "So many restarts within the window are the last; the next failure ends the app. Default: 3.",
             ),
             key(
                 "restart_window_s",
                 Kind::Seconds(86_400.0),
-                Some("60.0"),
-                "The window in which restarts are counted, s.",
+                None,
+                "The window in which restarts are counted, s. Default: 60.",
             ),
             key(
                 "restart_backoff_s",
                 Kind::Seconds(3600.0),
-                Some("0.5"),
-                "The pause before a restart, s; doubles with each one within the window.",
+                None,
+                "The pause before a restart, s; doubles with each one within the window. Default: 0.5.",
             ),
             key(
                 "on_task_failure",
@@ -374,15 +374,27 @@ pub(super) const TABLES: &[Table] = &[
             ),
             key(
                 "restart",
-                Kind::Choice(&["never", "always"]),
+                Kind::Choice(&["never", "on-failure", "always"]),
                 Some("\"never\""),
-                "What happens when its handler panics: it stays down, or is built anew.",
+                "When it is built anew: after a panic of its handler, a child or a synchronous function; always: also after a shutdown.",
             ),
             key(
                 "max_restarts",
                 Kind::Integer(1, 1_000_000),
                 None,
-                "How often it is built anew at most; only with `restart = \"always\"`, then 3.",
+                "How many restarts there are within the window at most. Default: 3.",
+            ),
+            key(
+                "restart_window_s",
+                Kind::Seconds(86_400.0),
+                None,
+                "The window, s. Default: 60.",
+            ),
+            key(
+                "restart_backoff_s",
+                Kind::Seconds(3_600.0),
+                None,
+                "The wait before a restart, s; it doubles with each one in the window. Default: 0.1.",
             ),
             key(
                 "call_deadline_s",

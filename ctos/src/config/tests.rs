@@ -12,6 +12,7 @@ mod variables;
 
 use super::*;
 use crate::diagnostic::Finding;
+use crate::supervise::{Policy, When};
 use proptest::prelude::*;
 use serde::Deserialize;
 use std::time::Duration;
@@ -93,7 +94,11 @@ fn a_whole_app_is_read_in_declared_order_with_its_places() {
         (mcs.chassis.as_str(), mcs.processor.as_str()),
         ("cage_motion", "main")
     );
-    assert_eq!(mcs.restart, Restart::Always { max: 3 });
+    let always = Policy {
+        when: When::Always,
+        ..Policy::default()
+    };
+    assert_eq!(mcs.restart, always);
     assert_eq!(mcs.call_deadline, Some(Duration::from_millis(2500)));
     assert_eq!(mcs.queue, 16);
     assert_eq!(mcs.args.get("speed").and_then(Node::as_f64), Some(0.5));

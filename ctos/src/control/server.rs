@@ -363,7 +363,8 @@ impl Desk {
         for line in chosen.into_iter().skip(skipped) {
             tell(writer, &Answer::Log(line)).await?;
         }
-        while request.follow {
+        let mut is_over = false;
+        while request.follow && !is_over {
             tokio::select! {
                 biased;
                 line = following.recv() => match line {
@@ -374,9 +375,9 @@ impl Desk {
                     Err(broadcast::error::RecvError::Lagged(lines)) => {
                         tell(writer, &Answer::Lost { lines }).await?;
                     }
-                    Err(broadcast::error::RecvError::Closed) => break,
+                    Err(broadcast::error::RecvError::Closed) => is_over = true,
                 },
-                () = ended(&mut news) => break,
+                () = ended(&mut news) => is_over = true,
             }
         }
         tell(writer, &Answer::Done {}).await

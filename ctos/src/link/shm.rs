@@ -198,14 +198,13 @@ impl Bell {
         let _ = futex::wake(self.rings(), futex::Flags::empty(), u32::MAX >> 1);
     }
 
-    /// Sleeps until it rings, unless there is `work` already.
-    fn sleep(&self, work: impl Fn() -> bool) {
-        let rings = self.rings().load(Ordering::SeqCst);
+    /// Sleeps until it rings, unless there is `work` already, or it rang since `heard`.
+    fn sleep(&self, heard: u32, work: impl Fn() -> bool) {
         self.sleeps().store(1, Ordering::SeqCst);
         fence(Ordering::SeqCst);
         if !work() {
             // Ends at once when it rang since; an interruption is seen by the caller as no work.
-            let _ = futex::wait(self.rings(), futex::Flags::empty(), rings, None);
+            let _ = futex::wait(self.rings(), futex::Flags::empty(), heard, None);
         }
         self.sleeps().store(0, Ordering::Relaxed);
     }
@@ -343,13 +342,19 @@ impl Receiver {
         Ok(count)
     }
 
+    /// How often the bell of this side has rung: asked for before looking for work, so that no ring
+    /// is missed between that and [`Self::wait`].
+    pub(crate) fn heard(&self) -> u32 {
+        self.bell.rings().load(Ordering::SeqCst)
+    }
+
     fn has_data(&self) -> bool {
         self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read
     }
 
-    /// Waits until something has come, room has come, or the bell of this side was rung: looks for
-    /// `spin`, then sleeps.
-    pub(crate) fn wait(&self, spin: Duration) {
+    /// Waits until something has come, room has come, or the bell of this side rang since `heard`:
+    /// looks for `spin`, then sleeps.
+    pub(crate) fn wait(&self, spin: Duration, heard: u32) {
         // Room that came is told by the bell, which rang before this if the wish is gone already.
         let work = || self.has_data();
         if !spin.is_zero() {
@@ -370,7 +375,7 @@ impl Receiver {
             let read = self.own.field(READ).load(Ordering::Acquire);
             written.wrapping_sub(read) < RING as u64
         };
-        self.bell.sleep(|| work() || (waits && has_room()));
+        self.bell.sleep(heard, || work() || (waits && has_room()));
     }
 }
 

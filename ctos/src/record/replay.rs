@@ -19,7 +19,7 @@ use super::{
     read::Record,
 };
 use crate::{
-    call::{Promise, ReplySlot, Waiting, lock},
+    call::{Promise, ReplySlot, Waiting},
     chassis::{Chassis, TaskRecord},
     config::{App, TaskConfig, TimeMode},
     mailbox::Acceptance,
@@ -319,7 +319,7 @@ impl Stage {
     fn settle(&self) {
         loop {
             // A name is asked for again: whether another task had found it before, the record tells.
-            lock(&self.chassis.known).clear();
+            self.chassis.directory.forget_names();
             let jobs = self.processor.run_jobs();
             if !jobs && !self.processor.poll_ready(0) {
                 return;

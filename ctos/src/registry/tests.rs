@@ -8,6 +8,7 @@ fn info(code: u16, name: &'static str) -> CommandInfo {
         code,
         name,
         doc: "",
+        ..crate::system::Ping::INFO
     }
 }
 

@@ -155,7 +155,8 @@ mod tests {
             let bound = histogram.quantile(quantile).as_nanos() as u64;
             prop_assert!(bound >= exact && bound <= exact + exact / 32, "{exact} {bound}");
             prop_assert_eq!(histogram.count(), nanos.len() as u64);
-            prop_assert_eq!(histogram.sum(), nanos.iter().map(|value| Duration::from_nanos(*value)).sum());
+            let sum: Duration = nanos.iter().map(|value| Duration::from_nanos(*value)).sum();
+            prop_assert_eq!(histogram.sum(), sum);
             let counted: u64 = histogram.buckets().map(|(_, count)| count).sum();
             prop_assert_eq!(counted, nanos.len() as u64);
         }

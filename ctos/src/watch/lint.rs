@@ -24,6 +24,10 @@ const TURN_LIMIT: Duration = Duration::from_secs(1);
 /// How long a handler may wait for others, unless the configuration says otherwise: longer than any call
 /// does by itself.
 const WAIT_LIMIT: Duration = Duration::from_secs(30);
+/// How long a permit may be held while others wait for one.
+const PERMIT_LIMIT: Duration = Duration::from_secs(10);
+/// A synchronous function that has kept its schedule for so long keeps it again.
+const KEPT_AGAIN: Duration = Duration::from_secs(5);
 /// A queue that has grown at so many looks in a row, and is more than half full, is growing.
 const GROWTH: usize = 5;
 
@@ -38,6 +42,10 @@ pub enum LintCode {
     HandlerWaits,
     /// More comes to a task than it can do.
     QueueGrows,
+    /// A task keeps a permit for long while others wait for one.
+    SemaphoreHeld,
+    /// A synchronous function does not keep its schedule.
+    CyclicOverruns,
 }
 
 impl fmt::Display for LintCode {
@@ -46,6 +54,8 @@ impl fmt::Display for LintCode {
             Self::HandlerBlocks => "handler-blocks",
             Self::HandlerWaits => "handler-waits",
             Self::QueueGrows => "queue-grows",
+            Self::SemaphoreHeld => "semaphore-held",
+            Self::CyclicOverruns => "cyclic-overruns",
         })
     }
 }
@@ -75,11 +85,23 @@ struct Seen {
     growing: Option<Instant>,
 }
 
+/// What was seen of a synchronous function at earlier looks.
+#[derive(Default)]
+struct SeenCyclic {
+    late: u64,
+    /// Since when it is late, and when it was late last.
+    span: Option<(Instant, Instant)>,
+}
+
+/// Lints by what they are about and what they are of.
+type Lints = BTreeMap<(LintCode, String), Lint>;
+
 #[derive(Default)]
 struct State {
     last: Instant,
     seen: BTreeMap<Tid, Seen>,
-    present: BTreeMap<(LintCode, Tid), Lint>,
+    cyclics: BTreeMap<String, SeenCyclic>,
+    present: Lints,
 }
 
 /// What a chassis has seen of itself.
@@ -105,7 +127,7 @@ impl Watch {
 
     /// Looks at all tasks of `chassis`; tells what is new and what is over.
     pub(crate) fn look(&self, chassis: &Chassis, now: Instant) {
-        let mut found: BTreeMap<(LintCode, Tid), Lint> = BTreeMap::new();
+        let mut found = Lints::new();
         let mut state = lock(&self.0);
         state.last = now;
         let tasks = chassis.tasks();
@@ -130,9 +152,11 @@ impl Watch {
                     since,
                     text,
                 };
-                found.insert((code, task.tid), lint);
+                found.insert((code, lint.task.clone()), lint);
             }
         }
+        semaphores(chassis, now, &mut found);
+        cyclics(&mut state.cyclics, chassis, now, &mut found);
         let before = std::mem::take(&mut state.present);
         state.present = found.clone();
         drop(state);
@@ -227,6 +251,73 @@ fn queue(seen: &mut Seen, task: &TaskRecord, now: Instant) -> Found {
         "{depth} messages wait for `{name}`, whose queue holds {capacity}, and it does not get round to them"
     );
     Some((LintCode::QueueGrows, since, text))
+}
+
+/// Permits that are held for too long while others wait.
+fn semaphores(chassis: &Chassis, now: Instant, found: &mut Lints) {
+    for view in chassis.semaphores() {
+        let Some(next) = view.waiting.first() else {
+            continue;
+        };
+        for holder in &view.holders {
+            let held = now.since(holder.since);
+            if held < PERMIT_LIMIT {
+                continue;
+            }
+            let (name, task) = (&view.name, &holder.task);
+            let text = format!(
+                "`{task}` has held semaphore `{name}` for {:.1} s, and `{next}` waits for it",
+                held.as_secs_f64()
+            );
+            let lint = Lint {
+                code: LintCode::SemaphoreHeld,
+                task: task.clone(),
+                chassis: chassis.name().to_owned(),
+                since: holder.since,
+                text,
+            };
+            found.insert((lint.code, format!("{task} {name}")), lint);
+        }
+    }
+}
+
+/// Synchronous functions that skip periods or take too long.
+fn cyclics(
+    seen: &mut BTreeMap<String, SeenCyclic>,
+    chassis: &Chassis,
+    now: Instant,
+    found: &mut Lints,
+) {
+    let all = chassis.cyclics();
+    seen.retain(|name, _| all.iter().any(|(there, _)| there == name));
+    for (name, statistics) in all {
+        let late = statistics.missed() + statistics.overruns();
+        let before = seen.entry(name.clone()).or_default();
+        if late > before.late {
+            let since = before.span.map_or(now, |(since, _)| since);
+            before.span = Some((since, now));
+        }
+        before.late = late;
+        before.span = before
+            .span
+            .filter(|(_, last)| now.since(*last) < KEPT_AGAIN);
+        let Some((since, _)) = before.span else {
+            continue;
+        };
+        let text = format!(
+            "synchronous function `{name}` does not keep its schedule: {} periods missed and {} overruns so far",
+            statistics.missed(),
+            statistics.overruns()
+        );
+        let lint = Lint {
+            code: LintCode::CyclicOverruns,
+            task: name.split('.').next().unwrap_or_default().to_owned(),
+            chassis: chassis.name().to_owned(),
+            since,
+            text,
+        };
+        found.insert((lint.code, name), lint);
+    }
 }
 
 fn command_name(chassis: &Chassis, config: &TaskConfig, code: u16) -> String {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{lint::Lint, meter::CommandCount};
-use crate::{chassis::Chassis, command};
+use crate::{chassis::Chassis, command, sync::Histogram};
 
 command! {
     /// Asks for all that a chassis counts.
@@ -15,6 +15,8 @@ command! {
 pub(crate) struct ChassisMetrics {
     pub(crate) chassis: String,
     pub(crate) tasks: Vec<TaskMetrics>,
+    pub(crate) cyclics: Vec<CyclicMetrics>,
+    pub(crate) links: Vec<LinkMetrics>,
     pub(crate) lints: Vec<Lint>,
     /// Events that the record lacks; `None` when nothing is recorded.
     pub(crate) unrecorded: Option<u64>,
@@ -30,6 +32,46 @@ pub(crate) struct TaskMetrics {
     pub(crate) queue: u64,
     pub(crate) capacity: u64,
     pub(crate) restarts: u64,
+}
+
+/// What is counted of one synchronous function, `task.function`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct CyclicMetrics {
+    pub(crate) function: String,
+    pub(crate) lateness: Quantiles,
+    pub(crate) duration: Quantiles,
+    pub(crate) missed: u64,
+    pub(crate) overruns: u64,
+}
+
+/// What a histogram says in short.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Quantiles {
+    pub(crate) p50_s: f64,
+    pub(crate) p99_s: f64,
+    pub(crate) max_s: f64,
+    pub(crate) sum_s: f64,
+    pub(crate) count: u64,
+}
+
+impl Quantiles {
+    fn of(histogram: &Histogram) -> Self {
+        Self {
+            p50_s: histogram.quantile(0.5).as_secs_f64(),
+            p99_s: histogram.quantile(0.99).as_secs_f64(),
+            max_s: histogram.max().as_secs_f64(),
+            sum_s: histogram.sum().as_secs_f64(),
+            count: histogram.count(),
+        }
+    }
+}
+
+/// What went over one link, bytes of data.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct LinkMetrics {
+    pub(crate) peer: String,
+    pub(crate) bytes_out: u64,
+    pub(crate) bytes_in: u64,
 }
 
 /// What this chassis counts now.
@@ -51,9 +93,25 @@ pub(crate) fn gather_here(chassis: &Chassis) -> ChassisMetrics {
             restarts: counters.restarts,
         }
     });
+    let cyclics = chassis.cyclics().into_iter();
+    let cyclics = cyclics.map(|(function, statistics)| CyclicMetrics {
+        function,
+        lateness: Quantiles::of(&statistics.lateness),
+        duration: Quantiles::of(&statistics.duration),
+        missed: statistics.missed(),
+        overruns: statistics.overruns(),
+    });
+    let links = chassis.link_counts().into_iter();
+    let links = links.map(|(peer, counts)| LinkMetrics {
+        peer,
+        bytes_out: counts.bytes_out,
+        bytes_in: counts.bytes_in,
+    });
     ChassisMetrics {
         chassis: chassis.name().to_owned(),
         tasks: tasks.collect(),
+        cyclics: cyclics.collect(),
+        links: links.collect(),
         lints: chassis.lints(),
         unrecorded: chassis.tap.dropped(),
     }

@@ -18,7 +18,7 @@ use tokio::{
 };
 
 use super::{
-    metrics::Gather,
+    metrics::{Gather, gather_here},
     text::{Answers, page},
 };
 use crate::{
@@ -91,7 +91,11 @@ async fn gather(cx: &Context) -> String {
         let call = cx.call(&agent, Gather {}).deadline(ANSWER_LIMIT);
         async move { (name, call.await.ok()) }
     });
-    let answers: Answers = join_all(calls).await;
+    let mut answers: Answers = vec![(
+        cx.chassis().name().to_owned(),
+        Some(gather_here(cx.chassis())),
+    )];
+    answers.extend(join_all(calls).await);
     page(cx.now().since_start().as_secs_f64(), &answers)
 }
 

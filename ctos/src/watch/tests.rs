@@ -1,6 +1,6 @@
 use super::{
     lint::{Lint, LintCode},
-    metrics::{ChassisMetrics, TaskMetrics},
+    metrics::{ChassisMetrics, CyclicMetrics, LinkMetrics, Quantiles, TaskMetrics},
     text::page,
 };
 use crate::{time::Instant, watch::meter::CommandCount};
@@ -20,6 +20,30 @@ fn metrics() -> ChassisMetrics {
             queue: 4,
             capacity: 64,
             restarts: 2,
+        }],
+        cyclics: vec![CyclicMetrics {
+            function: "servo.cyclic".to_owned(),
+            lateness: Quantiles {
+                p50_s: 0.125,
+                p99_s: 0.25,
+                max_s: 0.5,
+                sum_s: 3.0,
+                count: 9,
+            },
+            duration: Quantiles {
+                p50_s: 0.5,
+                p99_s: 0.5,
+                max_s: 0.5,
+                sum_s: 4.5,
+                count: 9,
+            },
+            missed: 6,
+            overruns: 7,
+        }],
+        links: vec![LinkMetrics {
+            peer: "boot".to_owned(),
+            bytes_out: 10,
+            bytes_in: 20,
         }],
         lints: vec![Lint {
             code: LintCode::QueueGrows,
@@ -52,6 +76,10 @@ fn the_page_has_what_prometheus_reads() {
         "ctos_lint{code=\"queue-grows\",task=\"arm\"} 1",
         "ctos_record_dropped_total{chassis=\"cell\"} 5",
         "ctos_uptime_seconds 1.5",
+        "ctos_cyclic_lateness_seconds{function=\"servo.cyclic\",quantile=\"0.99\"} 0.25",
+        "ctos_cyclic_duration_seconds_count{function=\"servo.cyclic\"} 9",
+        "ctos_cyclic_missed_total{function=\"servo.cyclic\"} 6",
+        "ctos_link_bytes_total{chassis=\"cell\",peer=\"boot\",direction=\"in\"} 20",
     ] {
         assert!(
             page.lines().any(|there| there == line),

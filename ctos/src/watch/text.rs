@@ -2,7 +2,15 @@
 
 use std::fmt::Write;
 
-use super::{meter::bound_s, metrics::ChassisMetrics};
+use super::{
+    meter::bound_s,
+    metrics::{ChassisMetrics, CyclicMetrics, Quantiles},
+};
+
+/// A number of a task.
+type OfTask<T> = fn(&super::metrics::TaskMetrics) -> T;
+/// A number of a synchronous function.
+type OfCyclic<T> = fn(&CyclicMetrics) -> T;
 
 /// A chassis and what it counts; `None` when it did not answer.
 pub(super) type Answers = Vec<(String, Option<ChassisMetrics>)>;
@@ -88,7 +96,7 @@ pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
         page.line(&format!("{name}_sum"), &labels, task.busy_s);
         page.line(&format!("{name}_count"), &labels, seen);
     }
-    let gauges: [(&str, &str, &str, fn(&super::metrics::TaskMetrics) -> u64); 3] = [
+    let gauges: [(&str, &str, &str, OfTask<u64>); 3] = [
         (
             "ctos_queue_length",
             "gauge",
@@ -112,6 +120,61 @@ pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
         page.metric(name, kind, help);
         for task in tasks() {
             page.line(name, &[("task", &task.task)], value(task));
+        }
+    }
+    let summaries: [(&str, &str, OfCyclic<Quantiles>); 2] = [
+        (
+            "ctos_cyclic_lateness_seconds",
+            "How late a synchronous function began, since the start of the app.",
+            |cyclic| cyclic.lateness,
+        ),
+        (
+            "ctos_cyclic_duration_seconds",
+            "How long it took, since the start of the app.",
+            |cyclic| cyclic.duration,
+        ),
+    ];
+    let cyclics = || up().flat_map(|chassis| &chassis.cyclics);
+    for (name, help, quantiles) in summaries {
+        page.metric(name, "summary", help);
+        for cyclic in cyclics() {
+            let of = quantiles(cyclic);
+            let function = ("function", cyclic.function.as_str());
+            for (quantile, value) in [("0.5", of.p50_s), ("0.99", of.p99_s), ("1", of.max_s)] {
+                page.line(name, &[function, ("quantile", quantile)], value);
+            }
+            page.line(&format!("{name}_sum"), &[function], of.sum_s);
+            page.line(&format!("{name}_count"), &[function], of.count);
+        }
+    }
+    let counters: [(&str, &str, OfCyclic<u64>); 2] = [
+        ("ctos_cyclic_missed_total", "Periods skipped.", |cyclic| {
+            cyclic.missed
+        }),
+        (
+            "ctos_cyclic_overruns_total",
+            "Runs that lasted into the next base tick.",
+            |cyclic| cyclic.overruns,
+        ),
+    ];
+    for (name, help, value) in counters {
+        page.metric(name, "counter", help);
+        for cyclic in cyclics() {
+            page.line(name, &[("function", &cyclic.function)], value(cyclic));
+        }
+    }
+    let name = "ctos_link_bytes_total";
+    page.metric(name, "counter", "Data of messages that went over a link.");
+    for chassis in up() {
+        for link in &chassis.links {
+            for (direction, bytes) in [("out", link.bytes_out), ("in", link.bytes_in)] {
+                let labels = [
+                    ("chassis", chassis.chassis.as_str()),
+                    ("peer", &link.peer),
+                    ("direction", direction),
+                ];
+                page.line(name, &labels, bytes);
+            }
         }
     }
     page.metric(

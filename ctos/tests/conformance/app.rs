@@ -106,7 +106,7 @@ impl Placement {
         },
     ];
 
-    pub fn app(&self, seed: u64, case: &str) -> App {
+    pub fn app(&self, seed: u64, case: &str, more: &[&str]) -> App {
         let Self {
             mode,
             links,
@@ -146,6 +146,10 @@ impl Placement {
             on = "{far}"
             queue = 4
             restart = "always"
+            [task.roamer]
+            handler = "suite.roamer"
+            on = "{far}"
+            queue = 4
             [task.far_sender]
             handler = "suite.peer"
             on = "{far}"
@@ -154,7 +158,10 @@ impl Placement {
             on = "{far}"
             "#
         );
-        let sets = links.iter().map(|set| set.replace("KEYS", KEYS));
+        let sets = links
+            .iter()
+            .chain(more)
+            .map(|set| set.replace("KEYS", KEYS));
         let sets: Vec<String> = sets.collect();
         load_texts(&[("conformance.toml", &text)], &sets, &[]).unwrap()
     }

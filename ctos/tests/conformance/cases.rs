@@ -2,6 +2,7 @@
 //! through the ids of the tasks it was given.
 
 use std::{
+    collections::VecDeque,
     fmt::Debug,
     future::{Future, IntoFuture, poll_fn},
     task::Poll,
@@ -15,7 +16,10 @@ use ctos::{
     system::{AppResult, Introspect, Ping, Statistics},
     task::{Context, EventHandler, Handled, NameError, Phase, TaskRef},
 };
-use futures_util::future::{LocalBoxFuture, join, join_all};
+use futures_util::{
+    FutureExt,
+    future::{LocalBoxFuture, MaybeDone, join, join_all, maybe_done},
+};
 use serde::Deserialize;
 
 use crate::peer::{
@@ -53,6 +57,7 @@ cases![
     more_than_may_wait_is_refused_and_counted,
     only_a_sender_on_the_same_chassis_can_try,
     messages_of_each_sender_keep_their_order_under_load,
+    a_task_that_moves_under_load_keeps_every_message_in_its_order,
     high_priority_overtakes_even_a_full_queue,
     deferred_replies_come_in_any_order,
     calls_cross_in_both_directions,
@@ -62,6 +67,7 @@ cases![
     what_is_too_large_for_a_link_is_refused_and_the_link_lives,
     a_trace_and_the_time_left_travel_with_the_message,
     every_task_says_what_it_has_done,
+    a_semaphore_of_the_app_counts_its_permits_and_gives_them_on,
 ];
 
 type Outcome = Result<(), Failure>;
@@ -171,6 +177,25 @@ async fn begin<F: Future + Unpin>(future: &mut F) {
     .await;
 }
 
+/// The end of what was begun.
+async fn ended<T>(mut begun: MaybeDone<LocalBoxFuture<'static, T>>) -> T {
+    std::pin::Pin::new(&mut begun).await;
+    std::pin::Pin::new(&mut begun).take_output().unwrap()
+}
+
+/// Sends without waiting for the end, which may come at once.
+trait Begun<T> {
+    async fn begun(self) -> MaybeDone<LocalBoxFuture<'static, T>>;
+}
+
+impl<T> Begun<T> for LocalBoxFuture<'static, T> {
+    async fn begun(self) -> MaybeDone<Self> {
+        let mut begun = maybe_done(self);
+        let _ = poll_fn(|cx| Poll::Ready(std::pin::Pin::new(&mut begun).poll(cx))).await;
+        begun
+    }
+}
+
 const SOON: Duration = Duration::from_millis(20);
 
 async fn a_trace_and_the_time_left_travel_with_the_message(suite: Suite) -> Outcome {
@@ -244,6 +269,7 @@ async fn an_unknown_name_is_an_error_that_lists_the_known_ones(suite: Suite) -> 
                 "near",
                 "near_sender",
                 "peer",
+                "roamer",
             ];
             same(known, expected.map(str::to_owned).to_vec())
         }
@@ -440,6 +466,62 @@ async fn only_a_sender_on_the_same_chassis_can_try(suite: Suite) -> Outcome {
         suite.log().await?,
         (0..expected).map(|number| (0, number)).collect(),
     )
+}
+
+async fn a_task_that_moves_under_load_keeps_every_message_in_its_order(suite: Suite) -> Outcome {
+    const COUNT: u32 = 200;
+    const UNDER_WAY: usize = 8;
+    let cx = &suite.cx;
+    let roamer = cx.task("roamer").await?;
+    let mut floods = Vec::new();
+    for (sender, name) in (1..).zip(["near", "near_sender", "far_sender"]) {
+        let task = cx.task(name).await?;
+        let to = "roamer".to_owned();
+        let count = COUNT;
+        floods.push(cx.call(&task, Flood { to, sender, count }).into_future());
+    }
+    // Several at a time, so that some go by the old place while others go straight to the new one.
+    let own = async {
+        let mut under_way = VecDeque::new();
+        for number in 0..COUNT {
+            let note = Note { sender: 0, number };
+            let sent = cx.send(&roamer, note).into_future().boxed_local();
+            under_way.push_back(sent.begun().await);
+            if under_way.len() == UNDER_WAY
+                && let Some(first) = under_way.pop_front()
+            {
+                ended(first).await?;
+            }
+        }
+        for sent in under_way {
+            ended(sent).await?;
+        }
+        Ok::<(), CallError>(())
+    };
+    let moves = async {
+        let places = if suite.crosses_chassis() {
+            ["a:second", "b", "a", "b", "a:second", "b"]
+        } else {
+            ["a:second", "a", "a:second", "a", "a:second", "a"]
+        };
+        for place in places {
+            cx.move_task("roamer", place).await?;
+        }
+        Ok::<(), CallError>(())
+    };
+    let ((floods, own), moves) = join(join(join_all(floods), own), moves).await;
+    moves?;
+    own?;
+    for flood in floods {
+        flood?;
+    }
+    let log = cx.call(&roamer, Log {}).await?;
+    for sender in 0..4 {
+        let numbers = log.iter().filter(|note| note.0 == sender);
+        let numbers: Vec<u32> = numbers.map(|note| note.1).collect();
+        same(numbers, (0..COUNT).collect())?;
+    }
+    same(log.len(), 4 * COUNT as usize)
 }
 
 async fn messages_of_each_sender_keep_their_order_under_load(suite: Suite) -> Outcome {

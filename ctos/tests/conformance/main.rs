@@ -14,6 +14,7 @@
 mod app;
 mod cases;
 mod peer;
+mod signals;
 
 use std::{
     ffi::OsString,
@@ -24,7 +25,7 @@ use std::{
     time::Duration,
 };
 
-use ctos::boot::{Address, BootEvent, End, Launcher, Observer, boot, run_chassis};
+use ctos::boot::{Address, BootEvent, End, Launcher, Observer, Outcome, boot, run_chassis};
 use ctos::security::{Role, make_key};
 use libtest_mimic::{Arguments, Failed, Trial};
 
@@ -34,6 +35,9 @@ use cases::{CASES, Case};
 /// The first argument of a process that is a chassis and not the tests.
 const CHASSIS: &str = "conformance-chassis";
 
+/// Between a case and its settings on the command line of a chassis.
+const SEPARATOR: &str = ";";
+
 /// A trial that takes longer hangs.
 const WATCHDOG: Duration = Duration::from_secs(120);
 
@@ -42,20 +46,44 @@ fn main() -> ExitCode {
     if arguments.first().is_some_and(|first| first == CHASSIS) {
         return chassis(&arguments);
     }
-    let trials = Placement::ALL.iter().flat_map(|placement| {
+    let cases = Placement::ALL.iter().flat_map(|placement| {
         CASES.iter().map(move |case| {
             let name = format!("{}::{}", placement.name, case.name);
-            Trial::test(name, move || watched(placement, case))
+            Trial::test(name, move || watched(move || run(placement, case)))
         })
     });
-    libtest_mimic::run(&Arguments::from_args(), trials.collect()).exit_code()
+    let signals = LINKS.iter().flat_map(|placement| {
+        SIGNALS.iter().map(move |(name, test)| {
+            let name = format!("{placement}::{name}");
+            Trial::test(name, move || watched(move || test(placement)))
+        })
+    });
+    let trials = cases.chain(signals).collect();
+    libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
 }
 
+/// The placements whose links show how a process fares.
+const LINKS: [&str; 3] = ["two_chassis_shm", "two_chassis_unix", "two_chassis_tcp"];
+
+type SignalTest = fn(&str) -> Result<(), Failed>;
+
+const SIGNALS: [(&str, SignalTest); 3] = [
+    (
+        "one_that_is_stopped_and_goes_on_in_time_is_not_missed",
+        signals::stopped_in_time,
+    ),
+    (
+        "one_that_is_stopped_for_too_long_is_told_so_and_ends",
+        signals::stopped_for_too_long,
+    ),
+    ("one_that_is_killed_is_missed_at_once", signals::killed),
+];
+
 /// Runs a trial on a thread of its own and gives up on it when it hangs.
-fn watched(placement: &'static Placement, case: &'static Case) -> Result<(), Failed> {
+fn watched(trial: impl FnOnce() -> Result<(), Failed> + Send + 'static) -> Result<(), Failed> {
     let (sender, done) = mpsc::channel();
     std::thread::spawn(move || {
-        let result = std::panic::catch_unwind(AssertUnwindSafe(|| run(placement, case)));
+        let result = std::panic::catch_unwind(AssertUnwindSafe(trial));
         let _ = sender.send(result.unwrap_or_else(|_| Err("the boot panicked".into())));
     });
     done.recv_timeout(WATCHDOG)
@@ -77,14 +105,27 @@ fn make_keys() -> Result<(), Failed> {
     Ok(())
 }
 
-fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
+/// Boots the app of a case, with further settings of its own.
+fn boot_case(
+    placement: &Placement,
+    case: &str,
+    seed: u64,
+    sets: &[&str],
+    observer: &Observer,
+) -> Result<Outcome, Failed> {
+    make_keys()?;
+    let case_and_sets = [&[case], sets].concat().join(SEPARATOR);
     let launcher = Launcher {
         program: std::env::current_exe()?,
-        arguments: [CHASSIS, placement.name, case.name]
+        arguments: [CHASSIS, placement.name, &case_and_sets]
             .map(OsString::from)
             .to_vec(),
     };
-    make_keys()?;
+    let app = placement.app(seed, case, sets);
+    Ok(boot(app, app::registry(), &launcher, observer)?)
+}
+
+fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
     // A schedule drawn from another seed is another interleaving.
     for seed in placement.seeds.clone() {
         let log: Arc<std::sync::Mutex<Vec<String>>> = Arc::default();
@@ -94,8 +135,7 @@ fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
                 lines.lock().unwrap().push(line.clone());
             }
         });
-        let app = placement.app(seed, case.name);
-        let outcome = boot(app, app::registry(), &launcher, &observer)?;
+        let outcome = boot_case(placement, case.name, seed, &[], &observer)?;
         let log = log.lock().unwrap().join("\n");
         match outcome.end {
             End::Finished(result) if result.ok => {}
@@ -122,7 +162,9 @@ fn chassis(arguments: &[String]) -> ExitCode {
     else {
         return ExitCode::from(2);
     };
-    let app = placement.app(1, case);
+    let (case, sets) = case.split_once(SEPARATOR).unwrap_or((case, ""));
+    let sets: Vec<&str> = sets.split_terminator(SEPARATOR).collect();
+    let app = placement.app(1, case, &sets);
     match run_chassis(app, app::registry(), name, &address, origin) {
         Ok(code) => ExitCode::from(u8::try_from(code).unwrap_or(255)),
         Err(_) => ExitCode::from(4),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ctos::{
     message::{Command, CommandInfo, Message, Replier},
     registry::Registry,
-    task::{Context, EventHandler, Handled},
+    task::{Context, EventHandler, Handled, HandlerError, Handover},
 };
 use serde::{Deserialize, Serialize};
 
@@ -229,6 +229,19 @@ impl EventHandler for Peer {
     }
 }
 
+impl Handover for Peer {
+    type State = Vec<(u32, u32)>;
+
+    fn hand_over(&mut self) -> Result<Self::State, HandlerError> {
+        Ok(std::mem::take(&mut self.notes))
+    }
+
+    fn take_over(&mut self, _: &Context, notes: Self::State) -> Handled {
+        self.notes = notes;
+        Ok(())
+    }
+}
+
 #[derive(Default)]
 struct Gate {
     waiting: Vec<Replier<Wait>>,
@@ -260,6 +273,7 @@ impl EventHandler for Gate {
 
 pub fn register(registry: &mut Registry) {
     registry.handler("suite.peer", &COMMANDS, |_| Ok(Peer::default()));
+    registry.handover("suite.roamer", &COMMANDS, |_| Ok(Peer::default()));
     let gate = [Wait::INFO, Waiting::INFO, Open::INFO];
     registry.handler("suite.gate", &gate, |_| Ok(Gate::default()));
 }

@@ -200,7 +200,7 @@ impl Actor {
             "caller" => cx.spawn(call_all(cx2, ledger)),
             "conductor" => cx.spawn(conduct(cx2, ledger)),
             "ring" if cx.name() == "ring0" => cx.spawn(async move {
-                let first = TaskRef::clone(&resolve(&cx2, &ledger, "ring1").await.unwrap());
+                let first = resolve(&cx2, &ledger, "ring1").await.unwrap();
                 // Whoever does not take it ends the ring.
                 let _ = cx2.send(&first, Token { number: 0 }).await;
             }),

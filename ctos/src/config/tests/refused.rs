@@ -265,7 +265,7 @@ fn what_has_no_effect_is_a_warning_and_the_app_is_made() {
         [
             "app.toml:2:29: warning: a priority without `realtime = true` has no effect",
             "app.toml:3:10: warning: no task is on chassis `idle`",
-            "app.toml:7:16: warning: `max_restarts` without `restart = \"always\"` has no effect",
+            "app.toml:7:16: warning: `max_restarts` has no effect where nothing is restarted (add restart = \"on-failure\" or restart = \"always\")",
         ]
     );
 }

@@ -208,6 +208,7 @@ impl SharedDriver<'_> {
         let mut chunk = vec![0; CHUNK];
         let mut decoder = Decoder::default();
         loop {
+            let heard = self.receiver.heard();
             // Seen before the ring is: what was written before the end is still read.
             let closed = self.closed.load(Ordering::Acquire);
             match self.read(&mut decoder, &mut chunk) {
@@ -220,7 +221,7 @@ impl SharedDriver<'_> {
             if self.session.poll_pump(&mut cx, self.number).is_ready() {
                 return;
             }
-            self.receiver.wait(self.spin);
+            self.receiver.wait(self.spin, heard);
         }
     }
 

@@ -42,6 +42,7 @@ pub(crate) enum Event {
     Flushed,
 }
 
+#[cfg(test)]
 impl State {
     pub(crate) const ALL: [Self; 6] = [
         Self::Waiting,
@@ -64,6 +65,7 @@ impl State {
     }
 }
 
+#[cfg(test)]
 impl Event {
     fn name(self) -> &'static str {
         match self {

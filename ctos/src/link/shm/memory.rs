@@ -118,12 +118,11 @@ impl Drop for Memory {
             // SAFETY: the mapping is this one's own, and nothing borrowed from it outlives it.
             // An error would say that the address is not one.
             let _ = unsafe { rustix::mm::munmap(self.start.as_ptr().cast(), self.size) };
-            return;
         }
         #[cfg(test)]
-        // SAFETY: allocated by `private` with the same layout.
-        unsafe {
-            std::alloc::dealloc(self.start.as_ptr(), Self::layout(self.size));
+        if !self.mapped {
+            // SAFETY: allocated by `private` with the same layout.
+            unsafe { std::alloc::dealloc(self.start.as_ptr(), Self::layout(self.size)) };
         }
     }
 }

@@ -63,10 +63,11 @@ fn two_threads_that_sleep_never_miss_each_other() {
         let mut bytes = [0; 4];
         let mut filled = 0;
         while number < rounds {
+            let heard = receiver.heard();
             let count = receiver.read(&mut bytes[filled..]).unwrap();
             filled += count;
             if count == 0 {
-                receiver.wait(Duration::ZERO);
+                receiver.wait(Duration::ZERO, heard);
             }
             if filled == 4 {
                 filled = 0;
@@ -89,9 +90,10 @@ fn a_writer_that_waits_for_room_is_woken_by_it() {
         let bytes = vec![7; 100_000];
         let mut left = total;
         while left > 0 {
+            let heard = room.heard();
             match write(&sender, &bytes[..left.min(bytes.len())]) {
                 Ok(count) => left -= count,
-                Err(_) => room.wait(Duration::ZERO),
+                Err(_) => room.wait(Duration::ZERO, heard),
             }
         }
     });
@@ -99,8 +101,9 @@ fn a_writer_that_waits_for_room_is_woken_by_it() {
     let mut chunk = vec![0; 70_000];
     let mut read = 0;
     while read < total {
+        let heard = receiver.heard();
         match receiver.read(&mut chunk).unwrap() {
-            0 => receiver.wait(Duration::ZERO),
+            0 => receiver.wait(Duration::ZERO, heard),
             count => read += count,
         }
     }

@@ -1,0 +1,105 @@
+//! Who waits for whose reply, and whether such waits close to a circle.
+//!
+//! A task that waits takes no message, so tasks that wait for one another in a circle wait until the
+//! deadline of their calls. Each task notes whom it asked; when a call has waited [`LONG`], the notes are
+//! followed from task to task, chassis by chassis, and a way that leads back is reported. Nothing is
+//! looked for while calls are answered in time.
+
+use std::{cell::RefCell, pin::pin, time::Duration};
+
+use futures_util::future::{Either, select};
+
+use crate::{
+    call::{Answer, Fault, Waiting},
+    chassis::{Chassis, Envelope, WaitFor},
+    context::Context,
+    message::{Command, Data, Flags, Tid},
+    system::{self, WaitsFor},
+};
+
+/// After this time a call asks itself whether it can ever end.
+pub(crate) const LONG: Duration = Duration::from_secs(1);
+
+/// The longest chain of tasks that is followed.
+const LONGEST_CHAIN: usize = 64;
+
+/// Goes on with a call that has waited long, until `limit` after now, and looks once whether it waits in
+/// a circle. The lint is a warning: the call goes on, because one of the others may give up first.
+pub(crate) async fn watched(
+    cx: &Context,
+    to: Tid,
+    waiting: Waiting,
+    limit: Duration,
+    whole: Duration,
+) -> Answer {
+    let found = RefCell::new(None);
+    let looking = async {
+        if let Some(circle) = circle(cx, to).await {
+            tracing::warn!(task = %cx.name(), circle = %circle, "tasks wait for one another");
+            *found.borrow_mut() = Some(circle);
+        }
+    };
+    let both = async {
+        match select(waiting, pin!(looking)).await {
+            Either::Left((answer, _)) => answer,
+            Either::Right(((), waiting)) => waiting.await,
+        }
+    };
+    if let Ok(answer) = cx.timeout(limit, both).await {
+        return answer;
+    }
+    Err(match found.take() {
+        Some(circle) => Fault::Circle {
+            after: whole,
+            circle,
+        },
+        None => Fault::Deadline { after: whole },
+    })
+}
+
+/// Follows the notes from `to`; the circle in words if they lead back to this task.
+async fn circle(cx: &Context, to: Tid) -> Option<String> {
+    let me = cx.tid();
+    let mut text = format!("`{}`", cx.name());
+    let mut next = to;
+    for _ in 0..LONGEST_CHAIN {
+        if next == me {
+            text.push_str(&format!(" -> `{}`", cx.name()));
+            return Some(text);
+        }
+        let waits = ask_agent(cx, next).await?;
+        text.push_str(&format!(" -> `{}`", waits.name));
+        next = waits.to;
+    }
+    None
+}
+
+/// Whom `task` waits for, if it has waited long. Asked past the notes: a question about waiting is no
+/// wait of this task.
+async fn ask_agent(cx: &Context, task: Tid) -> Option<system::Waits> {
+    let envelope = Envelope {
+        to: system::agent_tid(task.chassis()),
+        from: cx.tid(),
+        command: WaitsFor::CODE,
+        flags: Flags::HIGH_PRIORITY,
+        data: Data::of(WaitsFor { task }),
+        trace: 0,
+        deadline: Some(cx.now() + LONG),
+    };
+    let waiting = cx.inner.chassis.dispatch(envelope, WaitFor::Reply);
+    let answer = cx.timeout(LONG, waiting).await.ok()?.ok()?;
+    answer.take::<Option<system::Waits>>().ok()?
+}
+
+/// What an agent answers for a task of its chassis: whom it waits for, if its handler is at work and has
+/// waited for long enough that the wait is no passing one.
+pub(crate) fn of_task(chassis: &Chassis, task: Tid) -> Option<system::Waits> {
+    let record = chassis.task(task)?;
+    let (to, since) = record.waits.latest()?;
+    let began = record.statistics.read().began?;
+    let long = chassis.clock.now().since(since) >= LONG / 2;
+    (long && began <= since).then(|| system::Waits {
+        name: record.name.to_string(),
+        to: chassis.directory.current(to),
+    })
+}

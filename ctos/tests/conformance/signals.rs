@@ -1,0 +1,113 @@
+//! What the others make of a chassis whose process is stopped, goes on, or is killed.
+
+use std::{
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use ctos::{
+    boot::{BootEvent, End, Observer, Outcome},
+    task::Phase,
+};
+use libtest_mimic::Failed;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::{Placement, boot_case};
+
+/// What is done to the process of chassis `b` before phase run.
+#[derive(Clone, Copy)]
+enum Deed {
+    /// It is stopped, and goes on after so long.
+    StopFor(Duration),
+    /// It is stopped, and goes on when the app is being taken down.
+    StopUntilGivenUp,
+    /// It is killed.
+    Kill,
+}
+
+fn signal(pid: u32, signal: Signal) {
+    let pid = Pid::from_raw(i32::try_from(pid).unwrap()).unwrap();
+    kill_process(pid, signal).unwrap();
+}
+
+fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Outcome, Failed> {
+    let placement = Placement::ALL.iter().find(|one| one.name == placement);
+    let placement = placement.ok_or("there is no such placement")?;
+    let victim = Arc::new(Mutex::new(0));
+    let observer: Observer = Arc::new(move |event| {
+        let mut victim = victim.lock().unwrap();
+        match (event, deed) {
+            (BootEvent::Started { chassis, pid }, _) if chassis == "b" => *victim = pid.unwrap(),
+            (
+                BootEvent::PhaseDone {
+                    phase: Phase::Connect,
+                    ..
+                },
+                deed,
+            ) => match deed {
+                Deed::Kill => signal(*victim, Signal::KILL),
+                Deed::StopUntilGivenUp => signal(*victim, Signal::STOP),
+                Deed::StopFor(time) => {
+                    signal(*victim, Signal::STOP);
+                    let victim = *victim;
+                    std::thread::spawn(move || {
+                        std::thread::sleep(time);
+                        signal(victim, Signal::CONT);
+                    });
+                }
+            },
+            (BootEvent::Stopping { .. }, Deed::StopUntilGivenUp) => signal(*victim, Signal::CONT),
+            _ => {}
+        }
+    });
+    boot_case(
+        placement,
+        "calls_cross_in_both_directions",
+        1,
+        &[timeout],
+        &observer,
+    )
+}
+
+/// One that is stopped for less than the time goes on as if nothing had happened.
+pub fn stopped_in_time(placement: &str) -> Result<(), Failed> {
+    let deed = Deed::StopFor(Duration::from_millis(400));
+    let outcome = run(placement, "peer_timeout_s=20", deed)?;
+    match outcome.end {
+        End::Finished(result) if result.ok && outcome.casualties.is_empty() => Ok(()),
+        _ => Err(format!("{outcome:?}").into()),
+    }
+}
+
+/// How often the wrong one may be the first to miss a chassis.
+const RACES: u32 = 10;
+
+/// One that is stopped for longer is given up, is told so when it goes on, and ends itself.
+pub fn stopped_for_too_long(placement: &str) -> Result<(), Failed> {
+    let mut outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+    // The task on the other chassis may miss it first and end the app; then it goes on in time.
+    for _ in 0..RACES {
+        match &outcome.end {
+            End::Finished(result) if !result.ok && outcome.casualties.is_empty() => {}
+            _ => break,
+        }
+        outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+    }
+    let ended = ("b".to_owned(), "ended with exit code 6".to_owned());
+    if matches!(outcome.end, End::Finished(_)) || !outcome.casualties.contains(&ended) {
+        return Err(format!("{outcome:?}").into());
+    }
+    Ok(())
+}
+
+/// The death of a process is noticed at once, and not after the time.
+pub fn killed(placement: &str) -> Result<(), Failed> {
+    let outcome = run(placement, "peer_timeout_s=3000", Deed::Kill)?;
+    let mut casualties = outcome.casualties.iter();
+    let killed = casualties.any(|(name, how)| name == "b" && how.contains("SIGKILL"));
+    if matches!(outcome.end, End::Finished(_)) || !killed || outcome.took > Duration::from_secs(60)
+    {
+        return Err(format!("{outcome:?}").into());
+    }
+    Ok(())
+}
