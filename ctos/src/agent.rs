@@ -43,6 +43,8 @@ const EXIT_ORPHAN: i32 = 5;
 pub(crate) struct Agent {
     tasks: Vec<TaskName>,
     arrivals: Arrivals,
+    /// The boot ordered the process to end, and need not see it do so.
+    exiting: bool,
 }
 
 impl EventHandler for Agent {
@@ -61,6 +63,7 @@ impl EventHandler for Agent {
             }
             Exit::CODE => {
                 let (Exit { code }, reply) = message.open::<Exit>()?;
+                self.exiting = true;
                 reply.ok(())?;
                 cx.chassis().exit(code);
                 Ok(())
@@ -112,7 +115,7 @@ impl EventHandler for Agent {
                 task.mailbox.forget_gate(peer);
             }
         }
-        if chassis == BOOT_CHASSIS {
+        if chassis == BOOT_CHASSIS && !self.exiting {
             tracing::error!("the boot is gone: stopping");
             self.stop_all(cx).await;
             cx.chassis().exit(EXIT_ORPHAN);

@@ -110,7 +110,7 @@ mod tests {
             ]
         );
         let narrow = lines(&columns, &rows, 30);
-        assert_eq!(narrow[2], "gripper        3  waits 3.2 …");
+        assert_eq!(narrow[2], "gripper        3  waits 3.2 s…");
         assert!(narrow.iter().all(|line| line.chars().count() <= 30));
     }
 }

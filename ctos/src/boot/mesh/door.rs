@@ -43,6 +43,14 @@ enum RefusedError {
     GivenUp { chassis: u8, incarnation: u32 },
 }
 
+impl RefusedError {
+    /// Whether the caller went before it had said who it is.
+    fn hung_up(&self) -> bool {
+        matches!(self, Self::Handshake(HandshakeError::Io(error))
+            if error.kind() == std::io::ErrorKind::UnexpectedEof)
+    }
+}
+
 /// Takes calls until it is aborted.
 pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
     let strangers = Arc::new(Semaphore::new(STRANGERS));
@@ -77,7 +85,12 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
                 Ok(()) | Err(RefusedError::Attach(AttachError::Cut)) => {}
                 Err(error) => {
                     mesh.refused.fetch_add(1, Ordering::Relaxed);
-                    tracing::warn!(reason = %error, "a caller was refused");
+                    if error.hung_up() {
+                        // As one does that looks whether anybody listens here at all.
+                        tracing::debug!("a caller hung up");
+                    } else {
+                        tracing::warn!(reason = %error, "a caller was refused");
+                    }
                 }
             }
         });
