@@ -373,20 +373,10 @@ fn what_new_writes_boots_in_processes_and_on_the_virtual_clock_and_its_readme_is
     good(&run(&["new", "-q", &app.display().to_string()]));
     let file = app.join("app.toml").display().to_string();
     let template = |arguments: &[&str]| {
-        Command::new(env!("CARGO"))
-            .current_dir(root())
-            .args([
-                "run",
-                "--quiet",
-                "--package",
-                "cli",
-                "--example",
-                "template",
-                "--",
-            ])
+        common::example("template")
             .args(arguments)
             .output()
-            .expect("cargo runs, for it runs this test")
+            .expect("the example runs")
     };
     good(&template(&["check", &file]));
     let (out, err) = good(&template(&["boot", "-q", &file, "--profile", "virtual"]));
@@ -408,22 +398,12 @@ fn a_profile_and_the_environment_reach_the_processes_of_the_chassis() {
     let mut text = fs::read_to_string(&file).expect("a text");
     text.push_str("[profile.quick.task.client.args]\nnumbers = [20, 1]\nevery_s = 0.01\nadder = \"${ADDER}\"\n");
     fs::write(&file, text).expect("a file");
-    let output = Command::new(env!("CARGO"))
-        .current_dir(root())
-        .args([
-            "run",
-            "--quiet",
-            "--package",
-            "cli",
-            "--example",
-            "template",
-            "--",
-            "boot",
-        ])
+    let output = common::example("template")
+        .arg("boot")
         .args([file.as_os_str(), "--profile".as_ref(), "quick".as_ref()])
         .env("ADDER", "adder")
         .output()
-        .expect("cargo runs, for it runs this test");
+        .expect("the example runs");
     let (out, err) = good(&output);
     assert_eq!(out, "the sum is 21\n", "{err}");
 }

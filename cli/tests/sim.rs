@@ -6,6 +6,8 @@
     reason = "a test ends where it finds something wrong"
 )]
 
+mod common;
+
 use std::{
     path::{Path, PathBuf},
     process::Output,
@@ -22,15 +24,13 @@ fn sim(arguments: &[&str]) -> Output {
 }
 
 fn sim_in(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
-    std::process::Command::new(env!("CARGO"))
-        .current_dir(root())
-        .args(["run", "--quiet", "--package", "cli", "--example", "hello"])
-        .args(["--", "sim"])
+    common::example("hello")
+        .arg("sim")
         .args(arguments)
         .env("NO_COLOR", "1")
         .envs(environment.iter().copied())
         .output()
-        .expect("cargo runs, for it runs this test")
+        .expect("the example runs")
 }
 
 fn text(bytes: &[u8]) -> String {

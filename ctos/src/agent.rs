@@ -64,6 +64,7 @@ impl EventHandler for Agent {
             Exit::CODE => {
                 let (Exit { code }, reply) = message.open::<Exit>()?;
                 self.exiting = true;
+                cx.chassis().set_stopping();
                 reply.ok(())?;
                 cx.chassis().exit(code);
                 Ok(())

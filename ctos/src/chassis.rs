@@ -666,6 +666,11 @@ impl Chassis {
         self.stopping.store(true, Ordering::Release);
     }
 
+    /// Whether the app is being taken down.
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Acquire)
+    }
+
     /// Gives up all links without telling anybody, so that their writers end.
     pub(crate) fn drop_links(&self) {
         lock(&self.links).up.clear();

@@ -12,16 +12,35 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
+/// A command that runs an example, built now if it is not.
+///
+/// Built as all tests are, for the whole workspace: asked for by itself, cargo would choose other features of
+/// what it depends on, and build all of that anew.
+pub fn example(name: &str) -> Command {
+    let built = Command::new(env!("CARGO"))
+        .current_dir(root())
+        .args(["build", "--quiet", "--workspace", "--example", name])
+        .status()
+        .expect("cargo runs, for it runs this test");
+    assert!(built.success(), "{name} is not built");
+    let here = std::env::current_exe().expect("a test is a program");
+    let folder = here
+        .ancestors()
+        .nth(2)
+        .expect("tests are built in a folder");
+    let mut command = Command::new(folder.join("examples").join(name));
+    command.current_dir(root());
+    command
+}
+
 /// Runs the example `hello` as a newcomer does, from the workspace's folder.
 pub fn hello(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO"))
-        .current_dir(root())
-        .args(["run", "--quiet", "--package", "cli", "--example", "hello"])
-        .args(["--", "boot", "configs/hello.toml"])
+    example("hello")
+        .args(["boot", "configs/hello.toml"])
         .args(arguments)
         .env("NO_COLOR", "1")
         .output()
-        .expect("cargo runs, for it runs this test")
+        .expect("the example runs")
 }
 
 /// Standard output and standard error of a run that went well.

@@ -596,6 +596,8 @@ impl Receiver for PeerReceiver {
             DownReason::Bye | DownReason::Closed => {
                 tracing::debug!(peer, reason = %reason, "link down");
             }
+            // Those that end in their order are no news.
+            _ if mesh.chassis.is_stopping() => tracing::debug!(peer, reason = %reason, "link down"),
             _ => tracing::warn!(peer, reason = %reason, "link down"),
         }
         {

@@ -374,15 +374,15 @@ pub(super) const TABLES: &[Table] = &[
             ),
             key(
                 "restart",
-                Kind::Choice(&["never", "always"]),
+                Kind::Choice(&["never", "on-failure", "always"]),
                 Some("\"never\""),
-                "What happens when its handler panics: it stays down, or is built anew.",
+                "When it is built anew: after a failure, or also after it was shut down.",
             ),
             key(
                 "max_restarts",
                 Kind::Integer(1, 1_000_000),
                 None,
-                "How often it is built anew at most; only with `restart = \"always\"`, then 3.",
+                "How many restarts there are within the window at most. Default, where there are restarts: 3.",
             ),
             key(
                 "call_deadline_s",
