@@ -376,13 +376,25 @@ pub(super) const TABLES: &[Table] = &[
                 "restart",
                 Kind::Choice(&["never", "on-failure", "always"]),
                 Some("\"never\""),
-                "When it is built anew: after a failure, or also after it was shut down.",
+                "When it is built anew: after a panic of its handler, a child or a synchronous function; always: also after a shutdown.",
             ),
             key(
                 "max_restarts",
                 Kind::Integer(1, 1_000_000),
                 None,
-                "How many restarts there are within the window at most. Default, where there are restarts: 3.",
+                "How many restarts there are within the window at most. Default: 3.",
+            ),
+            key(
+                "restart_window_s",
+                Kind::Seconds(86_400.0),
+                None,
+                "The window, s. Default: 60.",
+            ),
+            key(
+                "restart_backoff_s",
+                Kind::Seconds(3_600.0),
+                None,
+                "The wait before a restart, s; it doubles with each one in the window. Default: 0.1.",
             ),
             key(
                 "call_deadline_s",
