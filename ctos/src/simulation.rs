@@ -625,7 +625,8 @@ impl Simulation {
 
     /// Moves the clock and lets everything happen that is due then.
     fn advance(&mut self, moment: Instant) {
-        watch::look_until(self.machines.iter().map(|machine| &machine.chassis), moment);
+        let chassis = self.machines.iter().map(|machine| &machine.chassis);
+        watch::look_until(&self.clock, chassis, moment);
         self.clock.advance_to(moment);
         self.steps_at_once = 0;
         while let Some(entry) = self.script.first_entry() {

@@ -12,7 +12,11 @@ mod text;
 
 use std::time::Duration;
 
-use crate::{chassis::Chassis, context::Context, time::Instant};
+use crate::{
+    chassis::Chassis,
+    context::Context,
+    time::{Clock, Instant},
+};
 
 pub use lint::{Lint, LintCode};
 
@@ -41,17 +45,25 @@ pub(crate) fn start(cx: &Context) {
     });
 }
 
-/// The virtual clock is about to jump to `moment`: what the chassis would see on the way.
+/// The virtual clock is about to jump to `moment`: what the chassis would see on the way, when they would.
 pub(crate) fn look_until<'a>(
+    clock: &Clock,
     chassis: impl Iterator<Item = &'a std::sync::Arc<Chassis>>,
     moment: Instant,
 ) {
-    for one in chassis {
-        let step = moment.since(one.watch.last_look()) / LOOKS;
-        let step = step.max(INTERVAL);
-        while one.watch.last_look() + step < moment {
-            one.watch.look(one, one.watch.last_look() + step);
+    let mut looks: Vec<_> = chassis
+        .map(|one| {
+            let step = (moment.since(one.watch.last_look()) / LOOKS).max(INTERVAL);
+            (one.watch.last_look() + step, step, one)
+        })
+        .collect();
+    while let Some((due, step, one)) = looks.iter_mut().min_by_key(|(due, _, _)| *due) {
+        if *due >= moment {
+            return;
         }
+        clock.advance_to(*due);
+        one.watch.look(one, *due);
+        *due = *due + *step;
     }
 }
 

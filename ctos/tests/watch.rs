@@ -222,7 +222,7 @@ fn a_permit_that_is_held_for_long_is_told_while_somebody_waits_for_it() {
     let folder = tempfile::tempdir().unwrap();
     let text = "[time]\nmode = \"virtual\"\n[record]\nfile = \"run.mcap\"\n[chassis.a]\n[chassis.b]\n\
         [task.hog]\nhandler = \"holds\"\non = \"a\"\nargs = { after_ms = 0, keeps_ms = 20_000, ends = false }\n\
-        [task.late]\nhandler = \"holds\"\non = \"b\"\nargs = { after_ms = 14_000, keeps_ms = 11_000, ends = true }\n";
+        [task.late]\nhandler = \"holds\"\non = \"a\"\nargs = { after_ms = 14_000, keeps_ms = 11_000, ends = true }\n";
     let file = folder.path().join("app.toml");
     let app = load_texts(&[(file.to_str().unwrap(), text)], &[], &[])
         .unwrap_or_else(|findings| panic!("{:?}", findings.into_sorted()));

@@ -239,17 +239,17 @@ fn rubbish_on_the_control_socket_is_answered_with_an_error() {
         .next()
         .unwrap()
         .unwrap();
-    let stream = std::os::unix::net::UnixStream::connect(socket.path()).unwrap();
-    let mut reader = BufReader::new(stream.try_clone().unwrap());
+    let connect = || std::os::unix::net::UnixStream::connect(socket.path()).unwrap();
     for rubbish in [
         "hello",
         "{}",
         r#"{"version":1,"request":{"kind":"dance"}}"#,
         r#"{"version":9,"request":{"kind":"ps"}}"#,
     ] {
+        let stream = connect();
         writeln!(&stream, "{rubbish}").unwrap();
         let mut line = String::new();
-        reader.read_line(&mut line).unwrap();
+        BufReader::new(&stream).read_line(&mut line).unwrap();
         let answer: Value = serde_json::from_str(&line).unwrap();
         assert_eq!(
             (&answer["kind"], &answer["code"]),
@@ -258,6 +258,7 @@ fn rubbish_on_the_control_socket_is_answered_with_an_error() {
         );
     }
     // A line that never ends costs its writer the connection, and nobody else anything.
+    let stream = connect();
     let endless = vec![b'x'; 200 * 1024];
     let _ = (&stream).write_all(&endless);
     let app = json(&ctos(&scratch, &["ps", "--json"]));

@@ -122,7 +122,10 @@ const CLOCKS: [(&str, &[&str]); 9] = [
     ("Instant::now", &["ctos/benches/", "tests/peers/"]),
     ("std::time::Instant", &["ctos/benches/", "tests/peers/"]),
     ("clock_gettime", &["ctos/src/time.rs", "ctos/benches/"]),
-    ("thread::sleep", &["tests/peers/"]),
+    (
+        "thread::sleep",
+        &["tests/peers/", "ctos/tests/conformance/signals.rs"],
+    ),
     // Around real sockets and processes only.
     (
         "tokio::time",

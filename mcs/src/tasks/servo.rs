@@ -98,9 +98,23 @@ struct ServoTask {
     /// Waits here for the first phase.
     servo: Option<Servo>,
     cyclic: Option<CyclicHandle>,
+    /// It has said that it stops because a chassis is gone.
+    bereft: bool,
 }
 
 impl ServoTask {
+    /// Says once that the arm is stopped because a chassis is gone: the order to stop may come before
+    /// the news, or after it.
+    fn bereave(&mut self, cx: &Context, chassis: &str) {
+        if !std::mem::replace(&mut self.bereft, true) {
+            tracing::warn!(
+                task = cx.name(),
+                chassis,
+                "a chassis is gone: the arm is stopped"
+            );
+        }
+    }
+
     fn new(cx: &Context, drivers: &DriverRegistry) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         let mut findings = Findings::new();
@@ -135,6 +149,7 @@ impl ServoTask {
             link,
             servo: Some(servo),
             cyclic: None,
+            bereft: false,
         })
     }
 
@@ -192,16 +207,15 @@ impl EventHandler for ServoTask {
         Ok(())
     }
 
-    async fn stop(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
+    async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        if let StopReason::ChassisDown { chassis } = reason {
+            self.bereave(cx, chassis);
+        }
         self.shut_down(cx).await
     }
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
-        tracing::warn!(
-            task = cx.name(),
-            chassis,
-            "a chassis is gone: the arm is stopped"
-        );
+        self.bereave(cx, chassis);
         self.shut_down(cx).await
     }
 }
