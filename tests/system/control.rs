@@ -234,10 +234,11 @@ fn rubbish_on_the_control_socket_is_answered_with_an_error() {
     use std::io::{BufRead, BufReader, Write};
     let scratch = Scratch::empty();
     let run = up(&scratch);
+    // The sockets of the links lie beside it.
     let socket = std::fs::read_dir(scratch.path("ctos"))
         .unwrap()
-        .next()
-        .unwrap()
+        .map(Result::unwrap)
+        .find(|entry| entry.file_name().to_string_lossy().starts_with("cell-"))
         .unwrap();
     let connect = || std::os::unix::net::UnixStream::connect(socket.path()).unwrap();
     for rubbish in [

@@ -30,6 +30,16 @@ fn signal(pid: u32, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
+/// Longer than the time of those who are given up: whoever notices first, the others have too.
+const LONG: Duration = Duration::from_millis(1_500);
+
+fn go_on_after(pid: u32, time: Duration) {
+    std::thread::spawn(move || {
+        std::thread::sleep(time);
+        signal(pid, Signal::CONT);
+    });
+}
+
 fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Outcome, Failed> {
     let placement = Placement::ALL.iter().find(|one| one.name == placement);
     let placement = placement.ok_or("there is no such placement")?;
@@ -49,14 +59,10 @@ fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Outcome, Fa
                 Deed::StopUntilGivenUp => signal(*victim, Signal::STOP),
                 Deed::StopFor(time) => {
                     signal(*victim, Signal::STOP);
-                    let victim = *victim;
-                    std::thread::spawn(move || {
-                        std::thread::sleep(time);
-                        signal(victim, Signal::CONT);
-                    });
+                    go_on_after(*victim, time);
                 }
             },
-            (BootEvent::Stopping { .. }, Deed::StopUntilGivenUp) => signal(*victim, Signal::CONT),
+            (BootEvent::Stopping { .. }, Deed::StopUntilGivenUp) => go_on_after(*victim, LONG),
             _ => {}
         }
     });
@@ -69,14 +75,19 @@ fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Outcome, Fa
     )
 }
 
+/// Whether the app was not bothered by what happened.
+fn did_well(outcome: &Outcome) -> bool {
+    matches!(&outcome.end, End::Finished(result) if result.ok)
+}
+
 /// One that is stopped for less than the time goes on as if nothing had happened.
 pub fn stopped_in_time(placement: &str) -> Result<(), Failed> {
     let deed = Deed::StopFor(Duration::from_millis(400));
     let outcome = run(placement, "peer_timeout_s=20", deed)?;
-    match outcome.end {
-        End::Finished(result) if result.ok && outcome.casualties.is_empty() => Ok(()),
-        _ => Err(format!("{outcome:?}").into()),
+    if !did_well(&outcome) || !outcome.casualties.is_empty() {
+        return Err(format!("{outcome:?}").into());
     }
+    Ok(())
 }
 
 /// How often the wrong one may be the first to miss a chassis.
@@ -94,7 +105,7 @@ pub fn stopped_for_too_long(placement: &str) -> Result<(), Failed> {
         outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
     }
     let ended = ("b".to_owned(), "ended with exit code 6".to_owned());
-    if matches!(outcome.end, End::Finished(_)) || !outcome.casualties.contains(&ended) {
+    if did_well(&outcome) || !outcome.casualties.contains(&ended) {
         return Err(format!("{outcome:?}").into());
     }
     Ok(())
@@ -105,8 +116,7 @@ pub fn killed(placement: &str) -> Result<(), Failed> {
     let outcome = run(placement, "peer_timeout_s=3000", Deed::Kill)?;
     let mut casualties = outcome.casualties.iter();
     let killed = casualties.any(|(name, how)| name == "b" && how.contains("SIGKILL"));
-    if matches!(outcome.end, End::Finished(_)) || !killed || outcome.took > Duration::from_secs(60)
-    {
+    if did_well(&outcome) || !killed || outcome.took > Duration::from_secs(60) {
         return Err(format!("{outcome:?}").into());
     }
     Ok(())
