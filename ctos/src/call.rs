@@ -16,7 +16,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     chassis::{Chassis, Inbound, Outbound},
+    exchange::{CallKey, Ticket},
     message::Data,
+    processor::Processor,
+    time::Instant,
 };
 
 /// Why a message did not lead to a reply, without the names of the tasks.
@@ -215,7 +218,7 @@ pub(crate) struct Promise {
 
 impl Promise {
     /// Whether nobody waits any more.
-    pub(crate) fn is_abandoned(&self) -> bool {
+    fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Acquire)
     }
 
@@ -233,50 +236,31 @@ impl Promise {
     }
 }
 
-/// The waiting end of a [`Promise`]. Dropping it tells the receiver, also behind a link, that nobody
-/// waits.
+/// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
 pub(crate) struct Waiting {
     promise: Arc<Promise>,
     /// The call, when it went over a link.
     outbound: Option<Outbound>,
-    /// The message's number in the record.
-    recorded: u64,
 }
 
 impl Waiting {
-    /// Waits for an answer of this chassis.
+    /// Waits for an answer of this process.
     pub(crate) fn here(promise: Arc<Promise>) -> Self {
-        Self {
-            promise,
-            outbound: None,
-            recorded: 0,
-        }
+        let outbound = None;
+        Self { promise, outbound }
     }
 
-    /// Waits for an answer that comes over a link.
-    pub(crate) fn there(promise: Arc<Promise>, outbound: Outbound) -> Self {
-        Self {
-            promise,
-            outbound: Some(outbound),
-            recorded: 0,
-        }
+    /// Waits for an answer that comes over a link, if there is an `outbound`.
+    pub(crate) fn for_call(promise: Arc<Promise>, outbound: Option<Outbound>) -> Self {
+        Self { promise, outbound }
     }
+}
 
-    /// The message is number `recorded` of the record.
-    pub(crate) fn recorded_as(mut self, recorded: u64) -> Self {
-        self.recorded = recorded;
-        self
-    }
-
-    /// The message's number in the record; 0 when it is not in it.
-    pub(crate) fn recorded(&self) -> u64 {
-        self.recorded
-    }
-
-    /// Lets the message go its way without anybody who waits for it.
-    pub(crate) fn forget(mut self) {
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.promise.abandoned.store(true, Ordering::Release);
         if let Some(outbound) = self.outbound.take() {
-            outbound.forget();
+            outbound.abandon();
         }
     }
 }
@@ -297,124 +281,234 @@ impl Future for Waiting {
     }
 }
 
-impl Drop for Waiting {
-    fn drop(&mut self) {
-        self.promise.abandoned.store(true, Ordering::Release);
-        if let Some(outbound) = self.outbound.take() {
-            outbound.abandon();
-        }
-    }
-}
-
 /// Where an answer goes.
 enum ReplyTo {
-    /// To a future of this chassis.
-    Local(Arc<Promise>),
+    /// To a call of a task of this chassis.
+    Local(Ticket),
+    /// To somebody in this process who is no task.
+    Outside(Arc<Promise>),
     /// Over a link.
-    Remote {
-        chassis: Arc<Chassis>,
-        request: Inbound,
-    },
+    Remote(Box<(Arc<Chassis>, Inbound)>),
 }
 
-struct SlotInner {
-    to: ReplyTo,
-    answered: AtomicBool,
-}
-
-impl Drop for SlotInner {
-    fn drop(&mut self) {
-        self.answer(Err(Fault::NoReply));
-    }
-}
-
-impl SlotInner {
-    fn answer(&self, answer: Answer) {
-        if self.answered.swap(true, Ordering::AcqRel) {
-            return;
-        }
-        match &self.to {
-            ReplyTo::Local(promise) => promise.fulfil(answer),
-            ReplyTo::Remote { chassis, request } => chassis.post_reply(request, answer),
+impl ReplyTo {
+    fn answer(self, answer: Answer) {
+        match self {
+            Self::Local(ticket) => ticket.answer(answer),
+            Self::Outside(promise) => promise.fulfil(answer),
+            Self::Remote(to) => to.0.post_reply(&to.1, answer),
         }
     }
 }
 
-/// The right to answer one message, shared by the handler and the loop that calls it. The first
-/// answer counts; when the last owner goes without one, the caller gets [`Fault::NoReply`].
-#[derive(Clone)]
-pub(crate) struct ReplySlot(Arc<SlotInner>);
+/// The right to answer one message. Dropped without an answer, it tells the caller
+/// [`Fault::NoReply`]: at once, or, where the handler of the message itself drops it, when it is known
+/// how that handler ended, which may be a better answer.
+pub(crate) struct ReplySlot {
+    to: Option<ReplyTo>,
+    /// The message at hand; 0 while it is not being handled.
+    serial: u64,
+}
 
 impl ReplySlot {
+    pub(crate) fn call(ticket: Ticket) -> Self {
+        Self {
+            to: Some(ReplyTo::Local(ticket)),
+            serial: 0,
+        }
+    }
+
     pub(crate) fn local(promise: Arc<Promise>) -> Self {
-        Self::new(ReplyTo::Local(promise))
+        Self {
+            to: Some(ReplyTo::Outside(promise)),
+            serial: 0,
+        }
     }
 
     pub(crate) fn remote(chassis: Arc<Chassis>, request: Inbound) -> Self {
-        Self::new(ReplyTo::Remote { chassis, request })
+        Self {
+            to: Some(ReplyTo::Remote(Box::new((chassis, request)))),
+            serial: 0,
+        }
     }
 
-    fn new(to: ReplyTo) -> Self {
-        Self(Arc::new(SlotInner {
-            to,
-            answered: AtomicBool::new(false),
-        }))
+    /// Gives the answer. This is the one place that every answer to a message passes on its way out.
+    #[inline]
+    pub(crate) fn answer(mut self, answer: Answer) {
+        if let Some(to) = self.to.take() {
+            to.answer(answer);
+        }
     }
 
-    pub(crate) fn answer(&self, answer: Answer) {
-        self.0.answer(answer);
-    }
-
+    /// Whether nobody waits for the answer any more.
+    #[inline]
     pub(crate) fn is_abandoned(&self) -> bool {
-        match &self.0.to {
-            ReplyTo::Local(promise) => promise.is_abandoned(),
-            ReplyTo::Remote { request, .. } => request.is_abandoned(),
+        match &self.to {
+            Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
+            Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
+            Some(ReplyTo::Remote(to)) => to.1.is_abandoned(),
+            None => true,
+        }
+    }
+
+    /// Message number `serial` of its processor is about to be handled.
+    pub(crate) fn set_serial(&mut self, serial: u64) {
+        self.serial = serial;
+    }
+
+    /// The number of the message that is being handled.
+    pub(crate) fn serial(&self) -> u64 {
+        self.serial
+    }
+
+    /// When the caller gives up, if it is a task of `processor`.
+    #[inline]
+    pub(crate) fn deadline_on(&self, processor: &Processor) -> Option<Instant> {
+        match &self.to {
+            Some(ReplyTo::Local(ticket)) if Arc::ptr_eq(ticket.home(), &processor.handle) => {
+                processor.call_deadline(ticket.key())
+            }
+            _ => None,
+        }
+    }
+
+    /// What is enough to answer in place of whoever has the slot.
+    #[inline]
+    pub(crate) fn key(&self) -> Option<ReplyKey> {
+        Some(match self.to.as_ref()? {
+            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.home().index(), ticket.key()),
+            ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
+            ReplyTo::Remote(to) => ReplyKey::Remote(Box::new(to.1.clone())),
+        })
+    }
+}
+
+impl Drop for ReplySlot {
+    fn drop(&mut self) {
+        let Some(to) = self.to.take() else {
+            return;
+        };
+        let slot = Self {
+            to: Some(to),
+            serial: self.serial,
+        };
+        let unwanted = match Processor::here() {
+            Some(processor) if slot.serial != 0 => processor.keep_orphan(slot),
+            _ => Err(slot),
+        };
+        if let Err(slot) = unwanted {
+            slot.answer(Err(Fault::NoReply));
         }
     }
 }
 
 impl fmt::Debug for ReplySlot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let answered = self.0.answered.load(Ordering::Relaxed);
-        write!(f, "ReplySlot {{ answered: {answered} }}")
+        write!(f, "ReplySlot {{ open: {} }}", self.to.is_some())
     }
+}
+
+/// Names an answer that is owed, without the right to give it: for the loop of the task, whose handler
+/// has that right, and may have passed it on.
+pub(crate) enum ReplyKey {
+    /// To a call of a processor of this chassis.
+    Local(u8, CallKey),
+    /// To somebody in this process who is no task.
+    Outside(Arc<Promise>),
+    /// Over a link.
+    Remote(Box<Inbound>),
 }
 
 #[cfg(test)]
 mod tests {
-    use futures_util::FutureExt;
+    use std::{rc::Rc, task::Context as PollContext, time::Duration};
 
     use super::*;
+    use crate::{exchange::Looked, time::Clock};
+
+    fn call() -> (Rc<Processor>, ReplySlot, CallKey) {
+        let processor = Processor::new(Arc::default(), Clock::virtual_clock());
+        processor.enter();
+        let ticket = processor.begin_call(Duration::from_secs(1));
+        let key = ticket.key();
+        (processor, ReplySlot::call(ticket), key)
+    }
+
+    fn answer(processor: &Processor, key: CallKey) -> Option<Answer> {
+        match processor.poll_call(key, &PollContext::from_waker(Waker::noop())) {
+            Looked::Answered(answer, _) => Some(answer),
+            Looked::Waiting | Looked::Long | Looked::Late(..) => None,
+        }
+    }
+
+    #[test]
+    fn an_answer_reaches_its_call_and_no_later_one() {
+        let (processor, slot, key) = call();
+        slot.answer(Ok(Data::of(1_u8)));
+        let first = answer(&processor, key).unwrap().unwrap();
+        assert_eq!(first.take::<u8>().unwrap(), 1);
+        // The next call uses the same slot.
+        let next = processor.begin_call(Duration::from_secs(1));
+        processor.take_answer_by_key(key, Ok(Data::of(2_u8)));
+        assert!(answer(&processor, next.key()).is_none());
+    }
 
     #[test]
     fn the_first_answer_counts() {
-        let promise = Arc::new(Promise::default());
-        let slot = ReplySlot::local(promise.clone());
-        slot.answer(Ok(Data::of(1_u8)));
+        let (processor, slot, key) = call();
+        processor.take_answer_by_key(key, Ok(Data::of(1_u8)));
         slot.answer(Ok(Data::of(2_u8)));
-        let answer = Waiting::here(promise).now_or_never().unwrap().unwrap();
-        assert_eq!(answer.take::<u8>().unwrap(), 1);
+        let first = answer(&processor, key).unwrap().unwrap();
+        assert_eq!(first.take::<u8>().unwrap(), 1);
     }
 
     #[test]
     fn a_request_dropped_without_an_answer_still_ends_the_call() {
-        let promise = Arc::new(Promise::default());
-        let slot = ReplySlot::local(promise.clone());
-        let kept = slot.clone();
+        let (processor, slot, key) = call();
+        assert!(answer(&processor, key).is_none());
         drop(slot);
-        let mut waiting = Waiting::here(promise);
-        assert!((&mut waiting).now_or_never().is_none());
-        drop(kept);
-        let answer = (&mut waiting).now_or_never().unwrap();
-        assert_eq!(answer.unwrap_err(), Fault::NoReply);
+        assert_eq!(
+            answer(&processor, key).unwrap().unwrap_err(),
+            Fault::NoReply
+        );
+    }
+
+    #[test]
+    fn what_a_handler_drops_is_answered_when_it_has_ended() {
+        let (processor, mut slot, key) = call();
+        slot.set_serial(7);
+        processor.handling(7, || drop(slot));
+        assert!(answer(&processor, key).is_none());
+        assert!(processor.take_orphan(8).is_none());
+        let mut slot = processor.take_orphan(7).unwrap();
+        slot.set_serial(0);
+        drop(slot);
+        assert_eq!(
+            answer(&processor, key).unwrap().unwrap_err(),
+            Fault::NoReply
+        );
     }
 
     #[test]
     fn a_caller_that_gave_up_is_seen_by_the_receiver() {
-        let promise = Arc::new(Promise::default());
-        let slot = ReplySlot::local(promise.clone());
+        let (processor, slot, key) = call();
         assert!(!slot.is_abandoned());
-        drop(Waiting::here(promise));
+        processor.give_up_call(key);
         assert!(slot.is_abandoned());
+        let next = processor.begin_call(Duration::from_secs(1));
+        assert!(slot.is_abandoned());
+        slot.answer(Ok(Data::of(1_u8)));
+        assert!(answer(&processor, next.key()).is_none());
+    }
+
+    #[test]
+    fn an_answer_from_another_thread_comes_home() {
+        let (processor, slot, key) = call();
+        std::thread::spawn(move || slot.answer(Ok(Data::of(1_u8))))
+            .join()
+            .unwrap();
+        assert!(answer(&processor, key).is_none());
+        assert!(processor.run_jobs());
+        assert!(answer(&processor, key).is_some_and(|answer| answer.is_ok()));
     }
 }

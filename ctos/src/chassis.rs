@@ -15,11 +15,12 @@ use std::{
 };
 
 use crate::{
-    call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
+    call::{Answer, Fault, Promise, ReplyKey, ReplySlot, Waiting, lock},
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
+    exchange::CallKey,
     link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
-    mailbox::{Acceptance, Mailbox},
+    mailbox::{Acceptance, Mailbox, Offered},
     message::{Command, Data, Flags, Header, Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
@@ -38,8 +39,17 @@ use crate::{
 pub const BOOT_CHASSIS: &str = "boot";
 
 struct Pending {
-    promise: Arc<Promise>,
+    /// Who waits for the answer; `None` when nobody does.
+    reply: Option<ReplySlot>,
     peer: u8,
+}
+
+impl Pending {
+    fn answer(self, answer: Answer) {
+        if let Some(reply) = self.reply {
+            reply.answer(answer);
+        }
+    }
 }
 
 #[derive(Default)]
@@ -82,14 +92,14 @@ impl Outbound {
     /// The sender waits no longer: the receiver need not begin, if it has not.
     pub(crate) fn abandon(self) {
         let peer = self.header.to.chassis();
-        let link = {
+        let (pending, link) = {
             let mut links = lock(&self.chassis.links);
-            if links.pending.remove(&self.call).is_none() {
-                return;
-            }
-            links.up.get(&peer).cloned()
+            let pending = links.pending.remove(&self.call);
+            (pending, links.up.get(&peer).cloned())
         };
-        if let Some(link) = link {
+        if pending.is_some()
+            && let Some(link) = link
+        {
             // What is not a request is never refused.
             let _ = link.post(Frame {
                 header: Header {
@@ -104,9 +114,6 @@ impl Outbound {
             });
         }
     }
-
-    /// The sender never waited; the message goes its way.
-    pub(crate) fn forget(self) {}
 }
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
@@ -119,8 +126,65 @@ pub(crate) struct TaskRecord {
     pub(crate) name: Arc<str>,
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
-    pub(crate) statistics: Arc<TaskStatistics>,
+    pub(crate) statistics: TaskStatistics,
     pub(crate) waits: Waits,
+}
+
+/// Tasks by processor and slot.
+#[derive(Default)]
+struct Tasks(Vec<Vec<Option<Arc<TaskRecord>>>>);
+
+impl Tasks {
+    fn get(&self, tid: Tid) -> Option<&Arc<TaskRecord>> {
+        let slots = self.0.get(usize::from(tid.processor()))?;
+        slots.get(usize::from(tid.slot()))?.as_ref()
+    }
+
+    fn insert(&mut self, task: Arc<TaskRecord>) {
+        let (processor, slot) = (
+            usize::from(task.tid.processor()),
+            usize::from(task.tid.slot()),
+        );
+        if self.0.len() <= processor {
+            self.0.resize_with(processor + 1, Vec::new);
+        }
+        if let Some(slots) = self.0.get_mut(processor) {
+            if slots.len() <= slot {
+                slots.resize_with(slot + 1, || None);
+            }
+            if let Some(place) = slots.get_mut(slot) {
+                *place = Some(task);
+            }
+        }
+    }
+
+    fn remove(&mut self, tid: Tid) -> Option<Arc<TaskRecord>> {
+        let slots = self.0.get_mut(usize::from(tid.processor()))?;
+        slots.get_mut(usize::from(tid.slot()))?.take()
+    }
+
+    /// All of them, by id.
+    fn iter(&self) -> impl Iterator<Item = &Arc<TaskRecord>> {
+        self.0.iter().flatten().flatten()
+    }
+}
+
+/// What became of a one-way message.
+pub(crate) enum Sent {
+    /// The receiver's queue has taken it, or never will.
+    Ended(Result<(), Fault>),
+    /// It waits for room.
+    Waits(Question),
+}
+
+/// A call, or a send, that waits at its processor; with the way to take it back when it went over a
+/// link.
+pub(crate) struct Question {
+    pub(crate) key: CallKey,
+    pub(crate) outbound: Option<Outbound>,
+    /// The message's number in the record.
+    pub(crate) recorded: u64,
+    pub(crate) asked: Asked,
 }
 
 /// One process's share of an app. Shared by its threads.
@@ -132,7 +196,7 @@ pub struct Chassis {
     pub(crate) registry: Arc<Registry>,
     /// Processor 0 belongs to the runtime; the configured ones follow.
     pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
+    tasks: RwLock<Tasks>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) directory: TaskDirectory,
@@ -202,12 +266,13 @@ impl Chassis {
         let configured = usize::from(index)
             .checked_sub(1)
             .and_then(|place| app.chassis.get(place));
-        let mut processors = vec![("system".to_owned(), Arc::default())];
-        if let Some(configured) = configured {
-            for processor in &configured.processors {
-                processors.push((processor.name.clone(), Arc::default()));
-            }
-        }
+        let configured = configured.map_or(&[][..], |configured| &configured.processors);
+        let processors = std::iter::once("system".to_owned())
+            .chain(configured.iter().map(|one| one.name.clone()))
+            // The configuration allows no more processors than a task id can tell apart.
+            .zip(0..=u8::MAX)
+            .map(|(name, number)| (name, Arc::new(ProcessorHandle::new(number))))
+            .collect();
         Arc::new(Self {
             index,
             names,
@@ -332,7 +397,7 @@ impl Chassis {
         self.tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .insert(task.tid, task);
+            .insert(task);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
@@ -342,7 +407,7 @@ impl Chassis {
             .tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .remove(&tid);
+            .remove(tid);
         if let Some(task) = entry {
             task.mailbox.close();
         }
@@ -352,14 +417,14 @@ impl Chassis {
         self.tasks
             .read()
             .unwrap_or_else(PoisonError::into_inner)
-            .get(&tid)
+            .get(tid)
             .cloned()
     }
 
     /// The tasks of this chassis, by id.
     pub(crate) fn tasks(&self) -> Vec<Arc<TaskRecord>> {
         let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
-        tasks.values().cloned().collect()
+        tasks.iter().cloned().collect()
     }
 
     /// A trace id that no other message of the run has.
@@ -368,8 +433,164 @@ impl Chassis {
         (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Sends; the returned future ends with what `wait` names, or with a fault.
+    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there.
+    pub(crate) fn call(
+        self: &Arc<Self>,
+        processor: &Processor,
+        mut envelope: Envelope,
+        limit: Duration,
+    ) -> Question {
+        let asked = self.address(&mut envelope);
+        let to = envelope.to;
+        let here = to.chassis() == self.index;
+        // What stays on the processor is told when the caller gives up once that is known there.
+        if !here || self.tap.is_on() || !self.is_on(to, processor) {
+            envelope.deadline = Some(processor.now() + limit);
+        }
+        let ticket = processor.begin_call(limit);
+        let key = ticket.key();
+        let slot = ReplySlot::call(ticket);
+        if let Some(replay) = self.tap.replay() {
+            replay.dispatch(&envelope, WaitFor::Reply, self.clock.now(), slot);
+            return Question::new(key, asked);
+        }
+        let recorded = self.tap.sent(&envelope, Some(WaitFor::Reply));
+        let outbound = if here {
+            let message = self.message(envelope, Flags::REPLY_WAIT, recorded, Some(slot));
+            match self.offer(processor, to, message) {
+                Offer::Done(Offered::Taken) => {}
+                Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
+                    Some(task) => task.mailbox.line_up(message, Acceptance::Silent),
+                    None => refuse(message, Fault::UnknownTask),
+                },
+                Offer::Done(Offered::Closed(message)) => refuse(message, Fault::Stopping),
+                Offer::Nobody(message) => refuse(message, Fault::UnknownTask),
+            }
+            None
+        } else {
+            self.post(envelope, WaitFor::Reply, Some(slot))
+        };
+        Question {
+            outbound,
+            recorded,
+            ..Question::new(key, asked)
+        }
+    }
+
+    /// Sends a message that needs no reply, and waits for room at `processor`, at most for `limit`, if
+    /// there is none.
+    pub(crate) fn send(
+        self: &Arc<Self>,
+        processor: &Processor,
+        mut envelope: Envelope,
+        limit: Duration,
+    ) -> Sent {
+        let asked = self.address(&mut envelope);
+        let to = envelope.to;
+        let here = to.chassis() == self.index;
+        if !here || self.tap.is_on() {
+            envelope.deadline = Some(processor.now() + limit);
+        }
+        let wait = || {
+            let ticket = processor.begin_call(limit);
+            let question = Question::new(ticket.key(), asked);
+            (question, ReplySlot::call(ticket))
+        };
+        if let Some(replay) = self.tap.replay() {
+            let (question, slot) = wait();
+            replay.dispatch(&envelope, WaitFor::Acceptance, self.clock.now(), slot);
+            return Sent::Waits(question);
+        }
+        let recorded = self.tap.sent(&envelope, Some(WaitFor::Acceptance));
+        if !here {
+            let (mut question, slot) = wait();
+            question.recorded = recorded;
+            question.outbound = self.post(envelope, WaitFor::Acceptance, Some(slot));
+            return Sent::Waits(question);
+        }
+        let message = self.message(envelope, Flags::ACCEPT_WAIT, recorded, None);
+        let result = match self.offer(processor, to, message) {
+            Offer::Done(Offered::Taken) => Ok(()),
+            Offer::Done(Offered::Closed(_)) => Err(Fault::Stopping),
+            Offer::Nobody(_) => Err(Fault::UnknownTask),
+            Offer::Done(Offered::NoRoom(message)) => {
+                if let Some(task) = self.task(to) {
+                    let (mut question, slot) = wait();
+                    question.recorded = recorded;
+                    task.mailbox.line_up(message, Acceptance::Told(slot));
+                    return Sent::Waits(question);
+                }
+                Err(Fault::UnknownTask)
+            }
+        };
+        if self.tap.is_on() {
+            let answer = result.clone().map(|()| Data::Bytes(Vec::new()));
+            self.tap.answered(recorded, &asked, &answer);
+        }
+        Sent::Ended(result)
+    }
+
+    /// Sends only if the receiver is on this chassis and has room now.
+    pub(crate) fn try_send(
+        &self,
+        processor: &Processor,
+        mut envelope: Envelope,
+    ) -> Result<(), Fault> {
+        let asked = self.address(&mut envelope);
+        let to = envelope.to;
+        if to.chassis() != self.index {
+            let chassis = self.name_of(to.chassis()).to_owned();
+            return Err(Fault::Elsewhere { chassis });
+        }
+        if let Some(replay) = self.tap.replay() {
+            return replay.try_dispatch(&envelope, self.clock.now());
+        }
+        let recorded = self.tap.sent(&envelope, None);
+        let message = self.message(envelope, Flags::NONE, recorded, None);
+        let put = match self.offer(processor, to, message) {
+            Offer::Done(Offered::Taken) => Ok(()),
+            Offer::Done(Offered::Closed(_)) => Err(Fault::Stopping),
+            Offer::Done(Offered::NoRoom(_)) => Err(self
+                .task(to)
+                .map_or(Fault::UnknownTask, |task| task.mailbox.full())),
+            Offer::Nobody(_) => Err(Fault::UnknownTask),
+        };
+        if let Err(fault) = &put {
+            self.tap.answered(recorded, &asked, &Err(fault.clone()));
+        }
+        put
+    }
+
+    /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
+        self.address(&mut envelope);
+        let promise = Arc::new(Promise::default());
+        let slot = ReplySlot::local(promise.clone());
+        if let Some(replay) = self.tap.replay() {
+            replay.dispatch(&envelope, wait, self.clock.now(), slot);
+            return Waiting::here(promise);
+        }
+        let recorded = self.tap.sent(&envelope, Some(wait));
+        if envelope.to.chassis() != self.index {
+            let outbound = self.post(envelope, wait, Some(slot));
+            return Waiting::for_call(promise, outbound);
+        }
+        let Some(task) = self.task(envelope.to) else {
+            slot.answer(Err(Fault::UnknownTask));
+            return Waiting::here(promise);
+        };
+        let (flags, reply, acceptance) = match wait {
+            WaitFor::Reply => (Flags::REPLY_WAIT, Some(slot), Acceptance::Silent),
+            WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Told(slot)),
+        };
+        let message = self.message(envelope, flags, recorded, reply);
+        task.mailbox.put(message, acceptance);
+        Waiting::here(promise)
+    }
+
+    /// Turns `envelope` to where the receiver is now, and begins a trace if it belongs to none.
+    #[inline]
+    fn address(&self, envelope: &mut Envelope) -> Asked {
         if envelope.trace == 0 {
             envelope.trace = self.fresh_trace();
         }
@@ -377,82 +598,86 @@ impl Chassis {
         if envelope.command != system::Fence::CODE {
             envelope.to = self.directory.current(envelope.to);
         }
-        if let Some(replay) = self.tap.replay() {
-            return replay.dispatch(&envelope, wait, self.clock.now());
-        }
-        let recorded = self.tap.sent(&envelope, Some(wait));
-        let promise = Arc::new(Promise::default());
-        let waiting = if envelope.to.chassis() == self.index {
-            self.dispatch_here(envelope, wait, recorded, &promise);
-            Waiting::here(promise)
-        } else {
-            match self.dispatch_there(envelope, wait, &promise) {
-                Ok(outbound) => Waiting::there(promise, outbound),
-                Err(fault) => {
-                    promise.fulfil(Err(fault));
-                    Waiting::here(promise)
-                }
-            }
-        };
-        waiting.recorded_as(recorded)
+        Asked::of(envelope)
     }
 
-    fn dispatch_here(
+    /// Whether task `to` of this chassis runs on `processor`.
+    #[inline]
+    fn is_on(&self, to: Tid, processor: &Processor) -> bool {
+        self.processors
+            .get(usize::from(to.processor()))
+            .is_some_and(|(_, handle)| Arc::ptr_eq(handle, &processor.handle))
+    }
+
+    /// The message that `envelope` becomes inside this chassis. This is the one place that every
+    /// message from a task to another one of the same chassis passes on its way out.
+    #[inline]
+    fn message(
         &self,
         envelope: Envelope,
-        wait: WaitFor,
+        flags: Flags,
         recorded: u64,
-        promise: &Arc<Promise>,
-    ) {
-        let Some(task) = self.task(envelope.to) else {
-            return promise.fulfil(Err(Fault::UnknownTask));
-        };
-        let (flag, reply, acceptance) = match wait {
-            WaitFor::Reply => (
-                Flags::REPLY_WAIT,
-                Some(ReplySlot::local(promise.clone())),
-                Acceptance::Silent,
-            ),
-            WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Local(promise.clone())),
-        };
-        let message = Message {
-            header: envelope.header(flag, 0),
+        reply: Option<ReplySlot>,
+    ) -> Message {
+        Message {
+            header: envelope.header(flags, 0),
             trace: envelope.trace,
             deadline: envelope.deadline,
             recorded,
             data: envelope.data,
             reply,
-        };
-        task.mailbox.put(message, acceptance);
+        }
     }
 
-    fn dispatch_there(
+    /// Offers a message of a task of `processor` to task `to` of this chassis.
+    #[inline]
+    fn offer(&self, processor: &Processor, to: Tid, message: Message) -> Offer {
+        if self.is_on(to, processor) {
+            return match processor.queue(to.slot()) {
+                Some(queue) => Offer::Done(queue.offer(processor, message)),
+                None => Offer::Nobody(message),
+            };
+        }
+        let find = || self.task(to).map(|task| task.mailbox.clone());
+        match processor.route(to, find) {
+            Some(mailbox) => Offer::Done(mailbox.offer_from_afar(message)),
+            None => Offer::Nobody(message),
+        }
+    }
+
+    /// Sends a message to another chassis; `reply` is told what `wait` names. This is the one place
+    /// that every message to another chassis passes on its way out.
+    fn post(
         self: &Arc<Self>,
         mut envelope: Envelope,
         wait: WaitFor,
-        promise: &Arc<Promise>,
-    ) -> Result<Outbound, Fault> {
+        reply: Option<ReplySlot>,
+    ) -> Option<Outbound> {
+        let failed = |reply: Option<ReplySlot>, fault| {
+            if let Some(reply) = reply {
+                reply.answer(Err(fault));
+            }
+            None
+        };
         let flag = match wait {
             WaitFor::Reply => Flags::REPLY_WAIT,
             WaitFor::Acceptance => Flags::ACCEPT_WAIT,
         };
         let data = std::mem::replace(&mut envelope.data, Data::Bytes(Vec::new()));
-        let body = body_of(data)?;
+        let body = match body_of(data) {
+            Ok(body) => body,
+            Err(fault) => return failed(reply, fault),
+        };
         let header = envelope.header(flag, body.len());
         let peer = envelope.to.chassis();
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
-            return Err(self.peer_down_fault(peer));
+            drop(links);
+            return failed(reply, self.peer_down_fault(peer));
         };
         links.next_call += 1;
         let call = links.next_call;
-        links.pending.insert(
-            call,
-            Pending {
-                promise: promise.clone(),
-                peer,
-            },
-        );
+        links.pending.insert(call, Pending { reply, peer });
         drop(links);
         let posted = link.post(Frame {
             header,
@@ -462,10 +687,11 @@ impl Chassis {
             body,
         });
         if let Err(Full { bytes }) = posted {
-            lock(&self.links).pending.remove(&call);
-            return Err(Fault::LinkFull { bytes });
+            let pending = lock(&self.links).pending.remove(&call);
+            let reply = pending.and_then(|pending| pending.reply);
+            return failed(reply, Fault::LinkFull { bytes });
         }
-        Ok(Outbound {
+        Some(Outbound {
             chassis: self.clone(),
             header,
             call,
@@ -473,37 +699,21 @@ impl Chassis {
         })
     }
 
-    /// Sends only if the receiver is on this chassis and has room now.
-    pub(crate) fn try_dispatch_here(&self, mut envelope: Envelope) -> Result<(), Fault> {
-        envelope.to = self.directory.current(envelope.to);
-        let there = envelope.to.chassis();
-        if there != self.index {
-            let chassis = self.name_of(there).to_owned();
-            return Err(Fault::Elsewhere { chassis });
+    /// Answers in place of whoever has the right to; nothing comes of it when that was done already.
+    pub(crate) fn answer_by_key(&self, key: ReplyKey, answer: Answer) {
+        match key {
+            ReplyKey::Remote(request) => self.post_reply(&request, answer),
+            ReplyKey::Outside(promise) => promise.fulfil(answer),
+            ReplyKey::Local(processor, call) => {
+                let Some((_, handle)) = self.processors.get(usize::from(processor)) else {
+                    return;
+                };
+                match Processor::here_if(handle) {
+                    Some(here) => here.take_answer_by_key(call, answer),
+                    None => handle.bring_answer_by_key(call, answer),
+                }
+            }
         }
-        if envelope.trace == 0 {
-            envelope.trace = self.fresh_trace();
-        }
-        if let Some(replay) = self.tap.replay() {
-            return replay.try_dispatch(&envelope, self.clock.now());
-        }
-        let asked = Asked::of(&envelope);
-        let recorded = self.tap.sent(&envelope, None);
-        let put = self.task(envelope.to).ok_or(Fault::UnknownTask);
-        let put = put.and_then(|task| {
-            task.mailbox.try_put(Message {
-                header: envelope.header(Flags::NONE, 0),
-                trace: envelope.trace,
-                deadline: None,
-                recorded,
-                data: envelope.data,
-                reply: None,
-            })
-        });
-        if let Err(fault) = &put {
-            self.tap.answered(recorded, &asked, &Err(fault.clone()));
-        }
-        put
     }
 
     /// How long it is until `deadline`, for the wire.
@@ -517,7 +727,7 @@ impl Chassis {
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
     /// receiver.
     pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
-        let envelope = Envelope {
+        let mut envelope = Envelope {
             to,
             from: system::agent_tid(self.index),
             command: C::CODE,
@@ -526,7 +736,20 @@ impl Chassis {
             trace: 0,
             deadline: None,
         };
-        self.dispatch(envelope, WaitFor::Acceptance).forget();
+        self.address(&mut envelope);
+        let to = envelope.to;
+        if let Some(replay) = self.tap.replay() {
+            let slot = ReplySlot::local(Arc::default());
+            let now = self.clock.now();
+            return replay.dispatch(&envelope, WaitFor::Acceptance, now, slot);
+        }
+        let recorded = self.tap.sent(&envelope, Some(WaitFor::Acceptance));
+        if to.chassis() != self.index {
+            self.post(envelope, WaitFor::Acceptance, None);
+        } else if let Some(task) = self.task(to) {
+            let message = self.message(envelope, Flags::ACCEPT_WAIT, recorded, None);
+            task.mailbox.put(message, Acceptance::Silent);
+        }
     }
 
     /// Sends an answer back over the link that the request came by, if anybody waits for it.
@@ -623,8 +846,8 @@ impl Chassis {
             let slot = ReplySlot::remote(self.clone(), request);
             (Some(slot), Acceptance::Silent)
         } else {
-            let chassis = self.clone();
-            (None, Acceptance::Remote { chassis, request })
+            let slot = ReplySlot::remote(self.clone(), request);
+            (None, Acceptance::Told(slot))
         };
         let message = Message {
             header,
@@ -649,7 +872,7 @@ impl Chassis {
         let Some(pending) = pending else {
             return;
         };
-        pending.promise.fulfil(if flags.contains(Flags::FAULT) {
+        pending.answer(if flags.contains(Flags::FAULT) {
             Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
         } else {
             Ok(Data::Bytes(body))
@@ -697,7 +920,7 @@ impl Chassis {
     /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub(crate) fn link_down(self: &Arc<Self>, peer: u8) {
-        let ended: Vec<Arc<Promise>> = {
+        let ended: Vec<Pending> = {
             let mut links = lock(&self.links);
             if links.up.remove(&peer).is_none() {
                 return;
@@ -717,11 +940,10 @@ impl Chassis {
             of_peer
                 .into_iter()
                 .filter_map(|call| links.pending.remove(&call))
-                .map(|pending| pending.promise)
                 .collect()
         };
-        for promise in ended {
-            promise.fulfil(Err(self.peer_down_fault(peer)));
+        for pending in ended {
+            pending.answer(Err(self.peer_down_fault(peer)));
         }
         self.directory.forget_chassis(peer);
         if self.stopping.load(Ordering::Acquire) && peer != 0 {
@@ -781,13 +1003,13 @@ impl Chassis {
     pub(crate) fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
-        for task in tasks.values() {
+        for task in tasks.iter() {
             task.mailbox.close();
         }
         let links = std::mem::take(&mut *lock(&self.links));
         for pending in links.pending.into_values() {
             let fault = self.peer_down_fault(pending.peer);
-            pending.promise.fulfil(Err(fault));
+            pending.answer(Err(fault));
         }
         lock(&self.shared).clear();
         self.blocking.close();
@@ -798,6 +1020,31 @@ impl Chassis {
         for (_, handle) in &self.processors {
             handle.stop();
         }
+    }
+}
+
+impl Question {
+    fn new(key: CallKey, asked: Asked) -> Self {
+        Self {
+            key,
+            outbound: None,
+            recorded: 0,
+            asked,
+        }
+    }
+}
+
+/// What came of offering a message.
+enum Offer {
+    Done(Offered),
+    /// No task has the id.
+    Nobody(Message),
+}
+
+/// Ends the call that `message` is.
+fn refuse(message: Message, fault: Fault) {
+    if let Some(slot) = message.reply {
+        slot.answer(Err(fault));
     }
 }
 

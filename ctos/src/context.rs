@@ -9,6 +9,7 @@ use std::{
     pin::Pin,
     rc::Rc,
     sync::Arc,
+    task::{Context as PollContext, Poll},
     time::Duration,
 };
 
@@ -18,14 +19,14 @@ use serde::de::DeserializeOwned;
 
 use crate::{
     call::{CallError, Fault},
-    chassis::{Chassis, Envelope, TaskRecord, WaitFor},
+    chassis::{Chassis, Envelope, Question, Sent, TaskRecord},
     circle,
     config::TaskConfig,
     diagnostic::Finding,
+    exchange::Looked,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
-    processor::Processor,
+    processor::{FutureId, Processor},
     realtime::{self, Grant},
-    record::Asked,
     semaphore::{self, Barrier, Scope, Semaphore, SemaphoreError, SemaphoreView},
     sync::{
         Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
@@ -114,8 +115,9 @@ pub(crate) struct Inner {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) chassis: Arc<Chassis>,
     pub(crate) processor: Rc<Processor>,
-    config: Option<TaskConfig>,
-    commands: Vec<CommandInfo>,
+    /// Boxed, because it is large and tasks of the runtime have none.
+    config: Option<Box<TaskConfig>>,
+    commands: Arc<[CommandInfo]>,
     children: RefCell<Children>,
     /// Counts the handlers that the task had.
     incarnation: Cell<u64>,
@@ -126,7 +128,7 @@ pub(crate) struct Inner {
 /// The children of a task that have not ended, by number, with what cancels them.
 #[derive(Default)]
 struct Children {
-    running: BTreeMap<u64, u64>,
+    running: BTreeMap<u64, FutureId>,
     next: u64,
 }
 
@@ -144,14 +146,14 @@ impl Context {
         chassis: Arc<Chassis>,
         processor: Rc<Processor>,
         config: Option<TaskConfig>,
-        commands: Vec<CommandInfo>,
+        commands: Arc<[CommandInfo]>,
     ) -> Self {
         Self {
             inner: Rc::new(Inner {
                 record,
                 chassis,
                 processor,
-                config,
+                config: config.map(Box::new),
                 commands,
                 children: RefCell::default(),
                 incarnation: Cell::new(0),
@@ -201,6 +203,11 @@ impl Context {
     #[must_use]
     pub fn chassis(&self) -> &Arc<Chassis> {
         &self.inner.chassis
+    }
+
+    /// The processor that the task runs on.
+    pub(crate) fn processor(&self) -> &Rc<Processor> {
+        &self.inner.processor
     }
 
     /// The app's configuration.
@@ -342,7 +349,7 @@ impl Context {
         let envelope = self.envelope(to, C::CODE, Flags::NONE, Data::of(request));
         self.inner
             .chassis
-            .try_dispatch_here(envelope)
+            .try_send(&self.inner.processor, envelope)
             .map_err(|fault| self.error(to, C::NAME, fault))
     }
 
@@ -359,9 +366,8 @@ impl Context {
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
         let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
-        let answer = self
-            .ask(to, command.name, envelope, WaitFor::Reply, deadline)
-            .await;
+        let cx = self.clone();
+        let (answer, _note) = Ask::call(cx, to.clone(), command.name, envelope, deadline).await;
         answer
             .and_then(|data| {
                 data.into_bytes().map_err(|error| Fault::BadPayload {
@@ -414,6 +420,7 @@ impl Context {
         }
     }
 
+    #[inline]
     fn envelope(&self, to: &TaskRef, command: u16, flags: Flags, data: Data) -> Envelope {
         Envelope {
             to: to.tid,
@@ -433,34 +440,6 @@ impl Context {
             command: command.to_owned(),
             fault,
         }
-    }
-
-    async fn ask(
-        &self,
-        to: &TaskRef,
-        command: &'static str,
-        mut envelope: Envelope,
-        wait: WaitFor,
-        deadline: Duration,
-    ) -> Result<Data, Fault> {
-        let now = self.now();
-        envelope.deadline = Some(now + deadline);
-        let (name, to) = (&to.name, envelope.to);
-        let _waits = self.inner.record.waits.begin(name, to, command, now);
-        let asked = Asked::of(&envelope);
-        let mut waiting = self.inner.chassis.dispatch(envelope, wait);
-        let recorded = waiting.recorded();
-        // Whoever waits long may wait for ever; see `circle.rs`.
-        let answer = match self.timeout(deadline.min(circle::LONG), &mut waiting).await {
-            Ok(answer) => answer,
-            Err(_) if deadline > circle::LONG => {
-                let rest = deadline.saturating_sub(circle::LONG);
-                circle::watched(self, to, waiting, rest, deadline).await
-            }
-            Err(Elapsed(after)) => Err(Fault::Deadline { after }),
-        };
-        self.inner.chassis.tap.answered(recorded, &asked, &answer);
-        answer
     }
 
     // -- time -------------------------------------------------------------------------------
@@ -624,7 +603,7 @@ impl Context {
     /// The task's part of the configuration; `None` for tasks of the runtime.
     #[must_use]
     pub fn config(&self) -> Option<&TaskConfig> {
-        self.inner.config.as_ref()
+        self.inner.config.as_deref()
     }
 
     /// A path of the configuration, taken relative to the configuration's folder.
@@ -758,34 +737,80 @@ impl<C: Command> Call<C> {
         self.flags = self.flags.with(Flags::HIGH_PRIORITY);
         self
     }
-
-    async fn run(self) -> Result<C::Reply, CallError> {
-        let Self {
-            cx,
-            to,
-            request,
-            deadline,
-            flags,
-        } = self;
-        let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx
-            .ask(&to, C::NAME, envelope, WaitFor::Reply, deadline)
-            .await;
-        let reply = answer.and_then(|data| {
-            data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
-                text: format!("its reply: {error}"),
-            })
-        });
-        reply.map_err(|fault| cx.error(&to, C::NAME, fault))
-    }
 }
 
 impl<C: Command> IntoFuture for Call<C> {
     type Output = Result<C::Reply, CallError>;
-    type IntoFuture = LocalBoxFuture<'static, Self::Output>;
+    type IntoFuture = Calling<C>;
 
-    fn into_future(self) -> Self::IntoFuture {
-        Box::pin(self.run())
+    fn into_future(self) -> Calling<C> {
+        Calling(CallState::New(self))
+    }
+}
+
+/// A call under way. Dropped before its end, it tells the receiver that nobody waits.
+#[must_use = "a call is made when it is awaited"]
+pub struct Calling<C: Command>(CallState<C>);
+
+enum CallState<C: Command> {
+    New(Call<C>),
+    Asked(Ask),
+    Ended,
+}
+
+impl<C: Command> CallState<C> {
+    /// The call, if it has not been made yet.
+    fn take_new(&mut self) -> Option<Call<C>> {
+        if !matches!(self, Self::New(_)) {
+            return None;
+        }
+        match std::mem::replace(self, Self::Ended) {
+            Self::New(call) => Some(call),
+            Self::Asked(_) | Self::Ended => None,
+        }
+    }
+
+    /// Looks for the end of a call that has been made; `open` makes what was waited for of the answer.
+    fn poll<T>(
+        &mut self,
+        poll: &mut PollContext<'_>,
+        open: impl FnOnce(Data) -> Result<T, Fault>,
+    ) -> Poll<Result<T, CallError>> {
+        let Self::Asked(ask) = self else {
+            // Polled after its end, which is the fault of whoever polls.
+            return Poll::Pending;
+        };
+        let (answer, note) = std::task::ready!(ask.poll(poll));
+        let result = answer.and_then(open).map_err(|fault| CallError {
+            from: ask.cx.name().to_owned(),
+            // Every question is noted when it is asked.
+            to: note.map_or_else(String::new, |note| note.to.name().to_owned()),
+            command: C::NAME.to_owned(),
+            fault,
+        });
+        *self = Self::Ended;
+        Poll::Ready(result)
+    }
+}
+
+impl<C: Command> Unpin for Calling<C> {}
+
+impl<C: Command> Future for Calling<C> {
+    type Output = Result<C::Reply, CallError>;
+
+    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
+        let Self(state) = self.get_mut();
+        if let Some(call) = state.take_new() {
+            let data = Data::of(call.request);
+            let envelope = call.cx.envelope(&call.to, C::CODE, call.flags, data);
+            let ask = Ask::call(call.cx, call.to, C::NAME, envelope, call.deadline);
+            *state = CallState::Asked(ask);
+        }
+        state.poll(poll, |data| {
+            data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
+                text: format!("its reply: {error}"),
+            })
+        })
     }
 }
 
@@ -807,30 +832,205 @@ impl<C: Command> Send<C> {
         self.call = self.call.high_priority();
         self
     }
-
-    async fn run(self) -> Result<(), CallError> {
-        let Call {
-            cx,
-            to,
-            request,
-            deadline,
-            flags,
-        } = self.call;
-        let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx
-            .ask(&to, C::NAME, envelope, WaitFor::Acceptance, deadline)
-            .await;
-        answer
-            .map(|_| ())
-            .map_err(|fault| cx.error(&to, C::NAME, fault))
-    }
 }
 
 impl<C: Command> IntoFuture for Send<C> {
     type Output = Result<(), CallError>;
-    type IntoFuture = Pin<Box<dyn Future<Output = Self::Output>>>;
+    type IntoFuture = Sending<C>;
 
-    fn into_future(self) -> Self::IntoFuture {
-        Box::pin(self.run())
+    fn into_future(self) -> Sending<C> {
+        Sending(CallState::New(self.call))
+    }
+}
+
+/// A one-way message under way. Dropped before it is taken, it is not delivered.
+#[must_use = "a message is sent when it is awaited"]
+pub struct Sending<C: Command>(CallState<C>);
+
+impl<C: Command> Unpin for Sending<C> {}
+
+impl<C: Command> Future for Sending<C> {
+    type Output = Result<(), CallError>;
+
+    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
+        let Self(state) = self.get_mut();
+        if let Some(call) = state.take_new() {
+            let data = Data::of(call.request);
+            let envelope = call.cx.envelope(&call.to, C::CODE, call.flags, data);
+            let inner = &call.cx.inner;
+            match inner
+                .chassis
+                .send(&inner.processor, envelope, call.deadline)
+            {
+                Sent::Ended(result) => {
+                    let result = result.map_err(|fault| call.cx.error(&call.to, C::NAME, fault));
+                    return Poll::Ready(result);
+                }
+                Sent::Waits(question) => {
+                    *state = CallState::Asked(Ask::new(call.cx, call.to, C::NAME, question));
+                }
+            }
+        }
+        state.poll(poll, |_| Ok(()))
+    }
+}
+
+/// Who asked whom for what. Kept with the call, so that it can be shown while it waits.
+pub(crate) struct Note {
+    cx: Context,
+    to: TaskRef,
+    command: &'static str,
+    /// Where it is shown.
+    place: Option<usize>,
+}
+
+impl Note {
+    fn new(cx: &Context, to: TaskRef, command: &'static str) -> Self {
+        Self {
+            cx: cx.clone(),
+            to,
+            command,
+            place: None,
+        }
+    }
+
+    /// Shows the call to whoever wants to know what its task waits for.
+    pub(crate) fn show(&mut self, since: Instant) {
+        if self.place.is_none() {
+            let waits = &self.cx.inner.record.waits;
+            let to = self.to.name.clone();
+            self.place = Some(waits.begin(to, self.to.tid, self.command, since));
+        }
+    }
+}
+
+impl Drop for Note {
+    fn drop(&mut self) {
+        if let Some(place) = self.place {
+            self.cx.inner.record.waits.end(place);
+        }
+    }
+}
+
+/// Waits for an answer; dropped before, it takes the question back. It ends with the note of who was
+/// asked, too.
+struct Ask {
+    cx: Context,
+    state: AskState,
+    circle: Circle,
+}
+
+/// The search for a circle of tasks that wait for one another; see `circle.rs`.
+enum Circle {
+    NotLookedFor,
+    LookedFor(LocalBoxFuture<'static, Option<String>>),
+    Found(Option<String>),
+}
+
+enum AskState {
+    Asked(Question),
+    /// There was no time at all to ask.
+    TooLate(Note),
+    Ended,
+}
+
+impl Circle {
+    /// Goes on with the search.
+    fn poll(&mut self, cx: &mut PollContext<'_>) {
+        if let Self::LookedFor(looking) = self
+            && let Poll::Ready(found) = looking.as_mut().poll(cx)
+        {
+            *self = Self::Found(found);
+        }
+    }
+}
+
+impl Ask {
+    fn new(cx: Context, to: TaskRef, command: &'static str, question: Question) -> Self {
+        let note = Note::new(&cx, to, command);
+        cx.inner.processor.note_call(question.key, note);
+        Self {
+            cx,
+            state: AskState::Asked(question),
+            circle: Circle::NotLookedFor,
+        }
+    }
+
+    /// Makes a call, at once.
+    fn call(
+        cx: Context,
+        to: TaskRef,
+        command: &'static str,
+        envelope: Envelope,
+        deadline: Duration,
+    ) -> Self {
+        if deadline == Duration::ZERO {
+            let state = AskState::TooLate(Note::new(&cx, to, command));
+            let circle = Circle::NotLookedFor;
+            return Self { cx, state, circle };
+        }
+        let inner = &cx.inner;
+        let question = inner.chassis.call(&inner.processor, envelope, deadline);
+        Self::new(cx, to, command, question)
+    }
+
+    fn poll(&mut self, poll: &mut PollContext<'_>) -> Poll<(Result<Data, Fault>, Option<Note>)> {
+        let AskState::Asked(question) = &self.state else {
+            let AskState::TooLate(note) = std::mem::replace(&mut self.state, AskState::Ended)
+            else {
+                // Polled after its end, which is the fault of whoever polls.
+                return Poll::Pending;
+            };
+            let after = Duration::ZERO;
+            return Poll::Ready((Err(Fault::Deadline { after }), Some(note)));
+        };
+        let (answer, note) = match self.cx.inner.processor.poll_call(question.key, poll) {
+            Looked::Waiting => {
+                self.circle.poll(poll);
+                return Poll::Pending;
+            }
+            Looked::Long => {
+                let looking = circle::look(self.cx.clone(), question.asked.to());
+                self.circle = Circle::LookedFor(Box::pin(looking));
+                self.circle.poll(poll);
+                return Poll::Pending;
+            }
+            Looked::Answered(answer, note) => (answer, note),
+            Looked::Late(after, note) => {
+                let fault = match std::mem::replace(&mut self.circle, Circle::NotLookedFor) {
+                    Circle::Found(Some(circle)) => Fault::Circle { after, circle },
+                    _ => Fault::Deadline { after },
+                };
+                (Err(fault), note)
+            }
+        };
+        let tap = &self.cx.inner.chassis.tap;
+        tap.answered(question.recorded, &question.asked, &answer);
+        if let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended)
+            && let (Some(outbound), Err(Fault::Deadline { .. } | Fault::Circle { .. })) =
+                (question.outbound, &answer)
+        {
+            outbound.abandon();
+        }
+        Poll::Ready((answer, note))
+    }
+}
+
+impl Future for Ask {
+    type Output = (Result<Data, Fault>, Option<Note>);
+
+    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
+        self.get_mut().poll(poll)
+    }
+}
+
+impl Drop for Ask {
+    fn drop(&mut self) {
+        if let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended) {
+            self.cx.inner.processor.give_up_call(question.key);
+            if let Some(outbound) = question.outbound {
+                outbound.abandon();
+            }
+        }
     }
 }

@@ -328,7 +328,9 @@ pub const fn trimmed(text: &'static str) -> &'static str {
     }
 }
 
-/// Data that can move as a pointer and be encoded when it must leave the chassis.
+pub use crate::parcel::Parcel;
+
+/// Data that can move as a value and be encoded when it must leave the chassis.
 pub trait Payload: Any + Send {
     /// Postcard bytes.
     ///
@@ -341,9 +343,6 @@ pub trait Payload: Any + Send {
     /// # Errors
     /// When the value cannot be serialized.
     fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError>;
-
-    /// The pointer, for a checked downcast.
-    fn into_any(self: Box<Self>) -> Box<dyn Any + Send>;
 }
 
 impl<T: Serialize + Send + 'static> Payload for T {
@@ -359,10 +358,6 @@ impl<T: Serialize + Send + 'static> Payload for T {
             expected: std::any::type_name::<T>(),
             reason: error.to_string(),
         })
-    }
-
-    fn into_any(self: Box<Self>) -> Box<dyn Any + Send> {
-        self
     }
 }
 
@@ -421,34 +416,33 @@ fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadError> {
     }
 }
 
-/// The data of a message: a typed pointer inside a chassis, bytes from another one.
+/// The data of a message: a typed value inside a chassis, bytes from another one.
 pub enum Data {
-    /// A value of the sender's, moved.
-    Typed(Box<dyn Payload>),
+    /// A value of the sender's, moved; a small one in place, a large one as a pointer.
+    Typed(Parcel),
     /// Postcard bytes.
     Bytes(Vec<u8>),
 }
 
 impl Data {
     /// Data that moves `value`.
+    #[inline]
     pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
-        Self::Typed(Box::new(value))
+        Self::Typed(Parcel::new(value))
     }
 
     /// The value, moved out or decoded.
     ///
     /// # Errors
     /// When the pointer is of another type, or the bytes do not decode to exactly one `T`.
+    #[inline]
     pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
         let expected = std::any::type_name::<T>();
         match self {
-            Self::Typed(payload) => match payload.into_any().downcast::<T>() {
-                Ok(value) => Ok(*value),
-                Err(_) => Err(PayloadError {
-                    expected,
-                    reason: "the sender passed another type".to_owned(),
-                }),
-            },
+            Self::Typed(parcel) => parcel.take::<T>().map_err(|_| PayloadError {
+                expected,
+                reason: "the sender passed another type".to_owned(),
+            }),
             Self::Bytes(bytes) => decode::<T>(&bytes),
         }
     }
@@ -459,7 +453,7 @@ impl Data {
     /// When a typed value cannot be encoded.
     pub(crate) fn append_to(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
         match self {
-            Self::Typed(payload) => payload.encode_into(buffer),
+            Self::Typed(parcel) => parcel.payload().encode_into(buffer),
             Self::Bytes(bytes) => {
                 buffer.extend_from_slice(bytes);
                 Ok(())
@@ -473,7 +467,7 @@ impl Data {
     /// When a typed value cannot be encoded.
     pub fn into_bytes(self) -> Result<Vec<u8>, PayloadError> {
         match self {
-            Self::Typed(payload) => payload.encode(),
+            Self::Typed(parcel) => parcel.payload().encode(),
             Self::Bytes(bytes) => Ok(bytes),
         }
     }
@@ -483,7 +477,7 @@ impl Data {
     /// The bytes that would be put on the wire; the data stays.
     pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
         match self {
-            Self::Typed(payload) => payload.encode(),
+            Self::Typed(parcel) => parcel.payload().encode(),
             Self::Bytes(bytes) => Ok(bytes.clone()),
         }
     }
@@ -545,6 +539,7 @@ impl Message {
     ///
     /// # Errors
     /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
+    #[inline]
     pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
         let slot = self.reply;
         match self.data.take::<C>() {

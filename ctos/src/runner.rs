@@ -1,7 +1,15 @@
 //! The loop of a task: takes messages from its queue, calls its handler, contains its panics, and
 //! builds the handler anew as `supervise.rs` rules.
 
-use std::{panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+use std::{
+    cell::Cell,
+    future::{Future, poll_fn},
+    panic::{AssertUnwindSafe, catch_unwind},
+    pin::{Pin, pin},
+    rc::Rc,
+    sync::Arc,
+    task::{Context as PollContext, Poll},
+};
 
 use futures_util::{
     FutureExt,
@@ -9,21 +17,22 @@ use futures_util::{
 };
 
 use crate::{
-    call::{Fault, ReplySlot},
+    call::{Fault, ReplyKey, ReplySlot},
     chassis::{Chassis, TaskRecord},
     config::TaskConfig,
     context::{Context, TaskRef},
-    mailbox::Mailbox,
+    mailbox::{Mailbox, TaskQueue},
     message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
     moving::{self, Arrival, Departed},
-    processor::{Processor, panic_text},
-    record::{AtHand, Ending as HandlerEnding},
+    processor::{Processor, ProcessorHandle, panic_text},
+    record::{self, Ending as HandlerEnding},
+    statistics::TaskStatistics,
     supervise::{Ending, Event, Policy, Restarts, State, Verdict},
     system::{
         Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, RestartTask, Shutdown,
         StopTask, TaskChanged, TaskName, interrupts,
     },
-    task::{DynHandler, Handled, HandlerError, Phase, StopReason},
+    task::{DynHandler, EventHandler, Handled, HandlerError, Phase, StopReason},
     waits::Waits,
 };
 
@@ -33,13 +42,18 @@ const SYSTEM_QUEUE: usize = 1024;
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 
 /// What others see of a task of the configuration, or of the runtime itself.
-pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<TaskRecord> {
+pub(crate) fn record(
+    name: &str,
+    tid: Tid,
+    config: Option<&TaskConfig>,
+    processor: &Arc<ProcessorHandle>,
+) -> Arc<TaskRecord> {
     let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
     Arc::new(TaskRecord {
         name: name.into(),
         tid,
-        mailbox: Arc::new(Mailbox::new(capacity)),
-        statistics: Arc::default(),
+        mailbox: Mailbox::new(capacity, processor.clone(), tid.slot()),
+        statistics: TaskStatistics::default(),
         waits: Waits::default(),
     })
 }
@@ -48,7 +62,7 @@ pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<T
 pub(crate) struct TaskSpec {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) config: Option<TaskConfig>,
-    pub(crate) commands: Vec<CommandInfo>,
+    pub(crate) commands: Arc<[CommandInfo]>,
     pub(crate) build: Build,
 }
 
@@ -79,9 +93,30 @@ enum Rebuilt {
     StopWaits,
 }
 
+/// What the loop of a task needs besides its handler.
+pub(crate) struct Serving {
+    cx: Context,
+    record: Arc<TaskRecord>,
+    queue: Rc<TaskQueue>,
+    /// It was told to stop: nothing more is begun, or hardware at rest would move again.
+    stopped: Cell<bool>,
+}
+
+/// Why the handling of a task's messages was interrupted.
+pub(crate) enum Served {
+    /// By a message that is not for the handler, or not for it alone.
+    Next(Message),
+    /// By a panic that said so.
+    Panicked(String),
+    /// By the end of the queue.
+    Closed,
+}
+
 pub(crate) struct Runner {
     pub(crate) cx: Context,
     pub(crate) record: Arc<TaskRecord>,
+    pub(crate) queue: Rc<TaskQueue>,
+    serving: Rc<Serving>,
     build: Build,
     /// None between two incarnations.
     pub(crate) handler: Option<Box<dyn DynHandler>>,
@@ -129,6 +164,8 @@ pub(crate) fn start_at(
         spec.commands,
     );
     let handler = build_contained(&spec.build, &cx)?;
+    let queue = TaskQueue::new(spec.record.mailbox.clone());
+    processor.add_queue(spec.record.tid.slot(), queue.clone());
     chassis.add_task(spec.record.clone());
     spec.record.statistics.meter.count(cx.commands());
     chassis.tap.built(spec.record.tid, &spec.record.name);
@@ -139,7 +176,14 @@ pub(crate) fn start_at(
     };
     let runner = Runner {
         cx: cx.clone(),
-        record: spec.record,
+        record: spec.record.clone(),
+        queue: queue.clone(),
+        serving: Rc::new(Serving {
+            cx: cx.clone(),
+            record: spec.record,
+            queue: queue.clone(),
+            stopped: Cell::new(false),
+        }),
         build: spec.build,
         handler: Some(handler),
         restarts: Restarts::new(policy, cx.rng("restart")),
@@ -154,7 +198,8 @@ pub(crate) fn start_at(
         cx.cancel_children();
         cx.chassis().remove_task(cx.tid());
     };
-    processor.spawn(runner.run(arrival), Some(Rc::new(on_panic)));
+    let runner = processor.spawn(runner.run(arrival), Some(Rc::new(on_panic)));
+    queue.set_runner(runner);
     Ok(())
 }
 
@@ -165,6 +210,203 @@ fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, H
             panic_text(panic.as_ref())
         )))
     })
+}
+
+/// How the handling of one message ended.
+enum Ended {
+    Done(Handled),
+    Panicked(String),
+    /// By a message that ends whatever it does; whether because a part of it broke.
+    Interrupted(bool),
+}
+
+/// A message that is about to be handled, or is.
+struct AtHand {
+    command: u16,
+    serial: u64,
+    owed: Option<ReplyKey>,
+    /// The message, for the record.
+    noted: record::AtHand,
+}
+
+impl Serving {
+    /// The next message that is to be handled; `None` once the queue is closed.
+    #[inline]
+    async fn next(&self) -> Option<Message> {
+        poll_fn(|_| {
+            loop {
+                match self.queue.poll_next() {
+                    Poll::Ready(Some(mut message)) => {
+                        if self.is_wanted(&mut message) {
+                            return Poll::Ready(Some(message));
+                        }
+                        self.pass_over(message);
+                    }
+                    end_or_pending => return end_or_pending,
+                }
+            }
+        })
+        .await
+    }
+
+    /// Whether a message is still to be begun.
+    #[inline]
+    fn is_wanted(&self, message: &mut Message) -> bool {
+        if self.refuses(message) {
+            return false;
+        }
+        let Some(slot) = &message.reply else {
+            return true;
+        };
+        // A stop is carried out even when whoever ordered it had to go on.
+        if slot.is_abandoned() && message.command() != StopTask::CODE {
+            return false;
+        }
+        if message.deadline.is_none() {
+            message.deadline = slot.deadline_on(self.cx.processor());
+        }
+        true
+    }
+
+    /// Ends a message that is not begun.
+    #[cold]
+    fn pass_over(&self, message: Message) {
+        let command = message.command();
+        tracing::debug!(task = %self.cx.name(), command, "caller gave up, or the task is stopping");
+        if let Some(slot) = message.reply {
+            slot.answer(Err(Fault::Stopping));
+        }
+    }
+
+    fn refuses(&self, message: &Message) -> bool {
+        self.stopped.get() && message.command() < SYSTEM_COMMANDS
+    }
+
+    /// The handler is called with `message`. This is the one place that every message passes on its
+    /// way to a handler.
+    #[inline]
+    fn begin(&self, message: &mut Message) -> AtHand {
+        let processor = self.cx.processor();
+        let chassis = self.cx.chassis();
+        let began = processor.recent();
+        let at_hand = AtHand {
+            command: message.command(),
+            noted: record::AtHand::of(self.record.tid, message, began),
+            serial: processor.next_serial(),
+            owed: message.reply.as_ref().and_then(ReplySlot::key),
+        };
+        if let Some(slot) = &mut message.reply {
+            slot.set_serial(at_hand.serial);
+        }
+        chassis.delivered(&self.record, message);
+        self.record.statistics.begin(at_hand.command, began);
+        chassis.tap.began(&at_hand.noted);
+        at_hand
+    }
+
+    /// The handler has ended, in whatever way: what it owes is answered. What its panic said, if it
+    /// panicked.
+    fn end(&self, at_hand: AtHand, ended: Ended) -> Option<String> {
+        let AtHand {
+            command,
+            serial,
+            owed,
+            noted,
+            ..
+        } = at_hand;
+        let processor = self.cx.processor();
+        let ok = matches!(ended, Ended::Done(Ok(())));
+        let now = processor.look_at_clock();
+        self.record.statistics.end(ok, now);
+        self.cx.chassis().tap.ended(&noted, now, || match &ended {
+            Ended::Done(Ok(())) => HandlerEnding::Done,
+            Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
+            Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
+            Ended::Interrupted(_) => HandlerEnding::Stopped,
+        });
+        let (fault, panic) = match ended {
+            Ended::Done(Ok(())) => {
+                // A right to answer that it kept is still good; one that it dropped is not.
+                drop(processor.take_orphan(serial).map(|mut slot| {
+                    slot.set_serial(0);
+                    slot
+                }));
+                return None;
+            }
+            Ended::Done(Err(error)) => {
+                tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
+                let text = error.to_string();
+                (Fault::Refused { text }, None)
+            }
+            Ended::Interrupted(true) => {
+                let text = "a part of it did, while it was handled".to_owned();
+                (Fault::Panicked { text }, None)
+            }
+            Ended::Interrupted(false) => (Fault::Stopping, None),
+            Ended::Panicked(text) => {
+                tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
+                let fault = Fault::Panicked { text: text.clone() };
+                (fault, Some(text))
+            }
+        };
+        match (processor.take_orphan(serial), owed) {
+            (Some(slot), _) => slot.answer(Err(fault)),
+            (None, Some(key)) => self.cx.chassis().answer_by_key(key, Err(fault)),
+            (None, None) => {}
+        }
+        panic
+    }
+
+    /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop.
+    #[inline]
+    fn poll<F: Future<Output = Handled>>(
+        &self,
+        at_hand: &AtHand,
+        handling: Pin<&mut Option<F>>,
+        interruptible: bool,
+        cx: &mut PollContext<'_>,
+    ) -> Poll<Ended> {
+        let Some(handling) = handling.as_pin_mut() else {
+            return Poll::Pending;
+        };
+        let processor = self.cx.processor();
+        let polled = self.record.statistics.meter.in_turn(|| {
+            catch_unwind(AssertUnwindSafe(|| {
+                processor.handling(at_hand.serial, || handling.poll(cx))
+            }))
+        });
+        match polled {
+            Ok(Poll::Ready(handled)) => Poll::Ready(Ended::Done(handled)),
+            Err(panic) => Poll::Ready(Ended::Panicked(panic_text(panic.as_ref()))),
+            // A handler that waits for others must not delay an orderly stop: it is dropped there.
+            Ok(Poll::Pending) if interruptible => match self.queue.interruption() {
+                Some(broke) => Poll::Ready(Ended::Interrupted(broke)),
+                None => Poll::Pending,
+            },
+            Ok(Poll::Pending) => Poll::Pending,
+        }
+    }
+
+    /// See [`DynHandler::serve`].
+    pub(crate) async fn serve<H: EventHandler>(&self, handler: &mut H, first: Message) -> Served {
+        let mut next = first;
+        loop {
+            let at_hand = self.begin(&mut next);
+            let cx = self.cx.within(next.trace());
+            let mut handling = pin!(Some(EventHandler::handle(handler, &cx, next)));
+            let ended = poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await;
+            let processor = self.cx.processor();
+            processor.handling(at_hand.serial, || handling.set(None));
+            if let Some(panic) = self.end(at_hand, ended) {
+                return Served::Panicked(panic);
+            }
+            next = match self.next().await {
+                Some(message) if message.command() < SYSTEM_COMMANDS => message,
+                Some(message) => return Served::Next(message),
+                None => return Served::Closed,
+            };
+        }
+    }
 }
 
 impl Runner {
@@ -182,24 +424,30 @@ impl Runner {
     }
 
     async fn serve(&mut self) {
-        while let Some(message) = self.record.mailbox.next().await {
-            let abandoned = message.reply.as_ref().is_some_and(ReplySlot::is_abandoned);
-            // A stop is carried out even when whoever ordered it had to go on.
-            if abandoned && message.command() != StopTask::CODE {
-                tracing::debug!(task = %self.cx.name(), command = message.command(), "caller gave up");
-                continue;
-            }
-            if self.state == State::Stopped && message.command() < SYSTEM_COMMANDS {
-                if let Some(slot) = message.reply {
-                    slot.answer(Err(Fault::Stopping));
-                }
-                continue;
-            }
-            match self.take(message).await {
-                Next::Take => {}
+        let serving = self.serving.clone();
+        let mut next = serving.next().await;
+        while let Some(message) = next.take() {
+            let of_tasks = message.command() < SYSTEM_COMMANDS;
+            let then = match self.handler.as_deref_mut() {
+                Some(handler) if of_tasks => match handler.serve(&serving, message).await {
+                    Served::Next(message) => {
+                        next = Some(message);
+                        continue;
+                    }
+                    Served::Closed => return,
+                    Served::Panicked(text) => {
+                        let why = format!("its handler panicked: {text}");
+                        self.supervise(Ending::Failure, why).boxed_local().await
+                    }
+                },
+                _ => self.take(message).boxed_local().await,
+            };
+            match then {
+                Next::Take => next = serving.next().await,
                 Next::End => return,
                 Next::Forward(departed) => {
-                    return moving::forward(&self.cx, &self.record, departed).await;
+                    let forwarding = moving::forward(&self.cx, &self.queue, departed);
+                    return forwarding.boxed_local().await;
                 }
             }
         }
@@ -243,68 +491,26 @@ impl Runner {
             }
             _ => {}
         }
-        let slot = message.reply.clone();
-        let command = message.command();
-        let record = self.record.clone();
+        let serving = self.serving.clone();
+        let mut message = message;
+        let at_hand = serving.begin(&mut message);
         let cx = self.cx.within(message.trace());
-        cx.chassis().delivered(&record, &message);
-        let began = cx.now();
-        record.statistics.begin(command, began);
-        let at_hand = AtHand::of(record.tid, &message, began);
-        cx.chassis().tap.began(&at_hand);
-        let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
-        let handling = record.statistics.meter.in_turns(handling);
-        let outcome = if interrupts(command) {
-            handling.await
-        } else {
-            // A handler that waits for others must not delay an orderly stop: it is dropped there.
-            match select(handling, pin!(record.mailbox.interruption_waits())).await {
-                Either::Left((outcome, _)) => outcome,
-                Either::Right((broke, _)) => {
-                    let now = cx.now();
-                    record.statistics.end(false, now);
-                    cx.chassis()
-                        .tap
-                        .ended(&at_hand, now, || HandlerEnding::Stopped);
-                    if let Some(slot) = slot {
-                        slot.answer(Err(if broke {
-                            let text = "a part of it did, while it was handled".to_owned();
-                            Fault::Panicked { text }
-                        } else {
-                            Fault::Stopping
-                        }));
-                    }
-                    return Next::Take;
-                }
-            }
+        let interruptible = !interrupts(message.command());
+        let ended = {
+            let mut handling = pin!(Some(self.call(&cx, message)));
+            let ended =
+                poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll));
+            let ended = ended.await;
+            let processor = serving.cx.processor();
+            processor.handling(at_hand.serial, || handling.set(None));
+            ended
         };
-        let now = cx.now();
-        record.statistics.end(matches!(outcome, Ok(Ok(()))), now);
-        cx.chassis().tap.ended(&at_hand, now, || match &outcome {
-            Ok(Ok(())) => HandlerEnding::Done,
-            Ok(Err(error)) => HandlerEnding::Refused(error.to_string()),
-            Err(panic) => HandlerEnding::Panicked(panic_text(panic.as_ref())),
-        });
-        match outcome {
-            Ok(Ok(())) => Next::Take,
-            Ok(Err(error)) => {
-                tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
-                if let Some(slot) = slot {
-                    slot.answer(Err(Fault::Refused {
-                        text: error.to_string(),
-                    }));
-                }
-                Next::Take
-            }
-            Err(panic) => {
-                let text = panic_text(panic.as_ref());
-                tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
-                if let Some(slot) = slot {
-                    slot.answer(Err(Fault::Panicked { text: text.clone() }));
-                }
+        match serving.end(at_hand, ended) {
+            Some(text) => {
                 let why = format!("its handler panicked: {text}");
                 self.supervise(Ending::Failure, why).await
             }
+            None => Next::Take,
         }
     }
 
@@ -353,6 +559,7 @@ impl Runner {
     async fn stop(&mut self, cx: &Context, message: Message) -> Handled {
         let (StopTask { reason }, reply) = message.open::<StopTask>()?;
         self.step(Event::Stop);
+        self.serving.stopped.set(true);
         cx.chassis().set_stopping();
         if let Some(handler) = &mut self.handler {
             handler.stop(cx, &reason).await?;
@@ -477,15 +684,15 @@ impl Runner {
     /// Waits before a restart; false when an order to stop came meanwhile.
     async fn backs_off(&self, backoff: std::time::Duration) -> bool {
         let sleep = pin!(self.cx.sleep(backoff));
-        let stop = pin!(self.record.mailbox.stop_waits());
+        let stop = pin!(self.queue.stop_waits());
         matches!(select(sleep, stop).await, Either::Left(_))
     }
 
     async fn rebuild_or_stop(&mut self) -> Rebuilt {
-        let (cx, mailbox) = (self.cx.clone(), self.record.mailbox.clone());
+        let (cx, queue) = (self.cx.clone(), self.queue.clone());
         let limit = cx.app().phase_timeout;
         let rebuilt = AssertUnwindSafe(cx.timeout(limit, self.rebuild())).catch_unwind();
-        match select(pin!(rebuilt), pin!(mailbox.stop_waits())).await {
+        match select(pin!(rebuilt), pin!(queue.stop_waits())).await {
             Either::Left((Ok(Ok(Ok(()))), _)) => Rebuilt::Yes,
             Either::Left((Ok(Ok(Err(error))), _)) => Rebuilt::No(error.to_string()),
             Either::Left((Ok(Err(elapsed)), _)) => Rebuilt::No(elapsed.to_string()),
@@ -501,7 +708,7 @@ impl Runner {
     pub(crate) async fn end_incarnation(&mut self, ending: Ending) {
         self.cx.next_incarnation();
         self.cx.cancel_children();
-        self.record.mailbox.forget_broken();
+        self.queue.forget_broken();
         if let Some(mut handler) = self.handler.take() {
             if ending == Ending::Order || handler.survives_panic() {
                 let given = std::panic::catch_unwind(AssertUnwindSafe(|| handler.hand_over()));

@@ -38,6 +38,11 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
+    /// The asked task.
+    pub(crate) fn to(&self) -> Tid {
+        self.to
+    }
+
     pub(crate) fn of(envelope: &Envelope) -> Self {
         Self {
             by: envelope.from,
@@ -102,6 +107,11 @@ impl Tap {
     /// Events that the record lacks; `None` when nothing is recorded.
     pub(crate) fn dropped(&self) -> Option<u64> {
         self.recorder().map(|(recorder, _)| recorder.dropped())
+    }
+
+    /// Whether anything looks on.
+    pub(crate) fn is_on(&self) -> bool {
+        self.0.get().is_some()
     }
 
     /// Whether anything is recorded.
