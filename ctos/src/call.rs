@@ -435,8 +435,9 @@ mod tests {
     }
 
     fn answer(processor: &Processor, key: CallKey) -> Option<Answer> {
-        match processor.poll_call(key, &PollContext::from_waker(Waker::noop())) {
-            Looked::Answered(answer, _) => Some(answer),
+        match processor.poll_call(key, &mut None, &PollContext::from_waker(Waker::noop())) {
+            Looked::Answered(data) => Some(Ok(data)),
+            Looked::Failed(fault) => Some(Err(fault)),
             Looked::Waiting | Looked::Long | Looked::Late(..) => None,
         }
     }

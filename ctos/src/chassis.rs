@@ -429,8 +429,13 @@ impl Chassis {
 
     /// A trace id that no other message of the run has.
     pub(crate) fn fresh_trace(&self) -> u64 {
+        self.fresh_traces(1)
+    }
+
+    /// The first of `count` trace ids that no other message of the run has.
+    fn fresh_traces(&self, count: u64) -> u64 {
         // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
-        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
+        (u64::from(self.index) << 56) | self.next_trace.fetch_add(count, Ordering::Relaxed)
     }
 
     /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there.
@@ -440,7 +445,7 @@ impl Chassis {
         mut envelope: Envelope,
         limit: Duration,
     ) -> Question {
-        let asked = self.address(&mut envelope);
+        let asked = self.address(Some(processor), &mut envelope);
         let to = envelope.to;
         let here = to.chassis() == self.index;
         // What stays on the processor is told when the caller gives up once that is known there.
@@ -485,7 +490,7 @@ impl Chassis {
         mut envelope: Envelope,
         limit: Duration,
     ) -> Sent {
-        let asked = self.address(&mut envelope);
+        let asked = self.address(Some(processor), &mut envelope);
         let to = envelope.to;
         let here = to.chassis() == self.index;
         if !here || self.tap.is_on() {
@@ -536,7 +541,7 @@ impl Chassis {
         processor: &Processor,
         mut envelope: Envelope,
     ) -> Result<(), Fault> {
-        let asked = self.address(&mut envelope);
+        let asked = self.address(Some(processor), &mut envelope);
         let to = envelope.to;
         if to.chassis() != self.index {
             let chassis = self.name_of(to.chassis()).to_owned();
@@ -563,7 +568,7 @@ impl Chassis {
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
-        self.address(&mut envelope);
+        self.address(None, &mut envelope);
         let promise = Arc::new(Promise::default());
         let slot = ReplySlot::local(promise.clone());
         if let Some(replay) = self.tap.replay() {
@@ -590,9 +595,12 @@ impl Chassis {
 
     /// Turns `envelope` to where the receiver is now, and begins a trace if it belongs to none.
     #[inline]
-    fn address(&self, envelope: &mut Envelope) -> Asked {
+    fn address(&self, processor: Option<&Processor>, envelope: &mut Envelope) -> Asked {
         if envelope.trace == 0 {
-            envelope.trace = self.fresh_trace();
+            envelope.trace = match processor {
+                Some(processor) => processor.fresh_trace(|count| self.fresh_traces(count)),
+                None => self.fresh_trace(),
+            };
         }
         // A fence goes to the old place itself.
         if envelope.command != system::Fence::CODE {
@@ -736,7 +744,7 @@ impl Chassis {
             trace: 0,
             deadline: None,
         };
-        self.address(&mut envelope);
+        self.address(None, &mut envelope);
         let to = envelope.to;
         if let Some(replay) = self.tap.replay() {
             let slot = ReplySlot::local(Arc::default());

@@ -367,7 +367,7 @@ impl Context {
     ) -> Result<Vec<u8>, CallError> {
         let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
         let cx = self.clone();
-        let (answer, _note) = Ask::call(cx, to.clone(), command.name, envelope, deadline).await;
+        let answer = Ask::call(cx, to.clone(), command.name, envelope, deadline).await;
         answer
             .and_then(|data| {
                 data.into_bytes().map_err(|error| Fault::BadPayload {
@@ -616,8 +616,12 @@ impl Context {
     /// only.
     #[must_use]
     pub fn rng(&self, stream: &str) -> ChaCha8Rng {
-        let seed = self.app().seed;
-        ChaCha8Rng::seed_from_u64(mix(seed, &[self.name(), stream]))
+        ChaCha8Rng::seed_from_u64(self.seed_of(stream))
+    }
+
+    /// The seed of [`Self::rng`].
+    pub(crate) fn seed_of(&self, stream: &str) -> u64 {
+        mix(self.app().seed, &[self.name(), stream])
     }
 
     /// Makes `value` known to the other tasks of this chassis.
@@ -780,14 +784,9 @@ impl<C: Command> CallState<C> {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
-        let (answer, note) = std::task::ready!(ask.poll(poll));
-        let result = answer.and_then(open).map_err(|fault| CallError {
-            from: ask.cx.name().to_owned(),
-            // Every question is noted when it is asked.
-            to: note.map_or_else(String::new, |note| note.to.name().to_owned()),
-            command: C::NAME.to_owned(),
-            fault,
-        });
+        let answer = std::task::ready!(ask.poll(poll));
+        let result = answer.and_then(open);
+        let result = result.map_err(|fault| ask.error(C::NAME, fault));
         *self = Self::Ended;
         Poll::Ready(result)
     }
@@ -912,12 +911,13 @@ impl Drop for Note {
     }
 }
 
-/// Waits for an answer; dropped before, it takes the question back. It ends with the note of who was
-/// asked, too.
+/// Waits for an answer; dropped before, it takes the question back.
 struct Ask {
     cx: Context,
     state: AskState,
     circle: Circle,
+    /// Who was asked, once it has ended.
+    note: Option<Note>,
 }
 
 /// The search for a circle of tasks that wait for one another; see `circle.rs`.
@@ -930,7 +930,7 @@ enum Circle {
 enum AskState {
     Asked(Question),
     /// There was no time at all to ask.
-    TooLate(Note),
+    TooLate,
     Ended,
 }
 
@@ -953,6 +953,7 @@ impl Ask {
             cx,
             state: AskState::Asked(question),
             circle: Circle::NotLookedFor,
+            note: None,
         }
     }
 
@@ -965,26 +966,26 @@ impl Ask {
         deadline: Duration,
     ) -> Self {
         if deadline == Duration::ZERO {
-            let state = AskState::TooLate(Note::new(&cx, to, command));
-            let circle = Circle::NotLookedFor;
-            return Self { cx, state, circle };
+            return Self {
+                note: Some(Note::new(&cx, to, command)),
+                cx,
+                state: AskState::TooLate,
+                circle: Circle::NotLookedFor,
+            };
         }
         let inner = &cx.inner;
         let question = inner.chassis.call(&inner.processor, envelope, deadline);
         Self::new(cx, to, command, question)
     }
 
-    fn poll(&mut self, poll: &mut PollContext<'_>) -> Poll<(Result<Data, Fault>, Option<Note>)> {
+    #[inline]
+    fn poll(&mut self, poll: &mut PollContext<'_>) -> Poll<Result<Data, Fault>> {
         let AskState::Asked(question) = &self.state else {
-            let AskState::TooLate(note) = std::mem::replace(&mut self.state, AskState::Ended)
-            else {
-                // Polled after its end, which is the fault of whoever polls.
-                return Poll::Pending;
-            };
-            let after = Duration::ZERO;
-            return Poll::Ready((Err(Fault::Deadline { after }), Some(note)));
+            return self.poll_late();
         };
-        let (answer, note) = match self.cx.inner.processor.poll_call(question.key, poll) {
+        let processor = &self.cx.inner.processor;
+        let fault = match processor.poll_call(question.key, &mut self.note, poll) {
+            Looked::Answered(data) => return Poll::Ready(Ok(self.answered(data))),
             Looked::Waiting => {
                 self.circle.poll(poll);
                 return Poll::Pending;
@@ -995,29 +996,82 @@ impl Ask {
                 self.circle.poll(poll);
                 return Poll::Pending;
             }
-            Looked::Answered(answer, note) => (answer, note),
-            Looked::Late(after, note) => {
-                let fault = match std::mem::replace(&mut self.circle, Circle::NotLookedFor) {
+            Looked::Failed(fault) => fault,
+            Looked::Late(after) => {
+                match std::mem::replace(&mut self.circle, Circle::NotLookedFor) {
                     Circle::Found(Some(circle)) => Fault::Circle { after, circle },
                     _ => Fault::Deadline { after },
-                };
-                (Err(fault), note)
+                }
             }
         };
+        Poll::Ready(Err(self.failed(fault)))
+    }
+
+    /// There is a reply.
+    #[inline]
+    fn answered(&mut self, data: Data) -> Data {
+        let AskState::Asked(question) = &self.state else {
+            return data;
+        };
+        let tap = &self.cx.inner.chassis.tap;
+        let data = if tap.is_on() {
+            let answer = Ok(data);
+            tap.answered(question.recorded, &question.asked, &answer);
+            answer.unwrap_or_else(|_: Fault| Data::Bytes(Vec::new()))
+        } else {
+            data
+        };
+        self.state = AskState::Ended;
+        data
+    }
+
+    /// It came to nothing.
+    #[cold]
+    fn failed(&mut self, fault: Fault) -> Fault {
+        let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended) else {
+            return fault;
+        };
+        let answer = Err(fault.clone());
         let tap = &self.cx.inner.chassis.tap;
         tap.answered(question.recorded, &question.asked, &answer);
-        if let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended)
-            && let (Some(outbound), Err(Fault::Deadline { .. } | Fault::Circle { .. })) =
-                (question.outbound, &answer)
+        if let (Some(outbound), Fault::Deadline { .. } | Fault::Circle { .. }) =
+            (question.outbound, &fault)
         {
             outbound.abandon();
         }
-        Poll::Ready((answer, note))
+        fault
+    }
+
+    #[cold]
+    fn poll_late(&mut self) -> Poll<Result<Data, Fault>> {
+        if !matches!(self.state, AskState::TooLate) {
+            // Polled after its end, which is the fault of whoever polls.
+            return Poll::Pending;
+        }
+        self.state = AskState::Ended;
+        Poll::Ready(Err(Fault::Deadline {
+            after: Duration::ZERO,
+        }))
+    }
+
+    /// The error that `fault` makes of it, once it has ended.
+    #[cold]
+    fn error(&self, command: &str, fault: Fault) -> CallError {
+        CallError {
+            from: self.cx.name().to_owned(),
+            // Every question is noted when it is asked.
+            to: self
+                .note
+                .as_ref()
+                .map_or_else(String::new, |note| note.to.name().to_owned()),
+            command: command.to_owned(),
+            fault,
+        }
     }
 }
 
 impl Future for Ask {
-    type Output = (Result<Data, Fault>, Option<Note>);
+    type Output = Result<Data, Fault>;
 
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
         self.get_mut().poll(poll)

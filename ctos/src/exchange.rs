@@ -17,6 +17,7 @@ use crate::{
     call::{Answer, Fault},
     circle,
     context::Note,
+    message::Data,
     processor::{LocalWake, Processor, ProcessorHandle},
     time::Instant,
     timers::{TimerKey, Timers},
@@ -98,10 +99,26 @@ struct Slot {
     limit: Duration,
     /// Since when it waits, once that is known.
     since: Option<Instant>,
+    /// Whether it is among those that are looked after when there is time.
+    listed: bool,
     timer: Option<TimerKey>,
     note: Option<Note>,
     /// Its caller is told that it has waited long.
     long: Long,
+}
+
+/// A call with less time than this has its timer from the beginning. Most of the others end before
+/// anybody looks after them, and never need one.
+pub(crate) const SOON: Duration = Duration::from_millis(2);
+
+/// What is to be done for a call whose clock has started.
+pub(crate) enum Started {
+    /// Nothing.
+    Done,
+    /// Its slot is to be looked after within half of [`SOON`].
+    List(u32),
+    /// It is to be looked after now.
+    Urgent,
 }
 
 /// Whether a call has waited long, as its caller knows it.
@@ -125,10 +142,12 @@ pub(crate) enum Looked {
     Waiting,
     /// Nothing yet, for so long that it may be for ever. Told once.
     Long,
-    /// The answer; the call is over.
-    Answered(Answer, Option<Note>),
+    /// The reply; the call is over.
+    Answered(Data),
+    /// It came to nothing; the call is over.
+    Failed(Fault),
     /// None within this time; the call is over.
-    Late(Duration, Option<Note>),
+    Late(Duration),
 }
 
 /// What must be dropped or undone where no cell is borrowed: it may run code of others.
@@ -177,6 +196,7 @@ impl Calls {
                 ticket: None,
                 limit,
                 since: None,
+                listed: false,
                 timer: None,
                 note: None,
                 long: Long::NotYet,
@@ -207,30 +227,55 @@ impl Calls {
         is_it.then_some(slot)
     }
 
-    /// The clock of a call starts; its moment of giving up, if it still waits and had none.
-    pub(crate) fn arm(&mut self, key: CallKey, now: Instant) -> Option<Instant> {
-        let slot = self.slot(key)?;
+    /// The clock of a call starts.
+    #[inline]
+    pub(crate) fn start(&mut self, key: CallKey, now: Instant) -> Started {
+        let Some(slot) = self.slot(key) else {
+            return Started::Done;
+        };
         if slot.since.is_some() || !matches!(slot.state, State::Waiting(_)) {
-            return None;
+            return Started::Done;
         }
         slot.since = Some(now);
-        Some(now + slot.limit.min(circle::LONG))
+        if slot.limit < SOON {
+            return Started::Urgent;
+        }
+        if std::mem::replace(&mut slot.listed, true) {
+            Started::Done
+        } else {
+            Started::List(key.slot)
+        }
+    }
+
+    /// Looks after the call in a slot that was listed: shows it to whoever wants to know what its task
+    /// waits for. If it still waits and has no timer, it needs one for this moment.
+    pub(crate) fn settle(&mut self, slot: u32) -> Option<(CallKey, Instant)> {
+        let place = self.slots.get_mut(slot as usize)?;
+        place.listed = false;
+        let key = CallKey {
+            slot,
+            generation: place.generation,
+        };
+        self.settle_call(key)
+    }
+
+    /// [`Self::settle`] for one call.
+    pub(crate) fn settle_call(&mut self, key: CallKey) -> Option<(CallKey, Instant)> {
+        let slot = self.slot(key)?;
+        let (State::Waiting(_), Some(since)) = (&slot.state, slot.since) else {
+            return None;
+        };
+        if let Some(note) = &mut slot.note {
+            note.show(since);
+        }
+        let at = since + slot.limit.min(circle::LONG);
+        slot.timer.is_none().then_some((key, at))
     }
 
     /// Notes who asked whom for what.
     pub(crate) fn set_note(&mut self, key: CallKey, note: Note) {
         if let Some(slot) = self.slot(key) {
             slot.note = Some(note);
-        }
-    }
-
-    /// Shows a call that still waits to whoever wants to know what its task waits for.
-    pub(crate) fn show(&mut self, key: CallKey) {
-        if let Some(slot) = self.slot(key)
-            && let (State::Waiting(_), Some(note), Some(since)) =
-                (&slot.state, &mut slot.note, slot.since)
-        {
-            note.show(since);
         }
     }
 
@@ -301,18 +346,20 @@ impl Calls {
         fired
     }
 
-    /// Looks for the answer. While there is none, what `waits` makes is woken when there is; what was
-    /// to be woken before is given back, to be dropped where no cell is borrowed.
+    /// Looks for the answer; with it comes the `note` of the call. While there is none, what `waits` makes
+    /// is woken when there is; what was to be woken before is given back, to be dropped where no cell is
+    /// borrowed.
     #[inline]
     pub(crate) fn look<T>(
         &mut self,
         key: CallKey,
+        note: &mut Option<Note>,
         timers: &mut Timers<T>,
         waits: impl FnOnce() -> LocalWake,
     ) -> (Looked, Option<LocalWake>) {
         let Some(slot) = self.slot(key) else {
             // A future looks at its own call only until that is over.
-            return (Looked::Answered(Err(Fault::NoReply), None), None);
+            return (Looked::Failed(Fault::NoReply), None);
         };
         if let State::Waiting(before) = &mut slot.state {
             let before = before.replace(waits());
@@ -325,10 +372,12 @@ impl Calls {
         if let Some(timer) = slot.timer.take() {
             timers.remove(timer);
         }
-        let (limit, note) = (slot.limit, slot.note.take());
+        let limit = slot.limit;
+        *note = slot.note.take();
         let looked = match std::mem::take(&mut slot.state) {
-            State::Answered(answer) => Looked::Answered(answer, note),
-            State::Late | State::Free | State::Waiting(_) => Looked::Late(limit, note),
+            State::Answered(Ok(data)) => Looked::Answered(data),
+            State::Answered(Err(fault)) => Looked::Failed(fault),
+            State::Late | State::Free | State::Waiting(_) => Looked::Late(limit),
         };
         self.free.push(key.slot);
         (looked, None)

@@ -59,19 +59,16 @@ impl<T> Inbox<T> {
     pub(crate) fn swap(&self, buffer: &mut Vec<T>) {
         let mut state = self.lock();
         std::mem::swap(&mut state.items, buffer);
+        state.sleeping = false;
         self.filled.store(false, Ordering::Relaxed);
     }
 
-    /// Announces that the reader sleeps now. False when there is something to do instead.
+    /// Announces that the reader sleeps now. False when there is something to do instead. One who wakes
+    /// up by itself may be told to wake up once more by whoever brings the next item.
     pub(crate) fn sleep(&self) -> bool {
         let mut state = self.lock();
         state.sleeping = state.items.is_empty() && !state.closed;
         state.sleeping
-    }
-
-    /// The reader is awake, by whatever it was woken.
-    pub(crate) fn awake(&self) {
-        self.lock().sleeping = false;
     }
 
     /// Takes nothing more; gives back what nobody took.

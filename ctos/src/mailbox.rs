@@ -274,6 +274,8 @@ struct Lane {
     queue: VecDeque<Message>,
     /// Never holds anybody while the queue has room.
     waiting: VecDeque<(Message, Acceptance)>,
+    /// Messages in the queue that still count as being on their way.
+    arrived: usize,
 }
 
 /// Who is told when a message has been taken.
@@ -310,7 +312,16 @@ impl Lane {
     #[inline]
     fn push(&mut self, message: Message, room: &Room) {
         self.queue.push_back(message);
-        room.set_held(self.queue.len());
+        room.set_held(self.queue.len() - self.arrived);
+    }
+
+    /// Counts what has arrived as being in the queue.
+    fn tell_arrived(&mut self, room: &Room) {
+        if self.arrived > 0 {
+            // In this order, so that nothing is missed by who claims a place meanwhile.
+            room.set_held(self.queue.len());
+            room.arrived(std::mem::take(&mut self.arrived));
+        }
     }
 }
 
@@ -452,7 +463,7 @@ impl TaskQueue {
         if let Some(gate) = gate.as_mut().filter(|gate| gate.keeps(&message)) {
             let acceptance = match place {
                 Place::Claimed => {
-                    room.arrived();
+                    room.arrived(1);
                     Acceptance::Silent
                 }
                 Place::Always => Acceptance::Silent,
@@ -484,15 +495,27 @@ impl TaskQueue {
                 acceptance.tell(Ok(()));
                 self.has_come(processor, command);
             }
-            Place::Always | Place::Claimed => {
-                let claimed = matches!(place, Place::Claimed);
+            Place::Always => {
                 lane.push(message, room);
                 drop(lanes);
-                if claimed {
-                    room.arrived();
-                }
                 self.has_come(processor, command);
             }
+            Place::Claimed => {
+                lane.queue.push_back(message);
+                lane.arrived += 1;
+                drop(lanes);
+                self.has_come(processor, command);
+            }
+        }
+    }
+
+    /// All messages of one batch have been taken in.
+    pub(crate) fn end_batch(&self) {
+        let mut lanes = self.lanes.borrow_mut();
+        for urgent in [true, false] {
+            lanes
+                .lane(urgent)
+                .tell_arrived(self.mailbox.room(urgent));
         }
     }
 
@@ -525,7 +548,7 @@ impl TaskQueue {
     }
 
     /// The next message, high priority first.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn take(&self) -> Option<Message> {
         let mut lanes = self.lanes.borrow_mut();
         let urgent = !lanes.urgent.queue.is_empty();
@@ -533,7 +556,7 @@ impl TaskQueue {
         let lane = lanes.lane(urgent);
         let message = lane.queue.pop_front()?;
         let admitted = (!lane.waiting.is_empty()).then(|| lane.admit(self.mailbox.capacity, room));
-        room.set_held(lane.queue.len());
+        room.took(lane.queue.len().saturating_sub(lane.arrived), self.mailbox.capacity);
         drop(lanes);
         if interrupts(message.header.command) {
             self.interruptions
@@ -547,19 +570,19 @@ impl TaskQueue {
         Some(message)
     }
 
-    /// The next message, high priority first; `None` once the queue is closed. For the loop of the
-    /// task, which is woken when there is one, and polled by nobody else.
-    #[inline]
-    pub(crate) fn poll_next(&self) -> Poll<Option<Message>> {
+    /// Puts the next message, high priority first, into `next`; none once the queue is closed. For the loop
+    /// of the task, which is woken when there is one, and polled by nobody else.
+    #[inline(always)]
+    pub(crate) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
         if self.mailbox.is_closed() {
-            return Poll::Ready(None);
+            return Poll::Ready(());
         }
-        let message = self.take();
-        if message.is_none() {
-            self.waits_for.set(WaitsFor::Message);
-            return Poll::Pending;
+        *next = self.take();
+        if next.is_some() {
+            return Poll::Ready(());
         }
-        Poll::Ready(message)
+        self.waits_for.set(WaitsFor::Message);
+        Poll::Pending
     }
 
     /// The first message in the queue whose command is `wanted`, among those that interrupt a handler. If

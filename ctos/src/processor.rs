@@ -30,7 +30,7 @@ use std::{
 use crate::{
     call::{Answer, ReplySlot},
     context::Note,
-    exchange::{CallKey, Calls, Given, Looked, Ticket},
+    exchange::{CallKey, Calls, Given, Looked, SOON, Started, Ticket},
     inbox::Inbox,
     mailbox::{Delivery, Mailbox, Order, TaskQueue},
     message::Tid,
@@ -188,9 +188,6 @@ pub(crate) enum LocalWake {
     Waker(Waker),
 }
 
-/// As many calls are shown at the latest, so that their list stays short.
-const UNSEEN: usize = 1024;
-
 /// Called with what a child future's panic said.
 type PanicHook = Rc<dyn Fn(String)>;
 
@@ -244,8 +241,10 @@ enum Timed {
 pub(crate) struct Processor {
     pub(crate) handle: Arc<ProcessorHandle>,
     clock: Clock,
-    /// The moment at which the last poll ended, or the last wait.
+    /// The moment at which the runtime last took over from the code of tasks, or woke up.
     recent: Cell<Instant>,
+    /// Whether no code of tasks has run since then.
+    fresh: Cell<bool>,
     futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
     current: RefCell<Option<(FutureId, Waker)>>,
@@ -253,14 +252,19 @@ pub(crate) struct Processor {
     calls: RefCell<Calls>,
     /// Calls of the present poll, whose time runs from its end.
     begun: RefCell<Vec<CallKey>>,
-    /// Calls that nobody can see yet who wants to know what their task waits for.
-    unseen: RefCell<Vec<CallKey>>,
+    /// Slots of calls that were made lately: they have no timers, and nobody sees them who wants to know
+    /// what their tasks wait for.
+    young: RefCell<Vec<u32>>,
+    /// When these are looked after at the latest, if nothing leads to it before.
+    young_until: Cell<Instant>,
     queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
     /// Queues of the other processors of the chassis, by processor and slot, that messages went to.
     routes: RefCell<Vec<Vec<Option<Arc<Mailbox>>>>>,
     batch: RefCell<Vec<Item>>,
     /// Its synchronous functions.
     pub(crate) schedule: Schedule,
+    /// The next trace ids of its tasks, and where they end.
+    traces: Cell<(u64, u64)>,
     handling: Cell<u64>,
     next_serial: Cell<u64>,
     orphan: RefCell<Option<ReplySlot>>,
@@ -286,17 +290,20 @@ impl Processor {
         Rc::new(Self {
             handle,
             recent: Cell::new(clock.now()),
+            fresh: Cell::new(false),
             clock,
             futures: RefCell::default(),
             current: RefCell::default(),
             timers: RefCell::default(),
             calls: RefCell::default(),
             begun: RefCell::default(),
-            unseen: RefCell::default(),
+            young: RefCell::default(),
+            young_until: Cell::new(Instant::LAST),
             queues: RefCell::default(),
             routes: RefCell::default(),
             batch: RefCell::default(),
             schedule,
+            traces: Cell::new((0, 0)),
             handling: Cell::new(0),
             next_serial: Cell::new(1),
             orphan: RefCell::default(),
@@ -320,7 +327,24 @@ impl Processor {
     pub(crate) fn look_at_clock(&self) -> Instant {
         let now = self.clock.now();
         self.recent.set(now);
+        self.fresh.set(true);
         now
+    }
+
+    /// The moment at which code of a task has ended: that of the last look, if none has run since.
+    #[inline]
+    fn moment(&self) -> Instant {
+        if self.fresh.get() {
+            self.recent.get()
+        } else {
+            self.look_at_clock()
+        }
+    }
+
+    /// Code of a task is about to run: the last look at the clock will be an old one.
+    #[inline]
+    pub(crate) fn leave(&self) {
+        self.fresh.set(false);
     }
 
     // -- which processor this thread runs ---------------------------------------------------
@@ -453,6 +477,7 @@ impl Processor {
             let current = self.current.borrow();
             let waker = current.as_ref().map_or(Waker::noop(), |current| &current.1);
             let mut cx = PollContext::from_waker(waker);
+            self.leave();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
         };
         let waker = self.current.borrow_mut().take().map(|current| current.1);
@@ -505,35 +530,46 @@ impl Processor {
     /// Looks at the clock after a poll; the time of the calls that were made in it runs from now.
     #[inline]
     fn start_calls(&self) {
-        let now = self.look_at_clock();
+        let now = self.moment();
         let mut begun = self.begun.borrow_mut();
         if begun.is_empty() {
             return;
         }
-        let mut calls = self.calls.borrow_mut();
-        let mut timers = self.timers.borrow_mut();
-        let mut unseen = self.unseen.borrow_mut();
         for key in begun.drain(..) {
-            if let Some(deadline) = calls.arm(key, now) {
-                calls.set_timer(key, timers.insert(deadline, Timed::Call(key)));
-                unseen.push(key);
+            let started = self.calls.borrow_mut().start(key, now);
+            match started {
+                Started::Done => {}
+                Started::List(slot) => {
+                    let mut young = self.young.borrow_mut();
+                    if young.is_empty() {
+                        self.young_until.set(now + SOON / 2);
+                    }
+                    young.push(slot);
+                }
+                Started::Urgent => {
+                    let call = self.calls.borrow_mut().settle_call(key);
+                    self.set_timer(call);
+                }
             }
-        }
-        drop((calls, timers));
-        let many = unseen.len() >= UNSEEN;
-        drop(unseen);
-        if many {
-            self.show_calls();
         }
     }
 
-    /// Shows the calls that wait to whoever wants to know what their tasks wait for. Done when there is
-    /// time for it: most calls have ended by then, and never need to be shown.
-    pub(crate) fn show_calls(&self) {
-        let mut calls = self.calls.borrow_mut();
-        for key in self.unseen.borrow_mut().drain(..) {
-            calls.show(key);
+    fn set_timer(&self, call: Option<(CallKey, Instant)>) {
+        if let Some((key, at)) = call {
+            let timer = self.timers.borrow_mut().insert(at, Timed::Call(key));
+            self.calls.borrow_mut().set_timer(key, timer);
         }
+    }
+
+    /// Looks after the calls that still wait: sets their timers and shows them to whoever wants to know
+    /// what their tasks wait for. Done when there is time for it, because most calls end before.
+    pub(crate) fn settle_calls(&self) {
+        let mut young = self.young.borrow_mut();
+        for slot in young.drain(..) {
+            let call = self.calls.borrow_mut().settle(slot);
+            self.set_timer(call);
+        }
+        self.young_until.set(Instant::LAST);
     }
 
     // -- calls ------------------------------------------------------------------------------
@@ -553,13 +589,18 @@ impl Processor {
         self.calls.borrow_mut().set_note(key, note);
     }
 
-    /// Looks for the answer to a call.
+    /// Looks for the answer to a call; with it comes the `note` of the call.
     #[inline]
-    pub(crate) fn poll_call(&self, key: CallKey, cx: &PollContext<'_>) -> Looked {
+    pub(crate) fn poll_call(
+        &self,
+        key: CallKey,
+        note: &mut Option<Note>,
+        cx: &PollContext<'_>,
+    ) -> Looked {
         let (looked, before) = {
             let mut calls = self.calls.borrow_mut();
             let mut timers = self.timers.borrow_mut();
-            calls.look(key, &mut timers, || self.waits(cx))
+            calls.look(key, note, &mut timers, || self.waits(cx))
         };
         drop(before);
         looked
@@ -666,6 +707,20 @@ impl Processor {
         .ok()
     }
 
+    /// A trace id that no other message of the run has; `more` gives the first of as many new ones.
+    #[inline]
+    pub(crate) fn fresh_trace(&self, more: impl FnOnce(u64) -> u64) -> u64 {
+        /// So many at once, so that the processors of a chassis rarely meet at its counter.
+        const BLOCK: u64 = 256;
+        let (mut next, mut end) = self.traces.get();
+        if next == end {
+            next = more(BLOCK);
+            end = next + BLOCK;
+        }
+        self.traces.set((next + 1, end));
+        next
+    }
+
     // -- the message at hand ----------------------------------------------------------------
 
     /// A number for a message that is about to be handled.
@@ -724,6 +779,7 @@ impl Processor {
 
     /// The next moment at which something is due without being woken.
     pub(crate) fn next_deadline(&self) -> Option<Instant> {
+        self.settle_calls();
         let timer = self.timers.borrow().first();
         timer.into_iter().chain(self.schedule.next_due()).min()
     }
@@ -738,11 +794,15 @@ impl Processor {
     pub(crate) fn fire_timers(self: &Rc<Self>) {
         self.enter();
         let now = self.look_at_clock();
-        self.show_calls();
+        self.settle_calls();
         self.fire_due(now);
     }
 
+    #[inline]
     fn fire_due(&self, now: Instant) {
+        if now >= self.young_until.get() {
+            self.settle_calls();
+        }
         loop {
             let Some(due) = self.timers.borrow_mut().pop_due(now) else {
                 return;
@@ -774,9 +834,24 @@ impl Processor {
         let mut batch = std::mem::take(&mut *self.batch.borrow_mut());
         self.handle.inbox.swap(&mut batch);
         let any = !batch.is_empty();
+        // Whoever sends much sends it to the same task.
+        let mut last: Option<(u16, Rc<TaskQueue>)> = None;
         for item in batch.drain(..) {
-            self.take_in(item);
+            let Item::Message(slot, delivery) = item else {
+                end_batch(last.take());
+                self.take_in(item);
+                continue;
+            };
+            if last.as_ref().is_none_or(|(of, _)| *of != slot) {
+                end_batch(last.take());
+                last = self.queue(slot).map(|queue| (slot, queue));
+            }
+            match &last {
+                Some((_, queue)) => queue.take_in(self, delivery),
+                None => delivery.refuse(),
+            }
         }
+        end_batch(last);
         *self.batch.borrow_mut() = batch;
         any
     }
@@ -784,7 +859,10 @@ impl Processor {
     fn take_in(self: &Rc<Self>, item: Item) {
         match item {
             Item::Message(slot, delivery) => match self.queue(slot) {
-                Some(queue) => queue.take_in(self, delivery),
+                Some(queue) => {
+                    queue.take_in(self, delivery);
+                    queue.end_batch();
+                }
                 None => delivery.refuse(),
             },
             Item::Answer(ticket, answer) => self.take_answer(ticket, answer),
@@ -841,27 +919,26 @@ impl Processor {
 
     /// Waits for something to do: awake for a while if so told, then asleep.
     fn wait(&self) {
-        let deadline = self.wake_at();
-        let now = self.look_at_clock();
-        let left = deadline.map(|deadline| deadline.since(now));
-        if left == Some(Duration::ZERO) || self.spin(now, deadline) {
+        let now = self.moment();
+        if self.spin(now) {
             return;
         }
-        self.show_calls();
-        if !self.handle.inbox.sleep() {
+        self.settle_calls();
+        let deadline = self.wake_at();
+        let left = deadline.map(|deadline| deadline.since(self.look_at_clock()));
+        if left == Some(Duration::ZERO) || !self.handle.inbox.sleep() {
             return;
         }
         match left {
             Some(left) => std::thread::park_timeout(left),
             None => std::thread::park(),
         }
-        self.handle.inbox.awake();
         self.look_at_clock();
     }
 
     /// Looks for work without sleeping, as long as the processor was told to. Never yields: that would
     /// hand the core to whoever else wants it for a whole slice. True when there is something to do.
-    fn spin(&self, since: Instant, deadline: Option<Instant>) -> bool {
+    fn spin(&self, since: Instant) -> bool {
         /// Looks between two looks at the clock.
         const LOOKS: u32 = 32;
         let spin = Duration::from_nanos(self.handle.spin_ns.load(Ordering::Relaxed));
@@ -869,6 +946,8 @@ impl Processor {
             return false;
         }
         let until = since + spin;
+        let deadline = self.wake_at().unwrap_or(Instant::LAST);
+        let deadline = deadline.min(self.young_until.get());
         loop {
             for _ in 0..LOOKS {
                 if self.handle.inbox.is_filled() {
@@ -878,7 +957,7 @@ impl Processor {
                 std::hint::spin_loop();
             }
             let now = self.look_at_clock();
-            if deadline.is_some_and(|deadline| deadline <= now) {
+            if deadline <= now {
                 return true;
             }
             if now >= until {
@@ -918,6 +997,13 @@ impl Processor {
         let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
         // Outside the borrow, as in `enter`.
         drop(here);
+    }
+}
+
+/// The last of some messages for one queue has been taken in.
+fn end_batch(queue: Option<(u16, Rc<TaskQueue>)>) {
+    if let Some((_, queue)) = queue {
+        queue.end_batch();
     }
 }
 

@@ -11,12 +11,12 @@ const WAITING_FACTOR: usize = 16;
 pub(crate) struct Room {
     /// Messages in the queue.
     held: AtomicUsize,
-    /// Places claimed by messages that are on their way.
-    coming: AtomicUsize,
     /// Senders that wait for room, those on their way included.
     waiting: AtomicUsize,
     /// Nobody claims a place now, though there may be room.
     shut: AtomicBool,
+    /// Places claimed by messages that are on their way.
+    coming: AtomicUsize,
 }
 
 /// How many senders may wait for room at a queue of `capacity`.
@@ -46,9 +46,19 @@ impl Room {
         self.held.store(held, Ordering::Release);
     }
 
-    /// A message with a claimed place is in the queue, and counted there.
-    pub(crate) fn arrived(&self) {
-        self.coming.fetch_sub(1, Ordering::AcqRel);
+    /// The owner has taken a message out of the queue and has `held` left. It need not tell for each, if
+    /// the queue is a long one: the line that the senders look at stays theirs for a while.
+    #[inline]
+    pub(crate) fn took(&self, held: usize, capacity: usize) {
+        let told = self.held.load(Ordering::Relaxed);
+        if held == 0 || told.saturating_sub(held) > capacity / 16 {
+            self.set_held(held);
+        }
+    }
+
+    /// As many messages with claimed places are in the queue, and counted there.
+    pub(crate) fn arrived(&self, count: usize) {
+        self.coming.fetch_sub(count, Ordering::AcqRel);
     }
 
     /// Joins the line of those who wait, if it is not too long.

@@ -186,7 +186,7 @@ pub(crate) fn start_at(
         }),
         build: spec.build,
         handler: Some(handler),
-        restarts: Restarts::new(policy, cx.rng("restart")),
+        restarts: Restarts::new(policy, cx.seed_of("restart")),
         state: State::Running,
         kept: None,
         phase: None,
@@ -230,23 +230,30 @@ struct AtHand {
 }
 
 impl Serving {
-    /// The next message that is to be handled; `None` once the queue is closed.
-    #[inline]
-    async fn next(&self) -> Option<Message> {
-        poll_fn(|_| {
-            loop {
-                match self.queue.poll_next() {
-                    Poll::Ready(Some(mut message)) => {
-                        if self.is_wanted(&mut message) {
-                            return Poll::Ready(Some(message));
-                        }
-                        self.pass_over(message);
-                    }
-                    end_or_pending => return end_or_pending,
-                }
+    /// Puts the next message that is to be handled into `next`; none once the queue is closed.
+    #[inline(always)]
+    fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+        loop {
+            if self.queue.poll_next(next).is_pending() {
+                return Poll::Pending;
             }
-        })
-        .await
+            if next
+                .as_mut()
+                .is_none_or(|message| self.is_wanted(message))
+            {
+                return Poll::Ready(());
+            }
+            if let Some(message) = next.take() {
+                self.pass_over(message);
+            }
+        }
+    }
+
+    /// The next message that is to be handled; `None` once the queue is closed.
+    async fn next(&self) -> Option<Message> {
+        let mut next = None;
+        poll_fn(|_| self.poll_next(&mut next)).await;
+        next
     }
 
     /// Whether a message is still to be begun.
@@ -370,6 +377,7 @@ impl Serving {
             return Poll::Pending;
         };
         let processor = self.cx.processor();
+        processor.leave();
         let polled = self.record.statistics.meter.in_turn(|| {
             catch_unwind(AssertUnwindSafe(|| {
                 processor.handling(at_hand.serial, || handling.poll(cx))
@@ -389,37 +397,37 @@ impl Serving {
 
     /// See [`DynHandler::serve`].
     pub(crate) async fn serve<H: EventHandler>(&self, handler: &mut H, first: Message) -> Served {
-        let mut next = first;
-        loop {
-            let at_hand = self.begin(&mut next);
-            let cx = self.cx.within(next.trace());
-            let mut handling = pin!(Some(EventHandler::handle(handler, &cx, next)));
+        let mut next = Some(first);
+        while let Some(mut message) = next.take() {
+            let at_hand = self.begin(&mut message);
+            let cx = self.cx.within(message.trace());
+            let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
             let ended = poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await;
             let processor = self.cx.processor();
             processor.handling(at_hand.serial, || handling.set(None));
             if let Some(panic) = self.end(at_hand, ended) {
                 return Served::Panicked(panic);
             }
-            next = match self.next().await {
-                Some(message) if message.command() < SYSTEM_COMMANDS => message,
-                Some(message) => return Served::Next(message),
-                None => return Served::Closed,
-            };
+            poll_fn(|_| self.poll_next(&mut next)).await;
+            if let Some(of_runtime) = next.take_if(|next| next.command() >= SYSTEM_COMMANDS) {
+                return Served::Next(of_runtime);
+            }
         }
+        Served::Closed
     }
 }
 
 impl Runner {
     async fn run(mut self, arrival: Option<Arrival>) {
         let settled = match arrival {
-            Some(arrival) => moving::arrive(&mut self, arrival).await,
+            Some(arrival) => moving::arrive(&mut self, arrival).boxed_local().await,
             None => true,
         };
         if settled {
             self.serve().await;
         }
         self.cx.cancel_children();
-        self.cx.end_all_started().await;
+        self.cx.end_all_started().boxed_local().await;
         self.cx.chassis().remove_task(self.cx.tid());
     }
 
@@ -474,6 +482,7 @@ impl Runner {
 
     /// Handles one message.
     async fn take(&mut self, message: Message) -> Next {
+        self.cx.processor().leave();
         match message.command() {
             command if command < SYSTEM_COMMANDS || self.cx.config().is_none() => {}
             Broke::CODE => return self.broke(message).await,
@@ -641,6 +650,7 @@ impl Runner {
 
     /// What happens after an end: what the restart policy rules.
     async fn supervise(&mut self, ending: Ending, why: String) -> Next {
+        self.cx.processor().leave();
         let (mut ending, mut why) = (ending, why);
         loop {
             self.end_incarnation(ending).await;

@@ -72,7 +72,7 @@ pub struct QueueReport {
 /// Everything that is known of `chassis` now.
 pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
     if let Some(here) = crate::processor::Processor::here() {
-        here.show_calls();
+        here.settle_calls();
     }
     let processors = chassis.processors.iter();
     ChassisReport {

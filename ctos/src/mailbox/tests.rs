@@ -56,9 +56,10 @@ struct Waiter {
 impl Waiter {
     fn answer(&self) -> Option<Answer> {
         let cx = std::task::Context::from_waker(std::task::Waker::noop());
-        match self.caller.poll_call(self.key, &cx) {
+        match self.caller.poll_call(self.key, &mut None, &cx) {
             Looked::Waiting => None,
-            Looked::Answered(answer, _) => Some(answer),
+            Looked::Answered(data) => Some(Ok(data)),
+            Looked::Failed(fault) => Some(Err(fault)),
             Looked::Long | Looked::Late(..) => panic!("no time passes here"),
         }
     }
@@ -114,7 +115,8 @@ impl Bench {
 
     fn take(&self) -> Option<u32> {
         self.settle();
-        let Poll::Ready(message) = self.queue.poll_next() else {
+        let mut message = None;
+        let Poll::Ready(()) = self.queue.poll_next(&mut message) else {
             return None;
         };
         let message = message?;
@@ -222,7 +224,9 @@ fn whatever_waits_when_the_task_ends_is_answered() {
         bench.settle();
         assert_eq!(waiter.answer().unwrap().unwrap_err(), Fault::Stopping);
         assert_eq!(asked.answer().unwrap().unwrap_err(), Fault::Stopping);
-        assert!(matches!(bench.queue.poll_next(), Poll::Ready(None)));
+        let mut next = None;
+        assert!(bench.queue.poll_next(&mut next).is_ready());
+        assert!(next.is_none());
         assert_eq!(
             bench.try_send(message(4, Flags::NONE)),
             Err(Fault::Stopping)

@@ -99,8 +99,6 @@ pub enum RactorMessage {
     Tell(Data),
 }
 
-impl ractor::Message for RactorMessage {}
-
 pub struct RactorActor;
 
 impl ractor::Actor for RactorActor {

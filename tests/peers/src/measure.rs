@@ -14,10 +14,10 @@ pub fn all() {
     let parts: Vec<String> = std::env::args().skip(1).collect();
     let wanted = |part: &str| parts.is_empty() || parts.iter().any(|one| one == part);
     let cpus = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    println!("{cpus} CPUs, {ROUNDS} rounds; medians, and how many times the first contender's");
+    println!("{cpus} CPUs; medians of {ROUNDS} rounds");
     if wanted("local") {
         calls(
-            "call between two tasks on one processor, ns",
+            "call between two tasks on one processor",
             vec![
                 ("ctos", Box::new(Ctos::new(&[""]))),
                 ("tokio mpsc + oneshot", Box::new(Tokio::new(Server::Here))),
@@ -32,7 +32,7 @@ pub fn all() {
         on_thread_pinned_to(0, || {
             let server = Server::Thread(Some(0));
             calls(
-                "call between two threads of one core, ns",
+                "call between two threads of one core",
                 vec![
                     ("ctos", Box::new(Ctos::new(&["cpu = 0", "cpu = 0"]))),
                     ("tokio mpsc + oneshot", Box::new(Tokio::new(server))),
@@ -45,12 +45,14 @@ pub fn all() {
         });
     }
     if wanted("cores") && cpus > 1 {
+        // Made before: a thread that may use one CPU only makes processors that never spin.
+        let ctos = Ctos::new(&["cpu = 1", "cpu = 0"]);
         on_thread_pinned_to(0, || {
             let server = Server::Thread(Some(1));
             calls(
-                "call between two cores, ns",
+                "call between two cores",
                 vec![
-                    ("ctos", Box::new(Ctos::new(&["cpu = 1", "cpu = 0"]))),
+                    ("ctos", Box::new(ctos)),
                     ("one word, spinning", Box::new(Floor::new(Some(1)))),
                     ("tokio mpsc + oneshot", Box::new(Tokio::new(server))),
                     ("ractor", Box::new(Ractor::new(server))),
@@ -80,73 +82,100 @@ fn on_thread_pinned_to(cpu: usize, work: impl FnOnce() + Send) {
     });
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
-fn show(title: &str, unit: &str, results: &[(&str, f64)]) {
-    println!("\n{title}");
-    let first = results.first().map_or(1.0, |result| result.1);
-    for (name, value) in results {
-        println!("  {name:24} {value:10.3} {unit:6} x {:8.3}", value / first);
+/// What so much work took: by the clock, and of all CPUs together.
+#[derive(Clone, Copy)]
+struct Sample {
+    wall_ns: f64,
+    cpu_ns: f64,
+}
+
+fn cpu_ns() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 * 1e9 + time.tv_nsec as f64
+}
+
+fn sample(work: &mut dyn FnMut(u32), count: u32) -> Sample {
+    let (begin, cpu) = (Instant::now(), cpu_ns());
+    work(count);
+    let each = f64::from(count);
+    Sample {
+        wall_ns: begin.elapsed().as_nanos() as f64 / each,
+        cpu_ns: (cpu_ns() - cpu) / each,
     }
 }
 
-fn calls(title: &str, mut contenders: Vec<(&str, Box<dyn Pair>)>, batch: u32) {
-    let mut times = vec![Vec::new(); contenders.len()];
-    for (_, contender) in &mut contenders {
-        contender.calls(batch / 4);
+type Contender = (&'static str, Box<dyn FnMut(u32)>);
+
+/// Measures all of them in turn, round by round, and shows the medians. The ratio is ours, the first,
+/// over theirs.
+fn rounds(title: &str, contenders: &mut [Contender], batch: u32) {
+    let mut samples = vec![Vec::new(); contenders.len()];
+    for (_, work) in &mut *contenders {
+        work(batch / 4);
     }
     for _ in 0..ROUNDS {
-        for ((_, contender), times) in contenders.iter_mut().zip(&mut times) {
-            let begin = Instant::now();
-            contender.calls(batch);
-            times.push(begin.elapsed().as_nanos() as f64 / f64::from(batch));
+        for ((_, work), samples) in contenders.iter_mut().zip(&mut samples) {
+            samples.push(sample(work, batch));
         }
     }
-    let names = contenders.iter().map(|contender| contender.0);
-    let results: Vec<_> = names.zip(times.into_iter().map(median)).collect();
-    show(title, "ns", &results);
+    println!("\n{title}: ns by the clock, ctos over it; ns of CPU, ctos over it");
+    let middle = |samples: &Vec<Sample>| Sample {
+        wall_ns: median(samples.iter().map(|sample| sample.wall_ns)),
+        cpu_ns: median(samples.iter().map(|sample| sample.cpu_ns)),
+    };
+    let Some(ours) = samples.first().map(middle) else {
+        return;
+    };
+    for ((name, _), samples) in contenders.iter().zip(&samples) {
+        let Sample { wall_ns, cpu_ns } = middle(samples);
+        let (wall, cpu) = (ours.wall_ns / wall_ns, ours.cpu_ns / cpu_ns);
+        println!("  {name:24} {wall_ns:10.1} {wall:8.3}    {cpu_ns:10.1} {cpu:8.3}");
+    }
+}
+
+fn calls(title: &str, contenders: Vec<(&'static str, Box<dyn Pair>)>, batch: u32) {
+    let mut contenders: Vec<Contender> = contenders
+        .into_iter()
+        .map(|(name, mut pair)| {
+            let work: Box<dyn FnMut(u32)> = Box::new(move |count| pair.calls(count));
+            (name, work)
+        })
+        .collect();
+    rounds(title, &mut contenders, batch);
 }
 
 fn one_way(producers: u8) {
-    const COUNT: u32 = 200_000;
     let mut ctos = CtosOneWay::new(producers);
     let mut ractor = RactorOneWay::new();
     let many = u32::from(producers);
-    let mut contenders: Vec<(&str, Box<dyn FnMut()>)> = vec![
-        ("ctos", Box::new(move || ctos.send(COUNT))),
-        ("ractor", Box::new(move || ractor.send(many, COUNT))),
+    let mut contenders: Vec<Contender> = vec![
+        ("ctos", Box::new(move |count| ctos.send(count))),
+        ("ractor", Box::new(move |count| ractor.send(many, count))),
         (
             "tokio mpsc",
-            Box::new(move || contenders::tokio_one_way(many, COUNT)),
+            Box::new(move |count| contenders::tokio_one_way(many, count)),
         ),
         (
             "crossbeam",
-            Box::new(move || contenders::crossbeam_one_way(many, COUNT)),
+            Box::new(move |count| contenders::crossbeam_one_way(many, count)),
         ),
         (
             "kanal",
-            Box::new(move || contenders::kanal_one_way(many, COUNT)),
+            Box::new(move |count| contenders::kanal_one_way(many, count)),
         ),
         (
             "flume",
-            Box::new(move || contenders::flume_one_way(many, COUNT)),
+            Box::new(move |count| contenders::flume_one_way(many, count)),
         ),
     ];
-    let mut rates = vec![Vec::new(); contenders.len()];
-    for _ in 0..ROUNDS {
-        for ((_, send), rates) in contenders.iter_mut().zip(&mut rates) {
-            let begin = Instant::now();
-            send();
-            rates.push(f64::from(COUNT) / begin.elapsed().as_secs_f64() / 1e6);
-        }
-    }
-    let names = contenders.iter().map(|contender| contender.0);
-    let results: Vec<_> = names.zip(rates.into_iter().map(median)).collect();
-    let title = format!("messages one way, {producers} to 1, 64 B, bounded (ractor: not)");
-    show(&title, "M/s", &results);
+    let title = format!("message one way, {producers} to 1, 64 B, bounded (ractor: not)");
+    rounds(&title, &mut contenders, 200_000);
 }
 
 /// Resident memory of this process, bytes.
