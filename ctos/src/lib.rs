@@ -56,6 +56,7 @@ mod names;
 mod parcel;
 mod placement;
 mod processor;
+mod reply;
 mod room;
 mod runner;
 mod statistics;
