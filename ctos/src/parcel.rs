@@ -167,7 +167,7 @@ mod tests {
         // Through a heap, so that it is moved for real.
         let moved = std::hint::black_box(Box::new([parcel]));
         let [parcel] = *moved;
-        let parcel = parcel.take::<u64>().err().expect("it is not a number");
+        let parcel = parcel.take::<u64>().expect_err("it is not a number");
         if take {
             let value = parcel.take::<Counted<BYTES>>().ok().expect("the same type");
             assert_eq!(value.filling, [filling; BYTES]);

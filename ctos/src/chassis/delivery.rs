@@ -176,9 +176,12 @@ impl Chassis {
                 Err(Fault::UnknownTask)
             }
         };
-        if self.tap.is_on() {
-            let answer = result.clone().map(|()| Data::Bytes(Vec::new()));
-            self.tap.answered(recorded, &asked, &answer);
+        match &result {
+            Ok(()) => {
+                let nothing = Data::Bytes(Vec::new());
+                self.tap.answered(recorded, &asked, Ok(&nothing));
+            }
+            Err(fault) => self.tap.answered(recorded, &asked, Err(fault)),
         }
         Sent::Ended(result)
     }
@@ -209,7 +212,7 @@ impl Chassis {
             Offer::Nobody(_) => Err(Fault::UnknownTask),
         };
         if let Err(fault) = &put {
-            self.tap.answered(recorded, &asked, &Err(fault.clone()));
+            self.tap.answered(recorded, &asked, Err(fault));
         }
         put
     }

@@ -315,13 +315,7 @@ impl Ask {
             return data;
         };
         let tap = &self.cx.inner.chassis.tap;
-        let data = if tap.is_on() {
-            let answer = Ok(data);
-            tap.answered(question.recorded, &question.asked, &answer);
-            answer.unwrap_or_else(|_: Fault| Data::Bytes(Vec::new()))
-        } else {
-            data
-        };
+        tap.answered(question.recorded, &question.asked, Ok(&data));
         self.state = AskState::Ended;
         data
     }
@@ -332,9 +326,8 @@ impl Ask {
         let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended) else {
             return fault;
         };
-        let answer = Err(fault.clone());
         let tap = &self.cx.inner.chassis.tap;
-        tap.answered(question.recorded, &question.asked, &answer);
+        tap.answered(question.recorded, &question.asked, Err(&fault));
         if let (Some(outbound), Fault::Deadline { .. } | Fault::Circle { .. }) =
             (question.outbound, &fault)
         {

@@ -165,6 +165,9 @@ impl TaskQueue {
 
     /// Takes in a message from another thread, or one that waits for room.
     pub(crate) fn take_in(&self, processor: &Processor, delivery: Delivery) {
+        if self.mailbox.is_closed() {
+            return delivery.refuse();
+        }
         let Delivery { message, place } = delivery;
         let (urgent, _) = is_urgent(&message);
         let room = self.mailbox.room(urgent);

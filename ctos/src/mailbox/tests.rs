@@ -1,6 +1,6 @@
 //! Each test runs with senders on the task's own processor and with senders on another one.
 
-use std::time::Duration;
+use std::{cell::Cell, future::poll_fn, rc::Rc, task::Poll, time::Duration};
 
 use proptest::prelude::*;
 
@@ -8,7 +8,8 @@ use super::*;
 use crate::{
     call::Answer,
     exchange::{CallKey, Looked},
-    message::{Header, Tid},
+    message::{Command, Header, Tid},
+    system::StopTask,
     time::Clock,
 };
 

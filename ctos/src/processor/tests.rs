@@ -1,5 +1,7 @@
 //! The executor alone, without messages.
 
+use std::task::Poll;
+
 use super::*;
 use crate::{
     call::{Promise, Waiting},

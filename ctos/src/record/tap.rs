@@ -9,7 +9,7 @@ use super::{
     replay::Desk,
 };
 use crate::{
-    call::{Answer, Fault},
+    call::Fault,
     chassis::{Envelope, WaitFor},
     message::{Data, Flags, Header, Message, Tid},
     task::Phase,
@@ -250,7 +250,7 @@ impl Tap {
     }
 
     /// A sender has what it waited for.
-    pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: &Answer) {
+    pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>) {
         let Some((recorder, chassis)) = self.recorder() else {
             return;
         };
@@ -259,7 +259,7 @@ impl Tap {
         } else {
             Side::Sender
         };
-        note_answer(recorder, chassis, id, asked, side, answer.as_ref());
+        note_answer(recorder, chassis, id, asked, side, answer);
     }
 
     /// A task of this chassis answers a message from another one.
