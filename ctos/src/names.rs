@@ -20,8 +20,8 @@ use crate::{
     moving::{find_place, place_text, turn_for},
     system::{
         self, AbortMove, AwaitTid, Change, CommitMove, FirstSlots, Monitor, MoveOut, MoveTask,
-        MovedTasks, Place, QueryTid, Rebound, RegisterTid, Settle, Settled, TaskChanged, TaskName,
-        WhoWaits,
+        MovedTasks, Place, QueryTid, Rebound, RegisterTid, Settle, Settled, TaskChanged, TaskMoved,
+        TaskName, WhoWaits,
     },
     task::{EventHandler, Handled},
 };
@@ -388,7 +388,7 @@ impl TidServer {
 
     async fn move_task(&self, cx: &Context, request: MoveTask) -> Result<String, String> {
         let MoveTask { task, to } = request;
-        let place = find_place(cx.chassis(), &to)?;
+        let place = find_place(cx.chassis(), &to).map_err(|wrong| wrong.to_string())?;
         let old = {
             let mut state = self.state.borrow_mut();
             let Some(old) = state.names.get(&task).copied() else {
@@ -464,6 +464,15 @@ impl TidServer {
             one.turned = Some(turned);
         }
         drop(state);
+        // Before anybody can send to the new place: whoever stops a chassis stops the tasks it has.
+        let moved = TaskMoved {
+            task: TaskName {
+                name: name.clone(),
+                tid: new,
+            },
+            old,
+        };
+        here.post_system(system::BOOTSTRAP, moved);
         let settle = Settle {
             place: new,
             how: Settled::Go { gone },

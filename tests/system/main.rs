@@ -16,5 +16,7 @@ mod kills;
 mod machine;
 mod main_job;
 mod manners;
+mod moving;
+mod recording;
 mod restarts;
 mod startup;

@@ -1,9 +1,12 @@
 //! `ctos status`.
 
 use clap::Args;
-use ctos::control::{
-    LogLine,
-    protocol::{Answer, ChassisView, Request, StatusView, TaskView},
+use ctos::{
+    control::{
+        LogLine,
+        protocol::{Answer, ChassisView, Request, StatusView, TaskView},
+    },
+    record::RecordReport,
 };
 
 use crate::{
@@ -54,7 +57,7 @@ pub fn run(args: &StatusArgs) -> u8 {
             show::say("error: the app answers something else; is it of another version?");
             return exit::UNREACHABLE;
         }
-        Err(error) => return remote::failed_for(name, &error),
+        Err(error) => return remote::failed_for(&[name], &error),
     };
     let shown = if args.json {
         serde_json::to_string(&status).unwrap_or_default()
@@ -175,12 +178,26 @@ fn task_lines(task: &TaskView, chassis: &ChassisView) -> Vec<String> {
     lines
 }
 
+fn record_lines(record: &RecordReport) -> Vec<String> {
+    let size = remote::size(record.bytes);
+    let mut lines = vec![line("record", format!("{size} in {}", record.file))];
+    let trouble = record.trouble.as_ref();
+    let trouble = trouble.map(|why| format!("nothing is written: {why}"));
+    let lost = (record.lost > 0).then(|| format!("{} events are lost", record.lost));
+    let lacks: Vec<String> = trouble.into_iter().chain(lost).collect();
+    if !lacks.is_empty() {
+        lines.push(line("", lacks.join("; ")));
+    }
+    lines
+}
+
 fn chassis_lines(chassis: &ChassisView, tasks: &[TaskView]) -> Vec<String> {
     let mut lines = vec![line("process", process(chassis))];
     lines.extend(restarts(chassis));
     if !chassis.processors.is_empty() {
         lines.push(line("threads", chassis.processors.join(", ")));
     }
+    lines.extend(chassis.records.iter().flat_map(record_lines));
     let rows: Vec<Vec<String>> = tasks
         .iter()
         .map(|task| {
