@@ -67,6 +67,10 @@ pub struct Book {
     /// When the app began to stop, in true time.
     pub stopping: Option<Instant>,
     pub running: bool,
+    /// When chassis failed, in true time.
+    pub failures: Vec<(String, Instant)>,
+    /// Chassis that came back.
+    pub returned: usize,
 }
 
 #[derive(Clone)]
