@@ -168,8 +168,9 @@ pub(crate) struct Parts {
     why: String,
     /// How the record is; of the present file only what is on disk counts.
     report: RecordReport,
-    /// What was said last of a disk that takes nothing: the same is said once.
-    told: Option<String>,
+    /// What was said last of a disk that takes nothing, and how many lines there were then: the same is
+    /// said once.
+    told: Option<(String, u64)>,
 }
 
 impl Parts {
@@ -214,11 +215,12 @@ impl Parts {
     /// Says what is wrong with the disk, and what to do; the same thing once.
     fn say(&mut self, path: &Path, error: &str, lost: u64) {
         self.report.trouble = Some(error.to_owned());
-        if self.told.as_deref() == Some(error) {
+        let told = self.told.as_ref().map(|(told, _)| told.as_str());
+        if told == Some(error) {
             tracing::debug!(file = %path.display(), error, lost, "the record cannot go on yet");
             return;
         }
-        self.told = Some(error.to_owned());
+        self.told = Some((error.to_owned(), self.report().lines));
         let retry_s = RETRY_NS / 1_000_000_000;
         tracing::error!(
             file = %path.display(), error, lost, retry_s,
@@ -349,15 +351,18 @@ impl Parts {
     pub(crate) fn flush(&mut self, now: u64) {
         if let Some(part) = &mut self.part {
             part.flush();
-            let recovered = self.told.is_some() && part.error().is_none() && part.lines > 0;
-            // A disk that takes a beginning and no more has not recovered.
-            if recovered && now >= self.retry_at.saturating_add(RETRY_NS) {
-                self.told = None;
-                self.report.trouble = None;
-                tracing::warn!(file = %part.path.display(), "the record goes on");
-            }
         }
         self.check(now);
+        let lines = self.report().lines;
+        if let (Some(part), Some((_, then))) = (&self.part, &self.told)
+            // A disk that takes a beginning and no more has not recovered.
+            && lines > *then
+            && now >= self.retry_at.saturating_add(RETRY_NS)
+        {
+            tracing::warn!(file = %part.path.display(), "the record goes on");
+            self.told = None;
+            self.report.trouble = None;
+        }
     }
 
     /// Closes the record.
