@@ -107,7 +107,8 @@ pub(crate) fn does(task: &TaskView) -> String {
     let command = task.command.as_deref().unwrap_or("a message");
     match task.activity {
         Activity::Idle => "idle".to_owned(),
-        Activity::Gone => "gone".to_owned(),
+        // Gone with its chassis, or a chassis that is too busy to tell.
+        Activity::Gone => "no answer".to_owned(),
         Activity::Busy => {
             let time = task.in_handler_s.map_or_else(String::new, span);
             format!("busy {time}: {command}")

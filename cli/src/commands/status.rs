@@ -145,23 +145,22 @@ fn task_lines(task: &TaskView, chassis: &ChassisView) -> Vec<String> {
     }
     lines.push(line("process", process(chassis)));
     lines.extend(restarts(chassis));
-    let busy = 100.0 * task.busy_s / task.phase_s.max(f64::MIN_POSITIVE);
-    let busy = if task.phase_s > 0.0 {
-        format!(", busy {:.0} % of the time", busy.min(100.0))
-    } else {
-        String::new()
-    };
     let last = task
         .command
         .as_ref()
         .map_or_else(String::new, |command| format!(", last {command}"));
     lines.push(line(
         "messages",
-        format!(
-            "{} handled, {} failed{busy}, longest {:.3} s{last}",
-            task.handled, task.failed, task.longest_s
-        ),
+        format!("{} handled, {} failed{last}", task.handled, task.failed),
     ));
+    if task.phase_s > 0.0 {
+        let busy = (100.0 * task.busy_s / task.phase_s).min(100.0);
+        let longest = task.longest_s;
+        lines.push(line(
+            "busy",
+            format!("{busy:.0} % of the time, longest {longest:.3} s"),
+        ));
+    }
     lines.push(line(
         "queue",
         format!(
