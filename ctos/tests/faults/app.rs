@@ -142,6 +142,7 @@ struct Actor {
 
 impl Actor {
     fn new(kind: &'static str, cx: &Context, ledger: Ledger) -> Self {
+        ledger.built(cx);
         let mut book = ledger.book();
         book.alive += 1;
         // What it began in an earlier life has ended with that.

@@ -29,6 +29,9 @@ use run::{Trial, trial};
 /// How many seeds a profile is tried with.
 const SEEDS: Range<u64> = 0..1000;
 
+/// So many findings are shown of one seed.
+const SHOWN: usize = 12;
+
 /// A list of faults that is longer than this says nothing to a person.
 const SHRINK_TRIALS: usize = 200;
 
@@ -90,9 +93,10 @@ fn report(policy: Policy, profile: &str, seed: u64, trial: &Trial) -> ! {
         !run::trial(policy, seed, faults, None).wrong.is_empty()
     });
     let fewer: Vec<String> = fewer.iter().map(ToString::to_string).collect();
+    let shown = trial.wrong.get(..SHOWN).unwrap_or(&trial.wrong);
     panic!(
-        "profile `{profile}`, seed {seed}: {:#?}\nends with {:?}\nit still fails with these of its {} faults:\n{}",
-        trial.wrong,
+        "profile `{profile}`, seed {seed}: {} findings: {shown:#?}\nends with {:?}\nit still fails with these of its {} faults:\n{}",
+        trial.wrong.len(),
         trial.run.outcome,
         trial.run.faults.len(),
         fewer.join("\n")
