@@ -3,6 +3,7 @@
 use std::{
     future::poll_fn,
     io,
+    pin::pin,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -34,6 +35,9 @@ const CHUNK: usize = 64 * 1024;
 /// How often a driver looks whether late packets of an injured link may leave.
 const INJURED_TICK: Duration = Duration::from_millis(1);
 
+/// How long what the other end said last is waited for when it takes no more.
+const LAST_WORDS_LIMIT: Duration = Duration::from_millis(500);
+
 /// Carries `session` over `stream` until that ends; `received` is what the other end has.
 ///
 /// # Errors
@@ -45,7 +49,7 @@ pub(crate) async fn drive(
 ) -> Result<(), AttachError> {
     let (mut reader, writer) = stream.split();
     let number = session.attach(writer, received)?;
-    let read = read_all(session, number, &mut reader);
+    let mut read = pin!(read_all(session, number, &mut reader));
     let write = poll_fn(|cx| session.poll_pump(cx, number));
     let late = async {
         loop {
@@ -54,8 +58,12 @@ pub(crate) async fn drive(
         }
     };
     let ended = tokio::select! {
-        ended = read => ended,
-        error = write => Err(error),
+        ended = &mut read => ended,
+        error = write => {
+            // The other end has closed; what it said last may not have been read yet.
+            let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
+            rest.unwrap_or(Ok(())).and(Err(error))
+        }
         () = late, if session.is_injured() => Ok(()),
     };
     if let Err(error) = ended {
