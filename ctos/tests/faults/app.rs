@@ -170,13 +170,20 @@ impl Actor {
         Duration::from_micros(self.rng.random_range(0..most * 1000))
     }
 
+    fn breaks(&self, cx: &Context, how: &str) -> ! {
+        self.ledger.book().broken.insert(cx.name().to_owned());
+        panic!("{how}");
+    }
+
     async fn item(&mut self, cx: &Context, item: Item, reply: Replier<Item>) -> Handled {
         self.ledger.begins(cx, item.id, &item.to, &item.from);
         if self.one_in(10) {
             let busy = self.millis(5);
             cx.sleep(busy).await;
         }
-        assert!(!self.one_in(200), "a sink breaks down");
+        if self.one_in(200) {
+            self.breaks(cx, "a sink breaks down");
+        }
         reply.ok(())
     }
 
@@ -184,7 +191,7 @@ impl Actor {
         self.ledger.begins(cx, ask.id, &ask.to, &ask.from);
         let answer = ask.number * 2 + 1;
         match self.rng.random_range(0..100) {
-            0 => panic!("a server breaks down"),
+            0 => self.breaks(cx, "a server breaks down"),
             1..4 => return reply.fail("not today"),
             // Dropped without an answer.
             4..7 => return Ok(()),

@@ -83,8 +83,16 @@ fn simulate(
             phase: Phase::Run, ..
         } => watched.book().running = true,
         BootEvent::ChassisFailed { chassis, .. } => {
+            watched.book().failures.push((chassis.clone(), None));
+        }
+        // One whose task failed is stopped in order first, and works on until then.
+        BootEvent::Restarting { chassis, .. } => {
             let now = watched.clock.now();
-            watched.book().failures.push((chassis.clone(), now));
+            let mut book = watched.book();
+            let mut open = book.failures.iter_mut().rev();
+            if let Some(failure) = open.find(|(name, _)| name == chassis) {
+                failure.1 = Some(now);
+            }
         }
         BootEvent::Restarted { .. } => watched.book().returned += 1,
         _ => {}
