@@ -106,10 +106,10 @@ fn every_firing_has_the_trace_of_a_message_and_gives_it_to_what_it_sends(lines: 
 }
 
 fn one_trace_leads_from_the_operator_to_the_arm_and_the_cameras(lines: &[Line]) {
-    let commands = lines
+    let mut commands = lines
         .iter()
         .filter(|line| line.topic == "/message/dispatcher" && line.text("from") == "operator");
-    let command = commands.last().unwrap();
+    let command = commands.next_back().unwrap();
     assert_eq!(command.text("command"), "put_tape", "{}", command.line);
     let of_trace: Vec<&Line> = lines
         .iter()
