@@ -4,21 +4,30 @@
 //! the transport structure, textual requests, option tables, the dictionary of recipes, and the
 //! manager that builds objects from their names. One process; nothing here knows a network.
 
+pub mod class;
+mod dbx;
 pub mod dictionary;
+mod manager;
 pub mod name;
 pub mod object;
 pub mod options;
+mod plant;
 pub mod report;
 pub mod request;
+mod reserve;
+mod slot;
 pub mod sorm;
+pub mod together;
 pub mod transport;
 pub mod words;
 
+pub use class::Class;
 pub use dictionary::Dictionary;
 pub use name::{Location, NameError, ObjectName};
-pub use object::{Context, Outcome, ServiceObject};
+pub use object::{Context, Outcome, ServiceObject, TwoStep};
 pub use options::OptionTable;
-pub use report::{Report, Severity};
+pub use report::{Prototype, Report, Severity};
 pub use request::{Method, Reply, Request, RequestError};
-pub use sorm::{Handle, Sorm};
+pub use slot::{Claim, Handle, Owned};
+pub use sorm::Sorm;
 pub use transport::Transport;
