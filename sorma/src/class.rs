@@ -13,6 +13,7 @@ pub struct Class {
     version: &'static str,
     build: Box<Build>,
     codes: &'static [Prototype],
+    waits: bool,
 }
 
 impl Class {
@@ -31,6 +32,7 @@ impl Class {
             version,
             build: Box::new(build),
             codes: &[],
+            waits: false,
         }
     }
 
@@ -39,6 +41,18 @@ impl Class {
     pub fn codes(mut self, codes: &'static [Prototype]) -> Self {
         self.codes = codes;
         self
+    }
+
+    /// With objects that ask others and wait for them:
+    /// [`ServiceObject::exec_waiting`]. They are asked with [`Sorm::ask`].
+    #[must_use]
+    pub fn waits(mut self) -> Self {
+        self.waits = true;
+        self
+    }
+
+    pub(crate) fn is_waiting(&self) -> bool {
+        self.waits
     }
 
     /// Its name.

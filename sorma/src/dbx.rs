@@ -82,12 +82,22 @@ impl Meta {
 }
 
 /// What a DBX request asks for and sets, before anything of it is done.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 struct Asked {
     verbosity: String,
     test: bool,
     /// The object's own, for the answers.
     about: About,
+}
+
+impl Default for Asked {
+    fn default() -> Self {
+        Self {
+            verbosity: Severity::Verbose.word().to_owned(),
+            test: false,
+            about: About::default(),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Default)]
@@ -136,6 +146,7 @@ pub(crate) fn dbx(body: &mut Body, cx: &Context<'_>, io: &mut Transport) -> Outc
     let lines: Vec<&str> = meta.audit.iter().map(String::as_str).collect();
     let mut asked = Asked {
         verbosity: meta.verbosity.word().to_owned(),
+        test: false,
         about: About {
             class: meta.class.name().to_owned(),
             version: meta.class.version().to_owned(),
@@ -145,7 +156,6 @@ pub(crate) fn dbx(body: &mut Body, cx: &Context<'_>, io: &mut Transport) -> Outc
                 meta.execs, meta.ctrls, meta.errors
             ),
         },
-        ..Asked::default()
     };
     DBX.ctrl(&mut asked, io);
     if !io.is_ok() {

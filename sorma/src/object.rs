@@ -5,6 +5,8 @@ use crate::request::Method;
 use crate::slot::{Handle, Slot};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
+use crate::waiting::Waiting;
+use futures_util::future::LocalBoxFuture;
 
 /// How a method of a service object ends; the error becomes a report and the return code.
 pub type Outcome = Result<(), Report>;
@@ -19,7 +21,21 @@ pub trait ServiceObject: Send {
     ///
     /// # Errors
     /// The reason why it was not done.
-    fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome;
+    fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let _ = (cx, io);
+        Err(unsupported(Method::Exec))
+    }
+
+    /// Does a job for which it asks other objects, wherever they are, and waits for them. A class has
+    /// this or [`Self::exec`]; one with this is registered with [`Class::waits`](crate::Class::waits).
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        let _ = (cx, io);
+        None
+    }
 
     /// Takes options; usually [`OptionTable::ctrl`](crate::OptionTable::ctrl).
     ///

@@ -39,8 +39,8 @@ impl Reservation {
         self.prepared.is_none() && self.by == from
     }
 
-    pub(crate) fn is_by(&self, from: &str) -> bool {
-        self.by == from
+    pub(crate) fn by(&self) -> &str {
+        &self.by
     }
 
     pub(crate) fn is_prepared(&self) -> bool {

@@ -6,12 +6,14 @@
 
 use crate::dbx::{self, Meta};
 use crate::object::{Context, Outcome, ServiceObject};
+use crate::raise;
 use crate::report::{Report, code};
 use crate::request::Method;
 use crate::reserve::Reservation;
 use crate::sorm::Sorm;
 use crate::transport::Transport;
 use parking_lot::{Mutex, MutexGuard};
+use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,6 +24,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// An object with its name.
 pub(crate) struct Slot {
     name: String,
+    /// Whose turn it is, at an object that waits for others.
+    turn: Option<tokio::sync::Mutex<()>>,
     body: Mutex<Body>,
 }
 
@@ -145,6 +149,7 @@ impl Owned {
 impl Slot {
     pub(crate) fn new(name: String, object: Box<dyn ServiceObject>, meta: Meta) -> Self {
         Self {
+            turn: meta.class.is_waiting().then(tokio::sync::Mutex::default),
             name,
             body: Mutex::new(Body {
                 object,
@@ -156,6 +161,24 @@ impl Slot {
 
     pub(crate) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Whether its EXEC waits for others.
+    pub(crate) fn waits(&self) -> bool {
+        self.turn.is_some()
+    }
+
+    /// Waits until nobody else is served.
+    pub(crate) async fn turn(&self) -> Option<tokio::sync::MutexGuard<'_, ()>> {
+        match &self.turn {
+            Some(turn) => Some(turn.lock().await),
+            None => None,
+        }
+    }
+
+    /// The object, when it is in no call.
+    pub(crate) fn try_lock(&self) -> Option<MutexGuard<'_, Body>> {
+        self.body.try_lock()
     }
 
     /// The object, when no call of another thread has it.
@@ -172,6 +195,9 @@ impl Slot {
         let name = &self.name;
         let text = if within.is_some_and(|call| call.is_within(self)) {
             format!("`{name}` is in a call already: it was called by itself, directly or not")
+        } else if self.waits() {
+            // Whoever has it may need this very thread to go on.
+            format!("`{name}` is in a call that waits for other objects")
         } else if let Some(body) = self.body.try_lock_for(PATIENCE) {
             return Ok(body);
         } else {
@@ -205,6 +231,13 @@ impl Slot {
         let Err(panic) = catch_unwind(call) else {
             return false;
         };
+        io.code = 0;
+        io.report(self.panicked(sorm, panic.as_ref()));
+        true
+    }
+
+    /// What a panic of the object said.
+    pub(crate) fn panicked(&self, sorm: &Sorm, panic: &(dyn Any + Send)) -> Report {
         let text = panic
             .downcast_ref::<&str>()
             .map(|text| (*text).to_owned())
@@ -214,9 +247,7 @@ impl Slot {
             "`{}` panicked: {text}; its next use builds it anew",
             self.name
         );
-        io.code = 0;
-        io.report(self.signed(Report::error(code::PANIC, text), Some(sorm)));
-        true
+        self.signed(Report::error(code::PANIC, text), Some(sorm))
     }
 
     fn method(
@@ -251,11 +282,24 @@ impl Slot {
         };
         io.code = 0;
         let before = io.reports.len();
-        let outcome = body.object.exec(&cx, io);
+        let outcome = if self.waits() {
+            Err(self.must_wait())
+        } else {
+            body.object.exec(&cx, io)
+        };
         body.meta.execs += 1;
         if outcome.is_err() || io.reports.len() != before || io.code != 0 {
             self.collect(body, sorm, before, outcome, io);
         }
+    }
+
+    #[cold]
+    fn must_wait(&self) -> Report {
+        let name = &self.name;
+        raise!(
+            code::UNSUPPORTED,
+            "`{name}` asks other objects and waits for them: it is asked with `Sorm::ask`, by name"
+        )
     }
 
     fn ctrl(&self, body: &mut Body, sorm: &Sorm, within: Option<&Context<'_>>, io: &mut Transport) {
@@ -323,7 +367,7 @@ impl Slot {
 
     /// Puts the object's name on what it reported, and leaves out what nobody wants to hear.
     #[cold]
-    fn collect(
+    pub(crate) fn collect(
         &self,
         body: &mut Body,
         sorm: &Sorm,

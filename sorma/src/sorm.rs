@@ -4,19 +4,20 @@
 //! One process, any thread; an object is called by reference at the cost of a virtual call.
 
 use crate::class::Class;
+use crate::comm::Comm;
 use crate::dictionary::{Dictionary, DictionaryObject};
 use crate::manager::ManagerObject;
 use crate::name::{Location, ObjectName, suggestion};
 use crate::raise;
 use crate::report::{Prototype, Report, code};
-use crate::request::{Method, Reply, Request};
+use crate::request::{Method, Reply, Request, RequestError};
 use crate::slot::{Handle, Slot};
 use crate::transport::Transport;
 use crate::words;
 use ctos::time::{Clock, Instant};
-use parking_lot::{ReentrantMutex, RwLock};
+use parking_lot::{Mutex, ReentrantMutex, RwLock};
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The manager of one process's service objects. Clones are the same manager.
@@ -31,9 +32,18 @@ pub(crate) struct Inner {
     classes: RwLock<BTreeMap<&'static str, Arc<Class>>>,
     objects: RwLock<BTreeMap<String, Arc<Slot>>>,
     aliases: RwLock<BTreeMap<String, String>>,
+    /// What is in use of other daemons.
+    proxies: Mutex<BTreeMap<Location, BTreeSet<ObjectName>>>,
     pub(crate) dictionary: Arc<RwLock<Dictionary>>,
     /// Objects being built now, outermost first: by one thread at a time.
     pub(crate) building: ReentrantMutex<RefCell<Vec<String>>>,
+}
+
+/// Which process serves an object.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Place {
+    Here,
+    There(Location),
 }
 
 impl std::fmt::Debug for Sorm {
@@ -62,6 +72,7 @@ impl Sorm {
                 classes: RwLock::default(),
                 objects: RwLock::default(),
                 aliases: RwLock::default(),
+                proxies: Mutex::default(),
                 dictionary: Arc::clone(&dictionary),
                 building: ReentrantMutex::default(),
             }),
@@ -205,8 +216,14 @@ impl Sorm {
         self.resolve(&parse(name)?)
     }
 
+    /// The object of that name in this process.
     pub(crate) fn resolve(&self, name: &ObjectName) -> Result<Handle, Report> {
-        self.check_location(name)?;
+        if let Place::There(_) = self.place(name)? {
+            return Err(raise!(
+                code::DAEMON,
+                "`{name}` is served by another daemon: it is asked with `Sorm::ask`, over a link"
+            ));
+        }
         let local = name.local();
         if let Some(slot) = self.find(&local) {
             return Ok(Handle { slot });
@@ -230,34 +247,54 @@ impl Sorm {
         Ok(Handle { slot })
     }
 
-    /// Whether the name is served by this process.
-    fn check_location(&self, name: &ObjectName) -> Result<(), Report> {
+    /// Which process serves the name.
+    pub(crate) fn place(&self, name: &ObjectName) -> Result<Place, Report> {
         let upper = name.class().to_ascii_uppercase();
         let (index, given) = match name.location() {
-            Location::Local | Location::Here => return Ok(()),
-            Location::Address { .. } => (None, name.location().clone()),
-            Location::Alias(alias) => (Some(alias.as_str()), name.location().clone()),
-            Location::Default => (Some(upper.as_str()), name.location().clone()),
+            Location::Local | Location::Here => return Ok(Place::Here),
+            Location::Address { .. } => return Ok(Place::There(name.location().clone())),
+            Location::Alias(alias) => (alias.as_str(), Some(name.location().clone())),
+            Location::Default => (upper.as_str(), None),
         };
         let dictionary = self.inner.dictionary.read();
-        let found = match index.map(|index| (index, dictionary.entry(index))) {
-            None => given,
-            Some((_, Some([word]))) => Location::parse(word).unwrap_or(given),
-            Some((index, _)) => {
-                return Err(raise!(
-                    code::DAEMON,
-                    "`{name}`: the dictionary names no daemon for `{index}`; \
-                     add a line `{index} self` or `{index} host:number`"
-                ));
-            }
+        let found = match dictionary.entry(index) {
+            Some([word]) => Location::parse(word),
+            _ => given,
         };
         match found {
-            Location::Here => Ok(()),
-            _ => Err(raise!(
+            Some(Location::Here) => Ok(Place::Here),
+            Some(at) => Ok(Place::There(at)),
+            None => Err(raise!(
                 code::DAEMON,
-                "`{name}` is served by another daemon, and this process has no link to it"
+                "`{name}`: the dictionary names no daemon for `{index}`; \
+                 add a line `{index} self`, `{index} ALIAS` or `{index} host:number`"
             )),
         }
+    }
+
+    /// Notes that an object of another daemon is in use here.
+    pub(crate) fn used(&self, at: &Location, name: &ObjectName) {
+        let mut proxies = self.inner.proxies.lock();
+        let names = proxies.entry(at.clone()).or_default();
+        if !names.contains(name) {
+            names.insert(name.clone());
+        }
+    }
+
+    /// The objects of other daemons that were asked from here, by daemon.
+    #[must_use]
+    pub fn proxies(&self) -> BTreeMap<Location, BTreeSet<ObjectName>> {
+        self.inner.proxies.lock().clone()
+    }
+
+    /// Answers in place of an object that cannot be reached.
+    pub(crate) fn refuse(&self, body: &mut Transport, mut report: Report) {
+        body.clear();
+        if report.process.is_empty() {
+            self.process().clone_into(&mut report.process);
+            report.time_ns = self.now().as_nanos();
+        }
+        body.report(report);
     }
 
     pub(crate) fn class(&self, name: &ObjectName) -> Result<Arc<Class>, Report> {
@@ -287,12 +324,7 @@ impl Sorm {
                     self.remove(handle.name());
                 }
             }
-            Err(mut report) => {
-                body.clear();
-                self.process().clone_into(&mut report.process);
-                report.time_ns = self.now().as_nanos();
-                body.report(report);
-            }
+            Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
     }
@@ -307,34 +339,29 @@ impl Sorm {
     /// [`Self::dispatch`] for the caller `from`, whose locks count.
     #[must_use]
     pub fn dispatch_from(&self, line: &str, from: &str) -> String {
-        let refused = |text: String, name: Option<ObjectName>| {
-            let mut body = Transport::default();
-            body.report(Report::error(code::SYNTAX, text));
-            let name = name.map_or_else(|| "sorm".to_owned(), |name| name.to_string());
-            let report = body.reports.iter().map(Report::to_line).collect::<String>();
-            format!("{name} RET {} TDBX {}", body.code, words::quoted(&report))
-        };
-        let mut request: Request = match line.parse() {
-            Ok(request) => request,
-            Err(error) => return refused(error.to_string(), None),
-        };
-        from.clone_into(&mut request.body.from);
-        let reply = self.request(request);
-        match reply.to_text() {
-            Ok(text) => text,
-            Err(error) => refused(error.to_string(), Some(reply.name)),
+        match read(line, from) {
+            Ok(request) => write(&self.request(request)),
+            Err(answer) => answer,
         }
     }
 
-    /// Ends all locks of a caller that is gone, and aborts what is prepared for it.
-    pub fn release(&self, from: &str) {
+    /// [`Self::dispatch_from`] for whatever may wait, or be met by another daemon.
+    pub async fn tell(&self, comm: &dyn Comm, line: &str, from: &str) -> String {
+        match read(line, from) {
+            Ok(request) => write(&self.ask(comm, request).await),
+            Err(answer) => answer,
+        }
+    }
+
+    /// Ends all locks of callers that are gone, and aborts what is prepared for them.
+    pub fn release(&self, gone: impl Fn(&str) -> bool) {
         for slot in self.slots() {
-            // One that is in a call now is seen by the caller's next one, or expires.
-            if let Ok(mut body) = slot.lock(None)
+            // One that is in a call now is seen by the next one who wants it, or expires.
+            if let Some(mut body) = slot.try_lock()
                 && body
                     .reserved
                     .as_ref()
-                    .is_some_and(|reserved| reserved.is_by(from))
+                    .is_some_and(|reserved| gone(reserved.by()))
             {
                 slot.let_go(&mut body, self);
             }
@@ -347,6 +374,27 @@ impl Sorm {
         slot.call(self, None, Method::Ctrl, &mut io);
         io
     }
+}
+
+/// Reads a request, or answers that it is none.
+fn read(line: &str, from: &str) -> Result<Request, String> {
+    let mut request: Request = line
+        .parse()
+        .map_err(|error: RequestError| refusal("sorm", &error))?;
+    from.clone_into(&mut request.body.from);
+    Ok(request)
+}
+
+fn write(reply: &Reply) -> String {
+    reply
+        .to_text()
+        .unwrap_or_else(|error| refusal(&reply.name.to_string(), &error))
+}
+
+fn refusal(name: &str, error: &RequestError) -> String {
+    let report = Report::error(code::SYNTAX, error.to_string());
+    let text = words::quoted(&report.to_line());
+    format!("{name} RET {} TDBX {text}", report.code)
 }
 
 fn parse(name: &str) -> Result<ObjectName, Report> {

@@ -423,17 +423,17 @@ fn every_request_that_cannot_be_met_is_answered_with_what_would_have_been_right(
         (
             "foo.a@d1 EXEC",
             code::DAEMON,
-            "`foo.a@d1`: the dictionary names no daemon for `d1`; add a line `d1 self` or `d1 host:number`",
+            "`foo.a@d1` is served by another daemon: it is asked with `Sorm::ask`, over a link",
         ),
         (
             "FOO.a EXEC",
             code::DAEMON,
-            "`FOO.a`: the dictionary names no daemon for `FOO`; add a line `FOO self` or `FOO host:number`",
+            "`FOO.a`: the dictionary names no daemon for `FOO`; add a line `FOO self`, `FOO ALIAS` or `FOO host:number`",
         ),
         (
             "bar@druide:11 EXEC",
             code::DAEMON,
-            "`bar@druide:11` is served by another daemon, and this process has no link to it",
+            "`bar@druide:11` is served by another daemon: it is asked with `Sorm::ask`, over a link",
         ),
     ];
     for (line, code, text) in cases {
