@@ -37,3 +37,8 @@ pub use slot::{Claim, Handle, Owned};
 pub use sorm::Sorm;
 pub use transport::Transport;
 pub use waiting::Waiting;
+
+/// The page whose example is run as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/service-objects.md")]
+struct Page;
