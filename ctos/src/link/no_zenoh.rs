@@ -3,7 +3,7 @@
 
 use std::{io, sync::Arc};
 
-use crate::config::App;
+use crate::{config::App, link::transport::Bytes};
 
 /// There is none.
 pub(crate) enum Fabric {}
@@ -16,6 +16,8 @@ pub(crate) enum Caller {}
 
 /// There is none.
 pub(crate) type ZenohStream = tokio::io::Empty;
+
+impl Bytes for ZenohStream {}
 
 impl Fabric {
     /// Joins no network.

@@ -81,9 +81,15 @@ pub(crate) fn is_plain_key(key: &str) -> bool {
 }
 
 /// What a stream must be able to do.
-pub(crate) trait Bytes: AsyncRead + AsyncWrite + Send + Unpin {}
+pub(crate) trait Bytes: AsyncRead + AsyncWrite + Send + Unpin + 'static {
+    /// The half that is read, and the half that is written.
+    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
+        let (reader, writer) = tokio::io::split(self);
+        (Box::new(reader), Writer::Other(Box::new(writer)))
+    }
+}
 
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> Bytes for T {}
+impl<S: AsyncRead + AsyncWrite + Send + Unpin + 'static> Bytes for TlsStream<S> {}
 
 /// A stream between two processes.
 pub(crate) enum Stream {
@@ -110,10 +116,7 @@ impl Stream {
                 let (reader, writer) = tokio::io::split(*stream);
                 (Box::new(reader), Writer::Other(Box::new(writer)))
             }
-            Self::Other(stream) => {
-                let (reader, writer) = tokio::io::split(stream);
-                (Box::new(reader), Writer::Other(Box::new(writer)))
-            }
+            Self::Other(stream) => stream.halves(),
         }
     }
 }
@@ -232,6 +235,7 @@ pub(crate) async fn connect_over(
                 return Ok((Stream::Other(Box::new(stream)), None));
             };
             let (stream, identity) = keys.call(stream).await.map_err(key)?;
+            let stream = TlsStream::from(stream);
             Ok((Stream::Other(Box::new(stream)), Some(identity)))
         }
     }
@@ -274,6 +278,7 @@ impl Call {
             }
             Self::Zenoh(caller, Some(keys)) => {
                 let (stream, identity) = keys.answer(caller.answer().await?).await?;
+                let stream = TlsStream::from(stream);
                 Ok((Stream::Other(Box::new(stream)), Some(identity)))
             }
         }

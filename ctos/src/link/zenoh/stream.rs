@@ -25,7 +25,13 @@ use tokio::{
 };
 
 use super::pipe::{Broken, Pipe, Read};
-use crate::call::lock;
+use crate::{
+    call::lock,
+    link::{
+        session::{DirectWrite, Writer},
+        transport::Bytes,
+    },
+};
 
 /// How long a stream whose user has gone waits for the other end to take the rest.
 const LINGER: Duration = Duration::from_secs(1);
@@ -170,7 +176,8 @@ impl End {
     /// The user's end. `alive` is dropped when nothing is left to send.
     pub(super) fn stream(&self) -> ZenohStream {
         ZenohStream {
-            shared: self.shared.clone(),
+            reader: ReadHalf(self.shared.clone()),
+            writer: WriteHalf(self.shared.clone()),
         }
     }
 
@@ -220,23 +227,67 @@ impl End {
 
 /// The user's end of a stream.
 pub(crate) struct ZenohStream {
-    shared: Arc<Shared>,
+    reader: ReadHalf,
+    writer: WriteHalf,
 }
 
-impl AsyncRead for ZenohStream {
+/// What is read. Without it, what arrives counts as read.
+struct ReadHalf(Arc<Shared>);
+
+/// What is written. Without it, the other end is told that no more comes.
+struct WriteHalf(Arc<Shared>);
+
+impl Bytes for ZenohStream {
+    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
+        let Self { reader, writer } = *self;
+        (Box::new(reader), Writer::Direct(Box::new(writer)))
+    }
+}
+
+impl DirectWrite for WriteHalf {
+    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
+        self.put(slices, None)
+    }
+}
+
+impl WriteHalf {
+    /// Takes what there is room for; `waker` is woken when there is some again.
+    fn put(&self, slices: &[io::IoSlice<'_>], waker: Option<&Waker>) -> io::Result<usize> {
+        let mut state = lock(&self.0.state);
+        let mut written = 0;
+        for slice in slices {
+            let count = state.pipe.write(slice).ok_or(io::ErrorKind::BrokenPipe)?;
+            written += count;
+            if count < slice.len() {
+                break;
+            }
+        }
+        if written == 0 && slices.iter().any(|slice| !slice.is_empty()) {
+            if let Some(waker) = waker {
+                state.writer = Some(waker.clone());
+            }
+            return Err(io::ErrorKind::WouldBlock.into());
+        }
+        drop(state);
+        self.0.changed.notify_all();
+        Ok(written)
+    }
+}
+
+impl AsyncRead for ReadHalf {
     fn poll_read(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         into: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let mut state = lock(&self.shared.state);
+        let mut state = lock(&self.0.state);
         match state.pipe.read(into.initialize_unfilled()) {
             Read::Bytes(count) => {
                 into.advance(count);
                 let idle = state.pipe.is_idle();
                 drop(state);
                 if !idle {
-                    self.shared.changed.notify_all();
+                    self.0.changed.notify_all();
                 }
                 Poll::Ready(Ok(()))
             }
@@ -249,7 +300,7 @@ impl AsyncRead for ZenohStream {
     }
 }
 
-impl AsyncWrite for ZenohStream {
+impl AsyncWrite for WriteHalf {
     fn poll_write(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -263,24 +314,10 @@ impl AsyncWrite for ZenohStream {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let mut state = lock(&self.shared.state);
-        let mut written = 0;
-        for slice in slices {
-            let Some(count) = state.pipe.write(slice) else {
-                return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
-            };
-            written += count;
-            if count < slice.len() {
-                break;
-            }
+        match self.put(slices, Some(cx.waker())) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
+            put => Poll::Ready(put),
         }
-        if written == 0 && slices.iter().any(|slice| !slice.is_empty()) {
-            state.writer = Some(cx.waker().clone());
-            return Poll::Pending;
-        }
-        drop(state);
-        self.shared.changed.notify_all();
-        Poll::Ready(Ok(written))
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -293,16 +330,47 @@ impl AsyncWrite for ZenohStream {
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.shared.change(Pipe::close);
+        self.0.change(Pipe::close);
         Poll::Ready(Ok(()))
     }
 }
 
-impl Drop for ZenohStream {
+impl AsyncRead for ZenohStream {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        into: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.reader).poll_read(cx, into)
+    }
+}
+
+impl AsyncWrite for ZenohStream {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.writer).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.writer).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.writer).poll_shutdown(cx)
+    }
+}
+
+impl Drop for ReadHalf {
     fn drop(&mut self) {
-        self.shared.change(|pipe| {
-            pipe.close();
-            pipe.forget();
-        });
+        self.0.change(Pipe::forget);
+    }
+}
+
+impl Drop for WriteHalf {
+    fn drop(&mut self) {
+        self.0.change(Pipe::close);
     }
 }
