@@ -40,7 +40,7 @@ pub use node::{Entry, Node, Value};
 pub use schema::schema;
 pub use shown::ShownValue;
 pub use trail::Origin;
-pub use zenoh::{HAS_ZENOH, ZenohConfig, ZenohEndpoint, ZenohEndpointError, ZenohMode};
+pub use zenoh::{ZenohConfig, ZenohEndpoint, ZenohEndpointError, ZenohMode, has_zenoh};
 
 use crate::diagnostic::{Findings, Place, Source};
 use std::collections::BTreeMap;

@@ -7,7 +7,7 @@ use std::{
 
 use clap::Args;
 use ctos::{
-    config::{App, HAS_ZENOH, Selection},
+    config::{App, Selection, has_zenoh},
     diagnostic::{Finding, Findings},
 };
 use rustix::{
@@ -259,7 +259,7 @@ fn loopback_probe() -> Probe {
 
 /// Whether links over zenoh are part of this program. Most apps need none.
 fn zenoh_probe() -> Probe {
-    let found = if HAS_ZENOH {
+    let found = if has_zenoh() {
         "links over zenoh are built in"
     } else {
         "not built in; [zenoh] in a configuration needs `cargo build --release --features zenoh`"

@@ -15,7 +15,10 @@ use super::{
 use crate::diagnostic::{Finding, Findings, Place};
 
 /// Whether this program was built with links over zenoh.
-pub const HAS_ZENOH: bool = cfg!(feature = "zenoh");
+#[must_use]
+pub const fn has_zenoh() -> bool {
+    cfg!(feature = "zenoh")
+}
 
 const KEYS: &[&str] = &["mode", "connect", "listen", "multicast"];
 
@@ -61,8 +64,7 @@ impl ZenohEndpoint {
     }
 
     fn is_loopback(&self) -> bool {
-        self.ip()
-            .map_or(self.host == "localhost", |address| is_loopback(address))
+        self.ip().map_or(self.host == "localhost", is_loopback)
     }
 }
 
@@ -226,7 +228,7 @@ impl Asked<'_, '_> {
     }
 
     fn check(&mut self) {
-        if !HAS_ZENOH {
+        if !has_zenoh() {
             let finding = Finding::error(
                 "ctos::config::no_zenoh",
                 "[zenoh] asks for links over zenoh, and this program was built without them",

@@ -22,11 +22,11 @@ fn a_program_without_zenoh_says_how_to_build_one_that_has_it() {
     let text = format!("{APP}{SECURITY}[zenoh]\nmulticast = \"lo\"\n");
     match load_one(&text) {
         Ok(app) => {
-            assert!(HAS_ZENOH);
+            assert!(has_zenoh());
             assert!(app.warnings.is_empty(), "{}", app.warnings);
         }
         Err(findings) => {
-            assert!(!HAS_ZENOH);
+            assert!(!has_zenoh());
             let lines = refused(Err(findings));
             assert_eq!(lines.len(), 1);
             assert!(
@@ -39,7 +39,7 @@ fn a_program_without_zenoh_says_how_to_build_one_that_has_it() {
 
 #[test]
 fn networks_are_read_and_listen_at_the_loopback_unless_told() {
-    if !HAS_ZENOH {
+    if !has_zenoh() {
         return;
     }
     let read = |more: &str| {
@@ -185,6 +185,6 @@ fn the_example_of_the_page_on_links_is_an_app_in_a_program_with_zenoh() {
             assert!(app.warnings.is_empty(), "{}", app.warnings);
             assert_eq!(app.links.zenoh.unwrap().mode, ZenohMode::Client);
         }
-        Err(findings) => assert!(!HAS_ZENOH, "{findings}"),
+        Err(findings) => assert!(!has_zenoh(), "{findings}"),
     }
 }
