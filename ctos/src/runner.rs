@@ -134,7 +134,9 @@ pub(crate) fn start_at(
     processor.add_queue(spec.record.tid.slot(), queue.clone());
     chassis.add_task(spec.record.clone());
     spec.record.statistics.meter.count(cx.commands());
-    chassis.tap.built(spec.record.tid, &spec.record.name);
+    chassis
+        .tap
+        .built(spec.record.tid, &spec.record.name, cx.commands());
     let (parent, arrival) = match origin {
         Origin::Boot => (None, None),
         Origin::StartedBy(parent) => (Some(parent), None),
@@ -327,7 +329,7 @@ impl Runner {
     }
 
     async fn stop(&mut self, cx: &Context, message: Message) -> Handled {
-        let (StopTask { reason }, reply) = message.open::<StopTask>()?;
+        let (StopTask { reason, .. }, reply) = message.open::<StopTask>()?;
         self.step(Event::Stop);
         self.serving.stopped.set(true);
         cx.chassis().set_stopping();
