@@ -272,17 +272,27 @@ impl Pair for Kanal {
     }
 }
 
-/// One word that two threads hand to each other, spinning: what no message can beat.
+/// One word that two threads hand to each other, spinning: what no message can beat. The other thread
+/// is there while calls are made only: it would keep the others from its core.
 pub struct Floor {
-    word: std::sync::Arc<std::sync::atomic::AtomicU64>,
+    cpu: Option<usize>,
 }
 
 impl Floor {
     pub fn new(cpu: Option<usize>) -> Self {
-        use std::sync::atomic::Ordering;
-        let word = std::sync::Arc::new(std::sync::atomic::AtomicU64::new(0));
+        Self { cpu }
+    }
+}
+
+impl Pair for Floor {
+    fn calls(&mut self, count: u32) {
+        use std::sync::{
+            Arc,
+            atomic::{AtomicU64, Ordering},
+        };
+        let (word, cpu) = (Arc::new(AtomicU64::new(0)), self.cpu);
         let other = word.clone();
-        std::thread::spawn(move || {
+        let server = std::thread::spawn(move || {
             pin(cpu);
             loop {
                 match other.load(Ordering::Acquire) {
@@ -292,27 +302,15 @@ impl Floor {
                 }
             }
         });
-        Self { word }
-    }
-}
-
-impl Pair for Floor {
-    fn calls(&mut self, count: u32) {
-        use std::sync::atomic::Ordering;
         for _ in 0..count {
-            let wanted = self.word.load(Ordering::Acquire) + 2;
-            self.word.store(wanted - 1, Ordering::Release);
-            while self.word.load(Ordering::Acquire) != wanted {
+            let wanted = word.load(Ordering::Acquire) + 2;
+            word.store(wanted - 1, Ordering::Release);
+            while word.load(Ordering::Acquire) != wanted {
                 std::hint::spin_loop();
             }
         }
-    }
-}
-
-impl Drop for Floor {
-    fn drop(&mut self) {
-        self.word
-            .store(u64::MAX, std::sync::atomic::Ordering::Release);
+        word.store(u64::MAX, Ordering::Release);
+        server.join().expect("no panic");
     }
 }
 

@@ -48,7 +48,6 @@ pub fn all() {
         // Made before: a thread that may use one CPU only makes processors that never spin.
         let ctos = Ctos::new(&["cpu = 1", "cpu = 0"]);
         on_thread_pinned_to(0, || {
-            // Not kanal: it yields while it waits, which on a busy machine takes 4 ms a call.
             let server = Server::Thread(Some(1));
             calls(
                 "call between two cores",
@@ -58,6 +57,7 @@ pub fn all() {
                     ("tokio mpsc + oneshot", Box::new(Tokio::new(server))),
                     ("ractor", Box::new(Ractor::new(server))),
                     ("kameo", Box::new(Kameo::new(server))),
+                    ("kanal", Box::new(Kanal::new(Some(1)))),
                 ],
                 1_000,
             );
