@@ -4,6 +4,8 @@
 //! the transport structure, textual requests, option tables, the dictionary of recipes, and the
 //! manager that builds objects from their names. One process; nothing here knows a network.
 
+pub mod demo;
+pub mod describe;
 pub mod dictionary;
 pub mod name;
 pub mod object;
@@ -14,6 +16,7 @@ pub mod sorm;
 pub mod transport;
 pub mod words;
 
+pub use describe::{ClassInfo, Form};
 pub use dictionary::Dictionary;
 pub use name::{Location, NameError, ObjectName};
 pub use object::{Context, Outcome, ServiceObject};
