@@ -112,7 +112,9 @@ impl OptionInfo {
             parts.push_str(&self.choices.join("|"));
         }
         if let Some([low, high]) = &self.range {
-            if !parts.is_empty() {
+            if !self.choices.is_empty() {
+                parts.push('|');
+            } else if !parts.is_empty() {
                 parts.push_str(", each ");
             }
             parts.push_str(&format!("{low}..{high}"));

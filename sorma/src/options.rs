@@ -87,6 +87,25 @@ impl<T: Clone + Default> OptionTable<T> {
         self.option(name, help, Kind::Int(field, Numbers { range, unit }))
     }
 
+    /// `-name 3` or `-name word`: a whole number within `range`, in `unit`, or the one word that says
+    /// that there is no such number. The field holds either as text.
+    #[must_use]
+    pub fn int_or(
+        self,
+        name: &'static str,
+        word: &'static str,
+        range: RangeInclusive<i64>,
+        unit: &'static str,
+        help: &'static str,
+        field: Field<T, String>,
+    ) -> Self {
+        self.option(
+            name,
+            help,
+            Kind::IntOr(field, word, Numbers { range, unit }),
+        )
+    }
+
     /// `-name 0.1 0.2 0.3`: as many finite floats as there are `parameters`, each within `range`, in
     /// `unit`. A list without numbers is not set; `-dump` leaves it out.
     #[must_use]

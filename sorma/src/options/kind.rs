@@ -21,6 +21,8 @@ pub(super) enum Kind<T> {
     Flag(Field<T, bool>),
     Float(Field<T, f64>, Numbers<f64>),
     Int(Field<T, i64>, Numbers<i64>),
+    /// A whole number or one word that stands for none, kept as its text.
+    IntOr(Field<T, String>, &'static str, Numbers<i64>),
     Floats(Field<T, Vec<f64>>, &'static [&'static str], Numbers<f64>),
     Ints(Field<T, Vec<i64>>, &'static [&'static str], Numbers<i64>),
     Choice(Field<T, String>, &'static [&'static str]),
@@ -46,6 +48,7 @@ impl<T> Kind<T> {
             Self::Flag(_) => " [on|off]".to_owned(),
             Self::Float(_, numbers) => format!(" {}", numbers.span()),
             Self::Int(_, numbers) => format!(" {}", numbers.span()),
+            Self::IntOr(_, word, numbers) => format!(" {word}|{}", numbers.span()),
             Self::Floats(_, parameters, numbers) => {
                 format!("{}, each {}", listed(parameters), numbers.span())
             }
@@ -66,7 +69,9 @@ impl<T> Kind<T> {
             Self::Int(field, _) => Some(field(state).to_string()),
             Self::Floats(field, ..) => many(field(state)),
             Self::Ints(field, ..) => many(field(state)),
-            Self::Choice(field, _) | Self::Word(field, _) => Some(words::word(field(state))),
+            Self::Choice(field, _) | Self::Word(field, _) | Self::IntOr(field, ..) => {
+                Some(words::word(field(state)))
+            }
             Self::Action(..) => None,
         }
     }
@@ -78,6 +83,12 @@ impl<T> Kind<T> {
             Self::Flag(field) => *field(state) = word != "off",
             Self::Float(field, numbers) => *field(state) = numbers.read(word, "")?,
             Self::Int(field, numbers) => *field(state) = numbers.read(word, "")?,
+            Self::IntOr(field, none, numbers) => {
+                if word != *none {
+                    numbers.read(word, &format!("must be `{none}`, or it "))?;
+                }
+                word.clone_into(field(state));
+            }
             Self::Floats(field, names, numbers) => {
                 *field(state) = numbers.read_all(words, names)?;
             }
@@ -125,6 +136,10 @@ impl<T> Kind<T> {
             }
             Self::Int(_, numbers) => {
                 info.kind = OptionKind::Int;
+                numbers.describe(&mut info);
+            }
+            Self::IntOr(_, word, numbers) => {
+                (info.kind, info.choices) = (OptionKind::Int, owned(&[word]));
                 numbers.describe(&mut info);
             }
             Self::Floats(_, parameters, numbers) => {
