@@ -7,7 +7,7 @@
 mod dynamics;
 mod kinematics;
 
-use sorma::{ClassInfo, Outcome, Sorm, Transport};
+use sorma::{Class, ClassInfo, Outcome, Sorm, Transport};
 
 use crate::arm::{ArmModel, Joints};
 
@@ -17,18 +17,20 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Height of frame 0's origin to joint 2's axis, m, unless an option says otherwise.
 const PEDESTAL: f64 = 0.67183;
 
-/// The codes of the reports of these classes.
-pub mod code {
-    /// No joint positions reach the pose.
-    pub const UNREACHABLE: i32 = 120;
-    /// Infinitely many joint positions reach the pose.
-    pub const SINGULAR: i32 = 121;
-    /// Every way to reach the pose has a joint outside its limits.
-    pub const LIMITS: i32 = 122;
-    /// The 16 numbers are no pose.
-    pub const NO_POSE: i32 = 123;
-    /// The numbers are too large to compute with.
-    pub const TOO_LARGE: i32 = 124;
+sorma::prototypes! {
+    /// The codes of the reports of these classes.
+    pub mod code {
+        UNREACHABLE = 120, Error, "no joint positions reach the pose",
+            "move the pose nearer, or away from joint 1's axis; the text has the distances";
+        SINGULAR = 121, Error, "infinitely many joint positions reach the pose",
+            "set -singular near, and -near to where joint 4 should stay";
+        LIMITS = 122, Error, "every way to reach the pose has a joint outside its limits",
+            "choose another orientation, or look at the solutions with -limits off";
+        NO_POSE = 123, Error, "the 16 numbers are no pose",
+            "write base_T_6 row by row: rotation and position in m, last row 0 0 0 1";
+        TOO_LARGE = 124, Error, "the numbers are too large to compute with",
+            "check the units: rad, rad/s, rad/s^2";
+    }
 }
 
 /// The recipes that are shipped with the classes.
@@ -39,12 +41,15 @@ dyn.puma560 -arm puma560
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    sorm.register("kin", VERSION, |_, _| {
+    let kin = Class::new("kin", VERSION, |_, _| {
         Ok(Box::new(kinematics::Kinematics::default()))
     });
-    sorm.register("dyn", VERSION, |_, _| {
+    let dynamics = Class::new("dyn", VERSION, |_, _| {
         Ok(Box::new(dynamics::Dynamics::default()))
     });
+    for class in [kin, dynamics] {
+        sorm.register(class.codes(code::PROTOTYPES));
+    }
 }
 
 /// What a program may know about the classes.

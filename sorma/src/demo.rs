@@ -1,6 +1,7 @@
 //! The demo classes of the report: `foo` serves a meal, `bar` mixes a drink (SORMA technical report,
 //! section 1.5), for trying out names, flavors, the dictionary and nested calls without any hardware.
 
+use crate::class::Class;
 use crate::describe::{ClassInfo, Form};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
@@ -13,8 +14,12 @@ use std::sync::LazyLock;
 /// Version of the demo classes.
 const VERSION: &str = "1.0";
 
-/// The code of the report that there is no tea.
-pub const NO_TEA: i32 = 100;
+crate::prototypes! {
+    /// What the demo classes report.
+    pub mod code {
+        NO_TEA = 100, Error, "there is no tea", "set -tea";
+    }
+}
 
 /// The dictionary that goes with the classes: the entries of section 1.5 as printed, and a plain `foo`
 /// to derive flavors from, as section 2.1.5 does with `carry`.
@@ -27,8 +32,11 @@ foo   -transferSpeed 0.8
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    sorm.register("foo", VERSION, |_, _| Ok(Box::new(Foo(Meal::default()))));
-    sorm.register("bar", VERSION, |_, _| Ok(Box::new(Bar(Drink::default()))));
+    sorm.register(Class::new("foo", VERSION, |_, _| {
+        Ok(Box::new(Foo(Meal::default())))
+    }));
+    let bar = Class::new("bar", VERSION, |_, _| Ok(Box::new(Bar(Drink::default()))));
+    sorm.register(bar.codes(code::PROTOTYPES));
 }
 
 /// What a program may know about the classes.
@@ -200,7 +208,7 @@ impl ServiceObject for Bar {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         DRINK.form(io)?;
         if self.0.tea == 0.0 {
-            return Err(Report::error(NO_TEA, "there is no tea; set -tea"));
+            return Err(Report::error(code::NO_TEA, "there is no tea; set -tea"));
         }
         io.floats.clear();
         io.floats.extend([self.0.tea, self.0.lemon]);

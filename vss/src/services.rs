@@ -9,7 +9,7 @@ mod table;
 
 use std::{fs::File, path::Path};
 
-use sorma::{ClassInfo, Outcome, Report, Sorm, Transport};
+use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
 /// Version of the classes.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -17,26 +17,31 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// The largest file that is read, bytes.
 const LARGEST_FILE: u64 = 256 << 20;
 
-/// The codes of the reports of these classes.
-pub mod code {
-    /// A file cannot be read, or is not of the kind it should be.
-    pub const FILE: i32 = 140;
-    /// A table has wrong lines.
-    pub const TABLE: i32 = 141;
-    /// No camera follows from a table.
-    pub const NO_CAMERA: i32 = 142;
-    /// Points of a table were not used.
-    pub const REJECTED: i32 = 143;
-    /// There is no spot in a picture.
-    pub const NO_SPOT: i32 = 144;
+sorma::prototypes! {
+    /// The codes of the reports of these classes.
+    pub mod code {
+        FILE = 140, Error, "a file cannot be read, or is not of the kind it should be",
+            "check the path; it is taken from where the process was started";
+        TABLE = 141, Error, "a table has wrong lines",
+            "correct the lines at the places given: X,Y,Z,u,v in m and px";
+        NO_CAMERA = 142, Error, "no camera follows from a table",
+            "the text says what is missing: points, depth, or agreement";
+        REJECTED = 143, Warning, "points of a table were not used",
+            "look at the rows: they are off by more than the noise explains";
+        NO_SPOT = 144, Warning, "there is no spot in a picture, or there are too many",
+            "look at the picture, then at -threshold, -polarity and -min-area";
+    }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    sorm.register("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default())));
-    sorm.register("resect", VERSION, |_, _| {
+    let spot = Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default())));
+    let resect = Class::new("resect", VERSION, |_, _| {
         Ok(Box::new(resect::Resect::default()))
     });
+    for class in [spot, resect] {
+        sorm.register(class.codes(code::PROTOTYPES));
+    }
 }
 
 /// What a program may know about the classes.
