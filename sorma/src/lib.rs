@@ -9,6 +9,8 @@ pub mod class;
 pub mod comm;
 pub mod daemon;
 mod dbx;
+pub mod demo;
+pub mod describe;
 pub mod dictionary;
 mod manager;
 pub mod name;
@@ -27,6 +29,7 @@ pub mod words;
 
 pub use class::Class;
 pub use comm::{Alone, Comm};
+pub use describe::{ClassInfo, Form};
 pub use dictionary::Dictionary;
 pub use name::{Location, NameError, ObjectName};
 pub use object::{Context, Outcome, ServiceObject, TwoStep};
