@@ -207,7 +207,7 @@ fn a_writer_that_was_killed_in_mid_write_is_succeeded_and_its_slot_is_skipped() 
     );
     assert_eq!(
         rest(&mut reader),
-        [(1, 3), (0, 4)],
+        [(2, 3), (0, 4)],
         "the slot of record 2 is half of record 5"
     );
     let ended = reader.wait(Duration::from_secs(60), &shop.clock);
