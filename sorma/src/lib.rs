@@ -5,6 +5,7 @@
 //! manager that builds objects from their names. One process; nothing here knows a network.
 
 pub mod dictionary;
+pub mod ipc;
 pub mod name;
 pub mod object;
 pub mod options;

@@ -105,6 +105,14 @@ impl Layout {
             .next()
     }
 
+    /// Whether a buffer can have this layout.
+    ///
+    /// # Errors
+    /// A number that is beyond its limits, with these.
+    pub fn check(&self) -> Result<(), SnapshotError> {
+        self.geometry().map(drop)
+    }
+
     /// Where everything lies.
     pub(super) fn geometry(&self) -> Result<Geometry, SnapshotError> {
         let within = |what: &'static str, value: usize, low: usize, high: usize| {

@@ -191,6 +191,13 @@ impl Reader {
         self.last = count.clamp(oldest - 1, head);
     }
 
+    /// Whether the buffer itself says that no more records will come; it says nothing of a writer that
+    /// was killed. Costs one look at the memory.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        matches!(self.view.load(STATE), CLOSED | REPLACED)
+    }
+
     /// Who writes. Asks the system, so it is not for every record.
     #[must_use]
     pub fn writer(&self) -> WriterState {

@@ -1,0 +1,187 @@
+//! The IPC service classes: snapshot buffers in shared memory (`shmem_w`, `shmem_r`, `flight`), and queues,
+//! counting semaphores and blackboards (SORMA technical report, sections 1.7.1 and 1.7.2).
+//!
+//! None of them waits in EXEC: a call that cannot be done now says `not yet` at once and is asked again, so
+//! that whoever waits keeps no other caller of the object, or of its manager, from it. `docs/snapshots.md`
+//! and `docs/ipc.md` say what each understands.
+
+pub mod blackboard;
+pub mod flight;
+pub mod queue;
+pub mod semaphore;
+mod shmem_r;
+mod shmem_w;
+mod tickets;
+
+use crate::report::Report;
+use crate::snapshot::{Place, SnapshotError};
+use crate::sorm::Sorm;
+use crate::transport::Transport;
+use crate::words::{self, Word};
+use ctos::time::{Clock, Instant};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The codes of the reports of these classes.
+pub mod code {
+    /// A snapshot buffer cannot be made, opened, written or read.
+    pub const BUFFER: i32 = 100;
+    /// Warning: another writer has taken over a buffer, or it was made anew.
+    pub const SUCCEEDED: i32 = 101;
+    /// Warning: records were lost, because the writer was faster.
+    pub const LOST: i32 = 102;
+    /// A file of a flight recorder cannot be written.
+    pub const FILE: i32 = 103;
+    /// A queue or a blackboard is full.
+    pub const FULL: i32 = 104;
+    /// No such key, ticket or hold.
+    pub const UNKNOWN: i32 = 105;
+    /// The time for which one wanted to wait is over.
+    pub const LATE: i32 = 106;
+    /// A value has another version than the one that was to be replaced.
+    pub const CONFLICT: i32 = 107;
+}
+
+/// What EXEC answers, as text, when the caller is to ask again.
+pub const NOT_YET: &str = "not yet";
+
+/// What the objects of these classes need to know.
+#[derive(Debug, Clone)]
+pub struct Host {
+    /// The app, in whose folder the segments lie.
+    pub app: String,
+    /// The app's clock.
+    pub clock: Clock,
+    /// Under which folder; the usual one in shared memory when `None`.
+    pub root: Option<PathBuf>,
+}
+
+impl Host {
+    /// The app of that name, with its segments at the usual place.
+    #[must_use]
+    pub fn new(app: impl Into<String>, clock: Clock) -> Self {
+        Self {
+            app: app.into(),
+            clock,
+            root: None,
+        }
+    }
+
+    /// The folder of the app's segments.
+    ///
+    /// # Errors
+    /// It is not this user's alone, or cannot be made.
+    pub fn place(&self) -> Result<Place, SnapshotError> {
+        match &self.root {
+            Some(root) => Place::under(root, &self.app),
+            None => Place::of_app(&self.app),
+        }
+    }
+
+    fn now(&self) -> Instant {
+        self.clock.now()
+    }
+}
+
+/// Registers all the classes of this module.
+pub fn register(sorm: &Sorm, host: &Host) {
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
+    let of = |host: &Host| host.clone();
+    let own = of(host);
+    sorm.register("shmem_w", VERSION, move |name, _| {
+        Ok(Box::new(shmem_w::ShmemW::new(own.clone(), name.flavor())))
+    });
+    let own = of(host);
+    sorm.register("shmem_r", VERSION, move |name, _| {
+        Ok(Box::new(shmem_r::ShmemR::new(own.clone(), name.flavor())))
+    });
+    let own = of(host);
+    sorm.register("flight", VERSION, move |name, _| {
+        Ok(Box::new(flight::Flight::new(own.clone(), name.flavor())))
+    });
+    let own = of(host);
+    sorm.register("queue", VERSION, move |_, _| {
+        Ok(Box::new(queue::QueueObject::new(own.clone())))
+    });
+    let own = of(host);
+    sorm.register("semaphore", VERSION, move |_, _| {
+        Ok(Box::new(semaphore::SemaphoreObject::new(own.clone())))
+    });
+    let own = of(host);
+    sorm.register("blackboard", VERSION, move |_, _| {
+        Ok(Box::new(blackboard::BlackboardObject::new(own.clone())))
+    });
+}
+
+#[track_caller]
+fn buffer_error(error: &SnapshotError) -> Report {
+    Report::error(code::BUFFER, error.to_string())
+}
+
+#[track_caller]
+fn wrong(text: impl Into<String>) -> Report {
+    Report::error(crate::report::code::VALUE, text)
+}
+
+/// The words of an EXEC text.
+fn split(text: &str) -> Result<Vec<String>, Report> {
+    let words = words::split(text)
+        .map_err(|error| Report::error(crate::report::code::SYNTAX, error.to_string()))?;
+    Ok(words.into_iter().map(|Word { text, .. }| text).collect())
+}
+
+/// A whole number that a word of EXEC says.
+fn number(what: &str, word: &str) -> Result<u64, Report> {
+    word.parse()
+        .map_err(|_| wrong(format!("{what} is a whole number from 0 on, not `{word}`")))
+}
+
+/// The longest anybody may say to wait: a day.
+const MOST_WAIT_S: f64 = 86_400.0;
+
+/// A time that a word of EXEC says, in seconds; none is 0.
+fn seconds(word: Option<&String>) -> Result<Duration, Report> {
+    let Some(word) = word else {
+        return Ok(Duration::ZERO);
+    };
+    word.parse()
+        .ok()
+        .filter(|seconds| (0.0..=MOST_WAIT_S).contains(seconds))
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| {
+            wrong(format!(
+                "the time to wait is 0 to {MOST_WAIT_S} s, not `{word}`"
+            ))
+        })
+}
+
+/// What stands after the first `count` words of a text, as it stands; without its quotes if it is one word.
+fn after(text: &str, count: usize) -> Result<String, Report> {
+    let found = words::split(text)
+        .map_err(|error| Report::error(crate::report::code::SYNTAX, error.to_string()))?;
+    Ok(match found.get(count..) {
+        Some([only]) => only.text.clone(),
+        Some([first, ..]) => text
+            .get(first.span.start..)
+            .unwrap_or_default()
+            .trim_end()
+            .to_owned(),
+        _ => String::new(),
+    })
+}
+
+/// Makes room for the answer; reports stay.
+fn empty(io: &mut Transport) {
+    io.text.clear();
+    io.floats.clear();
+    io.ints.clear();
+    io.opaque.clear();
+}
+
+/// An `i64` as IMSG carries it.
+fn int(number: u64) -> i64 {
+    i64::try_from(number).unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests;
