@@ -4,6 +4,7 @@
 //! the transport structure, textual requests, option tables, the dictionary of recipes, and the
 //! manager that builds objects from their names. One process; nothing here knows a network.
 
+pub mod clock;
 pub mod dictionary;
 pub mod ipc;
 pub mod name;
