@@ -26,3 +26,10 @@ pub use report::{Report, Severity};
 pub use request::{Method, Reply, Request, RequestError};
 pub use sorm::{Handle, Sorm};
 pub use transport::Transport;
+
+/// The pages of `docs` whose examples are run as tests.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../docs/snapshots.md")]
+    mod snapshots {}
+}

@@ -33,8 +33,8 @@ pub struct Reader {
     /// The number of the last record that was taken or passed over.
     last: u64,
     /// Records lost since the last one that was taken.
+    pending: u64,
     lost: u64,
-    lost_in_all: u64,
 }
 
 /// Who writes a buffer.
@@ -127,8 +127,8 @@ impl Reader {
             path: path.to_owned(),
             file,
             last: 0,
+            pending: 0,
             lost: 0,
-            lost_in_all: 0,
         };
         reader.seek(0);
         Ok(reader)
@@ -179,13 +179,13 @@ impl Reader {
     /// Records that this reader lost, in all, because the writer was faster.
     #[must_use]
     pub fn lost(&self) -> u64 {
-        self.lost_in_all
+        self.lost
     }
 
     /// Goes on after record `count`: 0 is the oldest that is there, [`head`](Self::head) the next to come.
     pub fn seek(&mut self, count: u64) {
         let head = self.head();
-        self.lost = 0;
+        self.pending = 0;
         // Before the oldest there is nothing to lose that this reader ever had a claim to.
         let oldest = self.header.geometry.ring.oldest(head);
         self.last = count.clamp(oldest - 1, head);
@@ -233,7 +233,7 @@ impl Reader {
             }
             if self.read(head, into) {
                 self.last = head;
-                self.lost = 0;
+                self.pending = 0;
                 return Ok(true);
             }
             std::hint::spin_loop();
@@ -259,7 +259,7 @@ impl Reader {
             self.lose(next - 1 - self.last);
             self.last = next;
             if self.read(next, into) {
-                return Ok(Some(std::mem::take(&mut self.lost)));
+                return Ok(Some(std::mem::take(&mut self.pending)));
             }
             self.lose(1);
         }
@@ -267,8 +267,8 @@ impl Reader {
     }
 
     fn lose(&mut self, records: u64) {
+        self.pending = self.pending.saturating_add(records);
         self.lost = self.lost.saturating_add(records);
-        self.lost_in_all = self.lost_in_all.saturating_add(records);
     }
 
     /// Gives the most recent `most` records, or as many as there are, oldest first, to `each`; answers how
