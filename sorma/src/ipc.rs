@@ -13,6 +13,9 @@ mod shmem_r;
 mod shmem_w;
 mod tickets;
 
+use crate::class::Class;
+use crate::name::ObjectName;
+use crate::object::ServiceObject;
 use crate::report::Report;
 use crate::snapshot::{Place, SnapshotError};
 use crate::sorm::Sorm;
@@ -22,24 +25,24 @@ use ctos::time::{Clock, Instant};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The codes of the reports of these classes.
-pub mod code {
-    /// A snapshot buffer cannot be made, opened, written or read.
-    pub const BUFFER: i32 = 100;
-    /// Warning: another writer has taken over a buffer, or it was made anew.
-    pub const SUCCEEDED: i32 = 101;
-    /// Warning: records were lost, because the writer was faster.
-    pub const LOST: i32 = 102;
-    /// A file of a flight recorder cannot be written.
-    pub const FILE: i32 = 103;
-    /// A queue or a blackboard is full.
-    pub const FULL: i32 = 104;
-    /// No such key, ticket or hold.
-    pub const UNKNOWN: i32 = 105;
-    /// The time for which one wanted to wait is over.
-    pub const LATE: i32 = 106;
-    /// A value has another version than the one that was to be replaced.
-    pub const CONFLICT: i32 = 107;
+crate::prototypes! {
+    /// The codes of the reports of these classes.
+    pub mod code {
+        BUFFER = 100, Error, "a snapshot buffer cannot be made, opened, written or read",
+            "the text says which and why; `shmem_r.NAME EXEC status` tells about a buffer";
+        SUCCEEDED = 101, Warning, "another writer has taken over a buffer, or it was made anew",
+            "go on; the numbers of the records begin again only when it was made anew";
+        LOST = 102, Warning, "records were overwritten before they were read",
+            "read more often, or give the buffer more slots";
+        FILE = 103, Error, "a file of a flight recorder cannot be written",
+            "choose another -file, or make room";
+        FULL = 104, Error, "a queue, a blackboard or a line of those who wait is full",
+            "try again later, or set -capacity";
+        UNKNOWN = 105, Error, "no such key or hold", "see EXEC keys, EXEC holders";
+        LATE = 106, Error, "the time for which one wanted to wait is over", "ask anew, for longer";
+        CONFLICT = 107, Error, "a value has another version than the one that was to be replaced",
+            "get it again, and decide anew";
+    }
 }
 
 /// What EXEC answers, as text, when the caller is to ask again.
@@ -85,32 +88,37 @@ impl Host {
 
 /// Registers all the classes of this module.
 pub fn register(sorm: &Sorm, host: &Host) {
-    const VERSION: &str = env!("CARGO_PKG_VERSION");
-    let of = |host: &Host| host.clone();
-    let own = of(host);
-    sorm.register("shmem_w", VERSION, move |name, _| {
-        Ok(Box::new(shmem_w::ShmemW::new(own.clone(), name.flavor())))
+    add(sorm, host, "shmem_w", |host, name| {
+        Box::new(shmem_w::ShmemW::new(host, name.flavor()))
     });
-    let own = of(host);
-    sorm.register("shmem_r", VERSION, move |name, _| {
-        Ok(Box::new(shmem_r::ShmemR::new(own.clone(), name.flavor())))
+    add(sorm, host, "shmem_r", |host, name| {
+        Box::new(shmem_r::ShmemR::new(host, name.flavor()))
     });
-    let own = of(host);
-    sorm.register("flight", VERSION, move |name, _| {
-        Ok(Box::new(flight::Flight::new(own.clone(), name.flavor())))
+    add(sorm, host, "flight", |host, name| {
+        Box::new(flight::Flight::new(host, name.flavor()))
     });
-    let own = of(host);
-    sorm.register("queue", VERSION, move |_, _| {
-        Ok(Box::new(queue::QueueObject::new(own.clone())))
+    add(sorm, host, "queue", |host, _| {
+        Box::new(queue::QueueObject::new(host))
     });
-    let own = of(host);
-    sorm.register("semaphore", VERSION, move |_, _| {
-        Ok(Box::new(semaphore::SemaphoreObject::new(own.clone())))
+    add(sorm, host, "semaphore", |host, _| {
+        Box::new(semaphore::SemaphoreObject::new(host))
     });
-    let own = of(host);
-    sorm.register("blackboard", VERSION, move |_, _| {
-        Ok(Box::new(blackboard::BlackboardObject::new(own.clone())))
+    add(sorm, host, "blackboard", |host, _| {
+        Box::new(blackboard::BlackboardObject::new(host))
     });
+}
+
+fn add(
+    sorm: &Sorm,
+    host: &Host,
+    class: &'static str,
+    make: fn(Host, &ObjectName) -> Box<dyn ServiceObject>,
+) {
+    let host = host.clone();
+    let class = Class::new(class, env!("CARGO_PKG_VERSION"), move |name, _| {
+        Ok(make(host.clone(), name))
+    });
+    sorm.register(class.codes(code::PROTOTYPES));
 }
 
 #[track_caller]

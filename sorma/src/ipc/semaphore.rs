@@ -97,7 +97,7 @@ impl Semaphore {
 
 static OPTIONS: LazyLock<OptionTable<Semaphore>> = LazyLock::new(|| {
     OptionTable::new(
-        "a counting semaphore. EXEC acquire WHO [SECONDS [PID]]: IMSG 1 HOLD, or `not yet` with IMSG 1 TICKET when \
+        "a counting semaphore. EXEC acquire [WHO [SECONDS [PID]]], the caller when it says no WHO: IMSG 1 HOLD, or `not yet` with IMSG 1 TICKET when \
          there is a time to wait, with which claim TICKET asks again, in turn; release HOLD; drop TICKET: waits no \
          more; forget WHO: gives back all that WHO has; free: IMSG 2, free permits and those who wait; holders. \
          What is held for process PID of this host is given back when that ends",
@@ -125,9 +125,10 @@ impl SemaphoreObject {
     }
 
     fn acquire(&mut self, words: &[String], now: Instant, io: &mut Transport) -> Outcome {
-        let Some(who) = words.first() else {
+        let who = words.first().unwrap_or(&io.from);
+        if who.is_empty() {
             return Err(wrong("acquire takes the name of whoever wants the permit"));
-        };
+        }
         let limit = seconds(words.get(1))?;
         let process = words.get(2).map(|pid| living(pid)).transpose()?;
         let holder = Holder {
@@ -228,7 +229,7 @@ impl ServiceObject for SemaphoreObject {
                 Ok(())
             }
             _ => Err(wrong(format!(
-                "EXEC takes acquire WHO [SECONDS [PID]], claim TICKET, release HOLD, drop TICKET, forget WHO, \
+                "EXEC takes acquire [WHO [SECONDS [PID]]], claim TICKET, release HOLD, drop TICKET, forget WHO, \
                  free or holders, not `{}`",
                 io.text
             ))),
