@@ -2,6 +2,7 @@
 
 pub(crate) mod handshake;
 pub(crate) mod injure;
+pub(crate) mod lookout;
 pub(crate) mod session;
 pub(crate) mod shm;
 pub(crate) mod simulated;

@@ -18,12 +18,12 @@ use std::{
         atomic::{AtomicBool, Ordering},
     },
     task::{Context as PollContext, Poll, Wake, Waker},
-    thread::Thread,
     time::Duration,
 };
 
 use crate::{
     call::lock,
+    link::lookout::Parker,
     sync::Schedule,
     time::{Clock, Instant},
 };
@@ -36,7 +36,8 @@ type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
 pub(crate) struct ProcessorHandle {
     ready: Mutex<VecDeque<u64>>,
     jobs: Mutex<Vec<Job>>,
-    thread: Mutex<Option<Thread>>,
+    /// Where its thread sleeps.
+    pub(crate) parker: Parker,
     stop: AtomicBool,
 }
 
@@ -55,9 +56,7 @@ impl ProcessorHandle {
 
     /// Wakes the processor, if it sleeps.
     pub(crate) fn unpark(&self) {
-        if let Some(thread) = lock(&self.thread).as_ref() {
-            thread.unpark();
-        }
+        self.parker.unpark();
     }
 }
 
@@ -266,7 +265,7 @@ impl Processor {
 
     /// The processor's thread: returns after [`ProcessorHandle::stop`].
     pub(crate) fn run(self: &Rc<Self>) {
-        *lock(&self.handle.thread) = Some(std::thread::current());
+        self.handle.parker.sit_down();
         let mut ticked = false;
         while !self.handle.stop.load(Ordering::Acquire) {
             self.run_jobs();
@@ -283,10 +282,10 @@ impl Processor {
                 Some(deadline) => {
                     let wait = deadline.since(self.now());
                     if wait > Duration::ZERO {
-                        std::thread::park_timeout(wait);
+                        self.handle.parker.park(Some(wait));
                     }
                 }
-                None => std::thread::park(),
+                None => self.handle.parker.park(None),
             }
         }
         self.clear();

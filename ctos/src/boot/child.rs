@@ -147,6 +147,7 @@ async fn connect(
                     address,
                     reason: error.to_string(),
                 },
+                MeshError::Wait(error) => ChildError::System(error),
                 MeshError::Keys(error) => ChildError::Keys(error.to_string()),
             };
             Mesh::unable(boot, chassis, None, &token, &error.to_string()).await;

@@ -37,6 +37,7 @@ use crate::{
         Frame,
         handshake::{Process, Token},
         injure::Injury,
+        lookout::Lookout,
         session::{DownReason, Limits, Receiver, Session, state::Event, state::State},
         transport::{Address, Listener},
     },
@@ -88,6 +89,9 @@ pub(crate) enum MeshError {
     /// The address of the configuration cannot be listened at.
     #[error("cannot listen at {address}: {error}")]
     Listen { address: String, error: io::Error },
+    /// The system does not let it wait for its links.
+    #[error("cannot wait for links: {0}")]
+    Wait(io::Error),
     /// The keys cannot be used.
     #[error("the keys of [security] cannot be used: {0}")]
     Keys(#[from] KeyError),
@@ -129,6 +133,8 @@ struct Inner {
     process: Process,
     keys: Option<Arc<Keys>>,
     runtime: Handle,
+    /// Who reads what comes over plain sockets and shared memory.
+    lookout: Arc<Lookout>,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
@@ -174,6 +180,10 @@ impl Mesh {
             address: chassis.name().to_owned(),
             error,
         })?;
+        let spin = app.links.spin;
+        let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
+        let lookout = lookout.map_err(MeshError::Wait)?;
+        chassis.set_lookout(lookout.clone());
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -181,6 +191,7 @@ impl Mesh {
             process: Process::this(),
             keys,
             runtime: Handle::current(),
+            lookout,
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
             live: Mutex::default(),
@@ -265,11 +276,13 @@ impl Mesh {
         let down = futures_util::future::join_all(down);
         // What cannot be written within the limit belongs to a peer that no longer reads.
         let _ = tokio::time::timeout(FLUSH_LIMIT, down).await;
+        self.inner.lookout.close();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
+        self.inner.lookout.close();
         for door in &self.doors {
             door.abort();
         }

@@ -8,14 +8,15 @@
 //! Knows streams only as something that takes bytes ([`Writer`]); who connects to whom is decided
 //! elsewhere.
 
+mod direct;
 pub(crate) mod drive;
 pub(crate) mod packet;
 pub(crate) mod state;
 mod window;
+mod writer;
 
 use std::{
     fmt, io,
-    pin::Pin,
     sync::{
         Arc, Mutex,
         atomic::{AtomicU64, Ordering},
@@ -24,12 +25,9 @@ use std::{
     time::Duration,
 };
 
-use tokio::{
-    io::AsyncWrite,
-    net::{tcp, unix},
-    sync::watch,
-};
+use tokio::sync::watch;
 
+pub(crate) use self::writer::Writer;
 use self::{
     packet::{Content, Kind, Packet, PacketError},
     state::{Event, State},
@@ -37,7 +35,7 @@ use self::{
 };
 use crate::{
     call::{Fault, lock},
-    link::{Counts, Frame, Full, Link, injure::Injury, shm},
+    link::{Counts, Frame, Full, Link, injure::Injury},
     message::{Flags, SYSTEM_COMMANDS},
     time::{Clock, Instant},
 };
@@ -50,51 +48,6 @@ const INJURED_PULSE: Duration = Duration::from_millis(20);
 
 /// Faults are let through when there is no room for answers; they are small.
 const SMALL: usize = 4 * 1024;
-
-/// Where a session writes.
-pub(crate) enum Writer {
-    Tcp(tcp::OwnedWriteHalf),
-    Unix(unix::OwnedWriteHalf),
-    Shared(shm::Sender),
-    /// Written to by its driver only.
-    Other(Box<dyn AsyncWrite + Send + Unpin>),
-}
-
-impl Writer {
-    /// Writes from any thread what can be written at once.
-    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
-        match self {
-            Self::Tcp(stream) => stream.try_write_vectored(slices),
-            Self::Unix(stream) => stream.try_write_vectored(slices),
-            Self::Shared(sender) => sender.try_write(slices),
-            Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
-        }
-    }
-
-    /// Writes from the driver, which is woken when more can be written.
-    fn poll_write(
-        &mut self,
-        cx: &mut PollContext<'_>,
-        slices: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        match self {
-            Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Shared(sender) => match sender.try_write(slices) {
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
-                written => Poll::Ready(written),
-            },
-        }
-    }
-
-    fn poll_flush(&mut self, cx: &mut PollContext<'_>) -> Poll<io::Result<()>> {
-        match self {
-            Self::Other(stream) => Pin::new(stream).poll_flush(cx),
-            Self::Tcp(_) | Self::Unix(_) | Self::Shared(_) => Poll::Ready(Ok(())),
-        }
-    }
-}
 
 /// Why a session is down.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -403,14 +356,43 @@ impl Session {
                 return;
             }
             put(&mut core, now);
-            // A stream that fails is found by its driver.
-            match Self::pump_now(&mut core, now) {
-                Ok(Pumped::Idle) if !self.injured => None,
-                Ok(_) | Err(_) => core.driver.take(),
+            let pumped = Self::pump_now(&mut core, now);
+            if self.needs_driver(&core, &pumped) {
+                core.driver.take()
+            } else {
+                None
             }
         };
         if let Some(driver) = driver {
             driver.wake();
+        }
+    }
+
+    /// Whether the driver must go on: a stream that fails is found by it, and of room that comes only it
+    /// may be told.
+    fn needs_driver(&self, core: &Core, pumped: &io::Result<Pumped>) -> bool {
+        match pumped {
+            Ok(Pumped::Idle) => self.injured,
+            Ok(Pumped::Blocked) => !core.writer.as_ref().is_some_and(Writer::is_watched),
+            Err(_) => true,
+        }
+    }
+
+    /// Goes on writing to `stream`, which may have room again.
+    pub(crate) fn pump(&self, stream: u64) {
+        let now = self.clock.now();
+        let mut core = lock(&self.core);
+        if core.stream == stream {
+            self.pump_or_wake(&mut core, now);
+        }
+    }
+
+    /// Something came over `stream` that is no whole packet yet.
+    pub(crate) fn heard_of(&self, stream: u64) {
+        let now = self.clock.now();
+        let mut core = lock(&self.core);
+        if core.stream == stream {
+            core.heard = now;
         }
     }
 
@@ -521,7 +503,7 @@ impl Session {
     /// As [`Self::put`], for one that holds the lock and is the driver.
     fn pump_or_wake(&self, core: &mut Core, now: Instant) {
         let pumped = Self::pump_now(core, now);
-        if (!matches!(pumped, Ok(Pumped::Idle)) || self.injured)
+        if self.needs_driver(core, &pumped)
             && let Some(driver) = &core.driver
         {
             driver.wake_by_ref();

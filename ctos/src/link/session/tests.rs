@@ -490,15 +490,19 @@ fn joined(test: impl AsyncFnOnce([(Arc<Session>, Arc<Mutex<Told>>); 2])) {
         let clock = Clock::real();
         let pair = [session(&clock), session(&clock)];
         let (one, other) = tokio::net::UnixStream::pair().unwrap();
+        let lookout = Lookout::new("test", clock.clone(), Duration::ZERO).unwrap();
         for ((session, _), stream) in pair.clone().into_iter().zip([one, other]) {
+            let lookout = lookout.clone();
             tokio::spawn(async move {
                 let stream = crate::link::transport::Stream::Unix(stream);
-                drive::drive(&session, stream, 0).await.unwrap();
+                let driven = drive::drive(&session, stream, 0, &lookout);
+                driven.await.unwrap();
             });
         }
         tokio::time::timeout(Duration::from_secs(60), test(pair))
             .await
             .unwrap();
+        lookout.close();
     });
 }
 
