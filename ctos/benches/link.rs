@@ -134,10 +134,13 @@ fn through(sets: &str, pin: Option<[usize; 2]>) -> Vec<u64> {
         arguments: ["link-chassis", sets, &pins].map(OsString::from).to_vec(),
     };
     let text: Arc<Mutex<String>> = Arc::default();
-    let silent: Observer = Arc::new(|_| ());
-    let outcome = boot(app(sets), registry(), &launcher, &silent).unwrap();
-    if let ctos::boot::End::Finished(result) = outcome.end {
-        *text.lock().unwrap() = result.text;
+    let said: Arc<Mutex<Vec<String>>> = Arc::default();
+    let hears = said.clone();
+    let observer: Observer = Arc::new(move |event| hears.lock().unwrap().push(format!("{event:?}")));
+    let outcome = boot(app(sets), registry(), &launcher, &observer).unwrap();
+    match outcome.end {
+        ctos::boot::End::Finished(result) => *text.lock().unwrap() = result.text,
+        other => panic!("{other:?}: {:#?}", said.lock().unwrap()),
     }
     let text = text.lock().unwrap();
     text.split(' ')

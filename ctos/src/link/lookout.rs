@@ -16,7 +16,7 @@ use std::{
     os::fd::{BorrowedFd, OwnedFd},
     sync::{
         Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, TryLockError,
-        atomic::{AtomicBool, AtomicU64, Ordering, fence},
+        atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering, fence},
     },
     thread::Thread,
     time::Duration,
@@ -100,7 +100,9 @@ struct Turn {
 enum Waited {
     /// There is something to do, or the time is over.
     Awake,
-    /// Somebody else has the turn, or shall have it.
+    /// What came was for others, one of whom shall have the turn next.
+    HandedOn,
+    /// Somebody else has the turn.
     Elsewhere,
 }
 
@@ -132,8 +134,8 @@ struct Relief {
     asleep: AtomicBool,
     /// It has the turn.
     has_turn: AtomicBool,
-    /// A processor wants the turn.
-    wanted: AtomicBool,
+    /// How many processors wait for the turn. While there are any, the relief leaves it to them.
+    wanted: AtomicU32,
     stop: AtomicBool,
 }
 
@@ -260,9 +262,11 @@ impl Lookout {
         if !self.relief.has_turn.load(Ordering::SeqCst) {
             return None;
         }
-        self.relief.wanted.store(true, Ordering::SeqCst);
+        self.relief.wanted.fetch_add(1, Ordering::SeqCst);
         self.relief.parker.unpark_at(self);
-        Some(lock(&self.turn))
+        let turn = lock(&self.turn);
+        self.relief.wanted.fetch_sub(1, Ordering::SeqCst);
+        Some(turn)
     }
 
     fn look(&self, turn: &mut Turn, parker: &Parker, timeout: Option<Duration>) -> Waited {
@@ -444,6 +448,9 @@ impl Lookout {
                 relief.asleep.store(false, Ordering::SeqCst);
                 continue;
             }
+            if relief.wanted.load(Ordering::SeqCst) > 0 {
+                continue;
+            }
             let Ok(turn) = self.turn.try_lock() else {
                 continue;
             };
@@ -451,7 +458,7 @@ impl Lookout {
             loop {
                 // Before it is asked for what: a nudge after that ends the sleep at once.
                 relief.parker.take_nudge();
-                if relief.wanted.swap(false, Ordering::SeqCst)
+                if relief.wanted.load(Ordering::SeqCst) > 0
                     || relief.stop.load(Ordering::SeqCst)
                     || self.sleep(&relief.parker, None).is_none()
                 {

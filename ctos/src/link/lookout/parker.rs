@@ -18,6 +18,8 @@ pub(crate) struct Parker {
     nudged: AtomicBool,
     /// The thread sleeps at the links, where only their nudge wakes it.
     at_links: AtomicBool,
+    /// What came last was for others: they shall have the turn at the links next. For the thread alone.
+    aside: AtomicBool,
     thread: OnceLock<Thread>,
     lookout: OnceLock<Arc<Lookout>>,
 }
@@ -56,9 +58,13 @@ impl Parker {
         if self.take_nudge() {
             return;
         }
-        if let Some(lookout) = self.lookout.get() {
+        if let Some(lookout) = self.lookout.get()
+            && !self.aside.swap(false, Ordering::Relaxed)
+        {
             let waited = lookout.wait(self, timeout);
-            if self.take_nudge() || waited == Waited::Awake {
+            self.aside
+                .store(waited == Waited::HandedOn, Ordering::Relaxed);
+            if self.take_nudge() || waited != Waited::Elsewhere {
                 return;
             }
         }
@@ -92,7 +98,7 @@ impl Parker {
     /// What becomes of the turn: when all that came was for others, one of them shall have it.
     pub(super) fn after(&self, seen: Seen) -> Waited {
         if seen == Seen::Frames && !self.is_nudged() {
-            Waited::Elsewhere
+            Waited::HandedOn
         } else {
             Waited::Awake
         }

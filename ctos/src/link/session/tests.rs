@@ -1,7 +1,9 @@
 //! Two sessions joined by streams that lose, break and are had anew: first as pure state machines
 //! through memory, then over real sockets.
 
-use std::{collections::VecDeque, io::IoSlice};
+use std::{collections::VecDeque, io::IoSlice, pin::Pin};
+
+use tokio::io::AsyncWrite;
 
 use proptest::prelude::*;
 
@@ -10,7 +12,10 @@ use super::{
     window::{Arrival, Incoming, Outgoing},
     *,
 };
-use crate::{config::InjuryConfig, link::FRAME_FIXED};
+use crate::{
+    config::InjuryConfig,
+    link::{FRAME_FIXED, lookout::Lookout},
+};
 
 const MANY: usize = 1 << 30;
 
