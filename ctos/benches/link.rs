@@ -23,6 +23,7 @@ use std::{
 };
 
 use ctos::{
+    Blob,
     boot::{Launcher, Observer, boot, run_chassis},
     config::load_texts,
     message::{Command as _, CommandInfo, Message},
@@ -34,7 +35,7 @@ use ctos::{
 
 ctos::command! {
     /// Answers with as many bytes as it got, or with none.
-    pub struct Echo { pub back: bool, pub bytes: Vec<u8> } => Vec<u8>, 1, "echo"
+    pub struct Echo { pub back: bool, pub bytes: Blob } => Blob, 1, "echo"
 }
 
 struct Echoes;
@@ -45,7 +46,7 @@ impl EventHandler for Echoes {
             return cx.default_processing(message);
         }
         let (Echo { back, bytes }, reply) = message.open::<Echo>()?;
-        reply.ok(if back { bytes } else { Vec::new() })
+        reply.ok(if back { bytes } else { Blob::default() })
     }
 }
 
@@ -75,8 +76,10 @@ impl EventHandler for Caller {
             for (_, size, back, most) in CASES {
                 let mut times = Vec::new();
                 let clock = Clock::real();
+                // As the raw peers do, the same bytes again and again.
+                let all = Blob::from(vec![1; size]);
                 while times.len() < most && clock.now().since_start() < LIMIT {
-                    let bytes = vec![1; size];
+                    let bytes = all.clone();
                     let began = clock.now();
                     cx.call(&far, Echo { back, bytes }).await.unwrap();
                     times.push((clock.now() - began).as_nanos() as u64);

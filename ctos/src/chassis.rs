@@ -15,6 +15,7 @@ use std::{
 };
 
 use crate::{
+    blob::Body,
     call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
@@ -100,7 +101,7 @@ impl Outbound {
                 call: self.call,
                 trace: self.trace,
                 left_ns: NO_DEADLINE,
-                body: Vec::new(),
+                body: Body::default(),
             });
         }
     }
@@ -573,7 +574,7 @@ impl Chassis {
             Err(fault) => (
                 Flags::REPLY.with(Flags::FAULT),
                 // A fault is plain data; should it fail to encode, the empty body is read as one.
-                postcard::to_stdvec(&fault).unwrap_or_default(),
+                postcard::to_stdvec(&fault).unwrap_or_default().into(),
             ),
         };
         // What is not a request is never refused.
@@ -601,6 +602,7 @@ impl Chassis {
             left_ns,
             body,
         } = frame;
+        let body = body.into_vec();
         if header.flags.contains(Flags::REPLY) {
             return self.receive_reply(peer, call, header.flags, body);
         }
@@ -820,8 +822,8 @@ impl Chassis {
 }
 
 /// The data of a frame.
-fn body_of(data: Data) -> Result<Vec<u8>, Fault> {
-    let body = data.into_bytes().map_err(|error| Fault::BadPayload {
+fn body_of(data: Data) -> Result<Body, Fault> {
+    let body = data.into_body().map_err(|error| Fault::BadPayload {
         text: error.to_string(),
     })?;
     if body.len() > BODY_LIMIT {

@@ -37,6 +37,7 @@ pub mod time;
 pub mod watch;
 
 mod agent;
+mod blob;
 mod bootstrap;
 mod children;
 mod circle;
@@ -53,6 +54,7 @@ mod runner;
 mod statistics;
 mod waits;
 
+pub use blob::Blob;
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use ctos_derive::handler;
 pub use message::Command;

@@ -654,7 +654,7 @@ fn without_body(mut frame: Frame, held: usize) -> Frame {
     }
     let fault = Fault::LinkFull { bytes: held };
     // A fault is plain data; should it fail to encode, the empty body is read as one.
-    frame.body = postcard::to_stdvec(&fault).unwrap_or_default();
+    frame.body = postcard::to_stdvec(&fault).unwrap_or_default().into();
     frame.header.flags = frame.header.flags.with(Flags::FAULT);
     frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
     frame

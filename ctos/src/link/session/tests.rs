@@ -122,7 +122,8 @@ impl End {
                 let Content::Frame(frame) = packet.content else {
                     panic!("no frame")
                 };
-                assert!(frame.body.iter().all(|byte| *byte == frame.call as u8));
+                let body = frame.body.into_vec();
+                assert!(body.iter().all(|byte| *byte == frame.call as u8));
                 self.heard.push(frame.call);
             }
             Arrival::Early if self.incoming.must_ask() => self.outgoing.pulse(Kind::Again),
