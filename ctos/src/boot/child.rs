@@ -11,14 +11,11 @@ use crate::{
     },
     chassis::Chassis,
     config::App,
-    link::{handshake::Token, session::DownReason, transport::Address},
+    link::{handshake::Token, transport::Address},
     record,
     registry::Registry,
     time::Clock,
 };
-
-/// Exit code of a chassis that the boot has given up: it was silent for too long.
-const EXIT_GIVEN_UP: i32 = 6;
 
 /// Why a chassis could not start.
 #[derive(Debug, thiserror::Error)]
@@ -110,12 +107,8 @@ async fn serve(
         tokio::select! {
             // Without a sender left, every chassis thread is gone: an error exit.
             code = &mut exited => break code.unwrap_or(1),
-            event = mesh.next() => {
-                if let Some(MeshEvent::Down { chassis: 0, reason: DownReason::GivenUp, .. }) = event {
-                    tracing::error!("the boot has given this chassis up, which was silent for too long: it ends");
-                    break EXIT_GIVEN_UP;
-                }
-            }
+            // What becomes of the others, the tasks see.
+            _ = mesh.next() => {}
         }
     };
     finish(chassis, &mut mesh).await;

@@ -47,6 +47,9 @@ use crate::{
 /// How long the last frames may take when a process ends.
 pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
 
+/// Exit code of a chassis that the boot has given up: it was silent for too long.
+const EXIT_GIVEN_UP: i32 = 6;
+
 /// What the mesh of one chassis tells that of another.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 enum Notice {
@@ -612,6 +615,13 @@ impl Receiver for PeerReceiver {
             // Those that end in their order are no news.
             _ if mesh.chassis.is_stopping() => tracing::debug!(peer, reason = %reason, "link down"),
             _ => tracing::warn!(peer, reason = %reason, "link down"),
+        }
+        if self.chassis == 0 && *reason == DownReason::GivenUp {
+            tracing::error!(
+                "the boot has given this chassis up, which was silent for too long: it ends"
+            );
+            // Before the tasks see that the boot is gone, and take that for the reason.
+            mesh.chassis.exit(EXIT_GIVEN_UP);
         }
         {
             let mut live = lock(&mesh.live);

@@ -40,10 +40,30 @@ fn go_on_after(pid: u32, time: Duration) {
     });
 }
 
-fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Outcome, Failed> {
+/// What came of a run, and what its chassis logged.
+#[derive(Debug)]
+struct Ran {
+    outcome: Outcome,
+    log: Vec<String>,
+}
+
+impl Ran {
+    /// Whether the app was not bothered by what happened.
+    fn did_well(&self) -> bool {
+        matches!(&self.outcome.end, End::Finished(result) if result.ok)
+    }
+
+    fn failed(&self) -> Failed {
+        format!("{:?}\n{}", self.outcome, self.log.join("\n")).into()
+    }
+}
+
+fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Ran, Failed> {
     let placement = Placement::ALL.iter().find(|one| one.name == placement);
     let placement = placement.ok_or("there is no such placement")?;
     let victim = Arc::new(Mutex::new(0));
+    let lines = Arc::new(Mutex::new(Vec::new()));
+    let log = lines.clone();
     let observer: Observer = Arc::new(move |event| {
         let mut victim = victim.lock().unwrap();
         match (event, deed) {
@@ -62,30 +82,24 @@ fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Outcome, Fa
                     go_on_after(*victim, time);
                 }
             },
+            (BootEvent::Log { line, .. }, _) => log.lock().unwrap().push(line.clone()),
             (BootEvent::Stopping { .. }, Deed::StopUntilGivenUp) => go_on_after(*victim, LONG),
             _ => {}
         }
     });
-    boot_case(
-        placement,
-        "calls_cross_in_both_directions",
-        1,
-        &[timeout],
-        &observer,
-    )
-}
-
-/// Whether the app was not bothered by what happened.
-fn did_well(outcome: &Outcome) -> bool {
-    matches!(&outcome.end, End::Finished(result) if result.ok)
+    let case = "calls_cross_in_both_directions";
+    let outcome = boot_case(placement, case, 1, &[timeout], &observer)?;
+    drop(observer);
+    let log = std::mem::take(&mut *lines.lock().unwrap());
+    Ok(Ran { outcome, log })
 }
 
 /// One that is stopped for less than the time goes on as if nothing had happened.
 pub fn stopped_in_time(placement: &str) -> Result<(), Failed> {
     let deed = Deed::StopFor(Duration::from_millis(400));
-    let outcome = run(placement, "peer_timeout_s=20", deed)?;
-    if !did_well(&outcome) || !outcome.casualties.is_empty() {
-        return Err(format!("{outcome:?}").into());
+    let ran = run(placement, "peer_timeout_s=20", deed)?;
+    if !ran.did_well() || !ran.outcome.casualties.is_empty() {
+        return Err(ran.failed());
     }
     Ok(())
 }
@@ -95,29 +109,29 @@ const RACES: u32 = 10;
 
 /// One that is stopped for longer is given up, is told so when it goes on, and ends itself.
 pub fn stopped_for_too_long(placement: &str) -> Result<(), Failed> {
-    let mut outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+    let mut ran = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
     // The task on the other chassis may miss it first and end the app; then it goes on in time.
     for _ in 0..RACES {
-        match &outcome.end {
-            End::Finished(result) if !result.ok && outcome.casualties.is_empty() => {}
+        match &ran.outcome.end {
+            End::Finished(result) if !result.ok && ran.outcome.casualties.is_empty() => {}
             _ => break,
         }
-        outcome = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
+        ran = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
     }
     let ended = ("b".to_owned(), "ended with exit code 6".to_owned());
-    if did_well(&outcome) || !outcome.casualties.contains(&ended) {
-        return Err(format!("{outcome:?}").into());
+    if ran.did_well() || !ran.outcome.casualties.contains(&ended) {
+        return Err(ran.failed());
     }
     Ok(())
 }
 
 /// The death of a process is noticed at once, and not after the time.
 pub fn killed(placement: &str) -> Result<(), Failed> {
-    let outcome = run(placement, "peer_timeout_s=3000", Deed::Kill)?;
-    let mut casualties = outcome.casualties.iter();
+    let ran = run(placement, "peer_timeout_s=3000", Deed::Kill)?;
+    let mut casualties = ran.outcome.casualties.iter();
     let killed = casualties.any(|(name, how)| name == "b" && how.contains("SIGKILL"));
-    if did_well(&outcome) || !killed || outcome.took > Duration::from_secs(60) {
-        return Err(format!("{outcome:?}").into());
+    if ran.did_well() || !killed || ran.outcome.took > Duration::from_secs(60) {
+        return Err(ran.failed());
     }
     Ok(())
 }

@@ -4,6 +4,7 @@ use std::{
     future::poll_fn,
     io,
     os::fd::OwnedFd,
+    pin::pin,
     sync::{Arc, atomic::Ordering},
     task::Poll,
     time::Duration,
@@ -12,6 +13,7 @@ use std::{
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
     net::UnixStream,
+    sync::oneshot,
 };
 
 use super::{
@@ -28,6 +30,9 @@ const CHUNK: usize = 64 * 1024;
 
 /// How often a driver looks whether late packets of an injured link may leave.
 const INJURED_TICK: Duration = Duration::from_millis(1);
+
+/// How long what the other end said last is waited for when it takes no more.
+const LAST_WORDS_LIMIT: Duration = Duration::from_millis(500);
 
 /// Carries `session` over `stream` until that ends; `received` is what the other end has. Plain sockets are
 /// read by `lookout`.
@@ -56,7 +61,7 @@ pub(crate) async fn drive(
     };
     let (mut reader, writer) = stream.split();
     let number = session.attach(writer, received)?;
-    let read = read_all(session, number, &mut reader);
+    let mut read = pin!(read_all(session, number, &mut reader));
     let write = poll_fn(|cx| session.poll_pump(cx, number));
     let late = async {
         loop {
@@ -65,8 +70,12 @@ pub(crate) async fn drive(
         }
     };
     let ended = tokio::select! {
-        ended = read => ended,
-        error = write => Err(error),
+        ended = &mut read => ended,
+        error = write => {
+            // The other end has closed; what it said last may not have been read yet.
+            let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
+            rest.unwrap_or(Ok(())).and(Err(error))
+        }
         () = late, if session.is_injured() => Ok(()),
     };
     if let Err(error) = ended {
@@ -159,7 +168,9 @@ pub(crate) async fn drive_shared(
         Ok(watched) => {
             tokio::select! {
                 _ = &mut ended => {}
-                error = poll_fn(|cx| session.poll_pump(cx, number)) => broke(&error),
+                error = poll_fn(|cx| session.poll_pump(cx, number)) => {
+                    last_words(&error, ended).await;
+                }
                 () = hung_up(&socket) => {
                     // What is still there is read.
                     stream.closed.store(true, Ordering::Release);
@@ -183,7 +194,7 @@ async fn drive_socket(
     let socket = Arc::new(Socket::new(fd, Arc::downgrade(lookout)));
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
     let carrier = Carrier::Socket(socket.clone());
-    let (stream, ended) = DirectStream::new(session.clone(), number, carrier);
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
     let watched = lookout.add(move |id| {
         socket.set_id(id);
         Arc::new(stream)
@@ -191,14 +202,22 @@ async fn drive_socket(
     match watched {
         Ok(_watched) => {
             tokio::select! {
-                _ = ended => {}
-                error = poll_fn(|cx| session.poll_pump(cx, number)) => broke(&error),
+                _ = &mut ended => {}
+                error = poll_fn(|cx| session.poll_pump(cx, number)) => {
+                    last_words(&error, ended).await;
+                }
             }
         }
         Err(error) => broke(&error),
     }
     session.lost(number);
     Ok(())
+}
+
+/// The other end has closed; what it said last may not have been read yet.
+async fn last_words(error: &io::Error, ended: oneshot::Receiver<()>) {
+    broke(error);
+    let _ = tokio::time::timeout(LAST_WORDS_LIMIT, ended).await;
 }
 
 fn broke(error: &io::Error) {
