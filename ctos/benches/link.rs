@@ -139,7 +139,8 @@ fn through(sets: &str, pin: Option<[usize; 2]>) -> Vec<u64> {
     let text: Arc<Mutex<String>> = Arc::default();
     let said: Arc<Mutex<Vec<String>>> = Arc::default();
     let hears = said.clone();
-    let observer: Observer = Arc::new(move |event| hears.lock().unwrap().push(format!("{event:?}")));
+    let observer: Observer =
+        Arc::new(move |event| hears.lock().unwrap().push(format!("{event:?}")));
     let outcome = boot(app(sets), registry(), &launcher, &observer).unwrap();
     match outcome.end {
         ctos::boot::End::Finished(result) => *text.lock().unwrap() = result.text,

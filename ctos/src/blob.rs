@@ -284,7 +284,8 @@ mod tests {
     type Pair = (u32, Blob, String, Blob);
 
     fn pair(sizes: [usize; 2]) -> Pair {
-        let blob = |size: usize| Blob::from((0..size).map(|at| (at % 251) as u8).collect::<Vec<_>>());
+        let blob =
+            |size: usize| Blob::from((0..size).map(|at| (at % 251) as u8).collect::<Vec<_>>());
         (7, blob(sizes[0]), "between".to_owned(), blob(sizes[1]))
     }
 

@@ -7,6 +7,7 @@
 
 mod draw;
 mod events;
+mod injured;
 mod machine;
 mod mishap;
 mod profile;
@@ -190,6 +191,8 @@ struct Simulation {
     drawn: Drawn,
     stop_at: Option<Instant>,
     happened: Vec<Mishap>,
+    /// What of the script the app's own configuration asks for.
+    injuries: Vec<Mishap>,
     /// Processes that would have ended by themselves now.
     exits: Exits,
     /// How the last process of a chassis ended, if otherwise than it should have.
@@ -227,7 +230,12 @@ impl Simulation {
             .collect();
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
-        let script = schedule(&names, faults.script, &mut happened)?;
+        let mut script = schedule(&names, faults.script, &mut happened)?;
+        let injuries = injured::mishaps(&app.links.injury, &names);
+        for injury in &injuries {
+            let at = script.entry(injury.at()).or_default();
+            at.push(injury.clone());
+        }
         let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
         let events = EventLog::new(events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
@@ -277,6 +285,7 @@ impl Simulation {
             script,
             drawn,
             happened,
+            injuries,
             exits,
             casualties: BTreeMap::new(),
             incarnations: BTreeMap::new(),
@@ -469,6 +478,11 @@ impl Simulation {
             peer.link_down(index);
             peer.link_up(index, self.network.link(peer.index(), index));
             new.link_up(peer.index(), self.network.link(index, peer.index()));
+            let ends = (usize::from(index), usize::from(peer.index()));
+            let injury = &peer.app.links.injury;
+            for mishap in injured::lasting(injury, new.name(), peer.name()) {
+                self.happen_between(ends.0, ends.1, &mishap);
+            }
         }
         watch_exit(&new, incarnation, &self.exits);
         if let Some(recording) = &self.recording {
@@ -516,7 +530,10 @@ impl Simulation {
                 }
             }
         }
-        self.happened.push(mishap);
+        // Whoever makes the run again has the configuration anyway.
+        if !self.injuries.contains(&mishap) {
+            self.happened.push(mishap);
+        }
     }
 
     fn happen_to(&mut self, index: usize, mishap: &Mishap) {

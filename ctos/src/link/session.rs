@@ -8,9 +8,12 @@
 //! Knows streams only as something that takes bytes ([`Writer`]); who connects to whom is decided
 //! elsewhere.
 
+mod arrive;
 mod direct;
 pub(crate) mod drive;
+mod line;
 pub(crate) mod packet;
+mod post;
 pub(crate) mod state;
 mod window;
 mod writer;
@@ -29,14 +32,14 @@ use tokio::sync::watch;
 
 pub(crate) use self::writer::Writer;
 use self::{
-    packet::{Content, Kind, Packet, PacketError},
+    line::Line,
+    packet::{Kind, PacketError},
     state::{Event, State},
-    window::{Arrival, Incoming, Lane, NoRoom, Outgoing, Pumped},
+    window::{Incoming, Outgoing, Pumped},
 };
 use crate::{
-    call::{Fault, lock},
-    link::{Counts, Frame, Full, Link, injure::Injury},
-    message::{Flags, SYSTEM_COMMANDS},
+    call::lock,
+    link::{Counts, Frame, injure::Injury},
     time::{Clock, Instant},
 };
 
@@ -45,9 +48,6 @@ const PULSES: u32 = 4;
 
 /// How often an injured session looks after what was lost.
 const INJURED_PULSE: Duration = Duration::from_millis(20);
-
-/// Faults are let through when there is no room for answers; they are small.
-const SMALL: usize = 4 * 1024;
 
 /// Why a session is down.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -109,6 +109,8 @@ pub(crate) struct Limits {
 struct Core {
     state: State,
     outgoing: Outgoing,
+    /// Requests that wait for room.
+    line: Line,
     incoming: Incoming,
     writer: Option<Writer>,
     /// Which stream: what is left of an earlier one is not listened to.
@@ -168,6 +170,7 @@ impl Session {
         let core = Core {
             state: State::Waiting,
             outgoing: Outgoing::new(limits.room, injury),
+            line: Line::new(limits.room),
             incoming: Incoming::default(),
             writer: None,
             stream: 0,
@@ -252,6 +255,8 @@ impl Session {
                 core.state = next.ok_or(AttachError::State(core.state))?;
             }
             core.outgoing.restart(received)?;
+            let core = &mut *core;
+            core.line.advance(&mut core.outgoing, now);
             core.writer = Some(writer);
             core.stream += 1;
             core.heard = now;
@@ -430,106 +435,6 @@ impl Session {
         self.put(|core, now| core.outgoing.put_control(Kind::Notice, bytes, now));
     }
 
-    /// Something came over `stream`. False when nothing more may come over it.
-    pub(crate) fn receive(&self, stream: u64, packet: Packet) -> bool {
-        let _handing = lock(&self.handing);
-        let now = self.clock.now();
-        let mut core = lock(&self.core);
-        if core.stream != stream || core.state == State::Down {
-            return false;
-        }
-        core.heard = now;
-        let (take, event) = match self.accept(&mut core, &packet, now) {
-            Ok(accepted) => accepted,
-            Err(error) => (
-                false,
-                Some((Event::Rubbish, DownReason::Rubbish(error.to_string()))),
-            ),
-        };
-        let state = core.state;
-        drop(core);
-        if take {
-            self.hand_over(packet.content);
-        }
-        if let Some((event, reason)) = event {
-            self.event(event, reason);
-        } else if state == State::Closing && lock(&self.core).outgoing.is_empty() {
-            self.event(Event::Flushed, DownReason::Closed);
-        }
-        self.state() != State::Down
-    }
-
-    /// What a packet means: whether its content is to be handed over, and what has happened.
-    fn accept(
-        &self,
-        core: &mut Core,
-        packet: &Packet,
-        now: Instant,
-    ) -> Result<(bool, Option<(Event, DownReason)>), PacketError> {
-        core.outgoing.acknowledge(packet.received)?;
-        if packet.kind == Kind::GivenUp {
-            return Ok((false, Some((Event::GivenUp, DownReason::GivenUp))));
-        }
-        if packet.kind == Kind::Again {
-            core.outgoing.again();
-        }
-        if !packet.kind.is_numbered() {
-            if packet.number > core.incoming.received() {
-                core.outgoing.pulse(Kind::Again);
-            }
-            self.pump_or_wake(core, now);
-            return Ok((false, None));
-        }
-        match core.incoming.take(packet.number, packet.content.size()) {
-            Arrival::Old => Ok((false, None)),
-            Arrival::Early => {
-                if core.incoming.must_ask() {
-                    core.outgoing.pulse(Kind::Again);
-                    self.pump_or_wake(core, now);
-                }
-                Ok((false, None))
-            }
-            Arrival::Next => {
-                let bye = packet.kind == Kind::Bye;
-                if core.incoming.must_acknowledge(self.limits.room / 16) || bye {
-                    core.outgoing.pulse(Kind::Pulse);
-                    self.pump_or_wake(core, now);
-                }
-                Ok((!bye, bye.then_some((Event::Bye, DownReason::Bye))))
-            }
-        }
-    }
-
-    /// As [`Self::put`], for one that holds the lock and is the driver.
-    fn pump_or_wake(&self, core: &mut Core, now: Instant) {
-        let pumped = Self::pump_now(core, now);
-        if self.needs_driver(core, &pumped)
-            && let Some(driver) = &core.driver
-        {
-            driver.wake_by_ref();
-        }
-    }
-
-    fn hand_over(&self, content: Content) {
-        match content {
-            Content::Frame(frame) => {
-                self.count(FRAMES_IN, 1);
-                self.count(BYTES_IN, frame.body.len() as u64);
-                tracing::trace!(
-                    target: "ctos::link",
-                    from = %frame.header.from,
-                    to = %frame.header.to,
-                    command = frame.header.command,
-                    bytes = frame.body.len(),
-                    "in"
-                );
-                self.receiver.frame(frame);
-            }
-            Content::Notice(bytes) => self.receiver.notice(bytes),
-            Content::Nothing => {}
-        }
-    }
-
     /// How often [`Self::keep`] is to be called.
     pub(crate) fn pulse_every(&self) -> Duration {
         let pulse = self.limits.timeout / PULSES;
@@ -586,78 +491,6 @@ impl Session {
             bytes_under_way: lock(&self.core).outgoing.bytes() as u64,
         }
     }
-}
-
-impl Content {
-    fn size(&self) -> usize {
-        match self {
-            Self::Nothing => 0,
-            Self::Frame(frame) => frame.body.len(),
-            Self::Notice(bytes) => bytes.len(),
-        }
-    }
-}
-
-impl Link for Session {
-    fn post(&self, frame: Frame) -> Result<(), Full> {
-        let lane = lane_of(&frame);
-        let size = frame.body.len();
-        tracing::trace!(
-            target: "ctos::link",
-            from = %frame.header.from,
-            to = %frame.header.to,
-            command = frame.header.command,
-            bytes = size,
-            "out"
-        );
-        let mut result = Ok(());
-        self.put(|core, now| match core.outgoing.has_room(lane, size) {
-            Ok(()) => core.outgoing.put_frame(frame, lane, now),
-            Err(NoRoom { held }) => {
-                self.count(REFUSED, 1);
-                result = Err(Full { bytes: held });
-                if lane == Lane::Control {
-                    core.outgoing
-                        .put_frame(without_body(frame, held), lane, now);
-                    result = Ok(());
-                }
-            }
-        });
-        if result.is_ok() {
-            self.count(FRAMES_OUT, 1);
-            self.count(BYTES_OUT, size as u64);
-        }
-        result
-    }
-
-    fn counts(&self) -> Counts {
-        self.counts()
-    }
-}
-
-/// Answers and the runtime's own messages are never kept out by requests.
-fn lane_of(frame: &Frame) -> Lane {
-    let flags = frame.header.flags;
-    let answers = flags.contains(Flags::REPLY) || flags.contains(Flags::ABANDONED);
-    if answers || frame.header.command >= SYSTEM_COMMANDS {
-        Lane::Control
-    } else {
-        Lane::Data
-    }
-}
-
-/// A control frame for which there is no room: what is small goes anyway, a large answer becomes the
-/// fault that says so.
-fn without_body(mut frame: Frame, held: usize) -> Frame {
-    if frame.body.len() <= SMALL || !frame.header.flags.contains(Flags::REPLY) {
-        return frame;
-    }
-    let fault = Fault::LinkFull { bytes: held };
-    // A fault is plain data; should it fail to encode, the empty body is read as one.
-    frame.body = postcard::to_stdvec(&fault).unwrap_or_default().into();
-    frame.header.flags = frame.header.flags.with(Flags::FAULT);
-    frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
-    frame
 }
 
 impl fmt::Debug for Session {

@@ -207,7 +207,9 @@ impl Source for DirectStream {
                 seen = Seen::Frames;
             }
         }
-        if happened.room && let Carrier::Socket(socket) = &self.carrier {
+        if happened.room
+            && let Carrier::Socket(socket) = &self.carrier
+        {
             socket.set_wants_room(false);
         }
         // The bell of shared memory rings for what comes and for room.

@@ -8,13 +8,14 @@ use tokio::io::AsyncWrite;
 use proptest::prelude::*;
 
 use super::{
-    packet::Decoder,
-    window::{Arrival, Incoming, Outgoing},
+    packet::{Content, Decoder, PACKET_HEAD, Packet},
+    window::{Arrival, Incoming, Lane, NoRoom, Outgoing},
     *,
 };
 use crate::{
     config::InjuryConfig,
-    link::{FRAME_FIXED, lookout::Lookout},
+    link::{FRAME_FIXED, Link as _, lookout::Lookout},
+    message::{Flags, SYSTEM_COMMANDS},
 };
 
 const MANY: usize = 1 << 30;
@@ -421,7 +422,31 @@ fn a_frame_larger_than_the_room_passes_when_nothing_else_is_under_way() {
     let (session, _) = session(&clock);
     session.attach(frozen(), 0).unwrap();
     session.post(Frame::of_body(vec![0; 2 * ROOM])).unwrap();
-    assert!(session.post(Frame::of_body(Vec::new())).is_err());
+    let held = session.counts().bytes_under_way;
+    session.post(Frame::of_body(vec![0; 10])).unwrap();
+    assert_eq!(session.counts().bytes_under_way, held);
+}
+
+#[test]
+fn a_request_that_waits_for_room_leaves_when_there_is_some_unless_its_sender_gave_up() {
+    let clock = Clock::virtual_clock();
+    let (session, _) = session(&clock);
+    let stream = session.attach(frozen(), 0).unwrap();
+    session.post(Frame::of_body(vec![0; ROOM])).unwrap();
+    for call in [7, 8] {
+        let mut waits = Frame::of_body(vec![0; 100]);
+        waits.call = call;
+        session.post(waits).unwrap();
+    }
+    let mut gives_up = Frame::of_body(Vec::new());
+    gives_up.call = 7;
+    gives_up.header.flags = Flags::ABANDONED;
+    session.post(gives_up).unwrap();
+    let mut acknowledges = packet(Kind::Pulse, 0, Content::Nothing);
+    acknowledges.received = 1;
+    assert!(session.receive(stream, acknowledges));
+    let one = (PACKET_HEAD + FRAME_FIXED + 100) as u64;
+    assert_eq!(session.counts().bytes_under_way, one);
 }
 
 #[test]
