@@ -16,7 +16,7 @@ use std::{
     os::fd::{BorrowedFd, OwnedFd},
     sync::{
         Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, TryLockError,
-        atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering, fence},
+        atomic::{AtomicBool, AtomicU64, Ordering, fence},
     },
     thread::Thread,
     time::Duration,
@@ -134,8 +134,9 @@ struct Relief {
     asleep: AtomicBool,
     /// It has the turn.
     has_turn: AtomicBool,
-    /// How many processors wait for the turn. While there are any, the relief leaves it to them.
-    wanted: AtomicU32,
+    /// A processor wants the turn, and which.
+    wanted: AtomicBool,
+    wanted_by: Mutex<Option<Thread>>,
     stop: AtomicBool,
 }
 
@@ -252,7 +253,7 @@ impl Lookout {
         waited
     }
 
-    /// The turn, also from the relief; not from another processor.
+    /// The turn, if nobody has it. The relief is told that it is wanted.
     fn take_turn(&self) -> Option<MutexGuard<'_, Turn>> {
         match self.turn.try_lock() {
             Ok(turn) => return Some(turn),
@@ -262,11 +263,21 @@ impl Lookout {
         if !self.relief.has_turn.load(Ordering::SeqCst) {
             return None;
         }
-        self.relief.wanted.fetch_add(1, Ordering::SeqCst);
+        // Not waited for here, where nobody could wake this thread: the relief wakes it when it may try
+        // again.
+        *lock(&self.relief.wanted_by) = Some(std::thread::current());
+        self.relief.wanted.store(true, Ordering::SeqCst);
         self.relief.parker.unpark_at(self);
-        let turn = lock(&self.turn);
-        self.relief.wanted.fetch_sub(1, Ordering::SeqCst);
-        Some(turn)
+        None
+    }
+
+    /// Wakes the processor that wanted the turn.
+    fn hand_over(&self) {
+        self.relief.wanted.store(false, Ordering::SeqCst);
+        let wanted_by = lock(&self.relief.wanted_by).take();
+        if let Some(thread) = wanted_by {
+            thread.unpark();
+        }
     }
 
     fn look(&self, turn: &mut Turn, parker: &Parker, timeout: Option<Duration>) -> Waited {
@@ -448,7 +459,8 @@ impl Lookout {
                 relief.asleep.store(false, Ordering::SeqCst);
                 continue;
             }
-            if relief.wanted.load(Ordering::SeqCst) > 0 {
+            if relief.wanted.load(Ordering::SeqCst) {
+                self.hand_over();
                 continue;
             }
             let Ok(turn) = self.turn.try_lock() else {
@@ -458,7 +470,7 @@ impl Lookout {
             loop {
                 // Before it is asked for what: a nudge after that ends the sleep at once.
                 relief.parker.take_nudge();
-                if relief.wanted.load(Ordering::SeqCst) > 0
+                if relief.wanted.load(Ordering::SeqCst)
                     || relief.stop.load(Ordering::SeqCst)
                     || self.sleep(&relief.parker, None).is_none()
                 {
@@ -467,6 +479,7 @@ impl Lookout {
             }
             relief.has_turn.store(false, Ordering::SeqCst);
             drop(turn);
+            self.hand_over();
         }
     }
 }
@@ -518,3 +531,6 @@ impl Drop for Watched {
         self.lookout.remove(self.id);
     }
 }
+
+#[cfg(test)]
+mod tests;

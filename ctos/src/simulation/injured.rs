@@ -55,3 +55,84 @@ pub(super) fn lasting(config: &InjuryConfig, one: &str, other: &str) -> Vec<Mish
     }
     all
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        boot::{End, Observer},
+        config::load_texts,
+        message::Message,
+        registry::Registry,
+        simulation::{Setup, run},
+        task::{Context, EventHandler, Handled, Phase},
+        time::Instant,
+    };
+
+    /// Pings a task of another chassis a hundred times, one after the other.
+    struct Pings;
+
+    impl EventHandler for Pings {
+        async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+            cx.default_processing(message)
+        }
+
+        async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+            if phase == Phase::Run {
+                let cx = cx.clone();
+                cx.clone().spawn(async move {
+                    let far = cx.task("far").await.unwrap();
+                    for _ in 0..100 {
+                        cx.call(&far, crate::system::Ping {}).await.unwrap();
+                    }
+                    cx.finish(crate::system::AppResult {
+                        ok: true,
+                        text: String::new(),
+                        json: "{}".to_owned(),
+                    });
+                });
+            }
+            Ok(())
+        }
+    }
+
+    struct Idle;
+
+    impl EventHandler for Idle {
+        async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+            cx.default_processing(message)
+        }
+    }
+
+    /// When the app has ended.
+    fn takes(injure: &str) -> Instant {
+        let text = format!(
+            "[app]\nuntil = \"near\"\n[chassis.a]\n[chassis.b]\n\
+             [task.near]\nhandler = \"pings\"\non = \"a\"\n\
+             [task.far]\nhandler = \"idle\"\non = \"b\"\n{injure}"
+        );
+        let app = load_texts(&[("injured.toml", &text)], &[], &[]).unwrap();
+        let mut registry = Registry::new();
+        registry.handler("pings", &[], |_| Ok(Pings));
+        registry.handler("idle", &[], |_| Ok(Idle));
+        let setup = Setup::default();
+        let clock = setup.clock.clone();
+        let silent: Observer = std::sync::Arc::new(|_| ());
+        let ran = run(app, registry, setup, &silent).unwrap();
+        assert!(matches!(ran.outcome.end, End::Finished(_)), "{ran:?}");
+        assert!(ran.faults.is_empty(), "{:?}", ran.faults);
+        clock.now()
+    }
+
+    #[test]
+    fn injured_links_of_a_virtual_run_are_slower_and_lose_nothing() {
+        let whole = takes("");
+        for injure in ["drop = 0.3", "delay = \"50ms\"", "cut = [\"a:b@0s+1s\"]"] {
+            let injured = takes(&format!("[injure]\n{injure}\n"));
+            let later = injured.since(whole);
+            assert!(
+                later > std::time::Duration::from_millis(500),
+                "{injure}: {later:?}"
+            );
+        }
+    }
+}

@@ -135,7 +135,7 @@ impl Inner {
         if chassis == 0 && session.was_never_up() && self.process.sees(&process) {
             // Of the boot only its address was known.
             self.runtime
-                .spawn(super::watch(session.clone(), process.pid));
+                .spawn(super::peer::watch(session.clone(), process.pid));
         }
         let carried = match (shared, stream) {
             (true, Stream::Unix(socket)) => {

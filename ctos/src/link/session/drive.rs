@@ -72,9 +72,14 @@ pub(crate) async fn drive(
     let ended = tokio::select! {
         ended = &mut read => ended,
         error = write => {
-            // The other end has closed; what it said last may not have been read yet.
-            let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
-            rest.unwrap_or(Ok(())).and(Err(error))
+            if session.is_injured() {
+                // A stream that is broken on purpose is broken at once.
+                Err(error)
+            } else {
+                // The other end has closed; what it said last may not have been read yet.
+                let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
+                rest.unwrap_or(Ok(())).and(Err(error))
+            }
         }
         () = late, if session.is_injured() => Ok(()),
     };

@@ -16,7 +16,11 @@ pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
 pub(crate) const NOTICE_LIMIT: usize = 64 * 1024;
 
 /// How much memory an announced length reserves before any of it has come, bytes.
-const RESERVE: usize = 1024 * 1024;
+const RESERVE: usize = 64 * 1024;
+
+/// How much more of it is reserved at once when [`LARGE`] bytes of it have come, at least, bytes. What is
+/// not written to costs addresses, not memory.
+const RESERVE_MORE: usize = 1024 * 1024;
 
 /// Data of which less is missing goes the way of small packets, bytes.
 const LARGE: usize = 16 * 1024;
@@ -251,7 +255,12 @@ impl Decoder {
             return None;
         }
         // Grows with what has come: an announcement alone reserves little.
-        let grown = self.body.len().max(RESERVE);
+        let least = if self.body.len() < LARGE {
+            RESERVE
+        } else {
+            RESERVE_MORE
+        };
+        let grown = self.body.len().max(least);
         self.body.reserve_exact(missing.min(grown));
         // An allocator may give more than it was asked for, and what follows the packet is not its data.
         (self.body.capacity() - self.body.len() <= missing).then_some(&mut self.body)

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::{
     packet::{Content, Decoder, PACKET_HEAD, Packet},
-    window::{Arrival, Incoming, Lane, NoRoom, Outgoing},
+    window::{Arrival, Incoming, Lane, Outgoing},
     *,
 };
 use crate::{
