@@ -229,7 +229,7 @@ impl Chassis {
             next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
-            tap: Tap::default(),
+            tap: Tap::new(index),
             watch: Watch::default(),
             lookout: OnceLock::new(),
         })
@@ -239,6 +239,12 @@ impl Chassis {
     #[must_use]
     pub fn index(&self) -> u8 {
         self.index
+    }
+
+    /// The app's time, as this chassis sees it.
+    #[must_use]
+    pub fn clock(&self) -> &Clock {
+        &self.clock
     }
 
     /// Its name in the configuration.

@@ -8,7 +8,9 @@ pub mod client;
 pub mod protocol;
 
 mod logs;
+mod moves;
 mod place;
+mod recording;
 mod server;
 mod view;
 

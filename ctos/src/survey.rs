@@ -7,6 +7,7 @@ use crate::{
     chassis::{Chassis, TaskRecord},
     command,
     message::Tid,
+    record::RecordReport,
     statistics::TaskCounters,
     time::Instant,
 };
@@ -31,6 +32,8 @@ pub struct ChassisReport {
     pub processors: Vec<String>,
     /// Its tasks, those of the runtime too.
     pub tasks: Vec<TaskReport>,
+    /// Its records, if it is recorded.
+    pub records: Vec<RecordReport>,
 }
 
 /// A task at a moment.
@@ -77,6 +80,7 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
         pid: std::process::id(),
         now: chassis.clock.now(),
         processors: processors.map(|(name, _)| name.clone()).collect(),
+        records: chassis.tap.reports(),
         tasks: chassis
             .tasks()
             .iter()

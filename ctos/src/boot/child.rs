@@ -142,6 +142,10 @@ async fn connect(
                 },
                 MeshError::Wait(error) => ChildError::System(error),
                 MeshError::Keys(error) => ChildError::Keys(error.to_string()),
+                MeshError::Zenoh(error) => ChildError::Connect {
+                    what: "the network of [zenoh]".to_owned(),
+                    reason: error.to_string(),
+                },
             };
             Mesh::unable(boot, chassis, None, &token, &error.to_string()).await;
             return Err(error);

@@ -14,7 +14,7 @@ use super::links;
 use super::node::{Entry, Node};
 use super::observe;
 use super::trail::Trail;
-use super::{Expander, GeneratedTask};
+use super::{Expander, GeneratedTask, zenoh};
 use crate::diagnostic::{Finding, Findings, Place};
 use crate::semaphore::Scope;
 use crate::supervise::{Policy, When};
@@ -46,6 +46,7 @@ const TOP_KEYS: &[&str] = &[
     "barrier",
     "injure",
     "security",
+    "zenoh",
     "record",
     "metrics",
     "profile",
@@ -141,6 +142,7 @@ pub(super) fn build(
     let until = fields.text("until");
     let mut links = links::links(&mut fields);
     links.injury = links::injury(&root, &chassis, builder.findings);
+    links.zenoh = zenoh::zenoh(&root, links.same_host, builder.findings);
     let security = links::security(&root, &chassis, builder.findings);
     let until = until.map(|(task, place)| {
         builder.check_until(task, place, &root, &tasks);

@@ -30,7 +30,7 @@ use std::{
 
 use tokio::sync::watch;
 
-pub(crate) use self::writer::Writer;
+pub(crate) use self::writer::{DirectWrite, Writer};
 use self::{
     line::Line,
     packet::{Kind, PacketError},

@@ -47,7 +47,7 @@ pub(crate) async fn drive(
 ) -> Result<(), AttachError> {
     let stream = match stream {
         // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
-        Stream::Tls(_) => stream,
+        Stream::Tls(_) | Stream::Other(_) => stream,
         _ if session.is_injured() => stream,
         Stream::Tcp(_) | Stream::Unix(_) => {
             return match fd_of(stream) {
@@ -95,7 +95,7 @@ fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
     match stream {
         Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
         Stream::Unix(stream) => Ok(stream.into_std()?.into()),
-        Stream::Tls(_) => Err(io::ErrorKind::Unsupported.into()),
+        Stream::Tls(_) | Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
     }
 }
 

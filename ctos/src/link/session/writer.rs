@@ -19,6 +19,15 @@ use tokio::{
 
 use crate::link::{lookout::Lookout, shm};
 
+/// A stream that takes what it has room for from whatever thread.
+pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
+    /// Takes what there is room for.
+    ///
+    /// # Errors
+    /// `WouldBlock` when there is none.
+    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize>;
+}
+
 /// Where a session writes.
 pub(crate) enum Writer {
     Tcp(tcp::OwnedWriteHalf),
@@ -26,6 +35,11 @@ pub(crate) enum Writer {
     /// A socket at which the chassis's own lookout waits.
     Socket(std::sync::Arc<Socket>),
     Shared(shm::Sender),
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        allow(dead_code, reason = "only streams over zenoh are such")
+    )]
+    Direct(Box<dyn DirectWrite>),
     /// Written to by its driver only.
     Other(Box<dyn AsyncWrite + Send + Unpin>),
 }
@@ -38,6 +52,7 @@ impl Writer {
             Self::Unix(stream) => stream.try_write_vectored(slices),
             Self::Socket(socket) => socket.try_write(slices),
             Self::Shared(sender) => sender.try_write(slices),
+            Self::Direct(stream) => stream.try_write(slices),
             Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
         }
     }
@@ -56,6 +71,7 @@ impl Writer {
         match self {
             Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Direct(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Socket(_) | Self::Shared(_) => match self.try_write(slices) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
