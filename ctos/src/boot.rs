@@ -283,6 +283,9 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
                 drop(prepared);
                 drop(lock(&gate));
                 if let Some(processor) = home.processor(index) {
+                    if let Some(lookout) = home.lookout_of(index) {
+                        processor.handle.parker.look_out(lookout);
+                    }
                     drop(home);
                     processor.run();
                 }

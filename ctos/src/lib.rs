@@ -39,6 +39,7 @@ pub mod time;
 pub mod watch;
 
 mod agent;
+mod blob;
 mod bootstrap;
 mod children;
 mod circle;
@@ -63,6 +64,7 @@ mod statistics;
 mod timers;
 mod waits;
 
+pub use blob::Blob;
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use ctos_derive::handler;
 pub use message::Command;

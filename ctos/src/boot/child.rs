@@ -140,6 +140,7 @@ async fn connect(
                     address,
                     reason: error.to_string(),
                 },
+                MeshError::Wait(error) => ChildError::System(error),
                 MeshError::Keys(error) => ChildError::Keys(error.to_string()),
                 MeshError::Zenoh(error) => ChildError::Connect {
                     what: "the network of [zenoh]".to_owned(),

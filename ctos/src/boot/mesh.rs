@@ -9,35 +9,32 @@
 
 mod call;
 mod door;
+mod members;
+mod peer;
 
 use std::{
     collections::BTreeMap,
     io,
     path::Path,
     sync::{
-        Arc, Mutex, OnceLock, Weak,
+        Arc, Mutex, OnceLock,
         atomic::{AtomicU64, Ordering},
     },
     time::Duration,
 };
 
-use rustix::process::{Pid, PidfdFlags, pidfd_open};
 use serde::{Deserialize, Serialize};
-use tokio::{
-    io::{Interest, unix::AsyncFd},
-    runtime::Handle,
-    sync::mpsc,
-};
+use tokio::{runtime::Handle, sync::mpsc};
 
 use crate::{
     call::lock,
     chassis::Chassis,
     config::{InjuryConfig, SameHost},
     link::{
-        Frame,
         handshake::{Process, Token},
         injure::Injury,
-        session::{DownReason, Limits, Receiver, Session, state::Event, state::State},
+        lookout::Lookout,
+        session::{DownReason, Limits, Session, state::Event, state::State},
         transport::{Address, Listener},
         zenoh::Fabric,
     },
@@ -46,9 +43,6 @@ use crate::{
 
 /// How long the last frames may take when a process ends.
 pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
-
-/// Exit code of a chassis that the boot has given up: it was silent for too long.
-const EXIT_GIVEN_UP: i32 = 6;
 
 /// What the mesh of one chassis tells that of another.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,6 +86,9 @@ pub(crate) enum MeshError {
     /// The address of the configuration cannot be listened at.
     #[error("cannot listen at {address}: {error}")]
     Listen { address: String, error: io::Error },
+    /// The system does not let it wait for its links.
+    #[error("cannot wait for links: {0}")]
+    Wait(io::Error),
     /// The keys cannot be used.
     #[error("the keys of [security] cannot be used: {0}")]
     Keys(#[from] KeyError),
@@ -137,6 +134,8 @@ struct Inner {
     keys: Option<Arc<Keys>>,
     fabric: Option<Arc<Fabric>>,
     runtime: Handle,
+    /// Who reads what comes over plain sockets and shared memory.
+    lookout: Arc<Lookout>,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
@@ -193,6 +192,10 @@ impl Mesh {
             address: chassis.name().to_owned(),
             error,
         })?;
+        let spin = app.links.spin;
+        let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
+        let lookout = lookout.map_err(MeshError::Wait)?;
+        chassis.set_lookout(lookout.clone());
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -201,6 +204,7 @@ impl Mesh {
             keys,
             fabric,
             runtime: Handle::current(),
+            lookout,
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
             live: Mutex::default(),
@@ -288,11 +292,13 @@ impl Mesh {
         if let Some(fabric) = &self.inner.fabric {
             fabric.close().await;
         }
+        self.inner.lookout.close();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
+        self.inner.lookout.close();
         for door in &self.doors {
             door.abort();
         }
@@ -396,7 +402,7 @@ impl Inner {
             room: app.links.room,
         };
         let injury = self.injury(&app.links.injury, chassis);
-        let receiver = PeerReceiver {
+        let receiver = peer::PeerReceiver {
             mesh: Arc::downgrade(self),
             chassis,
             incarnation,
@@ -404,9 +410,10 @@ impl Inner {
         let clock = self.chassis.clock.clone();
         let session = Session::new(clock, limits, injury, Box::new(receiver));
         peer.session = Some(session.clone());
-        self.runtime.spawn(keep(session.clone()));
+        self.runtime.spawn(peer::keep(session.clone()));
         if self.process.sees(process) {
-            self.runtime.spawn(watch(session.clone(), process.pid));
+            self.runtime
+                .spawn(peer::watch(session.clone(), process.pid));
         }
         Some(session)
     }
@@ -414,248 +421,6 @@ impl Inner {
     fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
         let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
         Injury::of(config, self.chassis.app.seed, from, to)
-    }
-
-    /// A link came up, or went down.
-    fn changed(self: &Arc<Self>) {
-        if self.chassis.index() == 0 {
-            self.announce();
-        } else {
-            self.report();
-        }
-    }
-
-    /// At the boot: when everybody who is expected has called, all are told of all.
-    fn announce(&self) {
-        let (notice, sessions) = {
-            let mut state = lock(&self.state);
-            let is_up = |peer: &Peer| {
-                let session = peer.session.as_ref();
-                // One that has just lost its stream is a member all the same.
-                session.is_some_and(|session| matches!(session.state(), State::Up | State::Broken))
-            };
-            let expected = |peer: &&Peer| {
-                let session = peer.session.as_ref();
-                session.is_none_or(|session| session.state() != State::Down)
-            };
-            let mut peers = state.peers.values().filter(expected);
-            if !peers.all(|peer| is_up(peer) && peer.member.is_some()) {
-                return;
-            }
-            state.round += 1;
-            let round = state.round;
-            let up = || state.peers.values().filter(|peer| is_up(peer));
-            let members = up().filter_map(|peer| peer.member.clone()).collect();
-            let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
-            (Notice::Members { round, members }, sessions)
-        };
-        for session in sessions {
-            tell(&session, &notice);
-        }
-    }
-
-    /// Elsewhere: when all members are connected, or gone again, the boot is told.
-    fn report(&self) {
-        let (round, boot) = {
-            let mut state = lock(&self.state);
-            let Some(awaited) = &state.awaited else {
-                return;
-            };
-            let connected = |member: &Member| {
-                let Some(peer) = state.peers.get(&member.chassis) else {
-                    return false;
-                };
-                let session = peer.session.as_ref();
-                let met = session.is_some_and(|session| session.state() != State::Waiting);
-                peer.incarnation > member.incarnation
-                    || peer.incarnation == member.incarnation && met
-            };
-            let ours = self.chassis.index();
-            let mut others = awaited.iter().filter(|member| member.chassis != ours);
-            if !others.all(connected) {
-                return;
-            }
-            state.awaited = None;
-            let boot = state.peers.get(&0).and_then(|peer| peer.session.clone());
-            (state.round, boot)
-        };
-        if let Some(boot) = boot {
-            tell(&boot, &Notice::Ready { round });
-        }
-        self.send(MeshEvent::Joined {
-            chassis: self.chassis.index(),
-            incarnation: self.who.incarnation,
-        });
-    }
-
-    /// What the mesh of `chassis` says.
-    fn heard(self: &Arc<Self>, chassis: u8, notice: Notice) {
-        match notice {
-            Notice::Members { round, members } if chassis == 0 => {
-                let ours = (self.chassis.index(), self.who.incarnation);
-                for member in &members {
-                    let theirs = (member.chassis, member.incarnation);
-                    if theirs.0 != ours.0 && calls(ours, theirs) {
-                        self.call(member.clone());
-                    }
-                }
-                {
-                    let mut state = lock(&self.state);
-                    state.round = round;
-                    state.awaited = Some(members);
-                }
-                self.report();
-            }
-            Notice::Ready { round } if self.chassis.index() == 0 => {
-                let incarnation = {
-                    let mut state = lock(&self.state);
-                    let last = state.round;
-                    let Some(peer) = state.peers.get_mut(&chassis) else {
-                        return;
-                    };
-                    if round != last {
-                        return;
-                    }
-                    peer.ready = round;
-                    peer.incarnation
-                };
-                self.send(MeshEvent::Joined {
-                    chassis,
-                    incarnation,
-                });
-            }
-            other => {
-                let peer = self.chassis.name_of(chassis);
-                tracing::error!(peer, notice = ?other, "not for this chassis to hear");
-            }
-        }
-    }
-}
-
-/// Sends a message of the mesh.
-fn tell(session: &Session, notice: &Notice) {
-    match postcard::to_stdvec(notice) {
-        Ok(bytes) => session.notify(bytes),
-        Err(error) => tracing::error!(error = %error, "a message of the mesh cannot be written"),
-    }
-}
-
-/// Looks after a session until it is over.
-async fn keep(session: Arc<Session>) {
-    let mut ticks = tokio::time::interval(session.pulse_every());
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    while session.state() != State::Down {
-        ticks.tick().await;
-        session.keep();
-    }
-}
-
-/// Tells a session when the process at its other end is gone.
-#[allow(
-    deprecated,
-    reason = "the file belongs to the watcher alone, which is what the function's replacement asks to be promised in unsafe code"
-)]
-async fn watch(session: Arc<Session>, pid: u32) {
-    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
-    let opened = pid.map(|pid| pidfd_open(pid, PidfdFlags::NONBLOCK));
-    let ended = match opened {
-        Some(Ok(process)) => AsyncFd::with_interest(process, Interest::READABLE),
-        Some(Err(rustix::io::Errno::SRCH)) => {
-            return session.event(Event::PeerEnded, DownReason::Ended);
-        }
-        // Then its silence tells.
-        _ => return,
-    };
-    let Ok(process) = ended else {
-        return;
-    };
-    let mut state = session.watch();
-    tokio::select! {
-        _ = process.readable() => session.event(Event::PeerEnded, DownReason::Ended),
-        _ = state.wait_for(|state| *state == State::Down) => {}
-    }
-}
-
-/// Takes what one session brings.
-struct PeerReceiver {
-    mesh: Weak<Inner>,
-    chassis: u8,
-    incarnation: u32,
-}
-
-impl Receiver for PeerReceiver {
-    fn up(&self, session: Arc<Session>) {
-        let Some(mesh) = self.mesh.upgrade() else {
-            return;
-        };
-        {
-            let mut live = lock(&mesh.live);
-            live.insert(self.chassis, self.incarnation);
-            mesh.chassis.link_up(self.chassis, session);
-        }
-        mesh.send(MeshEvent::Up {
-            chassis: self.chassis,
-            incarnation: self.incarnation,
-        });
-        // The session shows that it is up only when this has returned.
-        let runtime = mesh.runtime.clone();
-        runtime.spawn(async move { mesh.changed() });
-    }
-
-    fn frame(&self, frame: Frame) {
-        if let Some(mesh) = self.mesh.upgrade() {
-            mesh.chassis.receive(self.chassis, frame);
-        }
-    }
-
-    fn notice(&self, bytes: Vec<u8>) {
-        let Some(mesh) = self.mesh.upgrade() else {
-            return;
-        };
-        match postcard::from_bytes(&bytes) {
-            Ok(notice) => mesh.heard(self.chassis, notice),
-            Err(error) => {
-                let peer = mesh.chassis.name_of(self.chassis);
-                tracing::error!(peer, error = %error, "a message of the mesh cannot be read");
-            }
-        }
-    }
-
-    fn down(&self, reason: &DownReason) {
-        let Some(mesh) = self.mesh.upgrade() else {
-            return;
-        };
-        let peer = mesh.chassis.name_of(self.chassis);
-        match reason {
-            DownReason::Bye | DownReason::Closed => {
-                tracing::debug!(peer, reason = %reason, "link down");
-            }
-            // Those that end in their order are no news.
-            _ if mesh.chassis.is_stopping() => tracing::debug!(peer, reason = %reason, "link down"),
-            _ => tracing::warn!(peer, reason = %reason, "link down"),
-        }
-        if self.chassis == 0 && *reason == DownReason::GivenUp {
-            tracing::error!(
-                "the boot has given this chassis up, which was silent for too long: it ends"
-            );
-            // Before the tasks see that the boot is gone, and take that for the reason.
-            mesh.chassis.exit(EXIT_GIVEN_UP);
-        }
-        {
-            let mut live = lock(&mesh.live);
-            // The link of a successor must not go down with this one.
-            if live.get(&self.chassis) == Some(&self.incarnation) {
-                live.remove(&self.chassis);
-                mesh.chassis.link_down(self.chassis);
-            }
-        }
-        mesh.send(MeshEvent::Down {
-            chassis: self.chassis,
-            incarnation: self.incarnation,
-            reason: reason.clone(),
-        });
-        let runtime = mesh.runtime.clone();
-        runtime.spawn(async move { mesh.changed() });
     }
 }
 

@@ -86,6 +86,7 @@ async fn run_processes(
             MeshError::Listen { address, error } => {
                 io(format!("cannot listen at {address}"))(error)
             }
+            MeshError::Wait(error) => io("cannot wait for links")(error),
             MeshError::Keys(error) => BootError::Keys(error.to_string()),
             MeshError::Zenoh(error) => io("cannot join the network of [zenoh]")(error),
         })?;

@@ -135,16 +135,15 @@ impl Inner {
         if chassis == 0 && session.was_never_up() && self.process.sees(&process) {
             // Of the boot only its address was known.
             self.runtime
-                .spawn(super::watch(session.clone(), process.pid));
+                .spawn(super::peer::watch(session.clone(), process.pid));
         }
         let carried = match (shared, stream) {
             (true, Stream::Unix(socket)) => {
                 let made = shm::pass::send(&socket).await;
                 let shared = made.map_err(HandshakeError::from)?;
-                self.carry_shared(session, socket, shared, received, chassis)
-                    .await
+                drive::drive_shared(session, socket, shared, received, &self.lookout).await
             }
-            (_, stream) => drive::drive(session, stream, received).await,
+            (_, stream) => drive::drive(session, stream, received, &self.lookout).await,
         };
         if let Err(error) = carried {
             tracing::debug!(error = %error, "a stream was not wanted");
