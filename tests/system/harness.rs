@@ -324,7 +324,7 @@ impl Run<'_> {
     /// `chassis  ws1          pid 4711`
     fn note_chassis(&mut self, line: &str) {
         let words: Vec<&str> = line.split_whitespace().collect();
-        if let ["chassis", name, "pid", number] = words[..] {
+        if let ["chassis", name, "pid", number, ..] = words[..] {
             let pid = Pid::from_raw(number.parse().unwrap()).unwrap();
             let handle = pidfd_open(pid, PidfdFlags::empty()).ok();
             self.chassis

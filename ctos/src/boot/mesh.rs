@@ -32,7 +32,7 @@ use tokio::{
 use crate::{
     call::lock,
     chassis::Chassis,
-    config::{InjuryConfig, SameHost},
+    config::{App, InjuryConfig, SameHost},
     link::{
         Frame,
         handshake::{Process, Token},
@@ -162,15 +162,7 @@ impl Mesh {
         chassis: &Arc<Chassis>,
         who: Identification,
     ) -> Result<Self, MeshError> {
-        let app = &chassis.app;
-        let keys = match &app.security {
-            Some(security) => {
-                let place = |path: &Path| app.folder.join(path);
-                let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
-                Some(Arc::new(keys))
-            }
-            None => None,
-        };
+        let keys = keys_of(&chassis.app)?;
         let listeners = listeners(chassis, keys.as_ref()).await?;
         let addresses: io::Result<Vec<Address>> = listeners.iter().map(Listener::address).collect();
         let addresses = addresses.map_err(|error| MeshError::Listen {
@@ -201,6 +193,11 @@ impl Mesh {
         })
     }
 
+    /// The keys of the app, if it has any.
+    pub(crate) fn keys(&self) -> Option<Arc<Keys>> {
+        self.inner.keys.clone()
+    }
+
     /// Where this chassis can be called, the nearest first.
     pub(crate) fn addresses(&self) -> &[Address] {
         self.inner.addresses()
@@ -224,10 +221,19 @@ impl Mesh {
 
     /// Joins the app whose boot listens at `boot`; what comes of it are events.
     pub(crate) fn join(&self, boot: &Address) {
+        let near = match boot {
+            Address::Unix(_) => true,
+            Address::Tcp(at) => at.ip().to_canonical().is_loopback(),
+        };
         let member = Member {
             chassis: 0,
             incarnation: 1,
-            process: self.inner.process.clone(),
+            // One of another host is seen by nobody here.
+            process: if near {
+                self.inner.process.clone()
+            } else {
+                Process::unseen()
+            },
             listen: vec![boot.clone()],
         };
         self.inner.call(member);
@@ -279,15 +285,26 @@ impl Drop for Mesh {
     }
 }
 
+/// The keys that an app names.
+///
+/// # Errors
+/// When they cannot be used.
+pub(crate) fn keys_of(app: &App) -> Result<Option<Arc<Keys>>, KeyError> {
+    let Some(security) = &app.security else {
+        return Ok(None);
+    };
+    let place = |path: &Path| app.folder.join(path);
+    let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
+    Ok(Some(Arc::new(keys)))
+}
+
 /// Where this chassis listens: for its own host, and where the configuration says.
 async fn listeners(
     chassis: &Arc<Chassis>,
     keys: Option<&Arc<Keys>>,
 ) -> Result<Vec<Listener>, MeshError> {
     let app = &chassis.app;
-    let mut configured = app.chassis.iter();
-    let configured = configured.find(|config| config.name == chassis.name());
-    let listen = configured.and_then(|config| config.listen);
+    let listen = app.listens_at(chassis.name());
     let mut listeners = Vec::new();
     if app.links.same_host != SameHost::Tcp {
         let listener = Listener::unix(chassis.name()).map_err(|error| MeshError::Listen {

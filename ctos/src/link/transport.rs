@@ -194,6 +194,14 @@ pub(crate) enum Call {
 }
 
 impl Call {
+    /// Where it comes from, and where it arrived, if it came over a network.
+    pub(crate) fn ends(&self) -> Option<(SocketAddr, SocketAddr)> {
+        match self {
+            Self::Tcp(stream, _) => Some((stream.peer_addr().ok()?, stream.local_addr().ok()?)),
+            Self::Unix(_) => None,
+        }
+    }
+
     /// Lets the caller prove who it is, where that is asked for.
     ///
     /// # Errors
