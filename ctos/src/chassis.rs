@@ -149,6 +149,8 @@ pub struct Chassis {
     pub(crate) tap: Tap,
     /// What it has seen of itself.
     pub(crate) watch: Watch,
+    /// How many callers, and requests of tools, were refused so far.
+    pub(crate) refused: AtomicU64,
 }
 
 /// What the sender of a message waits for.
@@ -228,6 +230,7 @@ impl Chassis {
             realtime: Mutex::default(),
             tap: Tap::default(),
             watch: Watch::default(),
+            refused: AtomicU64::new(0),
         })
     }
 

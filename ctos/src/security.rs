@@ -11,7 +11,7 @@ mod tls;
 use std::{fmt, io, path::PathBuf, str::FromStr};
 
 pub use files::{Listed, list_keys, make_key};
-pub use tls::Keys;
+pub use tls::{BlockingStream, Keys};
 
 /// What the holder of a key may do; each role includes those before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

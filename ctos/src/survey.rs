@@ -31,6 +31,8 @@ pub struct ChassisReport {
     pub processors: Vec<String>,
     /// Its tasks, those of the runtime too.
     pub tasks: Vec<TaskReport>,
+    /// How many callers were refused.
+    pub refused: u64,
 }
 
 /// A task at a moment.
@@ -82,6 +84,7 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
             .iter()
             .map(|task| report(chassis, task))
             .collect(),
+        refused: chassis.refused.load(std::sync::atomic::Ordering::Relaxed),
     }
 }
 

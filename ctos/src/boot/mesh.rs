@@ -14,10 +14,7 @@ use std::{
     collections::BTreeMap,
     io,
     path::Path,
-    sync::{
-        Arc, Mutex, OnceLock, Weak,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex, OnceLock, Weak, atomic::Ordering},
     time::Duration,
 };
 
@@ -137,7 +134,6 @@ struct Inner {
     /// Whose link the chassis has: number and incarnation. Held while that changes.
     live: Mutex<BTreeMap<u8, u32>>,
     events: mpsc::UnboundedSender<MeshEvent>,
-    refused: AtomicU64,
 }
 
 /// The links of one chassis.
@@ -180,7 +176,6 @@ impl Mesh {
             state: Mutex::default(),
             live: Mutex::default(),
             events: sender,
-            refused: AtomicU64::new(0),
         });
         let doors = listeners
             .into_iter()
@@ -216,7 +211,7 @@ impl Mesh {
 
     /// How many callers were refused so far.
     pub(crate) fn refused(&self) -> u64 {
-        self.inner.refused.load(Ordering::Relaxed)
+        self.inner.chassis.refused.load(Ordering::Relaxed)
     }
 
     /// Joins the app whose boot listens at `boot`; what comes of it are events.

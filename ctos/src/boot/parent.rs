@@ -22,7 +22,10 @@ use crate::{
     chassis::Chassis,
     config::App,
     control::{LogStore, Server, Ticker},
-    link::{handshake::Token, transport::Address},
+    link::{
+        handshake::Token,
+        transport::{Address, Listener},
+    },
     record,
     registry::Registry,
     remote::{Hosts, HostsSetup},
@@ -106,6 +109,13 @@ async fn run_processes(
     };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
+    let gate = match chassis.app.control {
+        Some(address) => {
+            let listener = Listener::tcp(address, mesh.keys()).await;
+            Some(listener.map_err(io(format!("cannot listen at {address}, as [control] says")))?)
+        }
+        None => None,
+    };
     let is_tcp = |address: &&Address| matches!(address, Address::Tcp(_));
     let beyond = mesh.addresses().iter().find(is_tcp).unwrap_or(&address);
     let hosts = HostsSetup {
@@ -170,7 +180,7 @@ async fn run_processes(
         served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
     }
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
-    let server = serve(chassis, &logs, ticker);
+    let server = Server::start(chassis, &logs, ticker.clone(), gate);
     let mut newcomers = Newcomers::default();
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
@@ -203,21 +213,8 @@ async fn run_processes(
         casualties,
         took,
     };
-    if let Some(server) = server {
-        server.finish(&outcome).await;
-    }
+    server.finish(&outcome).await;
     Ok(outcome)
-}
-
-/// Serves the control socket. An app that cannot have one runs without.
-fn serve(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Option<Server> {
-    match Server::start(chassis, logs, ticker.clone()) {
-        Ok(server) => Some(server),
-        Err(error) => {
-            tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
-            None
-        }
-    }
 }
 
 fn interrupted(chassis: &Arc<Chassis>) -> Outcome {

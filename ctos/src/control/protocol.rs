@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     boot::{BootEvent, BootState, ChassisState},
     control::{Level, LogLine},
+    security::Role,
     task::Phase,
 };
 
@@ -48,6 +49,24 @@ pub enum Request {
         /// Its name.
         name: String,
     },
+}
+
+impl Request {
+    /// The role that a tool of another host needs for it.
+    #[must_use]
+    pub fn role(&self) -> Role {
+        match self {
+            Self::Ps {} | Self::Status { .. } | Self::Logs(_) => Role::Watch,
+            // Whatever does more than look.
+            _ => Role::Control,
+        }
+    }
+
+    /// Its word on the wire.
+    pub(crate) fn word(&self) -> String {
+        let value = serde_json::to_value(self).unwrap_or_default();
+        value["kind"].as_str().unwrap_or_default().to_owned()
+    }
 }
 
 /// Which log lines.
@@ -121,6 +140,8 @@ pub enum ErrorCode {
     TimedOut,
     /// Too many ask at once.
     Busy,
+    /// The client's key does not permit it.
+    NotAllowed,
     #[serde(other)]
     /// One that this version does not know.
     Other,
@@ -143,6 +164,9 @@ pub struct AppView {
     pub chassis: Vec<ChassisView>,
     /// Its tasks, chassis by chassis.
     pub tasks: Vec<TaskView>,
+    /// How many callers, and requests of tools, it has refused.
+    #[serde(default)]
+    pub refused: u64,
 }
 
 /// A chassis.
@@ -150,6 +174,9 @@ pub struct AppView {
 pub struct ChassisView {
     /// Its name.
     pub name: String,
+    /// Its host, if that is not the boot's.
+    #[serde(default)]
+    pub host: Option<String>,
     /// Its process, if it has one.
     pub pid: Option<u32>,
     /// Where it is in its life.

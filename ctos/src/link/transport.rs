@@ -187,6 +187,9 @@ pub(crate) async fn connect(
     }
 }
 
+/// After how long without a word it is asked whether the other end is there.
+const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
+
 /// A caller who has not said anything yet.
 pub(crate) enum Call {
     Tcp(TcpStream, Option<Arc<Keys>>),
@@ -199,6 +202,17 @@ impl Call {
         match self {
             Self::Tcp(stream, _) => Some((stream.peer_addr().ok()?, stream.local_addr().ok()?)),
             Self::Unix(_) => None,
+        }
+    }
+
+    /// Lets the system notice when the other end is gone without a word.
+    pub(crate) fn keep_alive(&self) {
+        use rustix::net::sockopt::{set_socket_keepalive, set_tcp_keepidle, set_tcp_keepintvl};
+        if let Self::Tcp(stream, _) = self {
+            // One that is not watched is noticed when it is written to.
+            let _ = set_socket_keepalive(stream, true);
+            let _ = set_tcp_keepidle(stream, KEEP_ALIVE);
+            let _ = set_tcp_keepintvl(stream, KEEP_ALIVE);
         }
     }
 
