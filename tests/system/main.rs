@@ -12,6 +12,8 @@ mod control;
 mod determinism;
 mod faults;
 mod harness;
+mod hosts;
+mod keys;
 mod kills;
 mod machine;
 mod main_job;

@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::{Deserialize, Serialize};
 use tokio::{
     io::{AsyncBufReadExt, BufReader},
@@ -21,7 +21,7 @@ use tokio::{
 pub(crate) const LINE_LIMIT: usize = 16 * 1024;
 
 /// How long the last lines of a process may take to be read when it has ended.
-const LAST_WORDS: Duration = Duration::from_secs(1);
+pub(crate) const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// How a process ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -123,7 +123,11 @@ async fn wait(
         let pid = child.id().and_then(|pid| i32::try_from(pid).ok());
         if let Some(pid) = pid.and_then(Pid::from_raw) {
             // It may have ended just now; whoever waits for it sees that.
-            let _ = kill_process(pid, signal);
+            let _ = match signal {
+                // What it has started itself goes with it.
+                Signal::KILL => kill_process_group(pid, signal),
+                signal => kill_process(pid, signal),
+            };
         }
     }
 }

@@ -334,12 +334,19 @@ impl Client {
                 return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
             }
             Ok(0) => return Ok(None),
-            Ok(_) => self.heard = true,
+            Ok(_) => {}
             Err(error) => return Err(self.failed(error)),
         }
-        match serde_json::from_str(&line) {
+        let answer = serde_json::from_str(&line);
+        // What is no line of an app at all is the end of an attempt to speak TLS.
+        let is_line = line.starts_with('{');
+        self.heard |= is_line;
+        match answer {
             Ok(Answer::Error(error)) => Err(ClientError::Refused(error)),
             Ok(answer) => Ok(Some(answer)),
+            Err(_) if !is_line && self.hung_up.is_some() => {
+                Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
+            }
             Err(error) => Err(ClientError::Garbled {
                 app: self.app.app.clone(),
                 reason: error.to_string(),

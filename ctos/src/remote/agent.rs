@@ -287,7 +287,7 @@ impl HostAgent {
             address,
             common: Arc::new(Common {
                 program: setup.program,
-                folder: setup.folder,
+                folder: std::path::absolute(&setup.folder)?,
                 key_arguments,
                 registry,
                 observer,

@@ -170,7 +170,11 @@ fn ending(how: String) -> Ending {
 }
 
 /// What agents need of the app.
-fn files(app: &App, registry: &Registry, options: &[String]) -> Result<AppFiles, String> {
+pub(super) fn files(
+    app: &App,
+    registry: &Registry,
+    options: &[String],
+) -> Result<AppFiles, String> {
     let bundle = app.bundle().map_err(|finding| finding.to_string())?;
     let size: usize = bundle.files.values().map(String::len).sum();
     if size + FRAME_LIMIT > BUNDLE_LIMIT {
@@ -339,12 +343,12 @@ impl Link {
         match answer.await {
             Ok(HelloAnswer::Welcome { known, process }) => Ok((stream, known, process)),
             Ok(HelloAnswer::Refused { reason }) => Err(format!("its agent refuses: {reason}")),
+            // Of TLS this end sees rubbish.
+            Err(error) if self.keys.is_none() => Err(format!(
+                "its agent does not answer as one ({error}); does it want keys? name them in [security]"
+            )),
             Err(HandshakeError::Io(error)) => Err(format!(
-                "its agent hung up ({error}); {}",
-                match self.keys {
-                    Some(_) => "its key and that of the app must be of one authority",
-                    None => "does it want keys? name them in [security]",
-                }
+                "its agent hung up ({error}); its key and that of the app must be of one authority"
             )),
             Err(error) => Err(format!("what answers there is no agent: {error}")),
         }

@@ -31,7 +31,7 @@ use super::{
 use crate::{
     boot::{
         INCARNATION_VARIABLE, TETHER_VARIABLE, TOKEN_VARIABLE,
-        spawn::{self, Ending, Tether},
+        spawn::{self, Ending, LAST_WORDS, Tether},
     },
     config::Selection,
     link::{handshake::Token, transport::Address},
@@ -180,6 +180,10 @@ impl Run {
                         }
                     }
                     Err(WireError::Garbled(error)) => {
+                        return Over::Lost(format!("the boot says what cannot be read: {error}"));
+                    }
+                    // A frame that is too long, or what is no TLS.
+                    Err(WireError::Io(error)) if error.kind() == io::ErrorKind::InvalidData => {
                         return Over::Lost(format!("the boot says what cannot be read: {error}"));
                     }
                     Err(error) => {
@@ -445,7 +449,7 @@ impl Run {
         for child in self.children.values_mut() {
             child.tether = None;
         }
-        let limit = self.about.stop;
+        let rung = self.about.stop;
         for signal in [None, Some(Signal::TERM), Some(Signal::KILL)] {
             if let Some(signal) = signal {
                 for child in self.children.values() {
@@ -463,6 +467,11 @@ impl Run {
                         None => return,
                     }
                 }
+            };
+            let limit = match signal {
+                // Its end is seen when its log is read, for which it has some time.
+                Some(Signal::KILL) => rung.max(2 * LAST_WORDS),
+                _ => rung,
             };
             if tokio::time::timeout(limit, all).await.is_ok() {
                 return;

@@ -230,10 +230,10 @@ impl<T: Said> Outbox<T> {
         }
     }
 
-    /// Whether everything was handed to the connection.
+    /// How much waits.
     #[cfg(test)]
-    fn is_empty(&self) -> bool {
-        lock(&self.waiting).items.is_empty()
+    pub(crate) fn len(&self) -> usize {
+        lock(&self.waiting).items.len()
     }
 }
 
