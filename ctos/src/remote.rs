@@ -14,6 +14,9 @@ mod wire;
 #[cfg(test)]
 mod tests;
 
+#[cfg(test)]
+pub(crate) use tests::{corpus, fuzz};
+
 pub use agent::{AgentError, AgentEvent, AgentObserver, AgentSetup, HostAgent};
 
 pub use link::HostError;

@@ -37,11 +37,9 @@ impl<'a> Agent<'a> {
         let mut run = host.start(program, &all, &[]);
         let line = run.line_with("listen");
         // `agent    listens at ADDRESS`, or `{"event":"listening","address":"ADDRESS"}`.
-        let words = line
-            .trim()
-            .split([' ', '"'])
-            .filter(|word| word.starts_with("127."));
-        let address = words.last().unwrap().to_owned();
+        let mut words = line.trim().split([' ', '"']);
+        let address = words.rfind(|word| word.ends_with(|letter: char| letter.is_ascii_digit()));
+        let address = address.unwrap().to_owned();
         Self { run, address }
     }
 
@@ -499,4 +497,113 @@ fn an_agent_beyond_the_loopback_needs_a_key_and_says_so() {
         &["agent", "--listen", "127.0.0.1:0", "--dir", "nowhere"],
     );
     ended.must_exit(1).must_say("nowhere");
+}
+
+/// A network of its own with two addresses that are not the loopback's.
+struct Network {
+    holder: std::process::Child,
+}
+
+impl Network {
+    /// `None` where the system does not permit it.
+    fn new() -> Option<Self> {
+        use std::io::{BufRead, BufReader};
+        use std::process::{Command, Stdio};
+        let script = "ip link set lo up && ip addr add 10.77.0.1/32 dev lo && ip addr add 10.77.0.2/32 dev lo && echo ready && cat";
+        let mut holder = Command::new("unshare")
+            .args(["--net", "sh", "-c", script])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .ok()?;
+        let mut line = String::new();
+        let said = BufReader::new(holder.stdout.take()?).read_line(&mut line);
+        if said.is_ok() && line == "ready\n" {
+            return Some(Self { holder });
+        }
+        holder.wait().unwrap();
+        None
+    }
+
+    /// How a program is started in it.
+    fn within(&self, arguments: &[&str]) -> Vec<String> {
+        let pid = self.holder.id().to_string();
+        let enter = ["-t", &pid, "-n"].map(str::to_owned);
+        let rest = arguments.iter().map(|argument| (*argument).to_owned());
+        enter.into_iter().chain(rest).collect()
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        // It ends with its standard input; the test has passed or failed by now.
+        drop(self.holder.stdin.take());
+        let _ = self.holder.wait();
+    }
+}
+
+/// The same over addresses that others could reach, with processes that cannot see each other: over TLS,
+/// with clocks that are compared, and where each listens at its own host's address.
+#[test]
+fn hosts_that_see_nothing_of_each_other_but_their_addresses_make_one_app() {
+    let Some(network) = Network::new() else {
+        return;
+    };
+    let [here, x] = [Scratch::empty(), Scratch::empty()];
+    for key in ["keys/cell", "keys/cage"] {
+        ask(&here, &["keys", "new", key, "--role", "boot"]).must_exit(0);
+    }
+    let key = here.path("keys/cage");
+    let key = key.to_str().unwrap();
+    let isolated = [
+        "unshare",
+        "--pid",
+        "--fork",
+        "--kill-child",
+        "--mount-proc",
+        "--mount",
+    ];
+    let agent = [
+        MISBEHAVING,
+        "agent",
+        "--listen",
+        "10.77.0.2:7410",
+        "--dir",
+        ".",
+        "--key",
+        key,
+    ];
+    let agent = network.within(&[&isolated[..], &agent].concat());
+    let agent: Vec<&str> = agent.iter().map(String::as_str).collect();
+    let mut on_x = x.start("nsenter", &agent, &[]);
+    on_x.wait_for("agent    listens at 10.77.0.2:7410");
+
+    let security = "[security]\nkey = \"keys/cell\"\nauthority = \"keys/ca.pem\"\n";
+    let text = pair("10.77.0.2:7410", "").replace(
+        "name = \"pair\"",
+        "name = \"pair\"\nlisten = \"10.77.0.1:0\"",
+    );
+    here.write("app.toml", format!("{text}{security}"));
+    let command = network.within(&[MISBEHAVING, "boot", "app.toml"]);
+    let command: Vec<&str> = command.iter().map(String::as_str).collect();
+    let mut run = here.start("nsenter", &command, &[]);
+    run.wait_for("phase 3");
+    let view = ask(&here, &["ps", "--json"]);
+    let view = view.must_exit_leaving(0).json();
+    assert_eq!(view["chassis"][1]["answers"], true, "{view}");
+    assert_eq!(view["refused"], 0, "{view}");
+    // The line of the other host's log bears the app's time, not that of a clock of its own.
+    let logs = ask(&here, &["logs", "arm", "--json"]);
+    for line in logs.must_exit_leaving(0).json_lines() {
+        let text = line["text"].as_str().unwrap().trim();
+        let said: f64 = text.split(' ').next().unwrap().parse().unwrap();
+        let read = line["at_s"].as_f64().unwrap();
+        assert!(said <= read + 0.1, "{line}");
+    }
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+    on_x.wait_for("over     pair: the boot has ended it");
+    on_x.signal(Signal::KILL);
+    on_x.end();
 }

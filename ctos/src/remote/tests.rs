@@ -458,3 +458,38 @@ fn an_app_whose_files_are_too_many_is_not_sent() {
     let refused = link::files(&app, &Registry::new(), &[]).unwrap_err();
     assert!(refused.contains("an agent takes less than 64"), "{refused}");
 }
+
+/// Whatever a boot, an agent or a tool may send is a value or an error.
+pub(crate) fn fuzz(bytes: &[u8]) {
+    let _ = postcard::from_bytes::<Hello>(bytes);
+    let _ = postcard::from_bytes::<HelloAnswer>(bytes);
+    let _ = postcard::from_bytes::<ToBoot>(bytes);
+    let _ = serde_json::from_slice::<crate::control::protocol::Ask>(bytes);
+    if let Ok(ToAgent::App(files)) = postcard::from_bytes(bytes) {
+        // What would be laid down is read first.
+        let _ = files.bundle.load(&[]);
+    }
+}
+
+/// What this version itself writes.
+pub(crate) fn corpus() -> Vec<Vec<u8>> {
+    let app = ToAgent::App(Box::new(files(&[HandlerView {
+        name: "arm".to_owned(),
+        commands: vec![(1, "go".to_owned())],
+    }])));
+    let ended = ToBoot::Ended {
+        chassis: 1,
+        incarnation: 1,
+        ending: crate::boot::spawn::Ending {
+            how: "ended".to_owned(),
+            code: Some(1),
+        },
+        lines: 3,
+    };
+    vec![
+        postcard::to_stdvec(&hello("r")).unwrap(),
+        postcard::to_stdvec(&app).unwrap(),
+        postcard::to_stdvec(&ended).unwrap(),
+        br#"{"version":1,"request":{"kind":"logs","name":"arm","follow":true}}"#.to_vec(),
+    ]
+}
