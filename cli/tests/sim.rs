@@ -210,14 +210,15 @@ fn shown(page: &str) -> Vec<(Vec<String>, Vec<String>)> {
 }
 
 #[test]
-fn what_the_page_shows_is_what_the_commands_print() {
-    let page = std::fs::read_to_string(root().join("docs/time-and-simulation.md")).unwrap();
+fn what_the_pages_show_is_what_the_commands_print() {
+    let read = |name: &str| std::fs::read_to_string(root().join(name)).unwrap();
+    let page = read("docs/time-and-simulation.md");
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("faults.toml").display().to_string();
     let faults = page.split("```toml\n").nth(1).unwrap();
     std::fs::write(&file, faults.split("```").next().unwrap()).unwrap();
-    let examples = shown(&page);
-    assert!(examples.len() >= 3);
+    let examples = [shown(&page), shown(&read("docs/architecture.md"))].concat();
+    assert!(examples.len() >= 4);
     for (words, lines) in examples {
         let words: Vec<&str> = words
             .iter()

@@ -63,6 +63,10 @@ pub use task::Context;
 /// The pages of `docs` whose examples are run as tests.
 #[cfg(doctest)]
 mod pages {
+    #[doc = include_str!("../../docs/boot.md")]
+    mod boot {}
+    #[doc = include_str!("../../docs/links.md")]
+    mod links {}
     #[doc = include_str!("../../docs/recording.md")]
     mod recording {}
     #[doc = include_str!("../../docs/synchronization.md")]
@@ -71,6 +75,8 @@ mod pages {
     mod messages {}
     #[doc = include_str!("../../docs/names.md")]
     mod names {}
+    #[doc = include_str!("../../docs/supervision.md")]
+    mod supervision {}
     #[doc = include_str!("../../docs/supervision-of-tasks.md")]
     mod supervision_of_tasks {}
     #[doc = include_str!("../../docs/tasks.md")]

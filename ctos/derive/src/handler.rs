@@ -9,10 +9,11 @@ use syn::{
 
 /// The trait's methods that a marked method can take the place of, with their arguments after the
 /// context.
-const HOOKS: [(&str, &[&str]); 5] = [
+const HOOKS: [(&str, &[&str]); 6] = [
     ("phase", &["phase"]),
     ("stop", &["reason"]),
     ("chassis_down", &["chassis"]),
+    ("chassis_up", &["chassis"]),
     ("task_down", &["task", "reason"]),
     ("task_up", &["task"]),
 ];
@@ -43,10 +44,11 @@ pub(crate) fn expand(arguments: &TokenStream, mut input: ItemImpl) -> Result<Tok
             None => {}
         }
     }
-    if arms.is_empty() {
+    // A task that takes no commands is one; a block without any mark is a mark forgotten.
+    if arms.is_empty() && hooks.is_empty() && !input.items.is_empty() {
         return Err(Error::new_spanned(
             &input.self_ty,
-            "none of its methods is marked `#[command]`",
+            "none of its methods is marked `#[command]`, nor as one of the trait's own",
         ));
     }
     let (generics, _, bounds) = input.generics.split_for_impl();
