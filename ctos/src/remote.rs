@@ -6,9 +6,11 @@
 //! creates the chassis's tasks.
 
 mod agent;
+mod call;
 mod link;
 mod loopback;
 mod run;
+mod unpack;
 mod wire;
 
 #[cfg(test)]

@@ -96,6 +96,11 @@ impl Witness {
         });
     }
 
+    /// Whether it, or one before it, can be talked to.
+    pub(crate) fn is_linked(&self) -> bool {
+        self.chassis.is_linked(self.index)
+    }
+
     /// It has written a line to its log.
     pub(crate) fn line(&self, line: String) {
         lock(&self.last_lines).push(line.clone());

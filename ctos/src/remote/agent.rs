@@ -24,7 +24,7 @@ use tokio::{
 
 use super::{
     is_same_user,
-    run::{About, Common, Run},
+    run::{About, Common, Return, Run},
     wire::{
         BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_LIMIT, Hello, HelloAnswer, Outbox,
         PROTOCOL, ToBoot, say_last,
@@ -192,7 +192,7 @@ pub struct HostAgent {
 }
 
 /// The runs by their secret: where their boots come back to, and what waits for them there.
-type Runs = Mutex<BTreeMap<String, (mpsc::UnboundedSender<Connection>, Arc<Outbox<ToBoot>>)>>;
+type Runs = Mutex<BTreeMap<String, (mpsc::UnboundedSender<Return>, Arc<Outbox<ToBoot>>)>>;
 
 impl std::fmt::Debug for HostAgent {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -424,7 +424,7 @@ impl HostAgent {
         if let Some((connections, outbox)) = known {
             let connection = Connection::new(stream, outbox, FRAME_LIMIT, silence);
             // A run that has just ended has nobody to come back to; the boot sees it hang up.
-            let _ = connections.send(connection);
+            let _ = connections.send(Return::Connected(connection));
             return;
         }
         let from = from.map_or_else(String::new, |from| from.to_string());
@@ -435,6 +435,13 @@ impl HostAgent {
                 None => from,
             },
         });
+        let replaced = hello.replaces.as_ref();
+        let replaced = replaced.and_then(|run| lock(&self.runs).get(&run.0).cloned());
+        if let Some((replaced, _)) = replaced {
+            // It may just have ended.
+            let _ = replaced.send(Return::Anew);
+            replaced.closed().await;
+        }
         let (sender, anew) = mpsc::unbounded_channel();
         let outbox = Outbox::<ToBoot>::new();
         lock(&self.runs).insert(hello.run.0.clone(), (sender, outbox.clone()));

@@ -8,33 +8,26 @@
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use rustix::process::Signal;
-use tokio::{
-    io::AsyncWriteExt,
-    sync::{mpsc, oneshot},
-};
+use tokio::sync::{mpsc, oneshot};
 
-use super::wire::{
-    AppFiles, Asked, BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_LIMIT, HandlerView,
-    Hello, HelloAnswer, Outbox, PROTOCOL, Pulse, ToAgent, ToBoot, ticks,
+use super::{
+    call::{Compared, files},
+    wire::{
+        AppFiles, Asked, Connection, HELLO_LIMIT, Hello, Outbox, PROTOCOL, Pulse, ToAgent, ToBoot,
+        ticks,
+    },
 };
 use crate::{
     boot::{processes::Witness, spawn::Ending},
     chassis::Chassis,
-    config::{App, HostConfig},
-    link::{
-        handshake::{self, HandshakeError, Process, Token},
-        transport::{Address, ConnectError, connect},
-    },
-    registry::Registry,
-    security::{Keys, Role},
+    config::HostConfig,
+    link::{handshake::Token, transport::Address},
+    security::Keys,
     time::{Clock, Instant},
 };
 
 /// The pause before an attempt to have a broken connection anew.
 const PAUSE: Duration = Duration::from_millis(50);
-
-/// From how many answers it is learnt what the agent's clock shows.
-const SAMPLES: u64 = 5;
 
 /// What the links to all hosts need.
 pub(crate) struct HostsSetup<'a> {
@@ -169,42 +162,6 @@ fn ending(how: String) -> Ending {
     Ending { how, code: None }
 }
 
-/// What agents need of the app.
-pub(super) fn files(
-    app: &App,
-    registry: &Registry,
-    options: &[String],
-) -> Result<AppFiles, String> {
-    let bundle = app.bundle().map_err(|finding| finding.to_string())?;
-    let size: usize = bundle.files.values().map(String::len).sum();
-    if size + FRAME_LIMIT > BUNDLE_LIMIT {
-        return Err(format!(
-            "the app's files come to {} MiB, and an agent takes less than {}: have large data files on the hosts that need them",
-            size >> 20,
-            BUNDLE_LIMIT >> 20
-        ));
-    }
-    let mut handlers: Vec<&str> = app.tasks.iter().map(|task| task.handler.as_str()).collect();
-    handlers.sort_unstable();
-    handlers.dedup();
-    let kinds = handlers.into_iter().filter_map(|name| registry.kind(name));
-    Ok(AppFiles {
-        bundle,
-        options: options.to_vec(),
-        handlers: kinds
-            .map(|kind| HandlerView {
-                name: kind.name().to_owned(),
-                commands: kind
-                    .commands()
-                    .iter()
-                    .map(|command| (command.code, command.name.to_owned()))
-                    .collect(),
-            })
-            .collect(),
-        recorded: app.record.is_some(),
-    })
-}
-
 /// A process on the host, to this end.
 struct Live {
     witness: Arc<Witness>,
@@ -212,15 +169,6 @@ struct Live {
     /// How many lines of its log have come, or are known to be lost.
     lines: u64,
     asked: Option<Asked>,
-}
-
-/// The clocks of both hosts, compared.
-#[derive(Clone, Copy)]
-struct Compared {
-    /// The start of the app on the agent's monotonic clock, ns.
-    origin_ns: u64,
-    /// Within so much.
-    within: Duration,
 }
 
 /// Why a connection is served no more.
@@ -232,30 +180,29 @@ enum Left {
     Silent(String),
 }
 
-struct Link {
-    host: HostConfig,
-    clock: Clock,
-    keys: Option<Arc<Keys>>,
-    boot: Address,
-    token: Token,
-    /// The secret of the run at the agent; a new one when that was lost.
-    run: Token,
-    hello: Hello,
-    phase: Duration,
-    silence: Duration,
-    files: Arc<AppFiles>,
-    outbox: Arc<Outbox<ToAgent>>,
+pub(super) struct Link {
+    pub(super) host: HostConfig,
+    pub(super) clock: Clock,
+    pub(super) keys: Option<Arc<Keys>>,
+    pub(super) boot: Address,
+    pub(super) token: Token,
+    /// The last run that the agent has begun.
+    pub(super) last_run: Option<Token>,
+    pub(super) hello: Hello,
+    pub(super) phase: Duration,
+    pub(super) silence: Duration,
+    pub(super) files: Arc<AppFiles>,
+    pub(super) outbox: Arc<Outbox<ToAgent>>,
     live: BTreeMap<u8, Live>,
-    compared: Option<Compared>,
-    pings: u64,
-    pinged: Option<(u64, Instant)>,
+    pub(super) compared: Option<Compared>,
+    pub(super) pings: u64,
+    pub(super) pinged: Option<(u64, Instant)>,
 }
 
 impl Link {
     fn new(setup: &HostsSetup<'_>, host: &HostConfig, files: Arc<AppFiles>) -> Self {
         let app = &setup.chassis.app;
         let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
-        let run = Token(String::new());
         Self {
             host: host.clone(),
             clock: setup.chassis.clock.clone(),
@@ -265,12 +212,13 @@ impl Link {
             hello: Hello {
                 protocol: PROTOCOL,
                 version: env!("CARGO_PKG_VERSION").to_owned(),
-                run: run.clone(),
+                run: Token(String::new()),
+                replaces: None,
                 app: app.name.clone(),
                 silence_ms: millis(app.links.peer_timeout),
                 stop_ms: millis(app.stop_timeout),
             },
-            run,
+            last_run: None,
             phase: app.phase_timeout,
             silence: app.links.peer_timeout,
             files,
@@ -282,156 +230,11 @@ impl Link {
         }
     }
 
-    fn error(&self, reason: String) -> HostError {
+    pub(super) fn error(&self, reason: String) -> HostError {
         HostError {
             host: self.host.name.clone(),
             agent: self.host.agent,
             reason,
-        }
-    }
-
-    /// Begins a run at the agent.
-    async fn open(&mut self) -> Result<Connection, HostError> {
-        self.run = Token::fresh().map_err(|error| self.error(error.to_string()))?;
-        self.hello.run = self.run.clone();
-        let (mut connection, _) = self.call().await?;
-        self.begin(&mut connection).await?;
-        Ok(connection)
-    }
-
-    /// Connects to the agent: whether it knows the run.
-    async fn call(&mut self) -> Result<(Connection, bool), HostError> {
-        let called = tokio::time::timeout(HELLO_LIMIT, self.say_hello()).await;
-        let called = called.unwrap_or_else(|_| {
-            Err(format!(
-                "its agent does not answer within {} s; is the host up, and its agent not stuck?",
-                HELLO_LIMIT.as_secs()
-            ))
-        });
-        let (stream, known, process) = called.map_err(|reason| self.error(reason))?;
-        self.compared = None;
-        if Process::this().sees(&process) {
-            // It has the same clock.
-            self.compared = Some(Compared {
-                origin_ns: self.clock.origin_ns().unwrap_or(0),
-                within: Duration::ZERO,
-            });
-        }
-        // What waited for a connection that is gone is said anew, where it still counts.
-        self.outbox = Outbox::new();
-        self.pinged = None;
-        let connection = Connection::new(stream, self.outbox.clone(), FRAME_LIMIT, self.silence);
-        Ok((connection, known))
-    }
-
-    async fn say_hello(&self) -> Result<(crate::link::transport::Stream, bool, Process), String> {
-        let agent = Address::Tcp(self.host.agent);
-        let (mut stream, identity) = connect(&agent, self.keys.as_ref())
-            .await
-            .map_err(|error| self.explained(&error))?;
-        if let Some(identity) = identity.filter(|identity| !identity.may(Role::Boot)) {
-            return Err(format!(
-                "its agent has the key `{}` with the role `{}`, and chassis need `boot`",
-                identity.name, identity.role
-            ));
-        }
-        let answer = async {
-            stream.write_all(&GREETING).await?;
-            handshake::say(&mut stream, &self.hello).await?;
-            handshake::hear::<HelloAnswer>(&mut stream).await
-        };
-        match answer.await {
-            Ok(HelloAnswer::Welcome { known, process }) => Ok((stream, known, process)),
-            Ok(HelloAnswer::Refused { reason }) => Err(format!("its agent refuses: {reason}")),
-            // Of TLS this end sees rubbish.
-            Err(error) if self.keys.is_none() => Err(format!(
-                "its agent does not answer as one ({error}); does it want keys? name them in [security]"
-            )),
-            Err(HandshakeError::Io(error)) => Err(format!(
-                "its agent hung up ({error}); its key and that of the app must be of one authority"
-            )),
-            Err(error) => Err(format!("what answers there is no agent: {error}")),
-        }
-    }
-
-    /// What a connection that could not be made means for a person.
-    fn explained(&self, error: &ConnectError) -> String {
-        match error {
-            ConnectError::Io { error, .. } => {
-                let key = match self.keys {
-                    Some(_) => " --key keys/NAME",
-                    None => "",
-                };
-                format!(
-                    "its agent cannot be reached: {error}; start it there: ctos agent --listen {}{key}",
-                    self.host.agent
-                )
-            }
-            ConnectError::Key { error, .. } => format!(
-                "its agent does not prove who it is: {error}; it needs `--key` with a key of the app's authority"
-            ),
-        }
-    }
-
-    /// Sends the app, and compares the clocks.
-    async fn begin(&mut self, connection: &mut Connection) -> Result<(), HostError> {
-        let limit = self.phase;
-        let begun = async {
-            for _ in 0..SAMPLES {
-                self.ping();
-                loop {
-                    match connection.hear().await.map_err(|error| error.to_string())? {
-                        ToBoot::Pong {
-                            number,
-                            monotonic_ns,
-                        } => {
-                            self.pong(number, monotonic_ns);
-                            break;
-                        }
-                        ToBoot::Refused { reason } => return Err(reason),
-                        _ => {}
-                    }
-                }
-            }
-            self.outbox
-                .say(ToAgent::App(Box::new((*self.files).clone())));
-            loop {
-                match connection.hear().await.map_err(|error| error.to_string())? {
-                    ToBoot::Unpacked => return Ok(()),
-                    ToBoot::Refused { reason } => return Err(reason),
-                    _ => {}
-                }
-            }
-        };
-        let begun = tokio::time::timeout(limit, begun).await;
-        let begun = begun.unwrap_or_else(|_| {
-            Err(format!(
-                "its agent did not take the app within {:.3} s",
-                self.phase.as_secs_f64()
-            ))
-        });
-        begun.map_err(|reason| self.error(reason))
-    }
-
-    fn ping(&mut self) {
-        self.pings += 1;
-        self.pinged = Some((self.pings, self.clock.now()));
-        self.outbox.say(ToAgent::Ping { number: self.pings });
-    }
-
-    /// Learns what the agent's clock shows from an answer that was not long under way.
-    fn pong(&mut self, number: u64, monotonic_ns: u64) {
-        let Some((_, asked)) = self.pinged.take_if(|(asked, _)| *asked == number) else {
-            return;
-        };
-        let way = self.clock.now().since(asked) / 2;
-        let better = |compared: &Compared| way < compared.within;
-        if self.compared.as_ref().is_none_or(better) {
-            let elapsed = (asked + way).as_nanos();
-            self.compared = Some(Compared {
-                origin_ns: monotonic_ns.saturating_sub(elapsed),
-                within: way,
-            });
         }
     }
 
@@ -454,7 +257,7 @@ impl Link {
                     connection = had;
                     continue;
                 }
-                Err(reason) => self.lost(&reason),
+                Err(reason) => self.lost(&reason).await,
             }
             // Nothing runs there; the next process that is wanted brings it back.
             connection = loop {
@@ -525,7 +328,8 @@ impl Link {
                     return Ok(connection);
                 }
                 Ok(Ok((mut connection, false))) => {
-                    self.all_ended("is gone: the agent of its host was started anew");
+                    self.all_ended("is gone: the agent of its host was started anew")
+                        .await;
                     let begun = self.begin(&mut connection).await;
                     return begun.map(|()| connection).map_err(|error| error.reason);
                 }
@@ -539,14 +343,25 @@ impl Link {
         }
     }
 
-    fn lost(&mut self, reason: &str) {
+    async fn lost(&mut self, reason: &str) {
         let HostConfig { name, agent, .. } = &self.host;
-        self.all_ended(&format!(
-            "is lost with its host `{name}` ({agent}): {reason}"
-        ));
+        let how = format!("is lost with its host `{name}` ({agent}): {reason}");
+        self.all_ended(&how).await;
     }
 
-    fn all_ended(&mut self, how: &str) {
+    /// To this end all processes have ended. Those that are still linked are stopping, or will be, and
+    /// are given the time for it: the next ones must not meet them.
+    async fn all_ended(&mut self, how: &str) {
+        let live = self.live.values();
+        let witnesses: Vec<_> = live.map(|live| live.witness.clone()).collect();
+        let unlinked = async {
+            while witnesses.iter().any(|witness| witness.is_linked()) {
+                tokio::time::sleep(PAUSE).await;
+            }
+        };
+        let stop = Duration::from_millis(self.hello.stop_ms);
+        // One that has not ended then is cut off when its place is taken.
+        let _ = tokio::time::timeout(stop + PAUSE, unlinked).await;
         for live in std::mem::take(&mut self.live).into_values() {
             live.witness.ended(ending(how.to_owned()));
         }

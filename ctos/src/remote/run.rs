@@ -6,8 +6,7 @@
 use std::{
     collections::BTreeMap,
     io,
-    os::unix::fs::DirBuilderExt,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -23,9 +22,9 @@ use tokio::{
 
 use super::{
     agent::{AgentEvent, AgentObserver},
+    unpack::Unpacked,
     wire::{
-        AppFiles, Asked, Connection, FRAME_LIMIT, HandlerView, Outbox, Pulse, ToAgent, ToBoot,
-        WireError, ticks,
+        AppFiles, Asked, Connection, FRAME_LIMIT, Outbox, Pulse, ToAgent, ToBoot, WireError, ticks,
     },
 };
 use crate::{
@@ -33,7 +32,6 @@ use crate::{
         INCARNATION_VARIABLE, TETHER_VARIABLE, TOKEN_VARIABLE,
         spawn::{self, Ending, LAST_WORDS, Tether},
     },
-    config::Selection,
     link::{handshake::Token, transport::Address},
     registry::Registry,
     time::Clock,
@@ -49,6 +47,14 @@ pub(super) struct Common {
     pub(super) registry: Registry,
     pub(super) observer: AgentObserver,
     pub(super) stopping: watch::Receiver<bool>,
+}
+
+/// A boot is back.
+pub(super) enum Return {
+    /// With a new connection.
+    Connected(Connection),
+    /// With a new run in the place of this one.
+    Anew,
 }
 
 /// What a boot said of its run.
@@ -75,16 +81,6 @@ struct Gone {
     chassis: u8,
     incarnation: u32,
     ending: Ending,
-}
-
-/// The app's files, laid down.
-struct Unpacked {
-    /// Removed with it.
-    _folder: Folder,
-    selection: Selection,
-    variables: BTreeMap<String, Option<String>>,
-    options: Vec<String>,
-    record: Option<PathBuf>,
 }
 
 /// Why a run is over.
@@ -122,18 +118,20 @@ impl Run {
     pub(super) async fn serve(
         mut self,
         first: Connection,
-        mut anew: mpsc::UnboundedReceiver<Connection>,
+        mut anew: mpsc::UnboundedReceiver<Return>,
     ) {
         let mut connection = Some(first);
-        let (over, why) = match self.live(&mut connection, &mut anew).await {
-            Over::Bye => (true, "the boot has ended it".to_owned()),
-            Over::Lost(reason) => (false, reason),
-            Over::Refused => (true, "it cannot run here".to_owned()),
-            Over::Stopping => (false, "the agent is being stopped".to_owned()),
+        let why = match self.live(&mut connection, &mut anew).await {
+            Over::Bye => "the boot has ended it".to_owned(),
+            Over::Refused => "it cannot run here".to_owned(),
+            Over::Stopping => "the agent is being stopped".to_owned(),
+            Over::Lost(reason) => {
+                tracing::warn!(app = self.about.app, reason, "a run is ended");
+                // Nobody is left to hear of it.
+                connection = None;
+                reason
+            }
         };
-        if !over {
-            tracing::warn!(app = self.about.app, reason = why, "a run is ended");
-        }
         self.end().await;
         // Its folder goes with it.
         self.unpacked = None;
@@ -154,7 +152,7 @@ impl Run {
     async fn live(
         &mut self,
         connection: &mut Option<Connection>,
-        anew: &mut mpsc::UnboundedReceiver<Connection>,
+        anew: &mut mpsc::UnboundedReceiver<Return>,
     ) -> Over {
         let mut pulse = Pulse::new(self.about.silence);
         let mut ticks = ticks(&pulse);
@@ -192,11 +190,14 @@ impl Run {
                         *connection = None;
                     }
                 },
-                Some(new) = anew.recv() => {
-                    pulse.heard();
-                    *connection = Some(new);
-                    self.say_all();
-                }
+                Some(back) = anew.recv() => match back {
+                    Return::Connected(new) => {
+                        pulse.heard();
+                        *connection = Some(new);
+                        self.say_all();
+                    }
+                    Return::Anew => return Over::Lost("its boot has begun anew".to_owned()),
+                },
                 Some(gone) = self.gone.1.recv() => self.ended(gone),
                 _ = ticks.tick() => if let Err(error) = pulse.look() {
                     let reason = if connection.is_some() { error.to_string() } else { broke };
@@ -266,22 +267,7 @@ impl Run {
         if self.unpacked.is_some() {
             return Err("the app's files were sent twice".to_owned());
         }
-        lacking(&self.common.registry, &files.handlers)?;
-        let folder = Folder::new(&self.common.folder)
-            .map_err(|error| format!("the agent cannot make a folder for the app: {error}"))?;
-        let selection = files.bundle.unpack(&folder.path);
-        let selection = selection.map_err(|error| error.to_string())?;
-        let record = files.recorded.then(|| {
-            let name = folder.path.file_name().unwrap_or_default().to_owned();
-            self.common.folder.join(name).with_extension("mcap")
-        });
-        self.unpacked = Some(Unpacked {
-            _folder: folder,
-            selection,
-            variables: files.bundle.variables,
-            options: files.options,
-            record,
-        });
+        self.unpacked = Some(Unpacked::new(&self.common, files)?);
         Ok(())
     }
 
@@ -358,37 +344,13 @@ impl Run {
     }
 
     fn command(&self, unpacked: &Unpacked, how: &How) -> Command {
-        let mut command = Command::new(&self.common.program);
-        command.arg("chassis").arg(&unpacked.selection.file);
-        for profile in &unpacked.selection.profiles {
-            command.args(["--profile", profile]);
-        }
-        for set in unpacked
-            .selection
-            .sets
-            .iter()
-            .chain(&self.common.key_arguments)
-        {
-            command.args(["--set", set]);
-        }
-        if let Some(record) = &unpacked.record {
-            let path = serde_json::Value::from(record.to_string_lossy());
-            // A JSON string is a TOML string.
-            command.args(["--set", &format!("record.file={path}")]);
-        }
+        let mut command = unpacked.command(&self.common);
         command
-            .args(&unpacked.options)
             .args(["--chassis", &how.name, "--boot", &how.boot.to_string()])
             .args(["--origin", &how.origin_ns.to_string()])
             .env(TOKEN_VARIABLE, &how.token.0)
             .env(INCARNATION_VARIABLE, how.incarnation.to_string())
             .env(TETHER_VARIABLE, "1");
-        for (name, value) in &unpacked.variables {
-            match value {
-                Some(value) => command.env(name, value),
-                None => command.env_remove(name),
-            };
-        }
         command
     }
 
@@ -494,61 +456,4 @@ struct How {
     origin_ns: u64,
     boot: Address,
     token: Token,
-}
-
-/// What of `wanted` this program lacks.
-///
-/// # Errors
-/// The first thing.
-fn lacking(registry: &Registry, wanted: &[HandlerView]) -> Result<(), String> {
-    for handler in wanted {
-        let name = &handler.name;
-        let Some(kind) = registry.kind(name) else {
-            return Err(format!(
-                "its program has no event handler `{name}`; start there the agent of the program that boots: `PROGRAM agent`"
-            ));
-        };
-        let has = |(code, command): &(u16, String)| {
-            let mut known = kind.commands().iter();
-            known.any(|known| known.code == *code && known.name == command)
-        };
-        let differs = handler.commands.iter().find(|command| !has(command));
-        if let Some((code, command)) = differs {
-            return Err(format!(
-                "its program has another version of the event handler `{name}`, without the command `{command}` ({code:#06x}); install the same program on both"
-            ));
-        }
-        if kind.commands().len() != handler.commands.len() {
-            return Err(format!(
-                "its program has another version of the event handler `{name}`, with further commands; install the same program on both"
-            ));
-        }
-    }
-    Ok(())
-}
-
-/// The folder of a run; removed with all that is in it when it is dropped.
-struct Folder {
-    path: PathBuf,
-}
-
-impl Folder {
-    /// A fresh one in `parent`.
-    fn new(parent: &Path) -> io::Result<Self> {
-        let mut noise = [0_u8; 8];
-        getrandom::fill(&mut noise).map_err(|error| io::Error::other(error.to_string()))?;
-        let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
-        let path = std::path::absolute(parent)?.join(format!("ctos-run-{noise}"));
-        // One that exists belongs to somebody else.
-        std::fs::DirBuilder::new().mode(0o700).create(&path)?;
-        Ok(Self { path })
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        if let Err(error) = std::fs::remove_dir_all(&self.path) {
-            tracing::warn!(folder = %self.path.display(), error = %error, "the folder of a run stays");
-        }
-    }
 }

@@ -13,7 +13,7 @@ use tokio::{
 
 use super::{
     agent::{AgentEvent, AgentSetup, HostAgent},
-    link,
+    call,
     wire::{
         AppFiles, BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HandlerView, Hello, HelloAnswer,
         LINES_WAITING, Outbox, PROTOCOL, ToAgent, ToBoot, WireError,
@@ -117,6 +117,7 @@ fn hello(run: &str) -> Hello {
         protocol: PROTOCOL,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         run: Token(run.to_owned()),
+        replaces: None,
         app: "cell".to_owned(),
         silence_ms: u64::try_from(silence.as_millis()).unwrap(),
         stop_ms: 300,
@@ -303,6 +304,32 @@ fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
 }
 
 #[test]
+fn nothing_of_a_lost_run_is_left_when_the_one_that_replaces_it_begins() {
+    run(async {
+        let mut host = Host::start("trap '' TERM; echo up >&2; while :; do sleep 1000; done").await;
+        let mut lost = Boot::with_app(&host, "patient").await;
+        lost.start(1, 1);
+        while !matches!(lost.hear().await, ToBoot::Line { .. }) {}
+        let hello = Hello {
+            replaces: Some(Token("patient".to_owned())),
+            ..hello("r")
+        };
+        let (stream, answer) = say_hello(host.address, &hello).await;
+        assert!(matches!(answer, HelloAnswer::Welcome { known: false, .. }));
+        let outbox = Outbox::new();
+        let connection =
+            Connection::new(Stream::Tcp(stream), outbox.clone(), FRAME_LIMIT, WATCHDOG);
+        let mut anew = Boot { connection, outbox };
+        anew.outbox.say(ToAgent::App(Box::new(files(&[]))));
+        assert_eq!(anew.hear().await, ToBoot::Unpacked);
+        assert_eq!(host.runs(), 1);
+        host.tells("was killed by signal 9").await;
+        host.tells("its boot has begun anew").await;
+        host.end().await;
+    });
+}
+
+#[test]
 fn what_a_boot_leaves_behind_is_ended_also_when_it_does_not_want_to() {
     run(async {
         // Neither the loss of its hold nor SIGTERM ends it.
@@ -324,11 +351,8 @@ fn a_boot_that_is_silent_is_gone_although_its_connection_is_there() {
         let host = Host::start("cat").await;
         let mut boot = Boot::with_app(&host, "r").await;
         boot.start(1, 1);
-        loop {
-            if boot.hear().await == ToBoot::Over {
-                break;
-            }
-        }
+        // It says nothing from here on, and is hung up on.
+        while boot.connection.hear::<ToBoot>().await.is_ok() {}
         let events = host.end().await.join("\n");
         assert!(events.contains("nothing was heard of it"), "{events}");
     });
@@ -453,9 +477,9 @@ fn an_app_whose_files_are_too_many_is_not_sent() {
     );
     write("table.csv", &"x".repeat(BUNDLE_LIMIT));
     let app = load(&folder.path().join("app.toml"), &[], &[]).unwrap();
-    assert!(link::files(&app, &Registry::new(), &[]).is_ok());
+    assert!(call::files(&app, &Registry::new(), &[]).is_ok());
     app.read(Path::new("table.csv")).unwrap();
-    let refused = link::files(&app, &Registry::new(), &[]).unwrap_err();
+    let refused = call::files(&app, &Registry::new(), &[]).unwrap_err();
     assert!(refused.contains("an agent takes less than 64"), "{refused}");
 }
 

@@ -57,6 +57,8 @@ pub(crate) struct Hello {
     pub(crate) version: String,
     /// Its run: the same when it calls again.
     pub(crate) run: Token,
+    /// The run before it, which this boot has lost: nothing of it may be left when this one begins.
+    pub(crate) replaces: Option<Token>,
     pub(crate) app: String,
     /// A run that is silent for so long is gone, ms.
     pub(crate) silence_ms: u64,
