@@ -240,6 +240,12 @@ impl Chassis {
         self.index
     }
 
+    /// The app's time, as this chassis sees it.
+    #[must_use]
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
     /// Its name in the configuration.
     #[must_use]
     pub fn name(&self) -> &str {

@@ -3,13 +3,19 @@
 //! It holds the recipes of flavors (`foo.a -breakfast -where kitchen`) and the addresses of daemons
 //! (`d1 druide:11`, `FOO self`). Within a recipe, `-SUBST word` stands for the recipe of `word`.
 
+mod files;
+mod object;
+
+pub(crate) use object::DictionaryObject;
+
 use crate::name::suggestion;
-use crate::options::OptionTable;
+use crate::raise;
 use crate::report::{Report, code};
 use crate::words;
 use ctos::diagnostic::{Finding, Findings, Source};
+use files::File;
 use std::collections::BTreeMap;
-use std::sync::LazyLock;
+use std::ops::Range;
 
 /// No recipe may look at more words than this, substitutions included.
 const MOST_WORDS: usize = 10_000;
@@ -20,6 +26,17 @@ const MOST_DEPTH: usize = 64;
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Dictionary {
     entries: BTreeMap<String, Vec<String>>,
+    /// The files that it was read from, in their order.
+    files: Vec<File>,
+}
+
+/// An entry as it stands in a text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Entry {
+    index: String,
+    words: Vec<String>,
+    /// The bytes of its lines, the last line end included.
+    span: Range<usize>,
 }
 
 impl Dictionary {
@@ -29,58 +46,48 @@ impl Dictionary {
         Self::default()
     }
 
-    /// Adds the entries of a file; those that are there already are replaced.
+    /// Adds the entries of a text; those that are there already are replaced.
     ///
     /// A line is `indexWord word word ...`. A word that begins with `#` begins a comment; a line that
     /// ends with `\` goes on in the next one; words with white space are quoted.
     ///
     /// # Errors
     /// Every wrong line with its place: quotes that do not close, an index word that stands in the
-    /// file twice. Nothing is added then.
+    /// text twice. Nothing is added then.
     pub fn load(&mut self, source: &Source) -> Result<(), Findings> {
+        let read = read(source)?;
+        let entries = read.into_iter().map(|entry| (entry.index, entry.words));
+        self.entries.extend(entries);
+        Ok(())
+    }
+
+    /// Adds an entry for each variable whose name begins with `SORMA_`: the rest of the name is the
+    /// index word, with `__` for `.`, so that `SORMA_foo__a` is `foo.a`.
+    ///
+    /// # Errors
+    /// Every value whose quotes do not close. Nothing is added then.
+    pub fn load_environment(
+        &mut self,
+        variables: impl IntoIterator<Item = (String, String)>,
+    ) -> Result<(), Findings> {
         let mut findings = Findings::new();
-        let mut read: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        let mut open: Option<Vec<String>> = None;
-        let mut offset = 0;
-        for line in source.text().split('\n') {
-            let start = offset;
-            offset += line.len() + 1;
-            let (found, length) = match words::split_commented(line) {
-                Ok(split) => split,
-                Err(error) => {
-                    let finding = Finding::error("sorma::dictionary::line", error.to_string());
-                    findings.push(finding.at(source.at(start..start + line.len())));
-                    open = None;
-                    continue;
-                }
+        let mut read = BTreeMap::new();
+        for (name, value) in variables {
+            let Some(index) = name.strip_prefix("SORMA_").filter(|rest| !rest.is_empty()) else {
+                continue;
             };
-            let mut recipe: Vec<String> = found.iter().map(|word| word.text.clone()).collect();
-            let goes_on = length == line.len()
-                && found
-                    .last()
-                    .is_some_and(|word| !word.quoted && word.text == "\\");
-            if goes_on {
-                recipe.pop();
-            }
-            match &mut open {
-                Some(begun) => begun.append(&mut recipe),
-                None if recipe.is_empty() && !goes_on => continue,
-                None => {
-                    let index = found.first().filter(|_| !recipe.is_empty());
-                    if let Some(word) = index.filter(|word| read.contains_key(&word.text)) {
-                        let place = source.at(start + word.span.start..start + word.span.end);
-                        let text = format!("`{}` stands in this file already", word.text);
-                        let finding = Finding::error("sorma::dictionary::twice", text);
-                        findings.push(finding.at(place).help("remove one of the two"));
-                    }
-                    open = Some(recipe);
+            match words::split(&value) {
+                Ok(words) => {
+                    let words = words.into_iter().map(|word| word.text).collect();
+                    read.insert(index.replace("__", "."), words);
                 }
-            }
-            if !goes_on {
-                close(&mut open, &mut read);
+                Err(error) => {
+                    let source = Source::new(format!("${name}"), value.as_str());
+                    let finding = Finding::error("sorma::dictionary::line", error.to_string());
+                    findings.push(finding.at(source.at(0..value.len())));
+                }
             }
         }
-        close(&mut open, &mut read);
         if findings.has_errors() {
             return Err(findings);
         }
@@ -124,7 +131,7 @@ impl Dictionary {
     }
 
     fn expand<'a>(&'a self, index: &'a str, now: &mut Expansion<'a>) -> Result<(), Report> {
-        let wrong = |text: String| Err(Report::error(code::RECIPE, text));
+        let wrong = |text: String| Err(raise!(code::RECIPE, "{text}"));
         let chain = &now.chain;
         if chain.contains(&index) {
             let circle = format!("{} -> {index}", chain.join(" -> "));
@@ -177,63 +184,88 @@ struct Expansion<'a> {
     seen: usize,
 }
 
-fn close(open: &mut Option<Vec<String>>, read: &mut BTreeMap<String, Vec<String>>) {
-    if let Some(mut words) = open.take()
-        && !words.is_empty()
-    {
-        let index = words.remove(0);
-        read.insert(index, words);
+/// The entries of a text, in their order.
+fn read(source: &Source) -> Result<Vec<Entry>, Findings> {
+    let mut reading = Reading {
+        source,
+        entries: Vec::new(),
+        known: BTreeMap::new(),
+        open: None,
+        findings: Findings::new(),
+    };
+    let mut offset = 0;
+    for line in source.text().split_inclusive('\n') {
+        reading.line(line, offset);
+        offset += line.len();
     }
+    reading.close();
+    if reading.findings.has_errors() {
+        return Err(reading.findings);
+    }
+    Ok(reading.entries)
 }
 
-/// What `dict CTRL` understands.
-pub(crate) static OPTIONS: LazyLock<OptionTable<Dictionary>> = LazyLock::new(|| {
-    OptionTable::new("expands an index word to a list of words: recipes of flavors, daemons")
-        .action(
-            "add",
-            &["WORD", "'WORDS'"],
-            "adds or replaces an entry",
-            |dictionary: &mut Dictionary, words| {
-                let [index, recipe] = words else {
-                    return Err("takes a word and a list of words".to_owned());
-                };
-                let words = words::split(recipe).map_err(|error| error.to_string())?;
-                dictionary.add(index, words.into_iter().map(|word| word.text).collect());
-                Ok(String::new())
-            },
-        )
-        .action(
-            "remove",
-            &["WORD"],
-            "removes an entry",
-            |dictionary, words| {
-                let index = words.first().map_or("", String::as_str);
-                if dictionary.remove(index) {
-                    return Ok(String::new());
-                }
-                let hint = suggestion(index, dictionary.index());
-                Err(format!("`{index}` is not in the dictionary{hint}"))
-            },
-        )
-        .action(
-            "query",
-            &["WORD"],
-            "answers an entry as it stands",
-            |dictionary, words| {
-                let index = words.first().map_or("", String::as_str);
-                match dictionary.entry(index) {
-                    Some(words) => Ok(words::join(words.iter().map(String::as_str))),
-                    None => {
-                        let hint = suggestion(index, dictionary.index());
-                        Err(format!("`{index}` is not in the dictionary{hint}"))
-                    }
-                }
-            },
-        )
-        .action("list", &[], "answers all index words", |dictionary, _| {
-            Ok(words::join(dictionary.index()))
-        })
-});
+/// A text while it is read.
+struct Reading<'a> {
+    source: &'a Source,
+    entries: Vec<Entry>,
+    known: BTreeMap<String, ()>,
+    /// The entry whose lines go on.
+    open: Option<Entry>,
+    findings: Findings,
+}
+
+impl Reading<'_> {
+    fn line(&mut self, line: &str, start: usize) {
+        let end = start + line.len();
+        let bare = line.strip_suffix('\n').unwrap_or(line);
+        let (found, length) = match words::split_commented(bare) {
+            Ok(split) => split,
+            Err(error) => {
+                let finding = Finding::error("sorma::dictionary::line", error.to_string());
+                let place = self.source.at(start..start + bare.len());
+                self.findings.push(finding.at(place));
+                self.open = None;
+                return;
+            }
+        };
+        let last = found.last().filter(|_| length == bare.len());
+        let goes_on = last.is_some_and(|word| !word.quoted && word.text == "\\");
+        let mut recipe: Vec<String> = found.iter().map(|word| word.text.clone()).collect();
+        if goes_on {
+            recipe.pop();
+        }
+        let begun = self.open.get_or_insert_with(|| Entry {
+            index: String::new(),
+            words: Vec::new(),
+            span: start..end,
+        });
+        begun.span.end = end;
+        let mut recipe = recipe.into_iter();
+        if begun.index.is_empty()
+            && let Some(index) = recipe.next()
+        {
+            if self.known.insert(index.clone(), ()).is_some() {
+                let span = found.first().map_or(0..0, |word| word.span.clone());
+                let place = self.source.at(start + span.start..start + span.end);
+                let text = format!("`{index}` stands in this file already");
+                let finding = Finding::error("sorma::dictionary::twice", text);
+                self.findings
+                    .push(finding.at(place).help("remove one of the two"));
+            }
+            begun.index = index;
+        }
+        begun.words.extend(recipe);
+        if !goes_on {
+            self.close();
+        }
+    }
+
+    fn close(&mut self) {
+        let entry = self.open.take().filter(|entry| !entry.index.is_empty());
+        self.entries.extend(entry);
+    }
+}
 
 #[cfg(test)]
 mod tests {

@@ -2,23 +2,43 @@
 //!
 //! The core of SORMA (Walter and Ritter, technical report SFB360-TR-96-3, chapter 1): names,
 //! the transport structure, textual requests, option tables, the dictionary of recipes, and the
-//! manager that builds objects from their names. One process; nothing here knows a network.
+//! manager that builds objects from their names. Other daemons are reached over the seam in [`comm`];
+//! [`daemon`] carries it by the tasks of CTOS.
 
+pub mod class;
+pub mod comm;
+pub mod daemon;
+mod dbx;
 pub mod dictionary;
+mod manager;
 pub mod name;
 pub mod object;
 pub mod options;
+mod plant;
 pub mod report;
 pub mod request;
+mod reserve;
+mod slot;
 pub mod sorm;
+pub mod together;
 pub mod transport;
+pub mod waiting;
 pub mod words;
 
+pub use class::Class;
+pub use comm::{Alone, Comm};
 pub use dictionary::Dictionary;
 pub use name::{Location, NameError, ObjectName};
-pub use object::{Context, Outcome, ServiceObject};
+pub use object::{Context, Outcome, ServiceObject, TwoStep};
 pub use options::OptionTable;
-pub use report::{Report, Severity};
+pub use report::{Prototype, Report, Severity};
 pub use request::{Method, Reply, Request, RequestError};
-pub use sorm::{Handle, Sorm};
+pub use slot::{Claim, Handle, Owned};
+pub use sorm::Sorm;
 pub use transport::Transport;
+pub use waiting::Waiting;
+
+/// The page whose example is run as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/service-objects.md")]
+struct Page;

@@ -73,6 +73,15 @@ impl ObjectName {
         &self.at
     }
 
+    /// The same object, as the process that serves it names it.
+    #[must_use]
+    pub fn here(&self) -> Self {
+        Self {
+            at: Location::Local,
+            ..self.clone()
+        }
+    }
+
     /// `class[.flavor]`: its name in the process that serves it, and in that dictionary.
     #[must_use]
     pub fn local(&self) -> String {

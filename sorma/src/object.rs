@@ -1,13 +1,12 @@
 //! What a service object is, and what it is given when it is called.
 
-use crate::options::OptionTable;
-use crate::report::{Report, Severity, code};
+use crate::report::{Report, code};
 use crate::request::Method;
+use crate::slot::{Handle, Slot};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use std::cell::RefCell;
-use std::collections::VecDeque;
-use std::sync::LazyLock;
+use crate::waiting::Waiting;
+use futures_util::future::LocalBoxFuture;
 
 /// How a method of a service object ends; the error becomes a report and the return code.
 pub type Outcome = Result<(), Report>;
@@ -17,45 +16,92 @@ pub type Outcome = Result<(), Report>;
 ///
 /// The transport goes in with the arguments and comes out, in the same place, with the results. A
 /// method that fails leaves the object as it was.
-pub trait ServiceObject {
+pub trait ServiceObject: Send {
     /// Does the job. What goes in and comes out is free for the class to say.
     ///
     /// # Errors
     /// The reason why it was not done.
-    fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome;
+    fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let _ = (cx, io);
+        Err(unsupported(Method::Exec))
+    }
 
-    /// Takes options; usually [`OptionTable::ctrl`].
+    /// Does a job for which it asks other objects, wherever they are, and waits for them. A class has
+    /// this or [`Self::exec`]; one with this is registered with [`Class::waits`](crate::Class::waits).
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        let _ = (cx, io);
+        None
+    }
+
+    /// Takes options; usually [`OptionTable::ctrl`](crate::OptionTable::ctrl).
     ///
     /// # Errors
     /// The reason why they were not taken.
     fn ctrl(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome;
 
-    /// Tells about the object itself: version, audit trail of CTRL, verbosity. Inherited by every
-    /// class that does not write its own.
+    /// All data inside, as text for people; usually [`OptionTable::dump`](crate::OptionTable::dump).
+    fn dump(&self) -> String;
+
+    /// Sees whether it can do its job. Asked when the object has been built and has taken its recipe,
+    /// and by `DBX -test`; an object that says no is not built.
     ///
     /// # Errors
-    /// The reason why it could not.
-    fn dbx(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        cx.inherited_dbx(io);
+    /// What is wrong.
+    fn self_test(&mut self, cx: &Context<'_>) -> Outcome {
+        let _ = cx;
         Ok(())
     }
 
-    /// All data inside, as text for people; usually [`OptionTable::dump`].
-    fn dump(&self) -> String;
+    /// The object's side of a two-step commitment, if it has one. Without it, `prepare` is refused.
+    fn two_step(&mut self) -> Option<&mut dyn TwoStep> {
+        None
+    }
+}
+
+/// An EXEC in two steps, so that several objects do their jobs all or not at all. Between the steps the
+/// object is locked for the caller.
+pub trait TwoStep {
+    /// Sees whether it could do the job, and keeps what it needs for it. Nothing is to be seen from
+    /// outside yet.
+    ///
+    /// # Errors
+    /// Why it cannot. The object is then as before.
+    fn prepare(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome;
+
+    /// Does what was prepared. It must not fail for any reason that could have been seen before; if it
+    /// fails nevertheless, its report says what state things are in.
+    ///
+    /// # Errors
+    /// What went wrong.
+    fn commit(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome;
+
+    /// Lets go of what was prepared.
+    fn abort(&mut self, cx: &Context<'_>);
 }
 
 /// What a method may use while it runs.
 pub struct Context<'a> {
     pub(crate) sorm: &'a Sorm,
-    pub(crate) name: &'a str,
-    pub(crate) meta: &'a RefCell<Meta>,
+    pub(crate) slot: &'a Slot,
+    /// The call that this one is made in, if it is.
+    pub(crate) within: Option<&'a Context<'a>>,
 }
 
 impl Context<'_> {
     /// The full local name of the object that is called.
     #[must_use]
     pub fn name(&self) -> &str {
-        self.name
+        self.slot.name()
+    }
+
+    /// The manager of this process.
+    #[must_use]
+    pub fn sorm(&self) -> &Sorm {
+        self.sorm
     }
 
     /// Calls another object by name. Its reports are added to `io`, so that they reach the first
@@ -70,82 +116,51 @@ impl Context<'_> {
         mut sub: Transport,
         io: &mut Transport,
     ) -> Result<Transport, Report> {
-        self.sorm.get(name)?.call(self.sorm, method, &mut sub);
+        let object = self.sorm.get(name)?;
+        self.call_by(&object, method, &mut sub, io)?;
+        Ok(sub)
+    }
+
+    /// Calls another object by reference: `sub` goes in and comes out. Otherwise as [`Self::call`].
+    ///
+    /// # Errors
+    /// The call ended with an error.
+    pub fn call_by(
+        &self,
+        object: &Handle,
+        method: Method,
+        sub: &mut Transport,
+        io: &mut Transport,
+    ) -> Outcome {
+        if sub.from.is_empty() && !io.from.is_empty() {
+            sub.from.clone_from(&io.from);
+        }
+        object.slot.call(self.sorm, Some(self), method, sub);
         io.reports.append(&mut sub.reports);
         if sub.is_ok() {
-            return Ok(sub);
+            return Ok(());
         }
         let text = format!(
-            "`{}` needs `{name} {method}`, which ended with {}",
-            self.name, sub.code
+            "`{}` needs `{} {method}`, which ended with {}",
+            self.name(),
+            object.name(),
+            sub.code
         );
         Err(Report::error(sub.code, text))
     }
 
-    /// DBX as every class has it.
-    pub fn inherited_dbx(&self, io: &mut Transport) {
-        let mut meta = self.meta.borrow_mut();
-        DBX.ctrl(&mut meta, io);
-    }
-}
-
-/// How many CTRL requests the audit trail keeps.
-const AUDIT: usize = 64;
-
-/// What DBX knows about an object.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Meta {
-    pub(crate) version: String,
-    pub(crate) class: String,
-    quiet: bool,
-    audit: VecDeque<String>,
-    /// CTRL requests so far, also those that the trail no longer keeps.
-    count: u64,
-}
-
-impl Meta {
-    pub(crate) fn new(class: &str, version: &str) -> Self {
-        Self {
-            version: version.to_owned(),
-            class: class.to_owned(),
-            ..Self::default()
+    /// Whether this call is made, directly or not, in one of that object.
+    pub(crate) fn is_within(&self, slot: &Slot) -> bool {
+        let mut call = Some(self);
+        while let Some(now) = call {
+            if std::ptr::eq(now.slot, slot) {
+                return true;
+            }
+            call = now.within;
         }
-    }
-
-    /// Notes a CTRL request.
-    pub(crate) fn audited(&mut self, text: &str, code: i32) {
-        self.count += 1;
-        if self.audit.len() >= AUDIT {
-            self.audit.pop_front();
-        }
-        self.audit
-            .push_back(format!("{} RET {code} {text}", self.count));
-    }
-
-    /// Whether a report of this object is passed on.
-    pub(crate) fn passes(&self, report: &Report) -> bool {
-        !(self.quiet && report.severity == Severity::Verbose)
+        false
     }
 }
-
-static DBX: LazyLock<OptionTable<Meta>> = LazyLock::new(|| {
-    OptionTable::new("tells about the object itself")
-        .flag("quiet", "keeps verbose reports back", |meta: &mut Meta| {
-            &mut meta.quiet
-        })
-        .action("version", &[], "class and its version", |meta, _| {
-            Ok(format!("{} {}", meta.class, meta.version))
-        })
-        .action(
-            "audit",
-            &[],
-            "the last CTRL requests, with number and return code",
-            |meta, _| {
-                let lines: Vec<&str> = meta.audit.iter().map(String::as_str).collect();
-                Ok(lines.join("\n"))
-            },
-        )
-});
 
 /// A class without a job of its own answers EXEC by this.
 #[track_caller]

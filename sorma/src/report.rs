@@ -18,7 +18,9 @@ pub enum Severity {
 }
 
 impl Severity {
-    fn word(self) -> &'static str {
+    /// Its name: `verbose`, `warning`, `error`.
+    #[must_use]
+    pub fn word(self) -> &'static str {
         match self {
             Self::Verbose => "verbose",
             Self::Warning => "warning",
@@ -26,7 +28,9 @@ impl Severity {
         }
     }
 
-    fn from_word(word: &str) -> Option<Self> {
+    /// The severity of that name.
+    #[must_use]
+    pub fn from_word(word: &str) -> Option<Self> {
         [Self::Verbose, Self::Warning, Self::Error]
             .into_iter()
             .find(|severity| severity.word() == word)
@@ -48,28 +52,102 @@ pub struct Report {
     pub line: u32,
     /// Full name of the object that said it; empty until the manager fills it in.
     pub object: String,
+    /// The process that said it; empty until the manager fills it in.
+    pub process: String,
+    /// When it was said, ns of the app's time; 0 until the manager fills it in.
+    pub time_ns: u64,
 }
 
-/// The codes that the manager itself uses. Classes use numbers from 100.
-pub mod code {
-    /// The request is no request.
-    pub const SYNTAX: i32 = 1;
-    /// No such class.
-    pub const UNKNOWN_CLASS: i32 = 2;
-    /// No such flavor in the dictionary.
-    pub const UNKNOWN_FLAVOR: i32 = 3;
-    /// No such option in the class's table.
-    pub const UNKNOWN_OPTION: i32 = 4;
-    /// A value is missing, of the wrong type or out of range.
-    pub const VALUE: i32 = 5;
-    /// A recipe that leads to itself, or grows too long.
-    pub const RECIPE: i32 = 6;
-    /// A daemon that cannot be reached from here.
-    pub const DAEMON: i32 = 7;
-    /// The object is in a call already.
-    pub const BUSY: i32 = 8;
-    /// The method is not one this class has.
-    pub const UNSUPPORTED: i32 = 9;
+/// What a code means, for whoever reads it: the prototype of the reports that bear it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Prototype {
+    /// The code.
+    pub code: i32,
+    /// Its name in the source.
+    pub name: &'static str,
+    /// How bad it is.
+    pub severity: Severity,
+    /// What it says.
+    pub text: &'static str,
+    /// What to do about it.
+    pub help: &'static str,
+}
+
+/// Defines the codes of a class in one place: a module with a constant for each and the table
+/// `PROTOTYPES`, which is registered with the class. Classes use codes from 100.
+///
+/// ```
+/// sorma::prototypes! {
+///     /// What an oven can report.
+///     pub mod oven {
+///         COLD = 117, Error, "the oven is cold", "wait until it is warm, or set -preheat on";
+///         SMELL = 118, Warning, "something smells", "look inside";
+///     }
+/// }
+/// assert_eq!(oven::PROTOTYPES[0].code, oven::COLD);
+/// let report = sorma::raise!(oven::COLD, "only {} degrees", 40);
+/// assert_eq!(report.text, "only 40 degrees");
+/// ```
+#[macro_export]
+macro_rules! prototypes {
+    (
+        $(#[$meta:meta])*
+        $visibility:vis mod $module:ident {
+            $($name:ident = $code:literal, $severity:ident, $text:literal, $help:literal;)*
+        }
+    ) => {
+        $(#[$meta])*
+        $visibility mod $module {
+            $(#[doc = $text] pub const $name: i32 = $code;)*
+            /// All of them, for the class's registration.
+            pub const PROTOTYPES: &[$crate::report::Prototype] = &[$(
+                $crate::report::Prototype {
+                    code: $code,
+                    name: stringify!($name),
+                    severity: $crate::report::Severity::$severity,
+                    text: $text,
+                    help: $help,
+                },
+            )*];
+        }
+    };
+}
+
+/// A report of an error with a code and a text as in `format!`, and the place where this stands.
+#[macro_export]
+macro_rules! raise {
+    ($code:expr, $($text:tt)+) => {
+        $crate::report::Report::error($code, format!($($text)+))
+    };
+}
+
+prototypes! {
+    /// The codes that the manager itself uses. Classes use numbers from 100.
+    pub mod code {
+        SYNTAX = 1, Error, "the request is no request", "write: name EXEC|CTRL|DBX text";
+        UNKNOWN_CLASS = 2, Error, "no such class", "`sorm CTRL -classes` lists them";
+        UNKNOWN_FLAVOR = 3, Error, "no such flavor in the dictionary",
+            "`dict CTRL -list` lists them; add a recipe with `dict CTRL -add NAME 'OPTIONS'`";
+        UNKNOWN_OPTION = 4, Error, "no such option in the class's table", "CTRL -help lists them";
+        VALUE = 5, Error, "a value is missing, of the wrong type or out of range",
+            "CTRL -help shows what each option takes";
+        RECIPE = 6, Error, "a recipe leads to itself, or grows too long",
+            "look at the -SUBST of the entries that the report names";
+        DAEMON = 7, Error, "a daemon cannot be reached from here",
+            "see whether it runs, and what the dictionary says about its name";
+        BUSY = 8, Error, "the object is in a call already",
+            "an object cannot call itself, directly or not; or wait for the other caller";
+        UNSUPPORTED = 9, Error, "the class does not do this", "CTRL -help says what it does";
+        LOCKED = 10, Error, "the object is locked for somebody else",
+            "wait until the lock expires, or use a flavor of your own";
+        PANIC = 11, Error, "the object failed in a way that its author did not expect",
+            "it was removed and its next use builds it anew; tell its author";
+        SELF_TEST = 12, Error, "the object did not pass its self-test", "the text says what is wrong";
+        PREPARED = 13, Error, "nothing is prepared under this name, or something else is",
+            "prepare, then commit or abort, each once and before it expires";
+        FILE = 14, Error, "a file cannot be read or written", "the text says which and why";
+        NO_OBJECT = 15, Error, "there is no such object", "`sorm CTRL -list` lists them";
+    }
 }
 
 impl Report {
@@ -85,6 +163,8 @@ impl Report {
             file: place.file().to_owned(),
             line: place.line(),
             object: String::new(),
+            process: String::new(),
+            time_ns: 0,
         }
     }
 
@@ -119,6 +199,8 @@ impl Report {
             file: String::new(),
             line: 0,
             object: String::new(),
+            process: String::new(),
+            time_ns: 0,
         }
     }
 
@@ -128,10 +210,10 @@ impl Report {
         Self::from_full(line).unwrap_or_else(|| Self::message(line))
     }
 
-    /// `severity code object file line text`, each a word.
+    /// `severity code object process time_ns file line text`, each a word.
     fn from_full(line: &str) -> Option<Self> {
         let words = words::split(line).ok()?;
-        let [severity, code, object, file, row, text] = words.as_slice() else {
+        let [severity, code, object, process, time, file, row, text] = words.as_slice() else {
             return None;
         };
         Some(Self {
@@ -141,6 +223,8 @@ impl Report {
             file: file.text.clone(),
             line: row.text.parse().ok()?,
             object: object.text.clone(),
+            process: process.text.clone(),
+            time_ns: time.text.parse().ok()?,
         })
     }
 
@@ -152,10 +236,12 @@ impl Report {
             return self.text.clone();
         }
         format!(
-            "{} {} {} {} {} {}",
+            "{} {} {} {} {} {} {} {}",
             self.severity.word(),
             self.code,
             words::word(&self.object),
+            words::word(&self.process),
+            self.time_ns,
             words::word(&self.file),
             self.line,
             words::quoted(&self.text)
@@ -164,14 +250,18 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// For people: `error 5 (foo.a): text [file:line]`.
+    /// For people: `error 5 (foo.a in cage): text [file:line]`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.severity.word())?;
         if self.code != 0 {
             write!(f, " {}", self.code)?;
         }
         if !self.object.is_empty() {
-            write!(f, " ({})", self.object)?;
+            write!(f, " ({}", self.object)?;
+            if !self.process.is_empty() {
+                write!(f, " in {}", self.process)?;
+            }
+            f.write_str(")")?;
         }
         write!(f, ": {}", self.text)?;
         if !self.file.is_empty() {
@@ -197,15 +287,17 @@ pub(crate) mod tests {
             any::<String>(),
             any::<String>(),
             any::<u32>(),
-            any::<String>(),
+            (any::<String>(), any::<String>(), any::<u64>()),
         );
-        let full = full.prop_map(|(severity, code, text, file, line, object)| Report {
+        let full = full.prop_map(|(severity, code, text, file, line, said)| Report {
             severity,
             code,
             text,
             file,
             line,
-            object,
+            object: said.0,
+            process: said.1,
+            time_ns: said.2,
         });
         prop_oneof![full, any::<String>().prop_map(Report::message)]
     }
@@ -219,7 +311,7 @@ pub(crate) mod tests {
     #[test]
     fn a_bare_message_is_printed_bare_unless_it_looks_like_a_report() {
         assert_eq!(Report::message("watch the ice").to_line(), "watch the ice");
-        let line = "error 5 foo.a kitchen.rs 12 \"too cold\"";
+        let line = "error 5 foo.a cage 1200 kitchen.rs 12 \"too cold\"";
         assert_eq!(Report::from_line(line).code, 5);
         assert_ne!(Report::message(line).to_line(), line);
     }

@@ -14,12 +14,13 @@ use crate::name::{NameError, ObjectName};
 use crate::report::Report;
 use crate::transport::Transport;
 use crate::words::{self, Word, WordError, is_space};
+use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write as _};
 use std::str::FromStr;
 use thiserror::Error;
 
 /// Which part of a service object is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Method {
     /// Do your job.
     Exec,

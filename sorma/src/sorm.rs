@@ -1,102 +1,209 @@
-//! The service object request manager (SORM): builds objects from their names on first use, keeps
-//! them, and passes requests to them (SORMA technical report, sections 1.4.2 and 1.5).
+//! The service object request manager (SORM): keeps objects by their names, has them built on first
+//! use, and passes requests to them (SORMA technical report, sections 1.4.2 and 1.5).
 //!
-//! One process and one thread; an object is called by reference at the cost of a virtual call.
+//! One process, any thread; an object is called by reference at the cost of a virtual call.
 
-use crate::dictionary::{self, Dictionary};
+use crate::class::Class;
+use crate::comm::Comm;
+use crate::dictionary::{Dictionary, DictionaryObject};
+use crate::manager::ManagerObject;
 use crate::name::{Location, ObjectName, suggestion};
-use crate::object::{Context, Meta, Outcome, ServiceObject, unsupported};
-use crate::report::{Report, code};
-use crate::request::{Method, Reply, Request};
+use crate::raise;
+use crate::report::{Prototype, Report, code};
+use crate::request::{Method, Reply, Request, RequestError};
+use crate::slot::{Handle, Slot};
 use crate::transport::Transport;
 use crate::words;
+use ctos::time::{Clock, Instant};
+use parking_lot::{Mutex, ReentrantMutex, RwLock};
 use std::cell::RefCell;
-use std::collections::BTreeMap;
-use std::rc::Rc;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
-type Build = dyn Fn(&ObjectName, &Sorm) -> Result<Box<dyn ServiceObject>, Report>;
-
-/// A registered class.
-struct Class {
-    version: &'static str,
-    build: Rc<Build>,
-}
-
-/// The manager of one process's service objects.
-pub struct Sorm {
-    classes: RefCell<BTreeMap<&'static str, Class>>,
-    objects: RefCell<BTreeMap<String, Rc<Slot>>>,
-    dictionary: Rc<RefCell<Dictionary>>,
-    /// Objects being built now, outermost first.
-    building: RefCell<Vec<String>>,
-}
-
-/// An object in the repository.
-struct Slot {
-    name: String,
-    object: RefCell<Box<dyn ServiceObject>>,
-    meta: RefCell<Meta>,
-}
-
-/// A reference to an object; it stays usable after the object was removed from the repository.
+/// The manager of one process's service objects. Clones are the same manager.
 #[derive(Clone)]
-pub struct Handle {
-    slot: Rc<Slot>,
+pub struct Sorm {
+    pub(crate) inner: Arc<Inner>,
 }
 
-impl std::fmt::Debug for Handle {
+pub(crate) struct Inner {
+    process: String,
+    clock: Clock,
+    classes: RwLock<BTreeMap<&'static str, Arc<Class>>>,
+    objects: RwLock<BTreeMap<String, Arc<Slot>>>,
+    aliases: RwLock<BTreeMap<String, String>>,
+    /// What is in use of other daemons.
+    proxies: Mutex<BTreeMap<Location, BTreeSet<ObjectName>>>,
+    pub(crate) dictionary: Arc<RwLock<Dictionary>>,
+    /// Objects being built now, outermost first: by one thread at a time.
+    pub(crate) building: ReentrantMutex<RefCell<Vec<String>>>,
+}
+
+/// Which process serves an object.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Place {
+    Here,
+    There(Location),
+}
+
+impl std::fmt::Debug for Sorm {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Handle({})", self.slot.name)
+        let objects = self.inner.objects.read().len();
+        write!(f, "Sorm({}, {objects} objects)", self.inner.process)
     }
 }
 
 impl Sorm {
-    /// A manager that knows the class `dict` and one dictionary, which objects are built from.
+    /// A manager that knows the classes `dict` and `sorm`, and one dictionary, which objects are built
+    /// from. It has no name and a real clock.
     #[must_use]
     pub fn new(dictionary: Dictionary) -> Self {
-        let dictionary = Rc::new(RefCell::new(dictionary));
+        Self::of("", Clock::real(), dictionary)
+    }
+
+    /// The manager of the process of that name, which stands in its reports, on the app's clock.
+    #[must_use]
+    pub fn of(process: &str, clock: Clock, dictionary: Dictionary) -> Self {
+        let dictionary = Arc::new(RwLock::new(dictionary));
         let sorm = Self {
-            classes: RefCell::default(),
-            objects: RefCell::default(),
-            dictionary: Rc::clone(&dictionary),
-            building: RefCell::default(),
+            inner: Arc::new(Inner {
+                process: process.to_owned(),
+                clock,
+                classes: RwLock::default(),
+                objects: RwLock::default(),
+                aliases: RwLock::default(),
+                proxies: Mutex::default(),
+                dictionary: Arc::clone(&dictionary),
+                building: ReentrantMutex::default(),
+            }),
         };
-        sorm.register("dict", env!("CARGO_PKG_VERSION"), move |_, _| {
-            let dictionary = Rc::clone(&dictionary);
-            Ok(Box::new(DictionaryObject { dictionary }))
-        });
+        let version = env!("CARGO_PKG_VERSION");
+        sorm.register(Class::new("dict", version, move |_, _| {
+            Ok(Box::new(DictionaryObject::of(Arc::clone(&dictionary))))
+        }));
+        let manager = Class::new("sorm", version, |_, _| Ok(Box::new(ManagerObject)));
+        sorm.register(manager.codes(code::PROTOTYPES));
         sorm
     }
 
-    /// Registers a class under its lower-case name. A class that is registered again replaces the
-    /// earlier one for objects built from now on.
-    pub fn register(
-        &self,
-        class: &'static str,
-        version: &'static str,
-        build: impl Fn(&ObjectName, &Self) -> Result<Box<dyn ServiceObject>, Report> + 'static,
-    ) {
-        let build: Rc<Build> = Rc::new(build);
-        self.classes
-            .borrow_mut()
-            .insert(class, Class { version, build });
-    }
-
-    /// The names of all registered classes.
+    /// The process's name.
     #[must_use]
-    pub fn classes(&self) -> Vec<&'static str> {
-        self.classes.borrow().keys().copied().collect()
+    pub fn process(&self) -> &str {
+        &self.inner.process
     }
 
-    /// The names of all objects built so far.
+    /// The app's time.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        self.inner.clock.now()
+    }
+
+    /// Registers a class. A class that is registered again replaces the earlier one for objects built
+    /// from now on.
+    pub fn register(&self, class: Class) {
+        let mut classes = self.inner.classes.write();
+        classes.insert(class.name(), Arc::new(class));
+    }
+
+    /// All registered classes, by name.
+    #[must_use]
+    pub fn classes(&self) -> Vec<Arc<Class>> {
+        self.inner.classes.read().values().cloned().collect()
+    }
+
+    /// What the codes of reports mean: of all classes, each with its class.
+    #[must_use]
+    pub fn prototypes(&self) -> Vec<(&'static str, Prototype)> {
+        let of_class = |class: &Arc<Class>| {
+            let name = class.name();
+            class
+                .prototypes()
+                .iter()
+                .map(move |prototype| (name, *prototype))
+        };
+        self.inner
+            .classes
+            .read()
+            .values()
+            .flat_map(of_class)
+            .collect()
+    }
+
+    /// The names of all objects built so far, in alphabetical order.
     #[must_use]
     pub fn objects(&self) -> Vec<String> {
-        self.objects.borrow().keys().cloned().collect()
+        self.inner.objects.read().keys().cloned().collect()
+    }
+
+    pub(crate) fn slots(&self) -> Vec<Arc<Slot>> {
+        self.inner.objects.read().values().cloned().collect()
+    }
+
+    /// The object of that name if it is built already.
+    pub(crate) fn find(&self, name: &str) -> Option<Arc<Slot>> {
+        let name = self
+            .inner
+            .aliases
+            .read()
+            .get(name)
+            .cloned()
+            .unwrap_or_else(|| name.to_owned());
+        self.inner.objects.read().get(&name).cloned()
     }
 
     /// Removes an object from the repository; its next use builds it anew. Says whether it was there.
     pub fn remove(&self, name: &str) -> bool {
-        self.objects.borrow_mut().remove(name).is_some()
+        let removed = self.inner.objects.write().remove(name);
+        // Its destructor is its own affair, outside the lock.
+        removed.is_some()
+    }
+
+    /// Has `alias` lead to the object `name`.
+    ///
+    /// # Errors
+    /// One of the two is no local name, or `alias` is an object, or leads on to itself.
+    pub fn alias(&self, alias: &str, name: &str) -> Result<(), Report> {
+        let local = |text: &str| -> Result<String, Report> {
+            let parsed = parse(text)?;
+            match parsed.location() {
+                Location::Local | Location::Here => Ok(parsed.local()),
+                _ => Err(raise!(
+                    code::SYNTAX,
+                    "`{text}`: an alias leads to an object of this process"
+                )),
+            }
+        };
+        let (alias, name) = (local(alias)?, local(name)?);
+        if self.inner.objects.read().contains_key(&alias) {
+            return Err(raise!(
+                code::SYNTAX,
+                "`{alias}` is an object; free it first, or take another alias"
+            ));
+        }
+        let mut aliases = self.inner.aliases.write();
+        if alias == name || aliases.contains_key(&name) || aliases.values().any(|to| *to == alias) {
+            return Err(raise!(
+                code::SYNTAX,
+                "an alias leads to an object, and `{name}` or `{alias}` is an alias already"
+            ));
+        }
+        aliases.insert(alias, name);
+        Ok(())
+    }
+
+    /// Forgets an alias. Says whether there was one.
+    pub fn unalias(&self, alias: &str) -> bool {
+        self.inner.aliases.write().remove(alias).is_some()
+    }
+
+    /// All aliases with what they lead to.
+    #[must_use]
+    pub fn aliases(&self) -> Vec<(String, String)> {
+        let aliases = self.inner.aliases.read();
+        aliases
+            .iter()
+            .map(|(from, to)| (from.clone(), to.clone()))
+            .collect()
     }
 
     /// The object of that name. The first use builds it: the class makes an object, whose own CTRL
@@ -106,124 +213,103 @@ impl Sorm {
     /// No name, no such class, no such flavor, a recipe that its class does not take, a daemon that
     /// cannot be reached from here.
     pub fn get(&self, name: &str) -> Result<Handle, Report> {
-        let name: ObjectName = name
-            .parse()
-            .map_err(|error| Report::error(code::SYNTAX, format!("no name: {error}")))?;
-        self.resolve(&name)
+        self.resolve(&parse(name)?)
     }
 
-    fn resolve(&self, name: &ObjectName) -> Result<Handle, Report> {
-        self.check_location(name)?;
+    /// The object of that name in this process.
+    pub(crate) fn resolve(&self, name: &ObjectName) -> Result<Handle, Report> {
+        if let Place::There(_) = self.place(name)? {
+            return Err(raise!(
+                code::DAEMON,
+                "`{name}` is served by another daemon: it is asked with `Sorm::ask`, over a link"
+            ));
+        }
         let local = name.local();
-        if let Some(slot) = self.objects.borrow().get(&local) {
-            let slot = Rc::clone(slot);
+        if let Some(slot) = self.find(&local) {
             return Ok(Handle { slot });
         }
-        if self.building.borrow().contains(&local) {
-            let chain = self.building.borrow().join(" -> ");
-            let text = format!("objects need each other to be built: {chain} -> {local}");
-            return Err(Report::error(code::RECIPE, text));
+        let aliased = self.inner.aliases.read().get(&local).cloned();
+        match aliased {
+            Some(to) => self.first_use(&parse(&to)?),
+            None => self.first_use(name),
         }
-        self.building.borrow_mut().push(local);
-        let built = self.build(name);
-        self.building.borrow_mut().pop();
-        let slot = Rc::new(built?);
-        let kept = Rc::clone(&slot);
-        self.objects.borrow_mut().insert(slot.name.clone(), kept);
+    }
+
+    fn first_use(&self, name: &ObjectName) -> Result<Handle, Report> {
+        let building = self.inner.building.lock();
+        // Another thread may have built it meanwhile.
+        if let Some(slot) = self.find(&name.local()) {
+            return Ok(Handle { slot });
+        }
+        let slot = Arc::new(self.build(name, &building)?);
+        let mut objects = self.inner.objects.write();
+        objects.insert(slot.name().to_owned(), Arc::clone(&slot));
         Ok(Handle { slot })
     }
 
-    /// Whether the name is served by this process.
-    fn check_location(&self, name: &ObjectName) -> Result<(), Report> {
+    /// Which process serves the name.
+    pub(crate) fn place(&self, name: &ObjectName) -> Result<Place, Report> {
         let upper = name.class().to_ascii_uppercase();
         let (index, given) = match name.location() {
-            Location::Local | Location::Here => return Ok(()),
-            Location::Address { .. } => (None, name.location().clone()),
-            Location::Alias(alias) => (Some(alias.as_str()), name.location().clone()),
-            Location::Default => (Some(upper.as_str()), name.location().clone()),
+            Location::Local | Location::Here => return Ok(Place::Here),
+            Location::Address { .. } => return Ok(Place::There(name.location().clone())),
+            Location::Alias(alias) => (alias.as_str(), Some(name.location().clone())),
+            Location::Default => (upper.as_str(), None),
         };
-        let dictionary = self.dictionary.borrow();
-        let found = match index.map(|index| (index, dictionary.entry(index))) {
-            None => given,
-            Some((_, Some([word]))) => Location::parse(word).unwrap_or(given),
-            Some((index, _)) => {
-                let text = format!(
-                    "`{name}`: the dictionary names no daemon for `{index}`; \
-                     add a line `{index} self` or `{index} host:number`"
-                );
-                return Err(Report::error(code::DAEMON, text));
-            }
+        let dictionary = self.inner.dictionary.read();
+        let found = match dictionary.entry(index) {
+            Some([word]) => Location::parse(word),
+            _ => given,
         };
         match found {
-            Location::Here => Ok(()),
-            _ => {
-                let text = format!(
-                    "`{name}` is served by another daemon, and this process has no link to it"
-                );
-                Err(Report::error(code::DAEMON, text))
-            }
+            Some(Location::Here) => Ok(Place::Here),
+            Some(at) => Ok(Place::There(at)),
+            None => Err(raise!(
+                code::DAEMON,
+                "`{name}`: the dictionary names no daemon for `{index}`; \
+                 add a line `{index} self`, `{index} ALIAS` or `{index} host:number`"
+            )),
         }
     }
 
-    fn build(&self, name: &ObjectName) -> Result<Slot, Report> {
-        let (version, build) = self.class(name)?;
-        let local = name.local();
-        let recipe = self.dictionary.borrow().recipe(&local)?;
-        if recipe.is_none() && name.flavor().is_some() {
-            return Err(self.unknown_flavor(name));
-        }
-        let slot = Slot {
-            object: RefCell::new(build(name, self)?),
-            meta: RefCell::new(Meta::new(name.class(), version)),
-            name: local,
-        };
-        let Some(recipe) = recipe else {
-            return Ok(slot);
-        };
-        let recipe = words::join(recipe.iter().map(String::as_str));
-        let mut io = Transport::text(recipe.as_str());
-        slot.call(self, Method::Ctrl, &mut io);
-        if io.is_ok() {
-            return Ok(slot);
-        }
-        let why: Vec<&str> = io
-            .reports
-            .iter()
-            .map(|report| report.text.as_str())
-            .collect();
-        let name = &slot.name;
-        let text = format!(
-            "`{name}` does not take its recipe `{recipe}`: {}",
-            why.join("; ")
-        );
-        Err(Report::error(io.code, text))
-    }
-
-    fn class(&self, name: &ObjectName) -> Result<(&'static str, Rc<Build>), Report> {
-        let classes = self.classes.borrow();
-        match classes.get(name.class()) {
-            Some(class) => Ok((class.version, Rc::clone(&class.build))),
-            None => {
-                let hint = suggestion(name.class(), classes.keys().copied());
-                let text = format!("`{name}`: there is no class `{}`{hint}", name.class());
-                Err(Report::error(code::UNKNOWN_CLASS, text))
-            }
+    /// Notes that an object of another daemon is in use here.
+    pub(crate) fn used(&self, at: &Location, name: &ObjectName) {
+        let mut proxies = self.inner.proxies.lock();
+        let names = proxies.entry(at.clone()).or_default();
+        if !names.contains(name) {
+            names.insert(name.clone());
         }
     }
 
-    fn unknown_flavor(&self, name: &ObjectName) -> Report {
-        let dictionary = self.dictionary.borrow();
-        let prefix = format!("{}.", name.class());
-        let known = dictionary
-            .index()
-            .filter(|index| index.starts_with(&prefix));
-        let local = name.local();
-        let hint = suggestion(&local, known);
-        let text = format!("the dictionary has no recipe for `{local}`{hint}");
-        Report::error(code::UNKNOWN_FLAVOR, text)
+    /// The objects of other daemons that were asked from here, by daemon.
+    #[must_use]
+    pub fn proxies(&self) -> BTreeMap<Location, BTreeSet<ObjectName>> {
+        self.inner.proxies.lock().clone()
     }
 
-    /// Passes a request to its object; the reply always comes, errors and all.
+    /// Answers in place of an object that cannot be reached.
+    pub(crate) fn refuse(&self, body: &mut Transport, mut report: Report) {
+        body.clear();
+        if report.process.is_empty() {
+            self.process().clone_into(&mut report.process);
+            report.time_ns = self.now().as_nanos();
+        }
+        body.report(report);
+    }
+
+    pub(crate) fn class(&self, name: &ObjectName) -> Result<Arc<Class>, Report> {
+        let classes = self.inner.classes.read();
+        classes.get(name.class()).cloned().ok_or_else(|| {
+            let hint = suggestion(name.class(), classes.keys().copied());
+            raise!(
+                code::UNKNOWN_CLASS,
+                "`{name}`: there is no class `{}`{hint}",
+                name.class()
+            )
+        })
+    }
+
+    /// Passes a request to its object; the reply always comes, errors, panics and all.
     #[must_use]
     pub fn request(&self, request: Request) -> Reply {
         let Request {
@@ -232,11 +318,13 @@ impl Sorm {
             mut body,
         } = request;
         match self.resolve(&name) {
-            Ok(handle) => handle.call(self, method, &mut body),
-            Err(report) => {
-                body.clear();
-                body.report(report);
+            Ok(handle) => {
+                if handle.slot.call_contained(self, method, &mut body) {
+                    // Nobody knows what state it is in.
+                    self.remove(handle.name());
+                }
             }
+            Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
     }
@@ -245,115 +333,71 @@ impl Sorm {
     /// of `sorm`.
     #[must_use]
     pub fn dispatch(&self, line: &str) -> String {
-        let refused = |text: String, name: Option<ObjectName>| {
-            let mut body = Transport::default();
-            body.report(Report::error(code::SYNTAX, text));
-            let name = name.map_or_else(|| "sorm".to_owned(), |name| name.to_string());
-            let report = body.reports.iter().map(Report::to_line).collect::<String>();
-            format!("{name} RET {} TDBX {}", body.code, words::quoted(&report))
-        };
-        let request: Request = match line.parse() {
-            Ok(request) => request,
-            Err(error) => return refused(error.to_string(), None),
-        };
-        let reply = self.request(request);
-        match reply.to_text() {
-            Ok(text) => text,
-            Err(error) => refused(error.to_string(), Some(reply.name)),
+        self.dispatch_from(line, "")
+    }
+
+    /// [`Self::dispatch`] for the caller `from`, whose locks count.
+    #[must_use]
+    pub fn dispatch_from(&self, line: &str, from: &str) -> String {
+        match read(line, from) {
+            Ok(request) => write(&self.request(request)),
+            Err(answer) => answer,
         }
     }
-}
 
-impl Handle {
-    /// The object's full local name.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.slot.name
+    /// [`Self::dispatch_from`] for whatever may wait, or be met by another daemon.
+    pub async fn tell(&self, comm: &dyn Comm, line: &str, from: &str) -> String {
+        match read(line, from) {
+            Ok(request) => write(&self.ask(comm, request).await),
+            Err(answer) => answer,
+        }
     }
 
-    /// Calls a method by reference. Results and reports are in `io`; its code is 0 when all went well.
-    pub fn call(&self, sorm: &Sorm, method: Method, io: &mut Transport) {
-        self.slot.call(sorm, method, io);
-    }
-
-    /// All data inside the object, as text; `None` while the object is in a call.
-    #[must_use]
-    pub fn dump(&self) -> Option<String> {
-        self.slot
-            .object
-            .try_borrow()
-            .ok()
-            .map(|object| object.dump())
-    }
-}
-
-impl Slot {
-    fn call(&self, sorm: &Sorm, method: Method, io: &mut Transport) {
-        io.code = 0;
-        let before = io.reports.len();
-        let Ok(mut object) = self.object.try_borrow_mut() else {
-            let text = format!(
-                "`{}` is in a call already: it was called by itself, directly or not",
-                self.name
-            );
-            io.report(self.signed(Report::error(code::BUSY, text)));
-            return;
-        };
-        let cx = Context {
-            sorm,
-            name: &self.name,
-            meta: &self.meta,
-        };
-        let outcome = match method {
-            Method::Exec => object.exec(&cx, io),
-            Method::Ctrl => {
-                let asked = io.text.clone();
-                let outcome = object.ctrl(&cx, io);
-                let code = outcome.as_ref().err().map_or(io.code, |report| report.code);
-                self.meta.borrow_mut().audited(&asked, code);
-                outcome
+    /// Ends all locks of callers that are gone, and aborts what is prepared for them.
+    pub fn release(&self, gone: impl Fn(&str) -> bool) {
+        for slot in self.slots() {
+            // One that is in a call now is seen by the next one who wants it, or expires.
+            if let Some(mut body) = slot.try_lock()
+                && body
+                    .reserved
+                    .as_ref()
+                    .is_some_and(|reserved| gone(reserved.by()))
+            {
+                slot.let_go(&mut body, self);
             }
-            Method::Dbx => object.dbx(&cx, io),
-        };
-        if let Err(report) = outcome {
-            io.report(report);
         }
-        let meta = self.meta.borrow();
-        let own = io.reports.split_off(before.min(io.reports.len()));
-        let own = own.into_iter().filter(|report| meta.passes(report));
-        io.reports.extend(own.map(|report| self.signed(report)));
     }
 
-    /// The report with this object's name, unless a sub-service has put its own.
-    fn signed(&self, mut report: Report) -> Report {
-        if report.object.is_empty() {
-            report.object.clone_from(&self.name);
-        }
-        report
+    /// Asks an object by name for something that is not one of its methods.
+    pub(crate) fn ctrl_text(&self, slot: &Slot, text: &str) -> Transport {
+        let mut io = Transport::text(text);
+        slot.call(self, None, Method::Ctrl, &mut io);
+        io
     }
 }
 
-/// The dictionary as a service object.
-struct DictionaryObject {
-    dictionary: Rc<RefCell<Dictionary>>,
+/// Reads a request, or answers that it is none.
+fn read(line: &str, from: &str) -> Result<Request, String> {
+    let mut request: Request = line
+        .parse()
+        .map_err(|error: RequestError| refusal("sorm", &error))?;
+    from.clone_into(&mut request.body.from);
+    Ok(request)
 }
 
-impl ServiceObject for DictionaryObject {
-    fn exec(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
-        Err(unsupported(Method::Exec))
-    }
+fn write(reply: &Reply) -> String {
+    reply
+        .to_text()
+        .unwrap_or_else(|error| refusal(&reply.name.to_string(), &error))
+}
 
-    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        dictionary::OPTIONS.ctrl(&mut self.dictionary.borrow_mut(), io);
-        Ok(())
-    }
+fn refusal(name: &str, error: &RequestError) -> String {
+    let report = Report::error(code::SYNTAX, error.to_string());
+    let text = words::quoted(&report.to_line());
+    format!("{name} RET {} TDBX {text}", report.code)
+}
 
-    fn dump(&self) -> String {
-        let dictionary = self.dictionary.borrow();
-        let lines = dictionary.index().map(|index| {
-            let words = dictionary.entry(index).unwrap_or_default();
-            words::join(std::iter::once(index).chain(words.iter().map(String::as_str)))
-        });
-        lines.collect::<Vec<_>>().join("\n")
-    }
+fn parse(name: &str) -> Result<ObjectName, Report> {
+    name.parse()
+        .map_err(|error| raise!(code::SYNTAX, "no name: {error}"))
 }

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 /// What the numbers mean (units, frames, shapes) is the class's to say.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Transport {
+    /// Who asks: an object, a task, a person; empty for a call by reference inside the process. Locks
+    /// and the audit trail go by it. It has no textual form.
+    pub from: String,
     /// Text (`TMSG`).
     pub text: String,
     /// Floats (`FMSG`).
@@ -42,7 +45,14 @@ impl Transport {
         }
     }
 
-    /// Empties it and keeps its memory, so that a call that repeats need not allocate.
+    /// The same, asked by `from`.
+    #[must_use]
+    pub fn from(mut self, from: impl Into<String>) -> Self {
+        self.from = from.into();
+        self
+    }
+
+    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks stays.
     pub fn clear(&mut self) {
         self.text.clear();
         self.floats.clear();

@@ -1,0 +1,173 @@
+//! DBX, which every object inherits: what is known about it that its class need not write.
+
+use crate::class::Class;
+use crate::object::{Context, Outcome};
+use crate::options::OptionTable;
+use crate::report::{Report, Severity};
+use crate::slot::Body;
+use crate::transport::Transport;
+use crate::words;
+use ctos::time::Instant;
+use std::collections::VecDeque;
+use std::sync::{Arc, LazyLock};
+
+/// How many CTRL requests the audit trail keeps.
+const AUDIT: usize = 64;
+
+/// A longer request is cut in the trail, bytes.
+const AUDIT_LINE: usize = 1024;
+
+/// How this program was compiled.
+const BUILD: &str = if cfg!(debug_assertions) {
+    concat!(
+        "ctos ",
+        env!("CARGO_PKG_VERSION"),
+        ", with debug assertions"
+    )
+} else {
+    concat!("ctos ", env!("CARGO_PKG_VERSION"), ", optimized")
+};
+
+/// What is known about an object.
+#[derive(Debug, Clone)]
+pub(crate) struct Meta {
+    pub(crate) class: Arc<Class>,
+    /// The least severe reports that are passed on.
+    verbosity: Severity,
+    audit: VecDeque<String>,
+    /// CTRL requests so far, also those that the trail no longer keeps.
+    pub(crate) ctrls: u64,
+    pub(crate) execs: u64,
+    /// Calls that ended with an error.
+    pub(crate) errors: u64,
+}
+
+impl Meta {
+    pub(crate) fn new(class: Arc<Class>) -> Self {
+        Self {
+            class,
+            verbosity: Severity::Verbose,
+            audit: VecDeque::new(),
+            ctrls: 0,
+            execs: 0,
+            errors: 0,
+        }
+    }
+
+    /// Notes a CTRL request.
+    pub(crate) fn audited(&mut self, now: Instant, from: &str, text: &str, code: i32) {
+        self.ctrls += 1;
+        if self.audit.len() >= AUDIT {
+            self.audit.pop_front();
+        }
+        let by = if from.is_empty() { "here" } else { from };
+        let mut end = text.len().min(AUDIT_LINE);
+        while !text.is_char_boundary(end) {
+            end -= 1;
+        }
+        let text = text.get(..end).unwrap_or(text);
+        self.audit.push_back(format!(
+            "{} {:.6} s {} RET {code} {}",
+            self.ctrls,
+            now.since_start().as_secs_f64(),
+            words::word(by),
+            words::word(text)
+        ));
+    }
+
+    /// Whether a report of this object is passed on.
+    pub(crate) fn passes(&self, report: &Report) -> bool {
+        report.severity >= self.verbosity
+    }
+}
+
+/// What a DBX request asks for and sets, before anything of it is done.
+#[derive(Debug, Clone)]
+struct Asked {
+    verbosity: String,
+    test: bool,
+    /// The object's own, for the answers.
+    about: About,
+}
+
+impl Default for Asked {
+    fn default() -> Self {
+        Self {
+            verbosity: Severity::Verbose.word().to_owned(),
+            test: false,
+            about: About::default(),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Default)]
+struct About {
+    class: String,
+    version: String,
+    audit: String,
+    statistics: String,
+}
+
+static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {
+    OptionTable::new("tells about the object itself")
+        .choice(
+            "verbosity",
+            &["verbose", "warning", "error"],
+            "the least severe reports that it passes on",
+            |asked: &mut Asked| &mut asked.verbosity,
+        )
+        .action("version", &[], "class and its version", |asked, _| {
+            Ok(format!("{} {}", asked.about.class, asked.about.version))
+        })
+        .action("build", &[], "how its program was compiled", |_, _| {
+            Ok(BUILD.to_owned())
+        })
+        .action(
+            "audit",
+            &[],
+            "the last CTRL requests: number, time, caller, return code, text",
+            |asked, _| Ok(asked.about.audit.clone()),
+        )
+        .action(
+            "statistics",
+            &[],
+            "how often it was called: EXEC, CTRL, errors",
+            |asked, _| Ok(asked.about.statistics.clone()),
+        )
+        .action("test", &[], "has it test itself", |asked, _| {
+            asked.test = true;
+            Ok(String::new())
+        })
+});
+
+/// Answers a DBX request to the object in `body`.
+pub(crate) fn dbx(body: &mut Body, cx: &Context<'_>, io: &mut Transport) -> Outcome {
+    let meta = &mut body.meta;
+    let lines: Vec<&str> = meta.audit.iter().map(String::as_str).collect();
+    let mut asked = Asked {
+        verbosity: meta.verbosity.word().to_owned(),
+        test: false,
+        about: About {
+            class: meta.class.name().to_owned(),
+            version: meta.class.version().to_owned(),
+            audit: lines.join("\n"),
+            statistics: format!(
+                "exec {} ctrl {} errors {}",
+                meta.execs, meta.ctrls, meta.errors
+            ),
+        },
+    };
+    DBX.ctrl(&mut asked, io);
+    if !io.is_ok() {
+        return Ok(());
+    }
+    meta.verbosity = Severity::from_word(&asked.verbosity).unwrap_or(meta.verbosity);
+    if asked.test {
+        body.object.self_test(cx)?;
+        if !io.text.is_empty() {
+            io.text.push('\n');
+        }
+        io.text.push_str("the self-test is passed");
+    }
+    Ok(())
+}

@@ -1,0 +1,401 @@
+//! An object in its place: what calls it, by reference, from any thread.
+//!
+//! Three handles for three needs. A [`Handle`] is shared, and each call takes the object's lock; a
+//! [`Claim`] has taken it once, so that a call costs what a virtual call does; an [`Owned`] object is
+//! nobody else's and stands in no repository.
+
+use crate::dbx::{self, Meta};
+use crate::object::{Context, Outcome, ServiceObject};
+use crate::raise;
+use crate::report::{Report, code};
+use crate::request::Method;
+use crate::reserve::Reservation;
+use crate::sorm::Sorm;
+use crate::transport::Transport;
+use parking_lot::{Mutex, MutexGuard};
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How long a call waits for one from another thread to end.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// An object with its name.
+pub(crate) struct Slot {
+    name: String,
+    /// Whose turn it is, at an object that waits for others.
+    turn: Option<tokio::sync::Mutex<()>>,
+    body: Mutex<Body>,
+}
+
+/// What a call has to itself.
+pub(crate) struct Body {
+    pub(crate) object: Box<dyn ServiceObject>,
+    pub(crate) meta: Meta,
+    pub(crate) reserved: Option<Reservation>,
+}
+
+/// A reference to an object, for any thread; it stays usable after the object was removed from the
+/// repository.
+#[derive(Clone)]
+pub struct Handle {
+    pub(crate) slot: Arc<Slot>,
+}
+
+/// An object that is held: nobody else can call it until this is dropped.
+pub struct Claim<'a> {
+    slot: &'a Slot,
+    body: MutexGuard<'a, Body>,
+}
+
+/// An object outside the repository, for its owner alone.
+pub struct Owned {
+    slot: Slot,
+}
+
+impl std::fmt::Debug for Handle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Handle({})", self.slot.name)
+    }
+}
+
+impl std::fmt::Debug for Claim<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Claim({})", self.slot.name)
+    }
+}
+
+impl std::fmt::Debug for Owned {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Owned({})", self.slot.name)
+    }
+}
+
+impl Handle {
+    /// The object's full local name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.slot.name
+    }
+
+    /// Calls a method. Results and reports are in `io`; its code is 0 when all went well.
+    ///
+    /// A panic of the object goes on to the caller, as that of a function would;
+    /// [`Sorm::request`] contains it.
+    pub fn call(&self, sorm: &Sorm, method: Method, io: &mut Transport) {
+        self.slot.call(sorm, None, method, io);
+    }
+
+    /// [`Self::call`] of EXEC.
+    pub fn exec(&self, sorm: &Sorm, io: &mut Transport) {
+        self.call(sorm, Method::Exec, io);
+    }
+
+    /// Takes the object for a while.
+    ///
+    /// # Errors
+    /// Another thread does not let go of it.
+    pub fn claim(&self) -> Result<Claim<'_>, Report> {
+        let body = self.slot.lock(None)?;
+        Ok(Claim {
+            slot: &self.slot,
+            body,
+        })
+    }
+
+    /// All data inside the object, as text; `None` while the object is in a call.
+    #[must_use]
+    pub fn dump(&self) -> Option<String> {
+        self.slot.body.try_lock().map(|body| body.object.dump())
+    }
+}
+
+impl Claim<'_> {
+    /// EXEC, at the cost of a virtual call. Results and reports are in `io`.
+    pub fn exec(&mut self, sorm: &Sorm, io: &mut Transport) {
+        self.slot.exec(&mut self.body, sorm, None, io);
+    }
+
+    /// Calls a method.
+    pub fn call(&mut self, sorm: &Sorm, method: Method, io: &mut Transport) {
+        self.slot.method(&mut self.body, sorm, None, method, io);
+    }
+}
+
+impl Owned {
+    pub(crate) fn new(slot: Slot) -> Self {
+        Self { slot }
+    }
+
+    /// The object's full local name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.slot.name
+    }
+
+    /// EXEC in a call of its owner. Results and reports are in `io`.
+    pub fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) {
+        self.call(cx, Method::Exec, io);
+    }
+
+    /// Calls a method in a call of its owner.
+    pub fn call(&mut self, cx: &Context<'_>, method: Method, io: &mut Transport) {
+        // Nobody else has it: the lock is free.
+        self.slot.call(cx.sorm, Some(cx), method, io);
+    }
+}
+
+impl Slot {
+    pub(crate) fn new(name: String, object: Box<dyn ServiceObject>, meta: Meta) -> Self {
+        Self {
+            turn: meta.class.is_waiting().then(tokio::sync::Mutex::default),
+            name,
+            body: Mutex::new(Body {
+                object,
+                meta,
+                reserved: None,
+            }),
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whether its EXEC waits for others.
+    pub(crate) fn waits(&self) -> bool {
+        self.turn.is_some()
+    }
+
+    /// Waits until nobody else is served.
+    pub(crate) async fn turn(&self) -> Option<tokio::sync::MutexGuard<'_, ()>> {
+        match &self.turn {
+            Some(turn) => Some(turn.lock().await),
+            None => None,
+        }
+    }
+
+    /// The object, when it is in no call.
+    pub(crate) fn try_lock(&self) -> Option<MutexGuard<'_, Body>> {
+        self.body.try_lock()
+    }
+
+    /// The object, when no call of another thread has it.
+    ///
+    /// # Errors
+    /// This very call has it already, or another thread does not let go of it.
+    pub(crate) fn lock(
+        &self,
+        within: Option<&Context<'_>>,
+    ) -> Result<MutexGuard<'_, Body>, Report> {
+        if let Some(body) = self.body.try_lock() {
+            return Ok(body);
+        }
+        let name = &self.name;
+        let text = if within.is_some_and(|call| call.is_within(self)) {
+            format!("`{name}` is in a call already: it was called by itself, directly or not")
+        } else if self.waits() {
+            // Whoever has it may need this very thread to go on.
+            format!("`{name}` is in a call that waits for other objects")
+        } else if let Some(body) = self.body.try_lock_for(PATIENCE) {
+            return Ok(body);
+        } else {
+            format!(
+                "`{name}` has been in a call of another thread for {} s",
+                PATIENCE.as_secs()
+            )
+        };
+        Err(self.signed(Report::error(code::BUSY, text), None))
+    }
+
+    pub(crate) fn call(
+        &self,
+        sorm: &Sorm,
+        within: Option<&Context<'_>>,
+        method: Method,
+        io: &mut Transport,
+    ) {
+        match self.lock(within) {
+            Ok(mut body) => self.method(&mut body, sorm, within, method, io),
+            Err(report) => {
+                io.code = 0;
+                io.report(report);
+            }
+        }
+    }
+
+    /// [`Self::call`], but a panic becomes a report, and true says that there was one.
+    pub(crate) fn call_contained(&self, sorm: &Sorm, method: Method, io: &mut Transport) -> bool {
+        let call = AssertUnwindSafe(|| self.call(sorm, None, method, io));
+        let Err(panic) = catch_unwind(call) else {
+            return false;
+        };
+        io.code = 0;
+        io.report(self.panicked(sorm, panic.as_ref()));
+        true
+    }
+
+    /// What a panic of the object said.
+    pub(crate) fn panicked(&self, sorm: &Sorm, panic: &(dyn Any + Send)) -> Report {
+        let text = panic
+            .downcast_ref::<&str>()
+            .map(|text| (*text).to_owned())
+            .or_else(|| panic.downcast_ref::<String>().cloned())
+            .unwrap_or_else(|| "it did not say why".to_owned());
+        let text = format!(
+            "`{}` panicked: {text}; its next use builds it anew",
+            self.name
+        );
+        self.signed(Report::error(code::PANIC, text), Some(sorm))
+    }
+
+    fn method(
+        &self,
+        body: &mut Body,
+        sorm: &Sorm,
+        within: Option<&Context<'_>>,
+        method: Method,
+        io: &mut Transport,
+    ) {
+        match method {
+            Method::Exec => self.exec(body, sorm, within, io),
+            Method::Ctrl => self.ctrl(body, sorm, within, io),
+            Method::Dbx => self.with_reports(body, sorm, within, io, |body, cx, io| {
+                dbx::dbx(body, cx, io)
+            }),
+        }
+    }
+
+    fn exec(&self, body: &mut Body, sorm: &Sorm, within: Option<&Context<'_>>, io: &mut Transport) {
+        if body.reserved.is_some()
+            && let Err(report) = self.free_for(body, sorm, &io.from)
+        {
+            io.code = 0;
+            io.report(report);
+            return;
+        }
+        let cx = Context {
+            sorm,
+            slot: self,
+            within,
+        };
+        io.code = 0;
+        let before = io.reports.len();
+        let outcome = if self.waits() {
+            Err(self.must_wait())
+        } else {
+            body.object.exec(&cx, io)
+        };
+        body.meta.execs += 1;
+        if outcome.is_err() || io.reports.len() != before || io.code != 0 {
+            self.collect(body, sorm, before, outcome, io);
+        }
+    }
+
+    #[cold]
+    fn must_wait(&self) -> Report {
+        let name = &self.name;
+        raise!(
+            code::UNSUPPORTED,
+            "`{name}` asks other objects and waits for them: it is asked with `Sorm::ask`, by name"
+        )
+    }
+
+    fn ctrl(&self, body: &mut Body, sorm: &Sorm, within: Option<&Context<'_>>, io: &mut Transport) {
+        let asked = io.text.clone();
+        self.with_reports(body, sorm, within, io, |body, cx, io| {
+            self.free_for(body, sorm, &io.from)?;
+            body.object.ctrl(cx, io)
+        });
+        body.meta.audited(sorm.now(), &io.from, &asked, io.code);
+    }
+
+    /// Does something in the name of the object, and signs what is reported about it.
+    pub(crate) fn with_reports(
+        &self,
+        body: &mut Body,
+        sorm: &Sorm,
+        within: Option<&Context<'_>>,
+        io: &mut Transport,
+        act: impl FnOnce(&mut Body, &Context<'_>, &mut Transport) -> Outcome,
+    ) {
+        let cx = Context {
+            sorm,
+            slot: self,
+            within,
+        };
+        io.code = 0;
+        let before = io.reports.len();
+        let outcome = act(body, &cx, io);
+        self.collect(body, sorm, before, outcome, io);
+    }
+
+    /// Whether `from` may change or use the object now.
+    pub(crate) fn free_for(&self, body: &mut Body, sorm: &Sorm, from: &str) -> Outcome {
+        let Some(reserved) = &body.reserved else {
+            return Ok(());
+        };
+        let now = sorm.now();
+        if reserved.is_over(now) {
+            self.let_go(body, sorm);
+            return Ok(());
+        }
+        if reserved.is_of(from) {
+            return Ok(());
+        }
+        let text = format!("`{}` is {}", self.name, reserved.words(now));
+        Err(self.signed(Report::error(code::LOCKED, text), Some(sorm)))
+    }
+
+    /// Ends the reservation, and what was prepared under it.
+    pub(crate) fn let_go(&self, body: &mut Body, sorm: &Sorm) {
+        let Some(reserved) = body.reserved.take() else {
+            return;
+        };
+        if reserved.is_prepared()
+            && let Some(steps) = body.object.two_step()
+        {
+            let cx = Context {
+                sorm,
+                slot: self,
+                within: None,
+            };
+            steps.abort(&cx);
+        }
+    }
+
+    /// Puts the object's name on what it reported, and leaves out what nobody wants to hear.
+    #[cold]
+    pub(crate) fn collect(
+        &self,
+        body: &mut Body,
+        sorm: &Sorm,
+        before: usize,
+        outcome: Outcome,
+        io: &mut Transport,
+    ) {
+        if let Err(report) = outcome {
+            io.report(report);
+        }
+        if io.code != 0 {
+            body.meta.errors += 1;
+        }
+        let own = io.reports.split_off(before.min(io.reports.len()));
+        let own = own.into_iter().filter(|report| body.meta.passes(report));
+        let own = own.map(|report| self.signed(report, Some(sorm)));
+        io.reports.extend(own);
+    }
+
+    /// The report with this object's name, unless a sub-service has put its own.
+    fn signed(&self, mut report: Report, sorm: Option<&Sorm>) -> Report {
+        if report.object.is_empty() {
+            report.object.clone_from(&self.name);
+        }
+        if let Some(sorm) = sorm.filter(|_| report.process.is_empty()) {
+            sorm.process().clone_into(&mut report.process);
+            report.time_ns = sorm.now().as_nanos();
+        }
+        report
+    }
+}

@@ -1,0 +1,229 @@
+//! Requests that may wait: for an object that asks others, and for objects that another daemon serves.
+//!
+//! By this path the same request is met here or there, whichever its name says (service migration,
+//! technical report, sections 1.7.3 and 1.10).
+
+use crate::comm::Comm;
+use crate::name::{Location, ObjectName};
+use crate::object::{Context, Outcome};
+use crate::raise;
+use crate::report::{Report, code};
+use crate::request::{Method, Reply, Request};
+use crate::slot::Slot;
+use crate::sorm::{Place, Sorm};
+use crate::transport::Transport;
+use futures_util::FutureExt as _;
+use futures_util::future::{Either, select};
+use std::panic::AssertUnwindSafe;
+use std::pin::pin;
+use std::time::Duration;
+
+/// How long a request waits for its turn at an object that waits for others itself.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What an EXEC that waits may use while it runs.
+pub struct Waiting<'a> {
+    pub(crate) cx: Context<'a>,
+    comm: &'a dyn Comm,
+}
+
+impl<'a> Waiting<'a> {
+    /// What every method may use; by it other objects of this process are called by reference.
+    #[must_use]
+    pub fn here(&self) -> &Context<'a> {
+        &self.cx
+    }
+
+    /// The full local name of the object that is called.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.cx.name()
+    }
+
+    /// Calls an object wherever it is. Its reports are added to `io`, so that they reach the first
+    /// caller; an error of it is an error here, naming both.
+    ///
+    /// # Errors
+    /// The name is wrong or cannot be built, its daemon cannot be reached, or the call ended with an
+    /// error.
+    pub async fn call(
+        &self,
+        name: &str,
+        method: Method,
+        mut sub: Transport,
+        io: &mut Transport,
+    ) -> Result<Transport, Report> {
+        let request = Request {
+            name: name
+                .parse()
+                .map_err(|error| raise!(code::SYNTAX, "no name: {error}"))?,
+            method,
+            body: {
+                if sub.from.is_empty() {
+                    sub.from.clone_from(&io.from);
+                }
+                sub
+            },
+        };
+        let asked = self.cx.sorm.ask_in(self.comm, Some(self), request);
+        let mut sub = Box::pin(asked).await.body;
+        io.reports.append(&mut sub.reports);
+        if sub.is_ok() {
+            return Ok(sub);
+        }
+        Err(raise!(
+            sub.code,
+            "`{}` needs `{name} {method}`, which ended with {}",
+            self.name(),
+            sub.code
+        ))
+    }
+
+    /// Waits.
+    pub async fn sleep(&self, time: Duration) {
+        self.comm.sleep(time).await;
+    }
+}
+
+impl Sorm {
+    /// Has a request met, here or by another daemon; the reply always comes, errors, panics and all.
+    pub async fn ask(&self, comm: &dyn Comm, request: Request) -> Reply {
+        self.ask_in(comm, None, request).await
+    }
+
+    async fn ask_in(
+        &self,
+        comm: &dyn Comm,
+        within: Option<&Waiting<'_>>,
+        request: Request,
+    ) -> Reply {
+        let Request {
+            name,
+            method,
+            mut body,
+        } = request;
+        match self.place(&name) {
+            Ok(Place::Here) => match self.resolve(&name) {
+                Ok(handle) => {
+                    let slot = &handle.slot;
+                    let call = slot.ask(self, comm, within, method, &mut body);
+                    if let Err(report) = AssertUnwindSafe(call)
+                        .catch_unwind()
+                        .await
+                        .map_err(|panic| slot.panicked(self, panic.as_ref()))
+                    {
+                        self.remove(handle.name());
+                        body.code = 0;
+                        body.report(report);
+                    }
+                }
+                Err(report) => self.refuse(&mut body, report),
+            },
+            Ok(Place::There(at)) => {
+                self.ask_daemon(comm, &at, &name, method, &mut body).await;
+            }
+            Err(report) => self.refuse(&mut body, report),
+        }
+        Reply { name, body }
+    }
+
+    /// The proxy's part: sends the request on, and puts what comes back in its place.
+    async fn ask_daemon(
+        &self,
+        comm: &dyn Comm,
+        at: &Location,
+        name: &ObjectName,
+        method: Method,
+        body: &mut Transport,
+    ) {
+        let request = Request {
+            name: name.here(),
+            method,
+            body: std::mem::take(body),
+        };
+        self.used(at, &request.name);
+        match comm.ask(at, request).await {
+            Ok(answer) => *body = answer,
+            Err(mut report) => {
+                if report.object.is_empty() {
+                    report.object = name.to_string();
+                }
+                self.refuse(body, report);
+            }
+        }
+    }
+}
+
+impl Slot {
+    async fn ask(
+        &self,
+        sorm: &Sorm,
+        comm: &dyn Comm,
+        within: Option<&Waiting<'_>>,
+        method: Method,
+        io: &mut Transport,
+    ) {
+        let outer = within.map(|call| &call.cx);
+        if !self.waits() {
+            self.call(sorm, outer, method, io);
+            return;
+        }
+        if outer.is_some_and(|call| call.is_within(self)) {
+            // Finds the same, and says so.
+            self.call(sorm, outer, method, io);
+            return;
+        }
+        let turn = {
+            let turn = pin!(self.turn());
+            match select(turn, comm.sleep(PATIENCE)).await {
+                Either::Left((turn, _)) => Some(turn),
+                Either::Right(_) => None,
+            }
+        };
+        let (Some(_turn), Method::Exec) = (turn, method) else {
+            // Without a turn the object is still in a call, which this finds.
+            self.call(sorm, outer, method, io);
+            return;
+        };
+        self.exec_waiting(sorm, comm, outer, io).await;
+    }
+
+    #[expect(
+        clippy::await_holding_lock,
+        reason = "whoever would wait for it has waited for the turn before; all others only try"
+    )]
+    async fn exec_waiting(
+        &self,
+        sorm: &Sorm,
+        comm: &dyn Comm,
+        outer: Option<&Context<'_>>,
+        io: &mut Transport,
+    ) {
+        io.code = 0;
+        let before = io.reports.len();
+        let mut guard = match self.lock(outer) {
+            Ok(guard) => guard,
+            Err(report) => return io.report(report),
+        };
+        let body = &mut *guard;
+        let outcome: Outcome = match self.free_for(body, sorm, &io.from) {
+            Err(report) => Err(report),
+            Ok(()) => {
+                let cx = Waiting {
+                    cx: Context {
+                        sorm,
+                        slot: self,
+                        within: outer,
+                    },
+                    comm,
+                };
+                match body.object.exec_waiting(&cx, io) {
+                    Some(job) => job.await,
+                    None => Err(crate::object::unsupported(Method::Exec)),
+                }
+            }
+        };
+        body.meta.execs += 1;
+        self.collect(body, sorm, before, outcome, io);
+    }
+}
