@@ -14,7 +14,7 @@ use ctos::{
 };
 
 use crate::{
-    commands::{LogArgs, start_log},
+    commands::{LogArgs, detach, start_log},
     exit, show,
 };
 
@@ -85,6 +85,9 @@ pub fn run(args: &AgentArgs, registry: Registry) -> u8 {
     };
     let (json, quiet) = (args.json, args.log.quiet);
     let observer: AgentObserver = Arc::new(move |event| {
+        if matches!(event, AgentEvent::Listening { .. }) {
+            detach::notify_ready();
+        }
         if json {
             // A reader that went away does not end the apps.
             let _ = show::data(&serde_json::to_string(event).unwrap_or_default());

@@ -56,7 +56,7 @@ pub fn run(args: &PsArgs) -> u8 {
     };
     let mut code = exit::OK;
     for (index, app) in apps.into_iter().enumerate() {
-        let view = remote::connect(Some(&format!("{}-{}", app.app, app.pid)))
+        let view = remote::connect_here(Some(&format!("{}-{}", app.app, app.pid)))
             .and_then(|mut client| view(&mut client));
         let text = match view {
             Ok(view) => {

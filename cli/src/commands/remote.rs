@@ -46,7 +46,7 @@ pub struct AtArgs {
 /// Connects to the app that is meant, on whatever host: `app` is its name here.
 pub(crate) fn connect_to(app: Option<&str>, at: &AtArgs) -> Result<Client, ClientError> {
     let Some(place) = &at.at else {
-        return connect(app);
+        return connect_here(app);
     };
     let keys = at.key.as_ref().map(|key| {
         let authority = at.authority.clone();
@@ -77,8 +77,8 @@ impl RemoteArgs {
     }
 }
 
-/// Connects to the app that is meant.
-pub(crate) fn connect(app: Option<&str>) -> Result<Client, ClientError> {
+/// Connects to an app of this host and user.
+pub(crate) fn connect_here(app: Option<&str>) -> Result<Client, ClientError> {
     Client::connect(client::find(app)?, LIMIT)
 }
 

@@ -86,6 +86,27 @@ pub(crate) struct Witness {
 }
 
 impl Witness {
+    /// One whose process nobody starts.
+    #[cfg(test)]
+    pub(crate) fn of_test(
+        chassis: &Arc<Chassis>,
+        index: u8,
+        incarnation: u32,
+        observer: Observer,
+    ) -> Self {
+        Self {
+            chassis: chassis.clone(),
+            index,
+            incarnation,
+            name: chassis.name_of(index).to_owned(),
+            host: None,
+            observer,
+            logs: Arc::new(LogStore::new(chassis.clock.clone())),
+            last_lines: Arc::default(),
+            ended: Mutex::new(None),
+        }
+    }
+
     /// It runs.
     pub(crate) fn started(&self, pid: Option<u32>) {
         self.logs.begin(&self.name, self.incarnation, pid);
