@@ -11,8 +11,10 @@ pub mod explain;
 pub mod keys;
 pub mod log;
 pub mod logs;
+pub mod move_task;
 pub mod new;
 pub mod ps;
+pub mod record;
 pub mod remote;
 pub mod replay;
 pub mod restart;
@@ -23,7 +25,6 @@ pub mod top;
 
 mod detach;
 mod progress;
-mod record;
 mod table;
 
 use std::{path::PathBuf, process::ExitCode};
@@ -90,6 +91,8 @@ pub enum Command {
     /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
     /// beginning with a letter.
     New(new::NewArgs),
+    /// Record a running app, until Ctrl-C
+    Record(record::RecordArgs),
     /// Look into records (MCAP) of apps
     Log(log::LogCommandArgs),
     /// Let one task do again what it did in a record, and compare
@@ -104,6 +107,8 @@ pub enum Command {
     Stop(stop::StopArgs),
     /// Restart a task, or a chassis with all its tasks
     Restart(restart::RestartArgs),
+    /// Move a running task to another processor or chassis
+    Move(move_task::MoveArgs),
     /// Watch the tasks of an app, busiest first
     Top(top::TopArgs),
     /// Print completions for a shell
@@ -172,6 +177,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::New(args) => new::run(&args),
+        Command::Record(args) => record::run(&args),
         Command::Log(args) => log::run(&args),
         Command::Replay(args) => replay::run(&args, registry),
         Command::Ps(args) => ps::run(&args),
@@ -179,6 +185,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Logs(args) => logs::run(&args),
         Command::Stop(args) => stop::run(&args),
         Command::Restart(args) => restart::run(&args),
+        Command::Move(args) => move_task::run(&args),
         Command::Top(args) => top::run(&args),
         Command::Completions(args) => completions::run(&args),
         Command::Chassis(args) => chassis::run(&args, registry),

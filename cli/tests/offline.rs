@@ -291,7 +291,7 @@ fn explain_prints_the_section_or_what_was_meant() {
 fn doctor_looks_at_the_host_and_at_what_an_app_asks_of_it() {
     let (out, err) = good(&run(&["doctor"]));
     assert_eq!(err, "");
-    for what in ["cpus", "real-time", "memory", "files", "loopback"] {
+    for what in ["cpus", "real-time", "memory", "files", "loopback", "zenoh"] {
         let lines = out.lines().filter(|line| line.contains(what));
         assert_eq!(lines.count(), 1, "{what} in {out}");
     }

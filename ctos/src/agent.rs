@@ -11,6 +11,7 @@ use crate::{
     context::{Context, TaskRef},
     message::{Command, CommandInfo, Message, Replier, Tid},
     moving::{self, Arrivals},
+    record::{Attached, BeginRecord, EndRecord, ReadRecord},
     runner::{TaskSpec, record, start_task},
     survey::{Survey, survey},
     system::{
@@ -22,7 +23,7 @@ use crate::{
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 10] = [
+pub(crate) const COMMANDS: [CommandInfo; 13] = [
     CreateTasks::INFO,
     Exit::INFO,
     Survey::INFO,
@@ -33,6 +34,9 @@ pub(crate) const COMMANDS: [CommandInfo; 10] = [
     Settle::INFO,
     Rebound::INFO,
     WaitsFor::INFO,
+    BeginRecord::INFO,
+    ReadRecord::INFO,
+    EndRecord::INFO,
 ];
 
 /// Exit code of a chassis whose boot is gone.
@@ -43,6 +47,7 @@ const EXIT_ORPHAN: i32 = 5;
 pub(crate) struct Agent {
     tasks: Vec<TaskName>,
     arrivals: Arrivals,
+    records: Attached,
     /// The boot ordered the process to end, and need not see it do so.
     exiting: bool,
 }
@@ -103,6 +108,22 @@ impl EventHandler for Agent {
             WaitsFor::CODE => {
                 let (WaitsFor { task }, reply) = message.open::<WaitsFor>()?;
                 reply.ok(circle::of_task(cx.chassis(), task))
+            }
+            BeginRecord::CODE => {
+                let (request, reply) = message.open::<BeginRecord>()?;
+                match self.records.begin(cx, request) {
+                    Ok(report) => reply.ok(report),
+                    Err(why) => reply.fail(why),
+                }
+            }
+            ReadRecord::CODE => {
+                let (ReadRecord { key }, reply) = message.open::<ReadRecord>()?;
+                reply.ok(self.records.read(key))
+            }
+            EndRecord::CODE => {
+                let (EndRecord { key }, reply) = message.open::<EndRecord>()?;
+                self.records.end(cx, key, reply);
+                Ok(())
             }
             _ => cx.default_processing(message),
         }
@@ -197,11 +218,18 @@ impl Agent {
     async fn stop_all(&self, cx: &Context) {
         let limit = cx.app().stop_timeout;
         for task in self.tasks.iter().rev() {
+            let here = cx.chassis();
+            if here.directory.current(task.tid).chassis() != here.index() {
+                continue;
+            }
             let reference = TaskRef::new(task.name.as_str(), task.tid);
-            let reason = StopReason::ChassisDown {
-                chassis: BOOT_CHASSIS.to_owned(),
+            let order = StopTask {
+                reason: StopReason::ChassisDown {
+                    chassis: BOOT_CHASSIS.to_owned(),
+                },
+                on: Some(here.index()),
             };
-            let stopped = cx.call(&reference, StopTask { reason }).deadline(limit);
+            let stopped = cx.call(&reference, order).deadline(limit);
             if let Err(error) = stopped.await
                 && !error.is_gone()
             {

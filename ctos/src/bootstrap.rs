@@ -21,7 +21,7 @@ use crate::{
     message::{Command, CommandInfo, Message},
     system::{
         AllLinked, AppResult, ChassisLinked, Finish, Interrupt, Overview, ProcessEnded, Progress,
-        RestartChassis, TaskFailed,
+        RestartChassis, TaskFailed, TaskMoved,
     },
     task::{EventHandler, Handled, Phase, StopReason},
     watch,
@@ -35,7 +35,7 @@ use sequence::Sequence;
 pub use states::{BootState, ChassisState};
 
 /// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 9] = [
+pub(crate) const COMMANDS: [CommandInfo; 10] = [
     AllLinked::INFO,
     Progress::INFO,
     Finish::INFO,
@@ -44,6 +44,7 @@ pub(crate) const COMMANDS: [CommandInfo; 9] = [
     ProcessEnded::INFO,
     ChassisLinked::INFO,
     RestartChassis::INFO,
+    TaskMoved::INFO,
     Overview::INFO,
 ];
 
@@ -328,6 +329,11 @@ impl EventHandler for Bootstrap {
             RestartChassis::CODE => {
                 let (RestartChassis { chassis }, reply) = message.open::<RestartChassis>()?;
                 board.restart(chassis, reply)
+            }
+            TaskMoved::CODE => {
+                let (TaskMoved { task, old }, _) = message.open::<TaskMoved>()?;
+                board.moved(task, old);
+                Ok(())
             }
             Overview::CODE => {
                 let (Overview {}, reply) = message.open::<Overview>()?;

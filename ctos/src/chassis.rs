@@ -228,7 +228,7 @@ impl Chassis {
             next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
-            tap: Tap::default(),
+            tap: Tap::new(index),
             watch: Watch::default(),
             refused: AtomicU64::new(0),
         })

@@ -29,6 +29,7 @@ mod shown;
 mod tests;
 mod trail;
 mod variables;
+mod zenoh;
 
 pub use app::{
     App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, HostConfig,
@@ -40,6 +41,7 @@ pub use node::{Entry, Node, Value};
 pub use schema::schema;
 pub use shown::ShownValue;
 pub use trail::Origin;
+pub use zenoh::{ZenohConfig, ZenohEndpoint, ZenohEndpointError, ZenohMode, has_zenoh};
 
 use crate::diagnostic::{Findings, Place, Source};
 use std::collections::BTreeMap;

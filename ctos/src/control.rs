@@ -9,7 +9,9 @@ pub mod protocol;
 
 mod gate;
 mod logs;
+mod moves;
 mod place;
+mod recording;
 mod server;
 mod view;
 

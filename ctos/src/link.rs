@@ -6,6 +6,11 @@ pub(crate) mod session;
 pub(crate) mod shm;
 pub(crate) mod simulated;
 pub(crate) mod transport;
+#[cfg(feature = "zenoh")]
+pub(crate) mod zenoh;
+#[cfg(not(feature = "zenoh"))]
+#[path = "link/no_zenoh.rs"]
+pub(crate) mod zenoh;
 
 use crate::message::Header;
 

@@ -15,6 +15,8 @@
 //! It knows how a task leaves ([`depart`], [`forward`]) and how it comes ([`arrive`], [`deliver`]). Who
 //! decides is `names.rs`, who carries out is `agent.rs`.
 
+mod place;
+
 use std::{
     cell::RefCell,
     collections::BTreeMap,
@@ -44,10 +46,12 @@ use crate::{
     supervise::Ending,
     system::{
         self, AbortMove, Broke, ChassisDown, CommitMove, Delivered, Fence, Forwarded, Load, MoveIn,
-        MoveOut, MoveTask, Rebound, Settle, Settled, Transfer,
+        MoveOut, MoveTask, Rebound, Settle, Settled, StopTask, Transfer,
     },
     task::{Handled, Phase},
 };
+
+pub(crate) use place::{NoPlace, find_place, place_text};
 
 /// How often a message that is on its way is looked after: does its sender still wait?
 const LOOK: Duration = Duration::from_millis(10);
@@ -535,6 +539,11 @@ pub(crate) async fn forward(cx: &Context, record: &Arc<TaskRecord>, departed: De
                 Fence::CODE => fences.push(message),
                 // About the old place only.
                 ChassisDown::CODE | Broke::CODE => {}
+                StopTask::CODE => {
+                    if let Some(message) = stop_for(to, message) {
+                        send_on(cx, &agent, to, message, acceptance).await;
+                    }
+                }
                 _ if is_given_up(&message) || acceptance.is_abandoned() => {}
                 _ => send_on(cx, &agent, to, message, acceptance).await,
             }
@@ -544,6 +553,20 @@ pub(crate) async fn forward(cx: &Context, record: &Arc<TaskRecord>, departed: De
             pass_fence(cx, &agent, to, fence).await;
         }
     }
+}
+
+/// An order to stop that concerns the new place too; one that stops a chassis ends here.
+fn stop_for(to: Tid, message: Message) -> Option<Message> {
+    let data = message.data.to_bytes().ok();
+    let order: Option<StopTask> = data.and_then(|bytes| postcard::from_bytes(&bytes).ok());
+    if order.is_none_or(|order| order.on.is_none_or(|on| on == to.chassis())) {
+        return Some(message);
+    }
+    if let Ok((_, reply)) = message.open::<StopTask>() {
+        // A reply cannot fail.
+        let _ = reply.ok(());
+    }
+    None
 }
 
 async fn send_on(cx: &Context, agent: &TaskRef, to: Tid, message: Message, acceptance: Acceptance) {
@@ -664,51 +687,4 @@ async fn quiet(cx: &Context, chassis: &Arc<Chassis>) {
     if cx.timeout(QUIET, all).await.is_err() {
         tracing::warn!("a processor is busy while a task moves");
     }
-}
-
-/// The place `CHASSIS` or `CHASSIS:PROCESSOR` of the app.
-///
-/// # Errors
-/// What there is instead.
-pub(crate) fn find_place(chassis: &Chassis, text: &str) -> Result<system::Place, String> {
-    let (name, processor) = match text.split_once([':', '/']) {
-        Some((name, processor)) => (name, Some(processor)),
-        None => (text, None),
-    };
-    let app = &chassis.app;
-    let position = app.chassis.iter().position(|config| config.name == name);
-    let Some((index, config)) = position.and_then(|at| Some((at, app.chassis.get(at)?))) else {
-        let names = app.chassis.iter().map(|config| config.name.as_str());
-        return Err(format!(
-            "there is no chassis `{name}`; there are: {}",
-            names.collect::<Vec<_>>().join(", ")
-        ));
-    };
-    let wanted = processor.or_else(|| config.processors.first().map(|first| first.name.as_str()));
-    let mut processors = config.processors.iter();
-    let found = processors.position(|one| Some(one.name.as_str()) == wanted);
-    let Some(found) = found else {
-        let names = config.processors.iter().map(|one| one.name.as_str());
-        return Err(format!(
-            "chassis `{name}` has no processor `{}`; it has: {}",
-            wanted.unwrap_or_default(),
-            names.collect::<Vec<_>>().join(", ")
-        ));
-    };
-    // Both count from 1: 0 is the chassis that boots, and the processor of the runtime.
-    match (u8::try_from(index + 1), u8::try_from(found + 1)) {
-        (Ok(chassis), Ok(processor)) => Ok(system::Place { chassis, processor }),
-        _ => Err("there are too many of them".to_owned()),
-    }
-}
-
-/// A place in words.
-pub(crate) fn place_text(chassis: &Chassis, place: system::Place) -> String {
-    let index = usize::from(place.chassis).checked_sub(1);
-    let config = index.and_then(|index| chassis.app.chassis.get(index));
-    let processor = usize::from(place.processor).checked_sub(1);
-    let name = config
-        .and_then(|config| config.processors.get(processor?))
-        .map_or("system", |one| one.name.as_str());
-    format!("{}:{name}", chassis.name_of(place.chassis))
 }

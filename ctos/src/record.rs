@@ -6,6 +6,7 @@
 //! takes and an encoding into a buffer; the rest is done by a writer beside it. The page
 //! `docs/recording.md` shows how it is used.
 
+mod attach;
 mod event;
 mod lines;
 mod log;
@@ -14,10 +15,16 @@ mod parts;
 mod read;
 mod recorder;
 mod replay;
+mod report;
 mod tap;
 mod writer;
 
-use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use crate::{
     chassis::Chassis,
@@ -29,6 +36,9 @@ pub use lines::Number;
 pub use log::RecordLayer;
 pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan};
 pub use replay::{Difference, ReplayError, ReplayReport, replay};
+pub use report::RecordReport;
+
+pub(crate) use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
 
 pub(crate) use event::Ending;
 pub(crate) use tap::{Asked, AtHand, Tap};
@@ -47,7 +57,7 @@ pub(crate) struct Recording(Arc<Recorder>);
 impl Recording {
     /// Records a chassis that was started again, too.
     pub(crate) fn add(&self, chassis: &Chassis) {
-        chassis.tap.record(self.0.clone(), chassis.index());
+        chassis.tap.record(self.0.clone());
     }
 
     /// Writes what is left and closes the file.
@@ -87,18 +97,36 @@ pub(crate) fn start(chassis: &[Arc<Chassis>]) -> std::io::Result<Option<Recordin
         None => Recorder::inline(clock, writer, config.buffer_bytes),
     };
     for one in chassis {
-        one.tap.record(recorder.clone(), one.index());
+        one.tap.record(recorder.clone());
     }
     log::attach(&recorder, first.index());
     Ok(Some(Recording(recorder)))
 }
 
+/// The file of a record of app `name` in a folder where no configuration says it: `NAME.mcap`.
+#[must_use]
+pub fn file_name(name: &str) -> String {
+    let plain = |letter: char| {
+        if letter.is_ascii_alphanumeric() || "_-".contains(letter) {
+            letter
+        } else {
+            '_'
+        }
+    };
+    let name: String = name.chars().take(64).map(plain).collect();
+    format!("{name}.mcap")
+}
+
 /// The file of one process: `run.mcap` becomes `run.CHASSIS.mcap`.
 fn file_of(app: &App, config: &RecordConfig, chassis: Option<&str>) -> PathBuf {
     let path = app.folder.join(&config.file);
-    let Some(chassis) = chassis else {
-        return path;
-    };
+    match chassis {
+        Some(chassis) => file_named(&path, chassis),
+        None => path,
+    }
+}
+
+fn file_named(path: &Path, chassis: &str) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push(".");
     name.push(chassis);

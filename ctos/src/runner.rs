@@ -131,7 +131,9 @@ pub(crate) fn start_at(
     let handler = build_contained(&spec.build, &cx)?;
     chassis.add_task(spec.record.clone());
     spec.record.statistics.meter.count(cx.commands());
-    chassis.tap.built(spec.record.tid, &spec.record.name);
+    chassis
+        .tap
+        .built(spec.record.tid, &spec.record.name, cx.commands());
     let (parent, arrival) = match origin {
         Origin::Boot => (None, None),
         Origin::StartedBy(parent) => (Some(parent), None),
@@ -351,7 +353,7 @@ impl Runner {
     }
 
     async fn stop(&mut self, cx: &Context, message: Message) -> Handled {
-        let (StopTask { reason }, reply) = message.open::<StopTask>()?;
+        let (StopTask { reason, .. }, reply) = message.open::<StopTask>()?;
         self.step(Event::Stop);
         cx.chassis().set_stopping();
         if let Some(handler) = &mut self.handler {

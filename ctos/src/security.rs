@@ -13,6 +13,9 @@ use std::{fmt, io, path::PathBuf, str::FromStr};
 pub use files::{Listed, list_keys, make_key};
 pub use tls::{BlockingStream, Keys};
 
+#[cfg(feature = "zenoh")]
+pub(crate) use files::KeyFiles;
+
 /// What the holder of a key may do; each role includes those before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {

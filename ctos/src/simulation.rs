@@ -7,25 +7,22 @@
 
 mod draw;
 mod events;
+mod happen;
 mod machine;
 mod mishap;
+mod processes;
 mod profile;
 mod reader;
 mod script;
 mod shrink;
 
-use std::{
-    collections::{BTreeMap, VecDeque},
-    sync::{Arc, Mutex},
-    time::Duration,
-};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     boot::{self, BootError, BootEvent, End, Observer, Outcome},
-    bootstrap::{EndSlot, Processes, Seat},
+    bootstrap::{EndSlot, Seat},
     call::lock,
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
@@ -38,11 +35,17 @@ use crate::{
     record,
     registry::Registry,
     system,
-    time::{Clock, Drift, Instant},
+    time::{Clock, Instant},
     watch,
 };
 
-use self::{draw::Drawn, events::EventLog, machine::Machine, mishap::Site};
+use self::{
+    draw::Drawn,
+    events::EventLog,
+    happen::{drift_of, schedule},
+    machine::Machine,
+    processes::{Exits, Orders, watch_exit},
+};
 
 pub use self::{
     events::EventSink, mishap::Mishap, profile::Faults, script::write_script, shrink::shrink,
@@ -145,39 +148,6 @@ pub fn run_shared(
 ) -> Result<Run, BootError> {
     Ok(Simulation::new(app, registry, setup, &boot::contained(observer))?.run())
 }
-
-/// How long the process of a chassis takes to start, ns.
-const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
-
-/// What the bootstrap service wants of the simulated machines.
-#[derive(Default)]
-struct Orders(Mutex<VecDeque<Order>>);
-
-enum Order {
-    Start(u8, u32),
-    Kill(u8),
-}
-
-impl Processes for Orders {
-    fn start(&self, index: u8, incarnation: u32) {
-        lock(&self.0).push_back(Order::Start(index, incarnation));
-    }
-
-    fn kill(&self, index: u8) {
-        lock(&self.0).push_back(Order::Kill(index));
-    }
-}
-
-/// The exits that chassis asked for: number, incarnation and exit code.
-type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
-
-fn watch_exit(chassis: &Arc<Chassis>, incarnation: u32, exits: &Exits) {
-    let (exits, index) = (exits.clone(), chassis.index());
-    chassis.set_on_exit(move |code| lock(&exits).push_back((index, incarnation, code)));
-}
-
-/// How a process ended that a fault, or the supervisor, ended.
-const KILLED: &str = "was killed by signal 9 (SIGKILL)";
 
 struct Simulation {
     clock: Clock,
@@ -357,222 +327,6 @@ impl Simulation {
         }
     }
 
-    /// The boot is done and waits for the processes; those that do not end by themselves are killed.
-    fn end_processes(&mut self) {
-        let Some(boot) = self.machines.first().map(|machine| machine.chassis.clone()) else {
-            return;
-        };
-        boot.drop_links();
-        for other in boot.others() {
-            self.network.hang_up(0, other);
-        }
-        let limit = self.clock.now() + boot.app.stop_timeout;
-        let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
-        while !ended(&self.machines) && self.step(Some(limit)) {}
-        for index in boot.others() {
-            let left = self.machines.get(usize::from(index));
-            if left.is_some_and(|machine| !machine.gone) {
-                (self.observer)(&BootEvent::Signalled {
-                    chassis: boot.name_of(index).to_owned(),
-                    signal: "SIGKILL".to_owned(),
-                });
-                self.kill(index);
-            }
-        }
-    }
-
-    /// Ends the processes that have come to their end by themselves.
-    fn run_exits(&mut self) -> bool {
-        let Some((index, incarnation, code)) = lock(&self.exits).pop_front() else {
-            return false;
-        };
-        if incarnation == self.incarnation(index) {
-            let how = format!("ended with exit code {code}");
-            // 0 and 1 are what the boot orders; anything else the chassis chose itself.
-            self.end_chassis(index, &how, Some(code), code > 1);
-        }
-        true
-    }
-
-    /// Does what the bootstrap service wants.
-    fn run_orders(&mut self) -> bool {
-        let order = lock(&self.orders.0).pop_front();
-        match order {
-            Some(Order::Start(index, incarnation)) => {
-                let delay = Duration::from_nanos(self.rng.random_range(START_NS));
-                self.starts
-                    .insert((self.clock.now() + delay, index), incarnation);
-                self.incarnations.insert(index, incarnation);
-            }
-            Some(Order::Kill(index)) => self.kill(index),
-            None => return false,
-        }
-        true
-    }
-
-    /// Which process of chassis `index` is the last that was wanted.
-    fn incarnation(&self, index: u8) -> u32 {
-        self.incarnations.get(&index).copied().unwrap_or(1)
-    }
-
-    fn kill(&mut self, index: u8) {
-        self.end_chassis(index, KILLED, None, true);
-    }
-
-    /// A process ends: nothing of it runs any more, and the others see its links close.
-    fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
-        let incarnation = self.incarnation(index);
-        if let Some(boot) = self.machines.first() {
-            // Also of one that has not started yet: it never will.
-            let ended = system::ProcessEnded {
-                chassis: index,
-                incarnation,
-                how: how.to_owned(),
-                code,
-            };
-            boot.chassis.post_system(system::BOOTSTRAP, ended);
-        }
-        self.starts.retain(|(_, starting), _| *starting != index);
-        let Some(machine) = self.machines.get_mut(usize::from(index)) else {
-            return;
-        };
-        if std::mem::replace(&mut machine.gone, true) {
-            return;
-        }
-        let chassis = machine.chassis.clone();
-        self.events
-            .note(|| format!("chassis {} {how}", chassis.name()));
-        if casualty {
-            self.casualties.insert(index, how.to_owned());
-        }
-        // First the links, so that what its destructors send reaches nobody.
-        chassis.drop_links();
-        machine.clear();
-        for other in chassis.others() {
-            self.network.hang_up(index, other);
-        }
-        chassis.close();
-    }
-
-    /// A process starts in place of the one that ended, and is connected to those that live.
-    fn start_chassis(&mut self, index: u8, incarnation: u32) {
-        let Some(old) = self.machines.get(usize::from(index)) else {
-            return;
-        };
-        let old = &old.chassis;
-        let (app, registry) = (old.app.clone(), old.registry.clone());
-        let new = Chassis::new(index, app, registry, old.clock.clone());
-        self.events
-            .note(|| format!("chassis {} starts again", new.name()));
-        for machine in self.machines.iter().filter(|machine| !machine.gone) {
-            let peer = &machine.chassis;
-            // Nothing of the old process may come out of the links of the new one.
-            peer.link_down(index);
-            peer.link_up(index, self.network.link(peer.index(), index));
-            new.link_up(peer.index(), self.network.link(index, peer.index()));
-        }
-        watch_exit(&new, incarnation, &self.exits);
-        if let Some(recording) = &self.recording {
-            recording.add(&new);
-        }
-        let mut all: Vec<_> = self
-            .machines
-            .iter()
-            .map(|one| one.chassis.clone())
-            .collect();
-        if let Some(place) = all.get_mut(usize::from(index)) {
-            place.clone_from(&new);
-        }
-        self.events.watch(&new, &all);
-        boot::start_system_tasks(&new, None);
-        self.casualties.remove(&index);
-        if let Some(place) = self.machines.get_mut(usize::from(index)) {
-            *place = Machine::new(new);
-        }
-        if let Some(boot) = self.machines.first() {
-            let linked = system::ChassisLinked {
-                chassis: index,
-                incarnation,
-            };
-            boot.chassis.post_system(system::BOOTSTRAP, linked);
-        }
-    }
-
-    fn index(&self, name: &str) -> Option<usize> {
-        let mut machines = self.machines.iter();
-        machines.position(|machine| machine.chassis.name() == name)
-    }
-
-    fn happen(&mut self, mishap: Mishap) {
-        self.events.note(|| format!("fault {mishap}"));
-        match mishap.site() {
-            Site::Chassis(name) => {
-                if let Some(index) = self.index(name) {
-                    self.happen_to(index, &mishap);
-                }
-            }
-            Site::Link(one, other) => {
-                if let (Some(one), Some(other)) = (self.index(one), self.index(other)) {
-                    self.happen_between(one, other, &mishap);
-                }
-            }
-        }
-        self.happened.push(mishap);
-    }
-
-    fn happen_to(&mut self, index: usize, mishap: &Mishap) {
-        let Some(machine) = self.machines.get_mut(index) else {
-            return;
-        };
-        let number = machine.chassis.index();
-        match mishap {
-            Mishap::Kill { .. } => self.kill(number),
-            Mishap::Freeze { until, .. } if !machine.gone => {
-                machine.freeze(*until);
-                for other in self.machines.iter().filter(|other| !other.gone) {
-                    let peer = other.chassis.index();
-                    if peer != number {
-                        self.network.freeze(number, (peer, other.clock()), *until);
-                    }
-                }
-            }
-            Mishap::Slow {
-                until, per_step, ..
-            } => machine.slow(*until, *per_step),
-            _ => {}
-        }
-    }
-
-    fn happen_between(&self, one: usize, other: usize, mishap: &Mishap) {
-        let (Some(first), Some(second)) = (self.machines.get(one), self.machines.get(other)) else {
-            return;
-        };
-        let ends = (first.chassis.index(), second.chassis.index());
-        let clocks = || ((ends.0, first.clock()), (ends.1, second.clock()));
-        match mishap {
-            Mishap::Cut { .. } => {
-                self.network.cut(ends.0, ends.1);
-                first.chassis.link_down(ends.1);
-                second.chassis.link_down(ends.0);
-            }
-            Mishap::Break { until, .. } => {
-                let (one, other) = clocks();
-                self.network.silence(one, other, *until, true);
-            }
-            Mishap::Stall { until, .. } => {
-                let (one, other) = clocks();
-                self.network.silence(one, other, *until, false);
-            }
-            Mishap::Loss {
-                until, share_ppm, ..
-            } => self.network.lose(ends.0, ends.1, *until, *share_ppm),
-            Mishap::Delay { until, extra, .. } => {
-                self.network.delay(ends.0, ends.1, *until, *extra);
-            }
-            _ => {}
-        }
-    }
-
     fn run_jobs(&self) -> bool {
         let mut any = false;
         for machine in &self.machines {
@@ -696,55 +450,4 @@ impl Simulation {
         }
         chassis.link_down(peer);
     }
-}
-
-/// Faults by the moment at which they happen; those of clocks, which are wrong from the start, take the
-/// place of those that were drawn.
-fn schedule(
-    names: &[String],
-    given: Vec<Mishap>,
-    drifts: &mut Vec<Mishap>,
-) -> Result<BTreeMap<Instant, Vec<Mishap>>, BootError> {
-    let check = |name: &str, mishap: &Mishap| {
-        let killed = matches!(mishap, Mishap::Kill { .. });
-        if names.iter().any(|known| known == name) && !(killed && name == BOOT_CHASSIS) {
-            return Ok(());
-        }
-        Err(BootError::NoChassis {
-            chassis: name.to_owned(),
-            what: mishap.called(),
-        })
-    };
-    let mut script: BTreeMap<Instant, Vec<Mishap>> = BTreeMap::new();
-    for mishap in given {
-        match mishap.site() {
-            Site::Chassis(chassis) => check(chassis, &mishap)?,
-            Site::Link(one, other) => {
-                check(one, &mishap)?;
-                check(other, &mishap)?;
-            }
-        }
-        if let Mishap::Drift { chassis, .. } = &mishap {
-            drifts.retain(|other| !matches!(other.site(), Site::Chassis(name) if name == chassis));
-            drifts.push(mishap);
-        } else {
-            script.entry(mishap.at()).or_default().push(mishap);
-        }
-    }
-    Ok(script)
-}
-
-fn drift_of(name: &str, drifts: &[Mishap]) -> Drift {
-    let found = drifts.iter().find_map(|mishap| match mishap {
-        Mishap::Drift {
-            chassis,
-            ahead,
-            rate_ppb,
-        } if chassis == name => Some(Drift {
-            offset_ns: u64::try_from(ahead.as_nanos()).unwrap_or(0),
-            rate_ppb: *rate_ppb,
-        }),
-        _ => None,
-    });
-    found.unwrap_or_default()
 }

@@ -7,6 +7,7 @@ use crate::{
     chassis::{Chassis, TaskRecord},
     command,
     message::Tid,
+    record::RecordReport,
     statistics::TaskCounters,
     time::Instant,
 };
@@ -33,6 +34,8 @@ pub struct ChassisReport {
     pub tasks: Vec<TaskReport>,
     /// How many callers were refused.
     pub refused: u64,
+    /// Its records, if it is recorded.
+    pub records: Vec<RecordReport>,
 }
 
 /// A task at a moment.
@@ -79,6 +82,7 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
         pid: std::process::id(),
         now: chassis.clock.now(),
         processors: processors.map(|(name, _)| name.clone()).collect(),
+        records: chassis.tap.reports(),
         tasks: chassis
             .tasks()
             .iter()

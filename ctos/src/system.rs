@@ -95,8 +95,9 @@ command! {
     pub(crate) struct EnterPhase { pub(crate) phase: Phase } => (), 0xff02, "phase"
 }
 command! {
-    /// Comes to an orderly stop.
-    pub(crate) struct StopTask { pub(crate) reason: StopReason } => (), 0xff03, "stop"
+    /// Comes to an orderly stop. With a chassis, the task only if it is there: one that has just moved
+    /// away goes on.
+    pub(crate) struct StopTask { pub(crate) reason: StopReason, pub(crate) on: Option<u8> } => (), 0xff03, "stop"
 }
 command! {
     /// Tells that another chassis is gone.
@@ -250,6 +251,7 @@ pub(crate) const ALL: &[CommandInfo] = &[
     FirstSlots::INFO,
     WhoWaits::INFO,
     MovedTasks::INFO,
+    TaskMoved::INFO,
 ];
 command! {
     /// Comes to an orderly stop; the app goes on without the task, or with it built anew.
@@ -341,6 +343,11 @@ command! {
 command! {
     /// Asks where the tasks are that were moved away from where the configuration puts them.
     pub(crate) struct MovedTasks => Vec<(String, Place)>, 0xff13, "moved_tasks"
+}
+
+command! {
+    /// Tells the bootstrap service that a task is at another place now.
+    pub(crate) struct TaskMoved { pub(crate) task: TaskName, pub(crate) old: Tid } => (), 0xff70, "task_moved"
 }
 
 /// A processor of a chassis.

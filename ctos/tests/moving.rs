@@ -533,7 +533,7 @@ fn what_cannot_be_moved_stays_and_says_why() {
     let expected = [
         format!("no task is called `sing`; there are: {names}"),
         "there is no chassis `d`; there are: a, b, c".to_owned(),
-        "chassis `b` has no processor `third`; it has: main, second".to_owned(),
+        "chassis `b` has no processor `third`; there are: b:main, b:second".to_owned(),
         "`fixed` stays where it is: its handler passes no state on; see `task::Handover`"
             .to_owned(),
         format!("no task is called `tidsvr`; there are: {names}"),

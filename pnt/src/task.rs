@@ -100,11 +100,11 @@ impl<S: 'static> EventHandler for NetTask<S> {
         match message.command() {
             PutTape::CODE => {
                 let (request, reply) = message.open::<PutTape>()?;
-                self.engine.put_tape(request, reply)
+                self.engine.put_tape(cx, request, reply)
             }
             Tokens::CODE => {
                 let (tokens, reply) = message.open::<Tokens>()?;
-                self.engine.put_tokens(&tokens)?;
+                self.engine.put_tokens(cx, &tokens)?;
                 reply.ok(())
             }
             Marking::CODE => {
@@ -115,9 +115,9 @@ impl<S: 'static> EventHandler for NetTask<S> {
         }
     }
 
-    async fn phase(&mut self, _cx: &Context, phase: Phase) -> Handled {
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
-            self.engine.begin();
+            self.engine.begin(cx);
         }
         Ok(())
     }

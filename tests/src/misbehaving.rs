@@ -1,6 +1,8 @@
 //! A program like `ctos` with event handlers of its own, which break the rules of startup and of
 //! stopping: what the boot must then say and undo is tested with it.
 
+mod load;
+
 use std::{process::ExitCode, time::Duration};
 
 use ctos::{
@@ -200,5 +202,6 @@ fn main() -> ExitCode {
     });
     registry.handler("test.caller", &[], |cx| Ok(Caller(cx.args()?)));
     registry.handler("test.misbehaving", &[], |cx| Ok(Misbehaving(cx.args()?)));
+    load::register(&mut registry);
     cli::commands::main(registry)
 }

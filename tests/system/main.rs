@@ -3,6 +3,7 @@
 
 #![allow(
     clippy::unwrap_used,
+    clippy::expect_used,
     clippy::panic,
     reason = "all of this is test code, helpers too, which fails by panicking"
 )]
@@ -11,6 +12,8 @@ mod bad_input;
 mod control;
 mod determinism;
 mod faults;
+mod full_disk;
+mod half_open;
 mod harness;
 mod hosts;
 mod keys;
@@ -18,5 +21,8 @@ mod kills;
 mod machine;
 mod main_job;
 mod manners;
+mod moving;
+mod recording;
 mod restarts;
 mod startup;
+mod traces;

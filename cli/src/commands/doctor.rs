@@ -7,7 +7,7 @@ use std::{
 
 use clap::Args;
 use ctos::{
-    config::{App, Selection},
+    config::{App, Selection, has_zenoh},
     diagnostic::{Finding, Findings},
 };
 use rustix::{
@@ -74,6 +74,7 @@ pub fn run(args: &DoctorArgs) -> u8 {
         memory_probe(),
         files_probe(),
         loopback_probe(),
+        zenoh_probe(),
     ];
     for probe in &probes {
         let line = if args.json { json(probe) } else { text(probe) };
@@ -253,6 +254,21 @@ fn loopback_probe() -> Probe {
         state,
         found,
         help: "chassis of one host talk over 127.0.0.1: bring the interface `lo` up",
+    }
+}
+
+/// Whether links over zenoh are part of this program. Most apps need none.
+fn zenoh_probe() -> Probe {
+    let found = if has_zenoh() {
+        "links over zenoh are built in"
+    } else {
+        "not built in; [zenoh] in a configuration needs `cargo build --release --features zenoh`"
+    };
+    Probe {
+        what: "zenoh",
+        state: State::Good,
+        found: found.to_owned(),
+        help: "",
     }
 }
 

@@ -112,7 +112,7 @@ pub fn run(args: &LogsArgs) -> u8 {
             Ok(Some(_)) | Ok(None) => return exit::OK,
             Err(error) => {
                 let name = args.name.as_deref().unwrap_or_default();
-                return remote::failed_for(name, &error);
+                return remote::failed_for(&[name], &error);
             }
         }
     }

@@ -9,7 +9,7 @@ use ctos::control::{
 use crate::{
     commands::{
         remote::{self, RemoteArgs},
-        table::{self, left, right},
+        table::{self, left, rare, right},
     },
     exit, show,
 };
@@ -152,7 +152,7 @@ fn lines(app: &AppView, width: usize) -> Vec<String> {
         right("PID"),
         left("STATE"),
         right("FOR"),
-        right("RESTARTS"),
+        rare("RESTARTS"),
         right("TASKS"),
     ];
     lines.extend(table::lines(&columns, &chassis, width));
@@ -179,7 +179,7 @@ fn lines(app: &AppView, width: usize) -> Vec<String> {
         left("PHASE"),
         right("HANDLED"),
         right("QUEUE"),
-        right("RESTARTS"),
+        rare("RESTARTS"),
         left("DOES"),
     ];
     lines.extend(table::lines(&columns, &tasks, width));

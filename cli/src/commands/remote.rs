@@ -112,14 +112,15 @@ pub(crate) fn failed(error: &ClientError) -> u8 {
     }
 }
 
-/// As [`failed`], with the known name that comes closest to `name`.
-pub(crate) fn failed_for(name: &str, error: &ClientError) -> u8 {
+/// As [`failed`], with the known name that comes closest to one of `names`.
+pub(crate) fn failed_for(names: &[&str], error: &ClientError) -> u8 {
     let code = failed(error);
     if let ClientError::Refused(refused) = error {
-        let near = refused
-            .known
+        let pairs = names
             .iter()
-            .map(|known| (strsim::damerau_levenshtein(known, name), known))
+            .flat_map(|name| refused.known.iter().map(move |known| (name, known)));
+        let near = pairs
+            .map(|(name, known)| (strsim::damerau_levenshtein(known, name), known))
             .min();
         if let Some((distance, known)) = near
             && distance <= 2
@@ -143,13 +144,27 @@ pub(crate) fn span(seconds: f64) -> String {
     }
 }
 
+/// A number of bytes for a person: "512 B", "3.2 kB", "45 MB".
+pub(crate) fn size(bytes: u64) -> String {
+    let mut number = bytes as f64;
+    for unit in ["B", "kB", "MB", "GB"] {
+        if number < 999.5 {
+            let digits = usize::from(number < 9.95 && unit != "B");
+            return format!("{number:.digits$} {unit}");
+        }
+        number /= 1000.0;
+    }
+    format!("{number:.1} TB")
+}
+
 /// What a task does, in a few words.
 pub(crate) fn does(task: &TaskView) -> String {
     use ctos::control::protocol::Activity;
     let command = task.command.as_deref().unwrap_or("a message");
     match task.activity {
         Activity::Idle => "idle".to_owned(),
-        Activity::Gone => "gone".to_owned(),
+        // Gone with its chassis, or a chassis that is too busy to tell.
+        Activity::Gone => "no answer".to_owned(),
         Activity::Busy => {
             let time = task.in_handler_s.map_or_else(String::new, span);
             format!("busy {time}: {command}")
@@ -168,6 +183,20 @@ pub(crate) fn does(task: &TaskView) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_have_two_digits_or_three() {
+        for (bytes, text) in [
+            (0, "0 B"),
+            (999, "999 B"),
+            (1_000, "1.0 kB"),
+            (45_600_000, "46 MB"),
+            (999_600, "1.0 MB"),
+            (3_000_000_000_000, "3.0 TB"),
+        ] {
+            assert_eq!(size(bytes), text);
+        }
+    }
 
     #[test]
     fn times_are_shown_in_the_two_largest_units() {

@@ -52,6 +52,6 @@ pub fn run(args: &RestartArgs) -> u8 {
             show::say("error: the app went away, or is of another version");
             exit::UNREACHABLE
         }
-        Err(error) => remote::failed_for(name, &error),
+        Err(error) => remote::failed_for(&[name], &error),
     }
 }

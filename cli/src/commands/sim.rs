@@ -12,7 +12,7 @@ use std::{
 use clap::Args;
 use ctos::{
     boot::{BootEvent, End, Observer, Outcome},
-    config::{App, Selection},
+    config::{App, RecordConfig, Selection},
     diagnostic::{Finding, Findings},
     registry::Registry,
     simulation::{self, EventSink, Faults, Mishap, Run, Setup},
@@ -20,7 +20,7 @@ use ctos::{
 };
 
 use crate::{
-    commands::{LogArgs, progress::Display, start_log},
+    commands::{LogArgs, progress::Display, record, start_log},
     exit, program, show,
 };
 
@@ -36,6 +36,7 @@ const SHRINK_TRIALS: usize = 500;
   ctos sim configs/hello.toml --seed 7
   ctos sim configs/hello.toml --seeds 0..100 --faults rough
   ctos sim configs/hello.toml --seed 7 --faults hostile --shrink fewer.toml
+  ctos sim configs/hello.toml --seed 7 --record records
   ctos sim --profiles")]
 pub struct SimArgs {
     /// Configuration of the app
@@ -62,6 +63,9 @@ pub struct SimArgs {
     /// Write every delivery to a file, a line each
     #[arg(long, value_name = "FILE", conflicts_with = "seeds")]
     pub events: Option<PathBuf>,
+    /// Record the run to `DIR/APP.mcap`; the same seed gives the same bytes
+    #[arg(long, value_name = "DIR", conflicts_with = "seeds")]
+    pub record: Option<PathBuf>,
     /// When the run fails, find fewer faults with which it still fails, and write them to a file
     #[arg(long, value_name = "FILE", conflicts_with = "seeds")]
     pub shrink: Option<PathBuf>,
@@ -135,12 +139,20 @@ pub fn run(args: &SimArgs, registry: Registry) -> u8 {
     if !args.log.quiet {
         show::findings(warnings);
     }
+    let recorded = match args.record.as_deref() {
+        None => app.record.clone(),
+        Some(folder) => match record::to_folder(&app, folder) {
+            Ok(config) => Some(config),
+            Err(error) => return cannot_write(folder, &error),
+        },
+    };
     let lab = Lab {
         args,
         file,
         app,
         registry: Arc::new(registry),
         faults,
+        recorded,
     };
     match args.seeds.clone() {
         Some(seeds) => lab.many(seeds),
@@ -181,6 +193,7 @@ struct Lab<'a> {
     app: App,
     registry: Arc<Registry>,
     faults: Faults,
+    recorded: Option<RecordConfig>,
 }
 
 impl Lab<'_> {
@@ -190,10 +203,12 @@ impl Lab<'_> {
         faults: Faults,
         clock: Clock,
         events: Option<EventSink>,
+        record: Option<&RecordConfig>,
         observer: &Observer,
     ) -> Result<Run, u8> {
         let mut app = self.app.clone();
         app.seed = seed;
+        app.record = record.cloned();
         let setup = Setup {
             clock,
             faults,
@@ -223,7 +238,8 @@ impl Lab<'_> {
         let shown = display.clone();
         let observer: Observer = Arc::new(move |event: &BootEvent| shown.show(event));
         let sink = events.as_ref().map(EventFile::sink);
-        let run = self.simulate(seed, self.faults.clone(), clock, sink, &observer);
+        let record = self.recorded.as_ref();
+        let run = self.simulate(seed, self.faults.clone(), clock, sink, record, &observer);
         display.finish();
         let run = match run {
             Ok(run) => run,
@@ -291,7 +307,9 @@ impl Lab<'_> {
         let (mut failed, mut count) = (Vec::new(), 0_u64);
         for seed in seeds {
             let clock = Clock::virtual_clock();
-            let run = match self.simulate(seed, self.faults.clone(), clock, None, &observer) {
+            let record = self.recorded.as_ref();
+            let run = match self.simulate(seed, self.faults.clone(), clock, None, record, &observer)
+            {
                 Ok(run) => run,
                 Err(code) => return code,
             };
@@ -419,7 +437,7 @@ impl Lab<'_> {
         let again = |script: &[Mishap], wrong: &mut Option<u8>| {
             let faults = Faults::of_script("shrunk", script.to_vec());
             let clock = Clock::virtual_clock();
-            match self.simulate(seed, faults, clock, None, &observer) {
+            match self.simulate(seed, faults, clock, None, None, &observer) {
                 Ok(run) => {
                     kind_of(&run.outcome.end) == wanted && self.failure(&run.outcome).is_some()
                 }

@@ -1,9 +1,12 @@
 //! `ctos status`.
 
 use clap::Args;
-use ctos::control::{
-    LogLine,
-    protocol::{Answer, ChassisView, Request, StatusView, TaskView},
+use ctos::{
+    control::{
+        LogLine,
+        protocol::{Answer, ChassisView, Request, StatusView, TaskView},
+    },
+    record::RecordReport,
 };
 
 use crate::{
@@ -54,7 +57,7 @@ pub fn run(args: &StatusArgs) -> u8 {
             show::say("error: the app answers something else; is it of another version?");
             return exit::UNREACHABLE;
         }
-        Err(error) => return remote::failed_for(name, &error),
+        Err(error) => return remote::failed_for(&[name], &error),
     };
     let shown = if args.json {
         serde_json::to_string(&status).unwrap_or_default()
@@ -146,23 +149,22 @@ fn task_lines(task: &TaskView, chassis: &ChassisView) -> Vec<String> {
     }
     lines.push(line("process", process(chassis)));
     lines.extend(restarts(chassis));
-    let busy = 100.0 * task.busy_s / task.phase_s.max(f64::MIN_POSITIVE);
-    let busy = if task.phase_s > 0.0 {
-        format!(", busy {:.0} % of the time", busy.min(100.0))
-    } else {
-        String::new()
-    };
     let last = task
         .command
         .as_ref()
         .map_or_else(String::new, |command| format!(", last {command}"));
     lines.push(line(
         "messages",
-        format!(
-            "{} handled, {} failed{busy}, longest {:.3} s{last}",
-            task.handled, task.failed, task.longest_s
-        ),
+        format!("{} handled, {} failed{last}", task.handled, task.failed),
     ));
+    if task.phase_s > 0.0 {
+        let busy = (100.0 * task.busy_s / task.phase_s).min(100.0);
+        let longest = task.longest_s;
+        lines.push(line(
+            "busy",
+            format!("{busy:.0} % of the time, longest {longest:.3} s"),
+        ));
+    }
     lines.push(line(
         "queue",
         format!(
@@ -179,12 +181,26 @@ fn task_lines(task: &TaskView, chassis: &ChassisView) -> Vec<String> {
     lines
 }
 
+fn record_lines(record: &RecordReport) -> Vec<String> {
+    let size = remote::size(record.bytes);
+    let mut lines = vec![line("record", format!("{size} in {}", record.file))];
+    let trouble = record.trouble.as_ref();
+    let trouble = trouble.map(|why| format!("nothing is written: {why}"));
+    let lost = (record.lost > 0).then(|| format!("{} events are lost", record.lost));
+    let lacks: Vec<String> = trouble.into_iter().chain(lost).collect();
+    if !lacks.is_empty() {
+        lines.push(line("", lacks.join("; ")));
+    }
+    lines
+}
+
 fn chassis_lines(chassis: &ChassisView, tasks: &[TaskView]) -> Vec<String> {
     let mut lines = vec![line("process", process(chassis))];
     lines.extend(restarts(chassis));
     if !chassis.processors.is_empty() {
         lines.push(line("threads", chassis.processors.join(", ")));
     }
+    lines.extend(chassis.records.iter().flat_map(record_lines));
     let rows: Vec<Vec<String>> = tasks
         .iter()
         .map(|task| {

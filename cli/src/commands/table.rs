@@ -14,6 +14,8 @@ pub(crate) struct Column {
     pub(crate) title: &'static str,
     /// Whether it holds numbers.
     pub(crate) right: bool,
+    /// Whether it is left out where it says nothing: where all its numbers are 0.
+    rare: bool,
 }
 
 /// A column of text.
@@ -21,12 +23,26 @@ pub(crate) const fn left(title: &'static str) -> Column {
     Column {
         title,
         right: false,
+        rare: false,
     }
 }
 
 /// A column of numbers.
 pub(crate) const fn right(title: &'static str) -> Column {
-    Column { title, right: true }
+    Column {
+        title,
+        right: true,
+        rare: false,
+    }
+}
+
+/// A column of numbers that are 0 mostly: shown where one is not.
+pub(crate) const fn rare(title: &'static str) -> Column {
+    Column {
+        title,
+        right: true,
+        rare: true,
+    }
 }
 
 /// How wide the terminal is.
@@ -40,8 +56,22 @@ pub(crate) fn width() -> usize {
 /// The rows below their titles, no line wider than `width`: what does not fit is cut and ends in `…`,
 /// in the widest columns first.
 pub(crate) fn lines(columns: &[Column], rows: &[Vec<String>], width: usize) -> Vec<String> {
+    let says_something = |index: &usize| {
+        let rare = columns.get(*index).is_some_and(|column| column.rare);
+        let mut cells = rows.iter().filter_map(|row| row.get(*index));
+        !rare || cells.any(|cell| cell != "0")
+    };
+    let kept: Vec<usize> = (0..columns.len()).filter(says_something).collect();
+    let columns: Vec<Column> = kept
+        .iter()
+        .filter_map(|at| columns.get(*at).copied())
+        .collect();
+    let columns = columns.as_slice();
     let titles: Vec<String> = columns.iter().map(|one| one.title.to_owned()).collect();
-    let all: Vec<&Vec<String>> = std::iter::once(&titles).chain(rows).collect();
+    let rows = rows
+        .iter()
+        .map(|row| kept.iter().filter_map(|at| row.get(*at).cloned()).collect());
+    let all: Vec<Vec<String>> = std::iter::once(titles).chain(rows).collect();
     let mut widths: Vec<usize> = columns
         .iter()
         .enumerate()
@@ -57,7 +87,7 @@ pub(crate) fn lines(columns: &[Column], rows: &[Vec<String>], width: usize) -> V
         };
         *widest -= 1;
     }
-    let line = |row: &&Vec<String>| {
+    let line = |row: &Vec<String>| {
         let cells = row.iter().zip(columns).zip(&widths);
         let cells: Vec<String> = cells
             .map(|((cell, column), width)| {
@@ -112,5 +142,18 @@ mod tests {
         let narrow = lines(&columns, &rows, 30);
         assert_eq!(narrow[2], "gripper        3  waits 3.2 s…");
         assert!(narrow.iter().all(|line| line.chars().count() <= 30));
+    }
+
+    #[test]
+    fn a_rare_column_is_there_when_it_says_something() {
+        let columns = [left("TASK"), rare("RESTARTS"), left("DOES")];
+        let row = |restarts: &str| vec!["arm".to_owned(), restarts.to_owned(), "idle".to_owned()];
+        assert_eq!(
+            lines(&columns, &[row("0")], 80),
+            ["TASK  DOES", "arm   idle"]
+        );
+        let both = lines(&columns, &[row("0"), row("2")], 80);
+        assert_eq!(both[0], "TASK  RESTARTS  DOES");
+        assert_eq!(both[2], "arm          2  idle");
     }
 }

@@ -177,6 +177,10 @@ async fn connect(
                     reason: error.to_string(),
                 },
                 MeshError::Keys(error) => ChildError::Keys(error.to_string()),
+                MeshError::Zenoh(error) => ChildError::Connect {
+                    what: "the network of [zenoh]".to_owned(),
+                    reason: error.to_string(),
+                },
             };
             // Without keys that can be used it cannot be told; the boot sees the process end.
             let keys = mesh::keys_of(&chassis.app).ok().flatten();

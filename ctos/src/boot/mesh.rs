@@ -36,6 +36,7 @@ use crate::{
         injure::Injury,
         session::{DownReason, Limits, Receiver, Session, state::Event, state::State},
         transport::{Address, Listener},
+        zenoh::Fabric,
     },
     security::{KeyError, Keys},
 };
@@ -91,6 +92,9 @@ pub(crate) enum MeshError {
     /// The keys cannot be used.
     #[error("the keys of [security] cannot be used: {0}")]
     Keys(#[from] KeyError),
+    /// The network of `[zenoh]` cannot be joined.
+    #[error("cannot join the network of [zenoh]: {0}")]
+    Zenoh(io::Error),
 }
 
 /// Who this chassis is to the others.
@@ -128,6 +132,7 @@ struct Inner {
     who: Identification,
     process: Process,
     keys: Option<Arc<Keys>>,
+    fabric: Option<Arc<Fabric>>,
     runtime: Handle,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
@@ -158,8 +163,20 @@ impl Mesh {
         chassis: &Arc<Chassis>,
         who: Identification,
     ) -> Result<Self, MeshError> {
-        let keys = keys_of(&chassis.app)?;
-        let listeners = listeners(chassis, keys.as_ref()).await?;
+        Self::start_as(chassis, who, Process::this()).await
+    }
+
+    async fn start_as(
+        chassis: &Arc<Chassis>,
+        who: Identification,
+        process: Process,
+    ) -> Result<Self, MeshError> {
+        let app = &chassis.app;
+        let keys = keys_of(app)?;
+        let fabric = Fabric::join(app, chassis.index() == 0)
+            .await
+            .map_err(MeshError::Zenoh)?;
+        let listeners = listeners(chassis, keys.as_ref(), fabric.as_ref()).await?;
         let addresses: io::Result<Vec<Address>> = listeners.iter().map(Listener::address).collect();
         let addresses = addresses.map_err(|error| MeshError::Listen {
             address: chassis.name().to_owned(),
@@ -169,8 +186,9 @@ impl Mesh {
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
             who,
-            process: Process::this(),
+            process,
             keys,
+            fabric,
             runtime: Handle::current(),
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
@@ -217,7 +235,7 @@ impl Mesh {
     /// Joins the app whose boot listens at `boot`; what comes of it are events.
     pub(crate) fn join(&self, boot: &Address) {
         let near = match boot {
-            Address::Unix(_) => true,
+            Address::Unix(_) | Address::Zenoh(_) => true,
             Address::Tcp(at) => at.ip().to_canonical().is_loopback(),
         };
         let member = Member {
@@ -269,6 +287,9 @@ impl Mesh {
         let down = futures_util::future::join_all(down);
         // What cannot be written within the limit belongs to a peer that no longer reads.
         let _ = tokio::time::timeout(FLUSH_LIMIT, down).await;
+        if let Some(fabric) = &self.inner.fabric {
+            fabric.close().await;
+        }
     }
 }
 
@@ -293,28 +314,39 @@ pub(crate) fn keys_of(app: &App) -> Result<Option<Arc<Keys>>, KeyError> {
     Ok(Some(Arc::new(keys)))
 }
 
-/// Where this chassis listens: for its own host, and where the configuration says.
+/// Where this chassis listens: for its own host, and where the configuration says. The first is where
+/// others of this host call.
 async fn listeners(
     chassis: &Arc<Chassis>,
     keys: Option<&Arc<Keys>>,
+    fabric: Option<&Arc<Fabric>>,
 ) -> Result<Vec<Listener>, MeshError> {
     let app = &chassis.app;
     let listen = app.listens_at(chassis.name());
     let mut listeners = Vec::new();
-    if app.links.same_host != SameHost::Tcp {
+    if let Some(fabric) = fabric {
+        let listener = fabric.listen(chassis.name()).await;
+        let listener = listener.map_err(MeshError::Zenoh)?;
+        listeners.push(Listener::Zenoh(listener, keys.cloned()));
+    }
+    if matches!(app.links.same_host, SameHost::Shared | SameHost::Unix) {
         let listener = Listener::unix(chassis.name()).map_err(|error| MeshError::Listen {
             address: "a socket of this user's own".to_owned(),
             error,
         })?;
         listeners.push(listener);
     }
-    if listen.is_some() || listeners.is_empty() {
+    if listen.is_some() || app.links.same_host == SameHost::Tcp || listeners.is_empty() {
         let address = listen.unwrap_or_else(|| ([127, 0, 0, 1], 0).into());
         let listener = Listener::tcp(address, keys.cloned()).await;
         listeners.push(listener.map_err(|error| MeshError::Listen {
             address: address.to_string(),
             error,
         })?);
+    }
+    if app.links.same_host != SameHost::Zenoh {
+        // For those on other hosts that cannot be called more directly.
+        listeners.sort_by_key(|listener| matches!(listener, Listener::Zenoh(..)));
     }
     Ok(listeners)
 }

@@ -101,6 +101,7 @@ async fn run_processes(
                 io(format!("cannot listen at {address}"))(error)
             }
             MeshError::Keys(error) => BootError::Keys(error.to_string()),
+            MeshError::Zenoh(error) => io("cannot join the network of [zenoh]")(error),
         })?;
     let Some(address) = mesh.addresses().first().cloned() else {
         return Err(io("cannot listen")(

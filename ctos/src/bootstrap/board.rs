@@ -14,7 +14,7 @@ use crate::{
     },
     config::{ChassisSupervision, OnTaskFailure},
     context::Context,
-    message::Replier,
+    message::{Replier, Tid},
     sync::Signal,
     system::{AppReport, MemberReport, RestartChassis, TaskName},
     task::{Handled, Phase},
@@ -242,6 +242,14 @@ impl Board {
     /// The sequence that boots the app shall look again.
     pub(super) fn changed(&self) {
         self.changed.raise();
+    }
+
+    /// A task that was at `old` is at another place now.
+    pub(super) fn moved(&self, task: TaskName, old: Tid) {
+        self.with(old.chassis(), |member| {
+            member.tasks.retain(|one| one.tid != old);
+        });
+        self.with(task.tid.chassis(), |member| member.tasks.push(task));
     }
 
     // -- one chassis --------------------------------------------------------------------------

@@ -15,12 +15,24 @@ use crate::{
 impl Board {
     /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
     pub(super) async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
+        self.order_stop(task, reason, None).await
+    }
+
+    /// Stops one task of chassis `index`, unless it has moved away.
+    pub(super) async fn stop_task_of(&self, index: u8, task: &TaskName, reason: &StopReason) {
+        if self.place_of(task) == index {
+            self.order_stop(task, reason, Some(index)).await;
+        }
+    }
+
+    async fn order_stop(&self, task: &TaskName, reason: &StopReason, on: Option<u8>) -> bool {
         if !self.cx.chassis().is_linked(self.place_of(task)) {
             return false;
         }
         let reference = TaskRef::new(task.name.as_str(), task.tid);
         let request = StopTask {
             reason: reason.clone(),
+            on,
         };
         let limit = self.cx.app().stop_timeout;
         let stopped = self.cx.call(&reference, request).deadline(limit).await;

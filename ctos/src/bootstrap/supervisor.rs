@@ -343,7 +343,7 @@ impl Supervisor {
         };
         let tasks = self.board.with(self.index, |member| member.tasks.clone());
         for task in tasks.unwrap_or_default().iter().rev() {
-            self.board.stop_task(task, &reason).await;
+            self.board.stop_task_of(self.index, task, &reason).await;
         }
         self.board.exit_chassis(self.index, 1).await;
     }

@@ -15,7 +15,7 @@ use super::links;
 use super::node::{Entry, Node};
 use super::observe;
 use super::trail::Trail;
-use super::{Expander, GeneratedTask};
+use super::{Expander, GeneratedTask, zenoh};
 use crate::diagnostic::{Finding, Findings, Place};
 use crate::semaphore::Scope;
 use crate::supervise::{Policy, When};
@@ -48,6 +48,7 @@ const TOP_KEYS: &[&str] = &[
     "barrier",
     "injure",
     "security",
+    "zenoh",
     "record",
     "metrics",
     "host",
@@ -150,6 +151,7 @@ pub(super) fn build(
     let listen = listen.map(|listen| (listen, fields.place("listen")));
     let mut links = links::links(&mut fields);
     links.injury = links::injury(&root, &chassis, builder.findings);
+    links.zenoh = zenoh::zenoh(&root, links.same_host, builder.findings);
     let security = links::security(&root, &chassis, builder.findings);
     let together = hosts::Together {
         root: &root,

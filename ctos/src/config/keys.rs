@@ -81,6 +81,7 @@ const INJURE: &str = "injure";
 const SECURITY: &str = "security";
 const HOST: &str = "host.NAME";
 const CONTROL: &str = "control";
+const ZENOH: &str = "zenoh";
 
 /// All tables, outer ones first.
 pub(super) const TABLES: &[Table] = &[
@@ -125,6 +126,12 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::One(SECURITY),
                 None,
                 "Keys for connections beyond this host.",
+            ),
+            key(
+                "zenoh",
+                Kind::One(ZENOH),
+                None,
+                "The network that joins chassis of different hosts without a list of addresses. Needs a program built with it.",
             ),
             key(
                 "record",
@@ -200,9 +207,9 @@ pub(super) const TABLES: &[Table] = &[
             ),
             key(
                 "same_host",
-                Kind::Choice(&["shm", "unix", "tcp"]),
+                Kind::Choice(&["shm", "unix", "tcp", "zenoh"]),
                 Some("\"shm\""),
-                "How chassis of one host are joined: shared memory, Unix sockets, or the loopback.",
+                "How chassis of one host are joined: shared memory, Unix sockets, the loopback, or the network of [zenoh].",
             ),
             key(
                 "spin_us",
@@ -529,6 +536,35 @@ pub(super) const TABLES: &[Table] = &[
             None,
             "Address at which tools reach the app with `--at`, \"IP:PORT\". Default: nowhere.",
         )],
+    },
+    Table {
+        path: ZENOH,
+        keys: &[
+            key(
+                "mode",
+                Kind::Choice(&["peer", "client", "router"]),
+                None,
+                "What its processes are in the network: peers, clients of a router, or clients of the boot, which is their router. Default: peer.",
+            ),
+            key(
+                "connect",
+                Kind::Texts,
+                None,
+                "Whom each process connects to, such as \"tls/10.0.0.5:7447\": routers, or peers that know others. Default: nobody.",
+            ),
+            key(
+                "listen",
+                Kind::Texts,
+                None,
+                "Where each process can be connected to, with port 0; with mode = \"router\" where the boot can, with a port. Default: a free port of the loopback.",
+            ),
+            key(
+                "multicast",
+                Kind::Text,
+                None,
+                "The interface on which they find each other by multicast, such as \"lo\". Default: not at all.",
+            ),
+        ],
     },
 ];
 

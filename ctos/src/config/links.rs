@@ -4,6 +4,7 @@
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 
 use super::{
+    ZenohConfig,
     app::ChassisConfig,
     fields::Fields,
     node::{Node, Value},
@@ -30,6 +31,8 @@ pub enum SameHost {
     Unix,
     /// By TCP over the loopback.
     Tcp,
+    /// By the network of `[zenoh]`.
+    Zenoh,
 }
 
 /// How links behave.
@@ -43,6 +46,8 @@ pub struct LinkConfig {
     pub spin: Duration,
     /// How many bytes of requests, and of answers, may be under way to one peer.
     pub room: usize,
+    /// The network that joins chassis of different hosts, if there is one.
+    pub zenoh: Option<ZenohConfig>,
     /// What goes wrong on purpose.
     pub injury: InjuryConfig,
 }
@@ -54,6 +59,7 @@ impl Default for LinkConfig {
             same_host: SameHost::default(),
             spin: default_spin(),
             room: ROOM_MIB << 20,
+            zenoh: None,
             injury: InjuryConfig::default(),
         }
     }
@@ -166,12 +172,13 @@ pub struct SecurityConfig {
     pub place: Place,
 }
 
-/// Reads the keys of `[app]` that belong to links; `[injure]` is read by [`injury`].
+/// Reads the keys of `[app]` that belong to links; `[injure]` is read by [`injury`], `[zenoh]` by its module.
 pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
     let default = LinkConfig::default();
-    let same_host = match app.choice("same_host", &["shm", "unix", "tcp"]) {
+    let same_host = match app.choice("same_host", &["shm", "unix", "tcp", "zenoh"]) {
         Some("unix") => SameHost::Unix,
         Some("tcp") => SameHost::Tcp,
+        Some("zenoh") => SameHost::Zenoh,
         _ => SameHost::Shared,
     };
     let spin = app.integer("spin_us", 0..=1_000_000_u64);
@@ -183,6 +190,7 @@ pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
         same_host,
         spin: spin.map_or(default.spin, Duration::from_micros),
         room: room.unwrap_or(ROOM_MIB) << 20,
+        zenoh: None,
         injury: InjuryConfig::default(),
     }
 }

@@ -16,6 +16,20 @@ const FLUSH: Duration = Duration::from_secs(1);
 const BUFFER_MB: usize = 16;
 const MB: u64 = 1_000_000;
 
+impl RecordConfig {
+    /// What is recorded to `file` where the configuration says nothing of it.
+    #[must_use]
+    pub fn new(file: PathBuf) -> Self {
+        Self {
+            file,
+            max_bytes: MAX_MB * MB,
+            keep: KEEP,
+            flush: FLUSH,
+            buffer_bytes: BUFFER_MB * 1_000_000,
+        }
+    }
+}
+
 /// `[record]`; `None` without a `file`.
 pub(super) fn record(mut fields: Fields<'_, '_>) -> Option<RecordConfig> {
     let file = fields.text("file").map(|(file, _)| PathBuf::from(file));
@@ -24,12 +38,13 @@ pub(super) fn record(mut fields: Fields<'_, '_>) -> Option<RecordConfig> {
     let flush = fields.seconds("flush_s", 3600.0);
     let buffer_mb = fields.integer("buffer_mb", 1..=10_000_usize);
     let file = file?;
+    let usual = RecordConfig::new(file);
     Some(RecordConfig {
-        file,
-        max_bytes: max_mb.unwrap_or(MAX_MB) * MB,
-        keep: keep.unwrap_or(KEEP),
-        flush: flush.unwrap_or(FLUSH),
-        buffer_bytes: buffer_mb.unwrap_or(BUFFER_MB) * 1_000_000,
+        max_bytes: max_mb.map_or(usual.max_bytes, |max_mb| max_mb * MB),
+        keep: keep.unwrap_or(usual.keep),
+        flush: flush.unwrap_or(usual.flush),
+        buffer_bytes: buffer_mb.map_or(usual.buffer_bytes, |buffer_mb| buffer_mb * 1_000_000),
+        ..usual
     })
 }
 

@@ -9,6 +9,7 @@ mod profiles;
 mod refused;
 mod shown;
 mod variables;
+mod zenoh;
 
 use super::*;
 use crate::diagnostic::Finding;

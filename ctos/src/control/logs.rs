@@ -77,15 +77,18 @@ impl LogLine {
     /// Whether the line is about task `name`: says so in a field, or names it.
     #[must_use]
     pub fn is_about(&self, name: &str) -> bool {
-        let fields = [format!("task={name}"), format!("task=\"{name}\"")];
-        if self.text.contains(&format!("\"task\":\"{name}\"")) {
-            return true;
-        }
         let mut words = self.text.split_whitespace();
-        words.any(|word| {
-            fields.iter().any(|field| word == field)
-                || word.trim_matches(|letter| "`,:;.()".contains(letter)) == name
-        })
+        self.is_of(name)
+            || words.any(|word| word.trim_matches(|letter| "`,:;.()".contains(letter)) == name)
+    }
+
+    /// Whether the line says in a field that it is about task `name`.
+    #[must_use]
+    pub fn is_of(&self, name: &str) -> bool {
+        let fields = [format!("task={name}"), format!("task=\"{name}\"")];
+        let mut words = self.text.split_whitespace();
+        self.text.contains(&format!("\"task\":\"{name}\""))
+            || words.any(|word| fields.iter().any(|field| word == field))
     }
 }
 

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     boot::{BootEvent, BootState, ChassisState},
     control::{Level, LogLine},
+    record::RecordReport,
     security::Role,
     task::Phase,
 };
@@ -49,6 +50,38 @@ pub enum Request {
         /// Its name.
         name: String,
     },
+    /// Records the running app: [`Answer::Recording`] at once and every second, [`Answer::Recorded`] at its
+    /// end. It ends after its time, by [`Request::RecordStop`], with the client and with the app. Needs the
+    /// role `watch` from a client of the app's own user; a client of another host names a folder of the
+    /// app's hosts, which needs the role `control`.
+    Record(RecordRequest),
+    /// Ends a record: [`Answer::Done`], and [`Answer::Recorded`] to the client that began it. Needs the
+    /// role `control` from a client of another host.
+    RecordStop {
+        /// Its key, from [`RecordView`].
+        key: u64,
+    },
+    /// Moves a running task: [`Answer::Moving`] at once and every second, then [`Answer::Moved`]. Needs
+    /// the role `control`.
+    Move {
+        /// The task's name.
+        task: String,
+        /// `CHASSIS` or `CHASSIS:PROCESSOR`.
+        to: String,
+    },
+}
+
+/// What is to be recorded.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RecordRequest {
+    /// The folder, by its whole path. Each process writes `APP.CHASSIS.mcap` there; what is there already
+    /// is kept.
+    pub folder: String,
+    /// The channels, in whose names `*` stands for any letters; none: all.
+    pub channels: Vec<String>,
+    /// For how long, s; without it, until it is stopped.
+    pub for_s: Option<f64>,
 }
 
 impl Request {
@@ -108,6 +141,14 @@ pub enum Answer {
     },
     /// The app has ended.
     Ended(EndView),
+    /// The app is being recorded.
+    Recording(RecordView),
+    /// It was recorded.
+    Recorded(RecordView),
+    /// A task is on its way to another place.
+    Moving(MoveView),
+    /// It is there.
+    Moved(MoveView),
     /// That was all.
     Done {},
     /// It could not be done.
@@ -193,6 +234,9 @@ pub struct ChassisView {
     pub processors: Vec<String>,
     /// How many tasks it has.
     pub tasks: usize,
+    /// Its records, if it is recorded.
+    #[serde(default)]
+    pub records: Vec<RecordReport>,
 }
 
 /// What a task does.
@@ -291,6 +335,42 @@ pub struct ProcessLog {
     pub pid: Option<u32>,
     /// Its last lines.
     pub lines: Vec<LogLine>,
+}
+
+/// A record of a running app.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordView {
+    /// Stops it.
+    pub key: u64,
+    /// For how long so far, s.
+    pub took_s: f64,
+    /// The files, by chassis.
+    pub files: Vec<RecordFile>,
+}
+
+/// The part of one process in a record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordFile {
+    /// The chassis; `boot` for the process that boots.
+    pub chassis: String,
+    /// Its record.
+    #[serde(flatten)]
+    pub record: RecordReport,
+}
+
+/// A task that moves, or has moved.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MoveView {
+    /// Its name.
+    pub task: String,
+    /// Where it was, `CHASSIS:PROCESSOR`.
+    pub from: String,
+    /// Where it goes.
+    pub to: String,
+    /// How long it takes, or has taken so far, s.
+    pub took_s: f64,
+    /// What keeps it: what its handler is at.
+    pub at: Option<String>,
 }
 
 /// How an app ended.

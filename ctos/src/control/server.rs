@@ -22,11 +22,13 @@ use crate::{
     control::{
         LogStore, gate,
         logs::LogLine,
+        moves::Moving,
         place,
         protocol::{
             Answer, Ask, EndView, ErrorCode, ErrorView, LogRequest, ProcessLog, REQUEST_LIMIT,
-            Request, StatusView, VERSION,
+            RecordRequest, Request, StatusView, VERSION,
         },
+        recording::{Recording, Recordings},
         view,
     },
     link::transport::Listener,
@@ -103,6 +105,7 @@ impl Server {
             chassis: chassis.clone(),
             logs: logs.clone(),
             ticker: ticker.clone(),
+            recordings: Arc::default(),
         });
         let mut serving = Vec::new();
         if let Some(listener) = listener {
@@ -249,6 +252,7 @@ pub(super) struct Desk {
     chassis: Arc<Chassis>,
     logs: Arc<LogStore>,
     ticker: Ticker,
+    recordings: Arc<Recordings>,
 }
 
 impl Desk {
@@ -344,6 +348,22 @@ impl Desk {
             Request::Restart { name } => {
                 let answer = self.restart(&name).await;
                 tell(writer, &answer).await
+            }
+            Request::Record(request) => self.record(request, writer).await,
+            Request::RecordStop { key } => {
+                let answer = if self.recordings.stop(key) {
+                    Answer::Done {}
+                } else {
+                    error(ErrorCode::NoSuchName, format!("there is no record {key}"))
+                };
+                tell(writer, &answer).await
+            }
+            Request::Move { task, to } => {
+                let mut moving = Moving::new(&self.chassis, &self.logs, task, to);
+                while let Some(answer) = moving.next().await {
+                    tell(writer, &answer).await?;
+                }
+                Ok(())
             }
         }
     }
@@ -462,12 +482,12 @@ impl Desk {
         let level = request.level.is_none_or(|level| line.level >= level);
         let since = request.since_s.is_none_or(|since| line.at_s >= since);
         let name = request.name.as_ref().is_none_or(|name| {
+            let declared = self.chassis.app.task(name);
+            let here = declared.is_some_and(|task| task.chassis == line.chassis);
+            // A task that has moved is known by its field alone elsewhere.
             line.chassis == *name
-                || self
-                    .chassis
-                    .app
-                    .task(name)
-                    .is_some_and(|task| task.chassis == line.chassis && line.is_about(name))
+                || declared.is_some() && line.is_of(name)
+                || here && line.is_about(name)
         });
         level && since && name
     }
@@ -489,6 +509,20 @@ impl Desk {
                 Err(broadcast::error::RecvError::Closed) => return Ok(()),
             }
         }
+    }
+
+    async fn record(&self, request: RecordRequest, writer: &mut Writer) -> io::Result<()> {
+        let mut news = self.ticker.0.subscribe();
+        let begun = Recording::begin(&self.chassis, &self.recordings, request).await;
+        let mut recording = match begun {
+            Ok(recording) => recording,
+            Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
+        };
+        tell(writer, &Answer::Recording(recording.view())).await?;
+        while let Some(answer) = recording.next(restarted(&mut news)).await {
+            tell(writer, &answer).await?;
+        }
+        Ok(())
     }
 
     async fn restart(&self, name: &str) -> Answer {
@@ -521,6 +555,17 @@ impl Desk {
         match restarted {
             Ok(()) => Answer::Done {},
             Err(fault) => failed(&fault),
+        }
+    }
+}
+
+/// The next chassis that is started again; `None` when the app has ended.
+async fn restarted(news: &mut broadcast::Receiver<News>) -> Option<String> {
+    loop {
+        match news.recv().await {
+            Ok(News::Event(BootEvent::Restarted { chassis, .. })) => return Some(chassis),
+            Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return None,
+            Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
         }
     }
 }

@@ -51,12 +51,19 @@ pub(crate) async fn ask<C: Command>(
 /// The app as it is now.
 pub(crate) async fn app(chassis: &Arc<Chassis>, logs: &LogStore) -> Result<AppView, Fault> {
     let overview = ask(chassis, system::BOOTSTRAP, Overview {}, LIMIT).await?;
-    let surveys = (1..).zip(&overview.chassis).map(|(index, _)| async move {
-        let agent = system::agent_tid(index);
-        ask(chassis, agent, Survey {}, LIMIT).await.ok()
-    });
-    let surveys = join_all(surveys).await;
+    let surveys = surveys(chassis).await;
     Ok(put_together(chassis, logs, &overview, &surveys))
+}
+
+/// What each chassis tells about itself, in declared order; nothing, where one does not answer.
+pub(super) async fn surveys(chassis: &Arc<Chassis>) -> Vec<Option<ChassisReport>> {
+    let surveys = (1..)
+        .zip(&chassis.app.chassis)
+        .map(|(index, _)| async move {
+            let agent = system::agent_tid(index);
+            ask(chassis, agent, Survey {}, LIMIT).await.ok()
+        });
+    join_all(surveys).await
 }
 
 fn put_together(
@@ -107,6 +114,7 @@ fn chassis_view(
         answers: survey.is_some(),
         processors: survey.map_or_else(Vec::new, |survey| survey.processors.clone()),
         tasks: member.tasks.len(),
+        records: survey.map_or_else(Vec::new, |survey| survey.records.clone()),
     }
 }
 

@@ -51,11 +51,25 @@ const INJURED_PULSE: Duration = Duration::from_millis(20);
 /// Faults are let through when there is no room for answers; they are small.
 const SMALL: usize = 4 * 1024;
 
+/// A stream that takes what it has room for from whatever thread.
+pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
+    /// Takes what there is room for.
+    ///
+    /// # Errors
+    /// `WouldBlock` when there is none.
+    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize>;
+}
+
 /// Where a session writes.
 pub(crate) enum Writer {
     Tcp(tcp::OwnedWriteHalf),
     Unix(unix::OwnedWriteHalf),
     Shared(shm::Sender),
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        allow(dead_code, reason = "only streams over zenoh are such")
+    )]
+    Direct(Box<dyn DirectWrite>),
     /// Written to by its driver only.
     Other(Box<dyn AsyncWrite + Send + Unpin>),
 }
@@ -67,6 +81,7 @@ impl Writer {
             Self::Tcp(stream) => stream.try_write_vectored(slices),
             Self::Unix(stream) => stream.try_write_vectored(slices),
             Self::Shared(sender) => sender.try_write(slices),
+            Self::Direct(stream) => stream.try_write(slices),
             Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
         }
     }
@@ -80,6 +95,7 @@ impl Writer {
         match self {
             Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Direct(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Shared(sender) => match sender.try_write(slices) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
@@ -91,7 +107,7 @@ impl Writer {
     fn poll_flush(&mut self, cx: &mut PollContext<'_>) -> Poll<io::Result<()>> {
         match self {
             Self::Other(stream) => Pin::new(stream).poll_flush(cx),
-            Self::Tcp(_) | Self::Unix(_) | Self::Shared(_) => Poll::Ready(Ok(())),
+            Self::Tcp(_) | Self::Unix(_) | Self::Shared(_) | Self::Direct(_) => Poll::Ready(Ok(())),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Byte streams between chassis: where one listens, how it is called, and what comes of a call.
 //!
 //! Unix sockets stay in a folder that only this user may enter; TCP is for the loopback and, with keys,
-//! for other hosts. Knows nothing of sessions and frames.
+//! for other hosts; zenoh finds its own way. Knows nothing of sessions and frames.
 
 use std::{
     fmt, io,
@@ -22,7 +22,7 @@ use tokio::{
 use tokio_rustls::TlsStream;
 
 use crate::{
-    link::session::Writer,
+    link::{session::Writer, zenoh},
     security::{Identity, KeyError, Keys},
 };
 
@@ -33,6 +33,8 @@ pub enum Address {
     Tcp(SocketAddr),
     /// A socket in the file system of this host.
     Unix(PathBuf),
+    /// A key of the zenoh network that the app's processes have joined.
+    Zenoh(String),
 }
 
 impl fmt::Display for Address {
@@ -40,13 +42,14 @@ impl fmt::Display for Address {
         match self {
             Self::Tcp(address) => write!(f, "tcp:{address}"),
             Self::Unix(path) => write!(f, "unix:{}", path.display()),
+            Self::Zenoh(key) => write!(f, "zenoh:{key}"),
         }
     }
 }
 
 /// A text that is no address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not an address; write tcp:IP:PORT or unix:/PATH")]
+#[error("`{0}` is not an address; write tcp:IP:PORT, unix:/PATH or zenoh:KEY")]
 pub struct AddressError(String);
 
 impl FromStr for Address {
@@ -62,16 +65,39 @@ impl FromStr for Address {
                 Err(wrong())
             };
         }
+        if let Some(key) = text.strip_prefix("zenoh:") {
+            let key = is_plain_key(key).then(|| Self::Zenoh(key.to_owned()));
+            return key.ok_or_else(wrong);
+        }
         let address = text.strip_prefix("tcp:").unwrap_or(text);
         address.parse().map(Self::Tcp).map_err(|_| wrong())
     }
 }
+
+/// Whether it is a key of a zenoh network that stands for itself only: no wildcards, no empty parts.
+pub(crate) fn is_plain_key(key: &str) -> bool {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-.%/".contains(&byte);
+    key.len() <= 1024 && key.bytes().all(plain) && key.split('/').all(|part| !part.is_empty())
+}
+
+/// What a stream must be able to do.
+pub(crate) trait Bytes: AsyncRead + AsyncWrite + Send + Unpin + 'static {
+    /// The half that is read, and the half that is written.
+    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
+        let (reader, writer) = tokio::io::split(self);
+        (Box::new(reader), Writer::Other(Box::new(writer)))
+    }
+}
+
+impl<S: AsyncRead + AsyncWrite + Send + Unpin + 'static> Bytes for TlsStream<S> {}
 
 /// A stream between two processes.
 pub(crate) enum Stream {
     Tcp(TcpStream),
     Unix(UnixStream),
     Tls(Box<TlsStream<TcpStream>>),
+    /// Over zenoh, with TLS or without.
+    Other(Box<dyn Bytes>),
 }
 
 impl Stream {
@@ -90,6 +116,7 @@ impl Stream {
                 let (reader, writer) = tokio::io::split(*stream);
                 (Box::new(reader), Writer::Other(Box::new(writer)))
             }
+            Self::Other(stream) => stream.halves(),
         }
     }
 }
@@ -100,6 +127,7 @@ macro_rules! each_stream {
             Stream::Tcp($inner) => $does,
             Stream::Unix($inner) => $does,
             Stream::Tls($inner) => $does,
+            Stream::Other($inner) => $does,
         }
     };
 }
@@ -154,7 +182,7 @@ impl ConnectError {
     }
 }
 
-/// Calls `address`; over TCP with keys, when there are any.
+/// [`connect_over`] no zenoh network.
 ///
 /// # Errors
 /// [`ConnectError`].
@@ -162,7 +190,23 @@ pub(crate) async fn connect(
     address: &Address,
     keys: Option<&Arc<Keys>>,
 ) -> Result<(Stream, Option<Identity>), ConnectError> {
+    connect_over(address, keys, None).await
+}
+
+/// Calls `address`; over whatever others could listen to with keys, when there are any.
+///
+/// # Errors
+/// [`ConnectError`].
+pub(crate) async fn connect_over(
+    address: &Address,
+    keys: Option<&Arc<Keys>>,
+    fabric: Option<&Arc<zenoh::Fabric>>,
+) -> Result<(Stream, Option<Identity>), ConnectError> {
     let io = |error| ConnectError::Io {
+        address: address.clone(),
+        error,
+    };
+    let key = |error| ConnectError::Key {
         address: address.clone(),
         error,
     };
@@ -177,12 +221,22 @@ pub(crate) async fn connect(
             let Some(keys) = keys else {
                 return Ok((Stream::Tcp(stream), None));
             };
-            let key = |error| ConnectError::Key {
-                address: address.clone(),
-                error,
-            };
             let (stream, identity) = keys.call(stream).await.map_err(key)?;
             Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
+        }
+        Address::Zenoh(to) => {
+            let none = || io::Error::other("this process is in no zenoh network");
+            let stream = match fabric {
+                Some(fabric) => fabric.connect(to).await,
+                None => Err(none()),
+            };
+            let stream = stream.map_err(io)?;
+            let Some(keys) = keys else {
+                return Ok((Stream::Other(Box::new(stream)), None));
+            };
+            let (stream, identity) = keys.call(stream).await.map_err(key)?;
+            let stream = TlsStream::from(stream);
+            Ok((Stream::Other(Box::new(stream)), Some(identity)))
         }
     }
 }
@@ -194,6 +248,7 @@ const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
 pub(crate) enum Call {
     Tcp(TcpStream, Option<Arc<Keys>>),
     Unix(UnixStream),
+    Zenoh(zenoh::Caller, Option<Arc<Keys>>),
 }
 
 impl Call {
@@ -201,7 +256,7 @@ impl Call {
     pub(crate) fn ends(&self) -> Option<(SocketAddr, SocketAddr)> {
         match self {
             Self::Tcp(stream, _) => Some((stream.peer_addr().ok()?, stream.local_addr().ok()?)),
-            Self::Unix(_) => None,
+            Self::Unix(_) | Self::Zenoh(..) => None,
         }
     }
 
@@ -239,6 +294,15 @@ impl Call {
                 let (stream, identity) = keys.answer(stream).await?;
                 Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
             }
+            Self::Zenoh(caller, None) => {
+                let stream = caller.answer().await?;
+                Ok((Stream::Other(Box::new(stream)), None))
+            }
+            Self::Zenoh(caller, Some(keys)) => {
+                let (stream, identity) = keys.answer(caller.answer().await?).await?;
+                let stream = TlsStream::from(stream);
+                Ok((Stream::Other(Box::new(stream)), Some(identity)))
+            }
         }
     }
 }
@@ -247,6 +311,7 @@ impl Call {
 pub(crate) enum Listener {
     Tcp(TcpListener, Option<Arc<Keys>>),
     Unix(UnixListener, SocketFile),
+    Zenoh(zenoh::Listener, Option<Arc<Keys>>),
 }
 
 impl Listener {
@@ -287,6 +352,7 @@ impl Listener {
         match self {
             Self::Tcp(listener, _) => Ok(Address::Tcp(listener.local_addr()?)),
             Self::Unix(_, file) => Ok(Address::Unix(file.path.clone())),
+            Self::Zenoh(listener, _) => Ok(Address::Zenoh(listener.key().to_owned())),
         }
     }
 
@@ -304,6 +370,7 @@ impl Listener {
                 let (stream, _) = listener.accept().await?;
                 Ok(Call::Unix(stream))
             }
+            Self::Zenoh(listener, keys) => Ok(Call::Zenoh(listener.accept().await?, keys.clone())),
         }
     }
 }
@@ -383,14 +450,28 @@ mod tests {
 
     #[test]
     fn addresses_survive_their_text() {
-        for text in ["tcp:127.0.0.1:80", "tcp:[::1]:1", "unix:/run/x.sock"] {
+        for text in [
+            "tcp:127.0.0.1:80",
+            "tcp:[::1]:1",
+            "unix:/run/x.sock",
+            "zenoh:ctos/cell/a-0f",
+        ] {
             assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
         }
         assert_eq!(
             "127.0.0.1:80".parse::<Address>().unwrap().to_string(),
             "tcp:127.0.0.1:80"
         );
-        for text in ["", "unix:", "unix:relative", "tcp:host", "127.0.0.1"] {
+        for text in [
+            "",
+            "unix:",
+            "unix:relative",
+            "tcp:host",
+            "127.0.0.1",
+            "zenoh:",
+            "zenoh:a//b",
+            "zenoh:ctos/**",
+        ] {
             assert!(text.parse::<Address>().is_err(), "{text}");
         }
     }

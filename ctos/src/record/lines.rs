@@ -53,7 +53,8 @@ pub struct Number {
 
 impl Number {
     /// A trace id, which has its chassis in the highest byte.
-    pub(crate) fn of_trace(trace: u64) -> Self {
+    #[must_use]
+    pub fn of_trace(trace: u64) -> Self {
         Self {
             chassis: (trace >> 56) as u8,
             number: trace & (u64::MAX >> 8),

@@ -3,7 +3,10 @@
 
 use std::{
     fmt,
-    sync::{Arc, OnceLock},
+    sync::{
+        Arc, Mutex, OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use serde_json::{Map, Value};
@@ -17,17 +20,21 @@ use super::{
     event::{Happened, Head},
     recorder::Recorder,
 };
-use crate::message::Tid;
+use crate::{call::lock, message::Tid};
 
+#[derive(Clone)]
 struct Attached {
     recorder: Arc<Recorder>,
     chassis: u8,
 }
 
-/// Puts log lines into the record of this process, while there is one. Filter it like any other layer.
+/// Puts log lines into the records of this process, while there are any. Filter it like any other layer.
 #[derive(Default)]
 pub struct RecordLayer {
     attached: OnceLock<Attached>,
+    /// Those that came later, and go again.
+    guests: Mutex<Vec<Attached>>,
+    visited: AtomicBool,
 }
 
 impl RecordLayer {
@@ -56,29 +63,63 @@ pub(crate) fn attach(recorder: &Arc<Recorder>, chassis: u8) {
     });
 }
 
+/// Lets the log go to `recorder` too, until it is dismissed.
+pub(super) fn admit(recorder: &Arc<Recorder>, chassis: u8) {
+    with_guests(|guests| {
+        let recorder = recorder.clone();
+        guests.push(Attached { recorder, chassis });
+    });
+}
+
+/// Ends what [`admit`] began.
+pub(super) fn dismiss(recorder: &Arc<Recorder>) {
+    with_guests(|guests| guests.retain(|guest| !Arc::ptr_eq(&guest.recorder, recorder)));
+}
+
+fn with_guests(mut change: impl FnMut(&mut Vec<Attached>)) {
+    tracing::dispatcher::get_default(|dispatch| {
+        if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
+            let mut guests = lock(&layer.guests);
+            change(&mut guests);
+            layer.visited.store(!guests.is_empty(), Ordering::Release);
+        }
+    });
+}
+
 impl<S: Subscriber> Layer<S> for RecordLayer {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        let Some(Attached { recorder, chassis }) = self.attached.get() else {
-            return;
-        };
-        let mut line = Line::default();
-        event.record(&mut line);
-        let head = Head {
-            at: recorder.now(),
-            chassis: *chassis,
-            what: Happened::Log {
-                level: level_of(*event.metadata().level()),
-                target: event.metadata().target().to_owned(),
-                task: line.task,
-                message: line.message,
-            },
-        };
-        let fields = line.fields;
-        // On the runtime's own processor: which one this thread belongs to is not known here.
-        recorder.note(Tid::new(*chassis, 0, 0), &head, |buffer| {
-            serde_json::to_writer(buffer, &fields).is_ok()
-        });
+        if let Some(attached) = self.attached.get() {
+            note(attached, event);
+        }
+        if self.visited.load(Ordering::Acquire) {
+            // Not under the lock: a recorder may have something to log itself.
+            let guests = lock(&self.guests).clone();
+            for guest in &guests {
+                note(guest, event);
+            }
+        }
     }
+}
+
+/// Puts a line into one record.
+fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
+    let mut line = Line::default();
+    event.record(&mut line);
+    let head = Head {
+        at: recorder.now(),
+        chassis: *chassis,
+        what: Happened::Log {
+            level: level_of(*event.metadata().level()),
+            target: event.metadata().target().to_owned(),
+            task: line.task,
+            message: line.message,
+        },
+    };
+    let fields = line.fields;
+    // On the runtime's own processor: which one this thread belongs to is not known here.
+    recorder.note(Tid::new(*chassis, 0, 0), &head, |buffer| {
+        serde_json::to_writer(buffer, &fields).is_ok()
+    });
 }
 
 /// The numbers that viewers expect.

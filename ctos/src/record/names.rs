@@ -13,9 +13,7 @@ use crate::{
     message::{Command, CommandInfo, SYSTEM_COMMANDS, Tid},
     names,
     registry::Registry,
-    system::{
-        self, ChassisDown, CreateTasks, EnterPhase, Exit, Introspect, Ping, Statistics, StopTask,
-    },
+    semaphore, system,
     watch::Gather,
 };
 
@@ -23,7 +21,7 @@ use crate::{
 #[derive(Debug)]
 pub(crate) struct Names {
     tasks: Mutex<BTreeMap<Tid, Arc<str>>>,
-    commands: BTreeMap<Arc<str>, Vec<CommandInfo>>,
+    commands: Mutex<BTreeMap<Arc<str>, Vec<CommandInfo>>>,
     system: Vec<CommandInfo>,
 }
 
@@ -53,22 +51,14 @@ impl Names {
                 commands.insert(task.name.as_str().into(), kind.commands().to_vec());
             }
         }
-        let mut all = vec![
-            Ping::INFO,
-            Introspect::INFO,
-            Statistics::INFO,
-            EnterPhase::INFO,
-            StopTask::INFO,
-            ChassisDown::INFO,
-            CreateTasks::INFO,
-            Exit::INFO,
-            Gather::INFO,
-        ];
+        let mut all = system::ALL.to_vec();
+        all.push(Gather::INFO);
         all.extend(bootstrap::COMMANDS);
         all.extend(names::COMMANDS);
+        all.extend(semaphore::server::COMMANDS);
         Self {
             tasks: Mutex::new(tasks),
-            commands,
+            commands: Mutex::new(commands),
             system: all,
         }
     }
@@ -79,6 +69,12 @@ impl Names {
         if task.processor() > 0 {
             lock(&self.tasks).insert(task, name.clone());
         }
+    }
+
+    /// What the task `name` takes, which no configuration need declare.
+    pub(crate) fn takes(&self, name: &Arc<str>, commands: &[CommandInfo]) {
+        let mut all = lock(&self.commands);
+        all.entry(name.clone()).or_insert_with(|| commands.to_vec());
     }
 
     /// The name of a task; its id when it has none that is known.
@@ -96,11 +92,14 @@ impl Names {
 
     /// What `task` takes under `code`.
     pub(crate) fn command(&self, task: &str, code: u16) -> Option<CommandInfo> {
-        let among = if code >= SYSTEM_COMMANDS {
-            &self.system
-        } else {
-            self.commands.get(task)?
+        let find = |among: &[CommandInfo]| {
+            let mut among = among.iter();
+            among.find(|command| command.code == code).copied()
         };
-        among.iter().find(|command| command.code == code).copied()
+        if code >= SYSTEM_COMMANDS {
+            find(&self.system)
+        } else {
+            find(lock(&self.commands).get(task)?)
+        }
     }
 }

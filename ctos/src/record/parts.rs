@@ -22,7 +22,10 @@ use mcap::{
     records::{MessageHeader, Metadata},
 };
 
-use super::lines::{RECORDER, Schema};
+use super::{
+    lines::{RECORDER, Schema},
+    report::RecordReport,
+};
 use crate::call::lock;
 
 /// A chunk is closed at this size, bytes.
@@ -105,6 +108,8 @@ struct Part {
     /// The length of the file when all of it was whole, and how many lines came since.
     whole: u64,
     unsafe_lines: u64,
+    /// Lines that it was given.
+    lines: u64,
 }
 
 /// A file that cannot be written.
@@ -161,6 +166,11 @@ pub(crate) struct Parts {
     lost: u64,
     lost_in_all: u64,
     why: String,
+    /// How the record is; of the present file only what is on disk counts.
+    report: RecordReport,
+    /// What was said last of a disk that takes nothing, and how many lines there were then: the same is
+    /// said once.
+    told: Option<(String, u64)>,
 }
 
 impl Parts {
@@ -173,12 +183,49 @@ impl Parts {
         Ok(Self {
             place,
             run,
+            report: RecordReport {
+                file: part.path.display().to_string(),
+                ..RecordReport::default()
+            },
             part: Some(part),
             retry_at: 0,
             lost: 0,
             lost_in_all: 0,
             why: String::new(),
+            told: None,
         })
+    }
+
+    /// Events that are not in the record.
+    pub(crate) fn lost_in_all(&self) -> u64 {
+        self.lost_in_all
+    }
+
+    /// How the record is.
+    pub(crate) fn report(&self) -> RecordReport {
+        let mut report = self.report.clone();
+        report.lost = self.lost_in_all;
+        if let Some(part) = &self.part {
+            report.lines += part.lines;
+            report.bytes += part.sink.written.load(Ordering::Relaxed);
+        }
+        report
+    }
+
+    /// Says what is wrong with the disk, and what to do; the same thing once.
+    fn say(&mut self, path: &Path, error: &str, lost: u64) {
+        self.report.trouble = Some(error.to_owned());
+        let told = self.told.as_ref().map(|(told, _)| told.as_str());
+        if told == Some(error) {
+            tracing::debug!(file = %path.display(), error, lost, "the record cannot go on yet");
+            return;
+        }
+        self.told = Some((error.to_owned(), self.report().lines));
+        let retry_s = RETRY_NS / 1_000_000_000;
+        tracing::error!(
+            file = %path.display(), error, lost, retry_s,
+            "the record broke off; the app goes on without it: make room on its disk, and it goes on in a new file; what is lost meanwhile is counted (`ctos status CHASSIS`)"
+        );
     }
 
     /// So many events are not in the record.
@@ -238,9 +285,13 @@ impl Parts {
 
     fn begin_part(&mut self, now: u64) {
         match Part::open(&self.place, &self.run) {
-            Ok(part) => self.part = Some(part),
+            Ok(part) => {
+                self.report.file = part.path.display().to_string();
+                self.part = Some(part);
+            }
             Err(error) => {
-                tracing::warn!(error = %error, "no record is written; tried again later");
+                let path = PathBuf::from(&error.path);
+                self.say(&path, &error.reason, self.lost_in_all);
                 self.retry_at = now.saturating_add(RETRY_NS);
             }
         }
@@ -254,23 +305,34 @@ impl Parts {
         };
         part.metadata(LOST, BTreeMap::from([("events".to_owned(), lost)]));
         part.flush();
-        let (path, lines, sink) = (part.path.clone(), part.unsafe_lines, part.sink.clone());
-        let whole = part.whole;
+        let (path, lost, sink) = (part.path.clone(), part.unsafe_lines, part.sink.clone());
+        let (whole, lines) = (part.whole, part.lines);
         part.finish();
         let error = lock(&sink.error).clone();
-        if let Some(error) = error {
-            self.broke_off(now, &path, whole, lines, &error);
+        match error {
+            Some(error) => {
+                self.account(lines.saturating_sub(lost), whole);
+                self.broke_off(now, &path, whole, lost, &error);
+            }
+            None => self.account(lines, sink.written.load(Ordering::Relaxed)),
         }
+    }
+
+    /// A file is left with so many lines and bytes in it.
+    fn account(&mut self, lines: u64, bytes: u64) {
+        self.report.lines += lines;
+        self.report.bytes += bytes;
     }
 
     /// Gives up a file whose disk has failed.
     fn check(&mut self, now: u64) {
         if let Some(part) = self.part.take_if(|part| part.error().is_some()) {
             let error = part.error().unwrap_or_default();
-            let (path, whole, lines) = (part.path.clone(), part.whole, part.unsafe_lines);
+            let (path, whole, lost) = (part.path.clone(), part.whole, part.unsafe_lines);
+            self.account(part.lines.saturating_sub(lost), whole);
             // What it still writes at its end, the sink swallows.
             drop(part);
-            self.broke_off(now, &path, whole, lines, &error);
+            self.broke_off(now, &path, whole, lost, &error);
         }
     }
 
@@ -280,8 +342,8 @@ impl Parts {
         if let Err(error) = cut.and_then(|file| file.set_len(whole)) {
             tracing::warn!(file = %path.display(), error = %error, "the broken end of a record was not cut off");
         }
-        tracing::error!(file = %path.display(), error, lost = lines, "the record broke off; the app goes on");
         self.lost(lines, error);
+        self.say(path, error, lines);
         self.retry_at = now.saturating_add(RETRY_NS);
     }
 
@@ -291,6 +353,16 @@ impl Parts {
             part.flush();
         }
         self.check(now);
+        let lines = self.report().lines;
+        if let (Some(part), Some((_, then))) = (&self.part, &self.told)
+            // A disk that takes a beginning and no more has not recovered.
+            && lines > *then
+            && now >= self.retry_at.saturating_add(RETRY_NS)
+        {
+            tracing::warn!(file = %part.path.display(), "the record goes on");
+            self.told = None;
+            self.report.trouble = None;
+        }
     }
 
     /// Closes the record.
@@ -340,6 +412,7 @@ impl Part {
             bytes: 0,
             whole: 0,
             unsafe_lines: 0,
+            lines: 0,
         };
         let mut run = run.clone();
         run.insert("part".to_owned(), number.to_string());
@@ -358,6 +431,7 @@ impl Part {
         self.writer.write_to_known_channel(&header, line.json)?;
         self.bytes += OVERHEAD + u64::try_from(line.json.len()).unwrap_or(u64::MAX / 2);
         self.unsafe_lines += 1;
+        self.lines += 1;
         Ok(())
     }
 

@@ -114,7 +114,7 @@ impl Filter {
 }
 
 /// Whether `text` is `pattern`, in which `*` stands for any letters.
-fn matches(pattern: &str, text: &str) -> bool {
+pub(super) fn matches(pattern: &str, text: &str) -> bool {
     let mut parts = pattern.split('*');
     let Some(mut rest) = parts.next().and_then(|first| text.strip_prefix(first)) else {
         return false;

@@ -16,11 +16,12 @@ use std::{
 use super::{
     event::{Head, push},
     names::Names,
+    report::RecordReport,
     writer::Writer,
 };
 use crate::{
     call::lock,
-    message::Tid,
+    message::{CommandInfo, Tid},
     time::{Clock, Instant},
 };
 
@@ -49,7 +50,11 @@ pub(crate) struct Recorder {
     lanes: Vec<Mutex<Lane>>,
     limit: usize,
     next_id: AtomicU64,
+    /// Events that found no room in the buffers.
     dropped: AtomicU64,
+    /// Events that found none on the disk.
+    unwritten: AtomicU64,
+    report: Mutex<RecordReport>,
     writer: Mutex<Option<Writer>>,
     threaded: bool,
     flush: Duration,
@@ -100,6 +105,8 @@ impl Recorder {
             limit,
             next_id: AtomicU64::new(1),
             dropped: AtomicU64::new(0),
+            unwritten: AtomicU64::new(0),
+            report: Mutex::new(writer.report()),
             writer: Mutex::new(Some(writer)),
             threaded,
             flush,
@@ -119,14 +126,21 @@ impl Recorder {
         self.next_id.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Events that found no room.
+    /// Events that found no room, here or on the disk.
     pub(crate) fn dropped(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
+        let unwritten = self.unwritten.load(Ordering::Relaxed);
+        self.dropped.load(Ordering::Relaxed) + unwritten
     }
 
-    /// A task has a name from now on.
-    pub(crate) fn named(&self, task: Tid, name: &Arc<str>) {
+    /// A task has a name from now on, and takes these commands.
+    pub(crate) fn named(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
         self.names.name(task, name);
+        self.names.takes(name, commands);
+    }
+
+    /// How the record is.
+    pub(crate) fn report(&self) -> RecordReport {
+        lock(&self.report).clone()
     }
 
     /// Notes one event at the processor of `task`. False when it was dropped.
@@ -192,6 +206,12 @@ impl Recorder {
         if flush {
             writer.flush(now);
         }
+        self.tell(writer);
+    }
+
+    fn tell(&self, writer: &Writer) {
+        self.unwritten.store(writer.unwritten(), Ordering::Relaxed);
+        *lock(&self.report) = writer.report();
     }
 
     /// The writer's thread.
@@ -226,8 +246,9 @@ impl Recorder {
 
     fn close(&self) {
         let writer = lock(&self.writer).take();
-        if let Some(writer) = writer {
+        if let Some(mut writer) = writer {
             writer.close(self.now());
+            self.tell(&writer);
         }
     }
 

@@ -1,32 +1,44 @@
 //! The one place of a chassis that sees everything: what is sent, what a handler begins and ends, what
 //! comes back. It hands it to a recorder, to a replay, or to nobody, which costs one load.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::{
+    Arc, OnceLock, PoisonError, RwLock,
+    atomic::{AtomicBool, AtomicU64, Ordering},
+};
 
 use super::{
     event::{Ending, Happened, Head, Side},
     recorder::Recorder,
     replay::Desk,
+    report::RecordReport,
 };
 use crate::{
     call::{Answer, Fault},
     chassis::{Envelope, WaitFor},
-    message::{Data, Flags, Header, Message, Tid},
+    message::{CommandInfo, Data, Flags, Header, Message, Tid},
     task::Phase,
     time::Instant,
 };
 
 enum Target {
-    Record {
-        recorder: Arc<Recorder>,
-        chassis: u8,
-    },
+    Record(Arc<Recorder>),
     Replay(Arc<Desk>),
 }
 
-/// What looks on. Set once, when recording begins.
+/// What looks on.
 #[derive(Default)]
-pub(crate) struct Tap(OnceLock<Target>);
+pub(crate) struct Tap {
+    /// The chassis.
+    index: u8,
+    /// What was there when the chassis began. Set once.
+    first: OnceLock<Target>,
+    /// Whether there are guests: without any, a message costs one load for them.
+    visited: AtomicBool,
+    /// Recorders that came while the chassis ran, and may go before it does.
+    guests: RwLock<Vec<Arc<Recorder>>>,
+    /// Numbers messages while there are guests alone.
+    next_id: AtomicU64,
+}
 
 /// A request as its sender knows it, kept until the answer comes.
 #[derive(Debug, Clone, Copy)]
@@ -74,53 +86,130 @@ impl AtHand {
 }
 
 impl Tap {
-    /// From now on everything goes to `recorder`, as of chassis `chassis`. The first call counts.
-    pub(crate) fn record(&self, recorder: Arc<Recorder>, chassis: u8) {
-        let _ = self.0.set(Target::Record { recorder, chassis });
+    /// The tap of chassis `index`.
+    pub(crate) fn new(index: u8) -> Self {
+        Self {
+            index,
+            ..Self::default()
+        }
+    }
+
+    /// From now on everything goes to `recorder`. The first call counts.
+    pub(crate) fn record(&self, recorder: Arc<Recorder>) {
+        let _ = self.first.set(Target::Record(recorder));
+    }
+
+    /// From now on everything goes to `recorder` too.
+    pub(super) fn admit(&self, recorder: Arc<Recorder>) {
+        let mut guests = self.guests.write().unwrap_or_else(PoisonError::into_inner);
+        guests.push(recorder);
+        self.visited.store(true, Ordering::Release);
+    }
+
+    /// From now on nothing goes to `recorder` any more.
+    pub(super) fn dismiss(&self, recorder: &Arc<Recorder>) {
+        let mut guests = self.guests.write().unwrap_or_else(PoisonError::into_inner);
+        guests.retain(|guest| !Arc::ptr_eq(guest, recorder));
+        self.visited.store(!guests.is_empty(), Ordering::Release);
     }
 
     /// From now on everything goes to a replay. The first call counts.
     pub(crate) fn replay_at(&self, desk: Arc<Desk>) {
-        let _ = self.0.set(Target::Replay(desk));
+        let _ = self.first.set(Target::Replay(desk));
     }
 
     /// The replay that answers in place of the other tasks, if there is one.
     pub(crate) fn replay(&self) -> Option<&Arc<Desk>> {
-        match self.0.get()? {
+        match self.first.get()? {
             Target::Replay(desk) => Some(desk),
-            Target::Record { .. } => None,
+            Target::Record(_) => None,
         }
     }
 
-    fn recorder(&self) -> Option<(&Arc<Recorder>, u8)> {
-        match self.0.get()? {
-            Target::Record { recorder, chassis } => Some((recorder, *chassis)),
+    fn first(&self) -> Option<&Arc<Recorder>> {
+        match self.first.get()? {
+            Target::Record(recorder) => Some(recorder),
             Target::Replay(_) => None,
         }
     }
 
-    /// Events that the record lacks; `None` when nothing is recorded.
+    fn guests(&self) -> Vec<Arc<Recorder>> {
+        if !self.visited.load(Ordering::Acquire) {
+            return Vec::new();
+        }
+        let guests = self.guests.read().unwrap_or_else(PoisonError::into_inner);
+        guests.clone()
+    }
+
+    /// All who record.
+    pub(crate) fn recorders(&self) -> Vec<Arc<Recorder>> {
+        let mut all: Vec<_> = self.first().cloned().into_iter().collect();
+        all.extend(self.guests());
+        all
+    }
+
+    /// How the records are.
+    pub(crate) fn reports(&self) -> Vec<RecordReport> {
+        let recorders = self.recorders();
+        recorders.iter().map(|recorder| recorder.report()).collect()
+    }
+
+    /// Events that the records lack; `None` when nothing is recorded.
     pub(crate) fn dropped(&self) -> Option<u64> {
-        self.recorder().map(|(recorder, _)| recorder.dropped())
+        let recorders = self.recorders();
+        let all = recorders.iter().map(|recorder| recorder.dropped()).sum();
+        (!recorders.is_empty()).then_some(all)
     }
 
     /// Whether anything is recorded.
     pub(crate) fn is_recording(&self) -> bool {
-        self.recorder().is_some()
+        self.first().is_some() || self.visited.load(Ordering::Relaxed)
+    }
+
+    fn fresh_id(&self) -> u64 {
+        match self.first() {
+            Some(recorder) => recorder.fresh_id(),
+            None => self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
+        }
+    }
+
+    /// Notes something at `at`, or now, with everybody who records; whether somebody took it.
+    fn note(
+        &self,
+        task: Tid,
+        at: Option<u64>,
+        what: impl FnOnce() -> Happened,
+        data: impl Fn(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        let first = self.first();
+        let guests = self.guests();
+        let Some(one) = first.or(guests.first()) else {
+            return false;
+        };
+        let head = Head {
+            at: at.unwrap_or_else(|| one.now()),
+            chassis: self.index,
+            what: what(),
+        };
+        let mut noted = false;
+        for recorder in first.into_iter().chain(&guests) {
+            noted |= recorder.note(task, &head, &data);
+        }
+        noted
     }
 
     /// A task sends a message. The number stands for it in the record; 0 when it is not in it.
     pub(crate) fn sent(&self, envelope: &Envelope, wait: Option<WaitFor>) -> u64 {
-        let Some((recorder, chassis)) = self.recorder() else {
+        if !self.is_recording() {
             return 0;
-        };
+        }
         let flag = match wait {
             Some(WaitFor::Reply) => Flags::REPLY_WAIT,
             Some(WaitFor::Acceptance) => Flags::ACCEPT_WAIT,
             None => Flags::NONE,
         };
-        let id = recorder.fresh_id();
-        let what = Happened::Message {
+        let id = self.fresh_id();
+        let what = || Happened::Message {
             id,
             to: envelope.to,
             from: envelope.from,
@@ -128,20 +217,14 @@ impl Tap {
             flags: envelope.flags.with(flag).bits(),
             trace: envelope.trace,
             deadline: envelope.deadline.map(Instant::as_nanos),
-            side: if envelope.to.chassis() == chassis {
+            side: if envelope.to.chassis() == self.index {
                 Side::Here
             } else {
                 Side::Sender
             },
         };
-        let head = Head {
-            at: recorder.now(),
-            chassis,
-            what,
-        };
-        let noted = recorder.note(envelope.from, &head, |buffer| {
-            envelope.data.append_to(buffer).is_ok()
-        });
+        let data = |buffer: &mut Vec<u8>| envelope.data.append_to(buffer).is_ok();
+        let noted = self.note(envelope.from, None, what, data);
         if noted { id } else { 0 }
     }
 
@@ -153,11 +236,11 @@ impl Tap {
         deadline: Option<Instant>,
         body: &[u8],
     ) -> u64 {
-        let Some((recorder, chassis)) = self.recorder() else {
+        if !self.is_recording() {
             return 0;
-        };
-        let id = recorder.fresh_id();
-        let what = Happened::Message {
+        }
+        let id = self.fresh_id();
+        let what = || Happened::Message {
             id,
             to: header.to,
             from: header.from,
@@ -167,12 +250,7 @@ impl Tap {
             deadline: deadline.map(Instant::as_nanos),
             side: Side::Receiver,
         };
-        let head = Head {
-            at: recorder.now(),
-            chassis,
-            what,
-        };
-        let noted = recorder.note(header.to, &head, |buffer| {
+        let noted = self.note(header.to, None, what, |buffer| {
             buffer.extend_from_slice(body);
             true
         });
@@ -181,9 +259,9 @@ impl Tap {
 
     /// A handler is called.
     pub(crate) fn began(&self, at_hand: &AtHand) {
-        let Some((recorder, chassis)) = self.recorder() else {
+        if !self.is_recording() {
             return;
-        };
+        }
         let AtHand {
             id,
             task,
@@ -192,28 +270,24 @@ impl Tap {
             trace,
             began,
         } = *at_hand;
-        let what = Happened::Began {
+        let what = || Happened::Began {
             id,
             task,
             from,
             command,
             trace,
         };
-        let head = Head {
-            at: began,
-            chassis,
-            what,
-        };
-        recorder.note(task, &head, |_| true);
+        self.note(task, Some(began), what, |_| true);
     }
 
     /// It has returned.
     pub(crate) fn ended(&self, at_hand: &AtHand, now: Instant, ending: impl FnOnce() -> Ending) {
-        let (recorder, chassis) = match self.0.get() {
-            None => return,
-            Some(Target::Replay(desk)) => return desk.ended(at_hand.command, ending()),
-            Some(Target::Record { recorder, chassis }) => (recorder, *chassis),
-        };
+        if let Some(desk) = self.replay() {
+            return desk.ended(at_hand.command, ending());
+        }
+        if !self.is_recording() {
+            return;
+        }
         let AtHand {
             id,
             task,
@@ -222,7 +296,7 @@ impl Tap {
             trace,
             began,
         } = *at_hand;
-        let what = Happened::Ended {
+        let what = || Happened::Ended {
             id,
             task,
             from,
@@ -231,25 +305,17 @@ impl Tap {
             began,
             ending: ending(),
         };
-        let head = Head {
-            at: now.as_nanos(),
-            chassis,
-            what,
-        };
-        recorder.note(task, &head, |_| true);
+        self.note(task, Some(now.as_nanos()), what, |_| true);
     }
 
     /// A sender has what it waited for.
     pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: &Answer) {
-        let Some((recorder, chassis)) = self.recorder() else {
-            return;
-        };
-        let side = if asked.to.chassis() == chassis {
+        let side = if asked.to.chassis() == self.index {
             Side::Here
         } else {
             Side::Sender
         };
-        note_answer(recorder, chassis, id, asked, side, answer.as_ref());
+        self.note_answer(id, asked, side, answer.as_ref());
     }
 
     /// A task of this chassis answers a message from another one.
@@ -260,94 +326,73 @@ impl Tap {
         trace: u64,
         answer: Result<&Data, &Fault>,
     ) {
-        let Some((recorder, chassis)) = self.recorder() else {
-            return;
-        };
         let asked = Asked {
             by: request.from,
             to: request.to,
             command: request.command,
             trace,
         };
-        note_answer(recorder, chassis, id, &asked, Side::Receiver, answer);
+        self.note_answer(id, &asked, Side::Receiver, answer);
+    }
+
+    fn note_answer(&self, id: u64, asked: &Asked, side: Side, answer: Result<&Data, &Fault>) {
+        if !self.is_recording() {
+            return;
+        }
+        let what = || Happened::Answered {
+            id,
+            by: asked.to,
+            to: asked.by,
+            command: asked.command,
+            trace: asked.trace,
+            side,
+            fault: answer.err().cloned(),
+        };
+        // Noted where it happened: at the one who answers, or at the one who asked.
+        let place = if side == Side::Receiver {
+            asked.to
+        } else {
+            asked.by
+        };
+        self.note(place, None, what, |buffer| {
+            answer.is_ok_and(|data| data.append_to(buffer).is_ok())
+        });
     }
 
     /// A task has entered a startup phase; without one, its handler has been built.
     pub(crate) fn phase(&self, task: Tid, phase: Option<Phase>) {
-        if let Some((recorder, chassis)) = self.recorder() {
-            let head = Head {
-                at: recorder.now(),
-                chassis,
-                what: Happened::Phase { task, phase },
-            };
-            recorder.note(task, &head, |_| true);
-        }
+        self.note(task, None, || Happened::Phase { task, phase }, |_| true);
     }
 
     /// A task puts a value on a channel of its own.
     pub(crate) fn value<T: serde::Serialize + ?Sized>(&self, task: Tid, channel: &str, value: &T) {
-        if let Some((recorder, chassis)) = self.recorder() {
-            let channel = if channel.starts_with('/') {
+        let what = || Happened::Value {
+            channel: if channel.starts_with('/') {
                 channel.to_owned()
             } else {
                 format!("/{channel}")
-            };
-            let head = Head {
-                at: recorder.now(),
-                chassis,
-                what: Happened::Value { channel },
-            };
-            recorder.note(task, &head, |buffer| {
-                serde_json::to_writer(buffer, value).is_ok()
-            });
-        }
+            },
+        };
+        self.note(task, None, what, |buffer| {
+            serde_json::to_writer(buffer, value).is_ok()
+        });
     }
 
-    /// A task of this chassis was built.
-    pub(crate) fn built(&self, task: Tid, name: &Arc<str>) {
-        if let Some((recorder, _)) = self.recorder() {
-            recorder.named(task, name);
+    /// A task of this chassis was built, which takes `commands`.
+    pub(crate) fn built(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
+        let recorders = self.recorders();
+        for recorder in &recorders {
+            recorder.named(task, name, commands);
+        }
+        if !recorders.is_empty() {
             self.phase(task, None);
         }
     }
 
     /// A task used something that no message brings it, so that no record holds it.
     pub(crate) fn used(&self, what: impl FnOnce() -> String) {
-        if let Some(Target::Replay(desk)) = self.0.get() {
+        if let Some(Target::Replay(desk)) = self.first.get() {
             desk.used(what());
         }
     }
-}
-
-fn note_answer(
-    recorder: &Recorder,
-    chassis: u8,
-    id: u64,
-    asked: &Asked,
-    side: Side,
-    answer: Result<&Data, &Fault>,
-) {
-    let what = Happened::Answered {
-        id,
-        by: asked.to,
-        to: asked.by,
-        command: asked.command,
-        trace: asked.trace,
-        side,
-        fault: answer.err().cloned(),
-    };
-    let head = Head {
-        at: recorder.now(),
-        chassis,
-        what,
-    };
-    // Noted where it happened: at the one who answers, or at the one who asked.
-    let place = if side == Side::Receiver {
-        asked.to
-    } else {
-        asked.by
-    };
-    recorder.note(place, &head, |buffer| {
-        answer.is_ok_and(|data| data.append_to(buffer).is_ok())
-    });
 }

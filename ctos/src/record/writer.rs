@@ -8,13 +8,19 @@ use super::{
     lines,
     names::Names,
     parts::{Line, Parts},
+    read::matches,
+    report::RecordReport,
 };
 
 /// Writes one record.
 pub(crate) struct Writer {
     names: Arc<Names>,
     parts: Parts,
+    /// Which channels are written; none: all.
+    channels: Vec<String>,
     json: Vec<u8>,
+    /// Events that found no room in the buffers.
+    dropped: u64,
 }
 
 impl Writer {
@@ -22,8 +28,30 @@ impl Writer {
         Self {
             names,
             parts,
+            channels: Vec::new(),
             json: Vec::new(),
+            dropped: 0,
         }
+    }
+
+    /// Writes these channels alone, in whose names `*` stands for any letters.
+    pub(crate) fn choosing(self, channels: Vec<String>) -> Self {
+        Self { channels, ..self }
+    }
+
+    fn takes(&self, topic: &str) -> bool {
+        let mut channels = self.channels.iter();
+        self.channels.is_empty() || channels.any(|pattern| matches(pattern, topic))
+    }
+
+    /// Events that found no room on the disk.
+    pub(crate) fn unwritten(&self) -> u64 {
+        self.parts.lost_in_all().saturating_sub(self.dropped)
+    }
+
+    /// How the record is.
+    pub(crate) fn report(&self) -> RecordReport {
+        self.parts.report()
     }
 
     pub(crate) fn names(&self) -> &Arc<Names> {
@@ -33,10 +61,13 @@ impl Writer {
     /// Writes the events of all buffers in the order of their moments; `dropped` more were not taken.
     pub(crate) fn write(&mut self, now: u64, batch: &[Vec<u8>], dropped: u64) {
         if dropped > 0 {
-            tracing::warn!(
-                dropped,
-                "the record is not complete: more happened than could be written"
-            );
+            if self.dropped == 0 {
+                tracing::warn!(
+                    dropped,
+                    "the record is not complete: more happened than could be written; what is lost from now on is counted (`ctos status CHASSIS`); `record.buffer_mb` makes room for more"
+                );
+            }
+            self.dropped += dropped;
             self.parts
                 .lost(dropped, "more happened than could be written");
         }
@@ -53,6 +84,7 @@ impl Writer {
 
     fn write_one(&mut self, now: u64, head: &Head, data: &[u8]) {
         match lines::write(head, data, &self.names, &mut self.json) {
+            Ok((topic, _)) if !self.takes(&topic) => {}
             Ok((topic, schema)) => self.parts.write(
                 now,
                 &Line {
@@ -75,7 +107,7 @@ impl Writer {
     }
 
     /// Closes the record.
-    pub(crate) fn close(mut self, now: u64) {
+    pub(crate) fn close(&mut self, now: u64) {
         self.parts.close(now);
     }
 }

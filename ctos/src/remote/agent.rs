@@ -279,7 +279,7 @@ impl HostAgent {
         let listener = Listener::tcp(setup.listen, keys).await.map_err(failed)?;
         let address = match &listener {
             Listener::Tcp(listener, _) => listener.local_addr()?,
-            Listener::Unix(..) => setup.listen,
+            Listener::Unix(..) | Listener::Zenoh(..) => setup.listen,
         };
         let (stop, stopping) = watch::channel(false);
         Ok(Self {

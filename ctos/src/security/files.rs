@@ -53,6 +53,27 @@ pub fn make_key(path: &Path, role: Role) -> Result<PathBuf, KeyError> {
     Ok(path)
 }
 
+/// The files of a key, for a library that reads them itself.
+#[cfg(feature = "zenoh")]
+#[derive(Debug, Clone)]
+pub(crate) struct KeyFiles {
+    pub(crate) certificate: PathBuf,
+    pub(crate) private: PathBuf,
+    pub(crate) authority: PathBuf,
+}
+
+#[cfg(feature = "zenoh")]
+impl KeyFiles {
+    /// Those of a key without its ending.
+    pub(crate) fn of(key: &Path, authority: &Path) -> Self {
+        Self {
+            certificate: with_ending(key, "pem"),
+            private: with_ending(key, "key"),
+            authority: authority.to_owned(),
+        }
+    }
+}
+
 /// A key in a folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Listed {

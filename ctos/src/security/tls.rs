@@ -7,7 +7,7 @@ use rustls::{
     pki_types::{CertificateDer, ServerName},
     server::WebPkiClientVerifier,
 };
-use tokio::net::TcpStream;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio_rustls::{TlsAcceptor, TlsConnector, client, server};
 
 use super::{Identity, KeyError, files};
@@ -83,10 +83,10 @@ impl Keys {
     ///
     /// # Errors
     /// [`KeyError`] when the other end has no key of this authority, or does not take this one.
-    pub async fn call(
+    pub async fn call<S: AsyncRead + AsyncWrite + Unpin>(
         &self,
-        stream: TcpStream,
-    ) -> Result<(client::TlsStream<TcpStream>, Identity), KeyError> {
+        stream: S,
+    ) -> Result<(client::TlsStream<S>, Identity), KeyError> {
         let name = ServerName::try_from(SERVER_NAME).map_err(unusable)?;
         let stream = self.connector.connect(name, stream).await?;
         let identity = first_identity(stream.get_ref().1.peer_certificates())?;
@@ -114,10 +114,10 @@ impl Keys {
     ///
     /// # Errors
     /// As [`Self::call`].
-    pub async fn answer(
+    pub async fn answer<S: AsyncRead + AsyncWrite + Unpin>(
         &self,
-        stream: TcpStream,
-    ) -> Result<(server::TlsStream<TcpStream>, Identity), KeyError> {
+        stream: S,
+    ) -> Result<(server::TlsStream<S>, Identity), KeyError> {
         let stream = self.acceptor.accept(stream).await?;
         let identity = first_identity(stream.get_ref().1.peer_certificates())?;
         Ok((stream, identity))

@@ -24,8 +24,7 @@ pub(super) fn bound_s(bucket: usize) -> f64 {
 
 #[derive(Debug)]
 struct CommandMeter {
-    code: u16,
-    name: &'static str,
+    info: CommandInfo,
     ok: AtomicU64,
     failed: AtomicU64,
 }
@@ -56,13 +55,18 @@ impl TaskMeter {
     pub(crate) fn count(&self, commands: &[CommandInfo]) {
         self.commands.get_or_init(|| {
             let meter = |command: &CommandInfo| CommandMeter {
-                code: command.code,
-                name: command.name,
+                info: *command,
                 ok: AtomicU64::new(0),
                 failed: AtomicU64::new(0),
             };
             commands.iter().map(meter).collect()
         });
+    }
+
+    /// The commands that are counted.
+    pub(crate) fn counted(&self) -> Vec<CommandInfo> {
+        let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
+        commands.iter().map(|command| command.info).collect()
     }
 
     /// A handler has returned from a message of `command` after `nanos`.
@@ -74,7 +78,7 @@ impl TaskMeter {
             bucket.fetch_add(1, Ordering::Relaxed);
         }
         let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
-        let known = commands.iter().find(|known| known.code == command);
+        let known = commands.iter().find(|known| known.info.code == command);
         let counter = match (known, ok) {
             (Some(known), true) => &known.ok,
             (Some(known), false) => &known.failed,
@@ -100,7 +104,7 @@ impl TaskMeter {
         };
         let mut counts: Vec<_> = commands
             .iter()
-            .map(|known| count(known.name, &known.ok, &known.failed))
+            .map(|known| count(known.info.name, &known.ok, &known.failed))
             .collect();
         counts.push(count("runtime", &self.other_ok, &self.other_failed));
         counts

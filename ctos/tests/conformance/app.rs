@@ -24,7 +24,7 @@ pub struct Placement {
 }
 
 impl Placement {
-    pub const ALL: [Self; 9] = [
+    pub const ALL: &[Self] = &[
         Self {
             name: "same_processor",
             mode: "real",
@@ -88,6 +88,30 @@ impl Placement {
             far: "b/main",
             seeds: 1..2,
         },
+        #[cfg(feature = "zenoh")]
+        Self {
+            name: "two_chassis_zenoh",
+            mode: "real",
+            links: &["same_host=zenoh", "zenoh.mode=router"],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
+        #[cfg(feature = "zenoh")]
+        Self {
+            name: "two_chassis_zenoh_tls_breaking",
+            mode: "real",
+            links: &[
+                "same_host=zenoh",
+                "zenoh.mode=router",
+                "injure.break_bytes=20000",
+                "injure.drop=0.02",
+                r#"security={ key = "KEYS/cell", authority = "KEYS/ca.pem" }"#,
+            ],
+            near: "a/main",
+            far: "b/main",
+            seeds: 1..2,
+        },
         Self {
             name: "two_processors_virtual",
             mode: "virtual",
@@ -105,6 +129,18 @@ impl Placement {
             seeds: 1..9,
         },
     ];
+
+    /// What each run of it has for itself: where its zenoh network is.
+    pub fn own_sets(&self) -> Vec<String> {
+        if !self.links.contains(&"zenoh.mode=router") {
+            return Vec::new();
+        }
+        let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        let secure = self.links.iter().any(|set| set.starts_with("security"));
+        let protocol = if secure { "tls" } else { "tcp" };
+        vec![format!("zenoh.listen=[\"{protocol}/{address}\"]")]
+    }
 
     pub fn app(&self, seed: u64, case: &str, more: &[&str]) -> App {
         let Self {

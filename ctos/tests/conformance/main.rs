@@ -63,7 +63,13 @@ fn main() -> ExitCode {
 }
 
 /// The placements whose links show how a process fares.
-const LINKS: [&str; 3] = ["two_chassis_shm", "two_chassis_unix", "two_chassis_tcp"];
+const LINKS: &[&str] = &[
+    "two_chassis_shm",
+    "two_chassis_unix",
+    "two_chassis_tcp",
+    #[cfg(feature = "zenoh")]
+    "two_chassis_zenoh",
+];
 
 type SignalTest = fn(&str) -> Result<(), Failed>;
 
@@ -114,14 +120,20 @@ fn boot_case(
     observer: &Observer,
 ) -> Result<Outcome, Failed> {
     make_keys()?;
-    let case_and_sets = [&[case], sets].concat().join(SEPARATOR);
+    let own = placement.own_sets();
+    let sets: Vec<&str> = sets
+        .iter()
+        .copied()
+        .chain(own.iter().map(String::as_str))
+        .collect();
+    let case_and_sets = [&[case], &sets[..]].concat().join(SEPARATOR);
     let launcher = Launcher {
         program: std::env::current_exe()?,
         arguments: [CHASSIS, placement.name, &case_and_sets]
             .map(OsString::from)
             .to_vec(),
     };
-    let app = placement.app(seed, case, sets);
+    let app = placement.app(seed, case, &sets);
     Ok(boot(app, app::registry(), &launcher, observer)?)
 }
 

@@ -7,7 +7,7 @@ use ctos::{
     message::{Command, CommandInfo, Message, Replier},
     registry::Registry,
     sync::{CyclicHandle, Tick},
-    system::AppResult,
+    system::{AppResult, Ping},
     task::{Context, EventHandler, Handled, Phase, StopReason, TaskRef},
 };
 use futures_util::future::join_all;
@@ -36,13 +36,27 @@ const LIFE: Duration = Duration::from_millis(1200);
 /// How long what was sent then may still be under way.
 const DRAIN: Duration = Duration::from_secs(3);
 
+/// How long a task may take to answer, and all of them to be back after the worst that happens.
+const PING: Duration = Duration::from_secs(1);
+const RETURN: Duration = Duration::from_secs(60);
+
 const CHASSIS: [&str; 4] = ["a", "b", "c", "d"];
 const SINKS: usize = 8;
 const SERVERS: usize = 4;
 const RING: usize = 4;
 
+/// What becomes of a chassis that dies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// The app ends with it.
+    Ends,
+    /// It is started again.
+    Returns,
+}
+
 /// The app, without its seed.
-pub fn app() -> App {
+pub fn app(policy: Policy) -> App {
+    let returns = policy == Policy::Returns;
     let mut text =
         String::from("[app]\nuntil = \"conductor\"\nphase_timeout_s = 8.0\nstop_timeout_s = 0.3\n");
     for chassis in CHASSIS {
@@ -53,6 +67,9 @@ pub fn app() -> App {
         };
         text +=
             &format!("[chassis.{chassis}]\n{first}processors.one = {{}}\nprocessors.two = {{}}\n");
+        if returns {
+            text += "restart = \"on-failure\"\nmax_restarts = 1000\nrestart_backoff_s = 0.02\non_task_failure = \"restart-chassis\"\n";
+        }
     }
     let place = |index: usize| {
         let processor = ["one", "two"][index / 4 % 2];
@@ -76,8 +93,13 @@ pub fn app() -> App {
             restarted,
         );
     }
-    for index in 0..RING {
+    // A token that dies with a chassis is nobody's fault.
+    for index in 0..if returns { 0 } else { RING } {
         task(format!("ring{index}"), "ring", place(index * 3), "");
+    }
+    if returns {
+        // Its chassis fails with it.
+        task("server4".to_owned(), "server", place(2), "");
     }
     for index in 0..4 {
         task(format!("sender{index}"), "sender", place(index), "");
@@ -120,8 +142,11 @@ struct Actor {
 
 impl Actor {
     fn new(kind: &'static str, cx: &Context, ledger: Ledger) -> Self {
+        ledger.built(cx);
         let mut book = ledger.book();
         book.alive += 1;
+        // What it began in an earlier life has ended with that.
+        book.active.remove(cx.name());
         let incarnation = book.incarnations.entry(cx.name().to_owned()).or_default();
         *incarnation += 1;
         let incarnation = *incarnation;
@@ -145,13 +170,20 @@ impl Actor {
         Duration::from_micros(self.rng.random_range(0..most * 1000))
     }
 
+    fn breaks(&self, cx: &Context, how: &str) -> ! {
+        self.ledger.book().broken.insert(cx.name().to_owned());
+        panic!("{how}");
+    }
+
     async fn item(&mut self, cx: &Context, item: Item, reply: Replier<Item>) -> Handled {
         self.ledger.begins(cx, item.id, &item.to, &item.from);
         if self.one_in(10) {
             let busy = self.millis(5);
             cx.sleep(busy).await;
         }
-        assert!(!self.one_in(200), "a sink breaks down");
+        if self.one_in(200) {
+            self.breaks(cx, "a sink breaks down");
+        }
         reply.ok(())
     }
 
@@ -159,7 +191,7 @@ impl Actor {
         self.ledger.begins(cx, ask.id, &ask.to, &ask.from);
         let answer = ask.number * 2 + 1;
         match self.rng.random_range(0..100) {
-            0 => panic!("a server breaks down"),
+            0 => self.breaks(cx, "a server breaks down"),
             1..4 => return reply.fail("not today"),
             // Dropped without an answer.
             4..7 => return Ok(()),
@@ -260,7 +292,7 @@ impl EventHandler for Actor {
         let takes = self.millis(3);
         cx.sleep(takes).await;
         if phase == Phase::Connect && self.incarnation == 1 {
-            for name in ["sink3", "server2", "ring0"] {
+            for name in ["sink3", "server2", "sink0"] {
                 resolve(cx, &self.ledger, name).await?;
             }
         }
@@ -377,6 +409,11 @@ async fn send_all(cx: Context, ledger: Ledger) {
     ledger.book().active.remove(cx.name());
 }
 
+fn servers_of(cx: &Context) -> usize {
+    let tasks = cx.app().tasks.iter();
+    tasks.filter(|task| task.handler == "server").count()
+}
+
 /// Calls servers, several at once, until it is quiet.
 async fn call_all(cx: Context, ledger: Ledger) {
     ledger.book().active.insert(cx.name().to_owned());
@@ -384,7 +421,8 @@ async fn call_all(cx: Context, ledger: Ledger) {
     while !ledger.book().quiet {
         let mut servers = Vec::new();
         for _ in 0..rng.random_range(1..4) {
-            let server = format!("server{}", rng.random_range(0..SERVERS));
+            let servers_there = servers_of(&cx);
+            let server = format!("server{}", rng.random_range(0..servers_there));
             servers.extend(resolve(&cx, &ledger, &server).await.ok());
         }
         let calls = servers.iter().map(|server| {
@@ -399,6 +437,34 @@ async fn call_all(cx: Context, ledger: Ledger) {
     ledger.book().active.remove(cx.name());
 }
 
+/// The tasks that do not answer to their names, though they are given time.
+async fn names_missing(cx: &Context, ledger: &Ledger) -> Vec<String> {
+    let mut missing: Vec<String> = cx
+        .app()
+        .tasks
+        .iter()
+        .map(|task| task.name.clone())
+        .collect();
+    missing.retain(|name| name != cx.name());
+    let began = cx.now();
+    // A chassis may be on its way back, and a link broken for a while.
+    while !missing.is_empty() && cx.now().since(began) < RETURN {
+        let mut left = Vec::new();
+        for name in missing {
+            let answers = match resolve(cx, ledger, &name).await {
+                Ok(task) => cx.call(&task, Ping {}).deadline(PING).await.is_ok(),
+                Err(_) => false,
+            };
+            if !answers {
+                left.push(name);
+            }
+        }
+        missing = left;
+        cx.sleep(PING / 10).await;
+    }
+    missing
+}
+
 /// Lets everybody play for a while, waits until all is over, and ends the app.
 async fn conduct(cx: Context, ledger: Ledger) {
     cx.sleep(LIFE).await;
@@ -407,6 +473,10 @@ async fn conduct(cx: Context, ledger: Ledger) {
         cx.sleep(Duration::from_millis(100)).await;
     }
     cx.sleep(DRAIN).await;
+    for name in &names_missing(&cx, &ledger).await {
+        let text = format!("`{name}` does not answer to its name in the end");
+        ledger.book().wrong.push(text);
+    }
     cx.finish(AppResult {
         ok: true,
         text: "played".to_owned(),

@@ -60,6 +60,12 @@ impl Check<'_> {
         casualties.any(|(name, _)| name == chassis)
     }
 
+    /// Whether a process of a chassis that was there at `time` died later, also if the chassis came back.
+    fn has_failed(&self, chassis: &str, time: Instant) -> bool {
+        let mut failures = self.book.failures.iter();
+        failures.any(|(name, dead)| name == chassis && dead.is_none_or(|dead| dead >= time))
+    }
+
     /// For how long at most the faults of its own chassis kept a task from running.
     fn held_up(&self, chassis: &str) -> Duration {
         let mut held = Duration::ZERO;
@@ -102,7 +108,8 @@ impl Check<'_> {
 
     /// Whether the sender of a message that did not end was there for longer than `limit`.
     fn outlived(&self, sent: &Sent, limit: Duration) -> bool {
-        if self.is_lost(self.chassis_of(&sent.from)) {
+        let chassis = self.chassis_of(&sent.from);
+        if self.is_lost(chassis) || self.has_failed(chassis, sent.began_true) {
             return false;
         }
         // A panic of the sender ends what it waited for.
@@ -122,7 +129,8 @@ impl Check<'_> {
             if !taken || sent.begun.is_some() {
                 continue;
             }
-            let died = self.is_lost(self.chassis_of(&sent.to));
+            let chassis = self.chassis_of(&sent.to);
+            let died = self.is_lost(chassis) || self.has_failed(chassis, sent.began_true);
             // An app that finishes has waited until all was handled.
             let stopped = !finished && self.book.stops.contains_key(&sent.to);
             if !died && !stopped || sent.is_call {
@@ -163,7 +171,12 @@ impl Check<'_> {
         let mut seen = BTreeSet::new();
         for (name, tids) in &self.book.tids {
             let once = tids.iter().all(|tid| seen.insert(*tid));
-            if tids.len() != 1 || !once {
+            // One for each process that its chassis has had.
+            let failures = self.book.failures.iter();
+            let lives = 1 + failures
+                .filter(|(chassis, _)| chassis == self.chassis_of(name))
+                .count();
+            if tids.is_empty() || tids.len() > lives || !once {
                 wrong.push(format!("`{name}` leads to {tids:?}"));
             }
         }
@@ -212,6 +225,9 @@ impl Check<'_> {
                 && !told
                 && !failed
                 && !self.is_lost(&task.chassis)
+                && !self.has_failed(&task.chassis, Instant::START)
+                // There is no handler to tell between two of them.
+                && !self.book.broken.contains(&task.name)
                 && !self.is_cut_off(&task.chassis)
             {
                 wrong.push(format!("{} was never told to stop", task.name));
@@ -284,6 +300,8 @@ impl Check<'_> {
                 let shaky = failures.iter().all(|(task, _)| task == "shaky");
                 shaky || !self.run.faults.is_empty()
             }
+            // A task's failure is that of its chassis alone once the app has been up.
+            End::TaskFailed { task, .. } if task == "server4" => !self.book.running,
             End::TaskFailed { task, .. } => task == "shaky",
             End::ChassisDown { .. } | End::GivenUp { .. } => lost,
             End::Interrupted | End::Stuck => false,

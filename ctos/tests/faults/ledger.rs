@@ -52,6 +52,10 @@ pub struct Book {
     /// Urgent messages that a receiver has taken, as their senders know, and not begun.
     urgent: BTreeMap<String, BTreeSet<usize>>,
     pub tids: BTreeMap<String, BTreeSet<Tid>>,
+    /// Tasks whose handler has panicked and not been built anew.
+    pub broken: BTreeSet<String>,
+    /// The id with which each task was built last.
+    built: BTreeMap<String, Tid>,
     pub incarnations: BTreeMap<String, u32>,
     /// Task, incarnation, phase, step, in order.
     pub phases: Vec<(String, u32, Phase, Step)>,
@@ -67,6 +71,10 @@ pub struct Book {
     /// When the app began to stop, in true time.
     pub stopping: Option<Instant>,
     pub running: bool,
+    /// Chassis that failed, and when their processes were dead, in true time.
+    pub failures: Vec<(String, Option<Instant>)>,
+    /// Chassis that came back.
+    pub returned: usize,
 }
 
 #[derive(Clone)]
@@ -202,6 +210,16 @@ impl Ledger {
             .entry(name.to_owned())
             .or_default()
             .insert(tid);
+    }
+
+    /// A handler is built. With another id its task has lost its queue, with its chassis.
+    pub fn built(&self, cx: &Context) {
+        let mut book = self.book();
+        book.broken.remove(cx.name());
+        let before = book.built.insert(cx.name().to_owned(), cx.tid());
+        if before != Some(cx.tid()) {
+            book.urgent.remove(cx.name());
+        }
     }
 
     /// A task takes a step of a phase.

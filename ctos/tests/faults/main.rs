@@ -18,12 +18,19 @@ mod run;
 
 use std::ops::Range;
 
-use ctos::simulation::{Breach, Faults, shrink};
+use ctos::{
+    diagnostic::Source,
+    simulation::{Breach, Faults, shrink},
+};
 
+use app::Policy;
 use run::{Trial, trial};
 
 /// How many seeds a profile is tried with.
 const SEEDS: Range<u64> = 0..1000;
+
+/// So many findings are shown of one seed.
+const SHOWN: usize = 12;
 
 /// A list of faults that is longer than this says nothing to a person.
 const SHRINK_TRIALS: usize = 200;
@@ -45,16 +52,20 @@ struct Tally {
     faults: usize,
     messages: usize,
     calls_late: usize,
+    returned: usize,
 }
 
 /// Tries all seeds; what is wrong in the first that fails is shown with fewer faults.
 fn try_all(profile: &str) -> Tally {
-    let faults = Faults::built_in(profile).unwrap();
+    try_with(Policy::Ends, &Faults::built_in(profile).unwrap())
+}
+
+fn try_with(policy: Policy, faults: &Faults) -> Tally {
     let mut tally = Tally::default();
     for seed in seeds() {
-        let trial = trial(seed, faults.clone(), None);
+        let trial = trial(policy, seed, faults.clone(), None);
         if !trial.wrong.is_empty() {
-            report(profile, seed, &trial);
+            report(policy, faults.name(), seed, &trial);
         }
         tally.add(&trial);
     }
@@ -72,18 +83,20 @@ impl Tally {
         self.faults += trial.run.faults.len();
         self.messages += trial.messages;
         self.calls_late += trial.calls_late;
+        self.returned += trial.returned;
     }
 }
 
-fn report(profile: &str, seed: u64, trial: &Trial) -> ! {
+fn report(policy: Policy, profile: &str, seed: u64, trial: &Trial) -> ! {
     let fewer = shrink(&trial.run.faults, SHRINK_TRIALS, |script| {
         let faults = Faults::of_script("fewer", script.to_vec());
-        !run::trial(seed, faults, None).wrong.is_empty()
+        !run::trial(policy, seed, faults, None).wrong.is_empty()
     });
     let fewer: Vec<String> = fewer.iter().map(ToString::to_string).collect();
+    let shown = trial.wrong.get(..SHOWN).unwrap_or(&trial.wrong);
     panic!(
-        "profile `{profile}`, seed {seed}: {:#?}\nends with {:?}\nit still fails with these of its {} faults:\n{}",
-        trial.wrong,
+        "profile `{profile}`, seed {seed}: {} findings: {shown:#?}\nends with {:?}\nit still fails with these of its {} faults:\n{}",
+        trial.wrong.len(),
         trial.run.outcome,
         trial.run.faults.len(),
         fewer.join("\n")
@@ -127,12 +140,39 @@ fn under_hostile_faults_every_promise_holds_whatever_is_lost() {
     assert!(tally.lost > 0 && tally.finished > 0, "{tally:?}");
 }
 
+/// Chassis die again and again, on a network that loses and delays.
+fn deaths() -> Faults {
+    let text = include_str!("deaths.toml");
+    Faults::parse(&Source::new("deaths.toml", text)).unwrap()
+}
+
+#[test]
+fn chassis_that_die_come_back_with_their_names_and_every_promise_holds() {
+    let tally = try_with(Policy::Returns, &deaths());
+    println!("{tally:?}");
+    // More than one death a run, and nearly all runs come to their end all the same.
+    assert!(tally.returned > seeds().count(), "{tally:?}");
+    assert!(tally.finished * 10 > seeds().count() * 9, "{tally:?}");
+}
+
+#[test]
+fn an_app_whose_chassis_come_back_is_the_same_for_one_seed() {
+    for seed in 0..5 {
+        let one = run::events(Policy::Returns, seed, deaths());
+        assert_eq!(
+            one,
+            run::events(Policy::Returns, seed, deaths()),
+            "seed {seed}"
+        );
+    }
+}
+
 /// Links that break one rule: over some seeds, the checks must say so in these words.
 #[track_caller]
 fn must_catch(breach: Breach, words: &str) {
     let mut said = Vec::new();
     for seed in 0..20 {
-        let wrong = trial(seed, Faults::none(), Some(breach)).wrong;
+        let wrong = trial(Policy::Ends, seed, Faults::none(), Some(breach)).wrong;
         if wrong.iter().any(|text| text.contains(words)) {
             return;
         }
@@ -167,8 +207,12 @@ fn one_seed_is_one_run_event_for_event() {
     for profile in ["none", "rough", "hostile"] {
         for seed in 0..5 {
             let faults = Faults::built_in(profile).unwrap();
-            let one = run::events(seed, faults.clone());
-            assert_eq!(one, run::events(seed, faults), "`{profile}`, seed {seed}");
+            let one = run::events(Policy::Ends, seed, faults.clone());
+            assert_eq!(
+                one,
+                run::events(Policy::Ends, seed, faults),
+                "`{profile}`, seed {seed}"
+            );
             assert!(one.len() > 100, "`{profile}`, seed {seed}");
         }
     }
@@ -178,11 +222,11 @@ fn one_seed_is_one_run_event_for_event() {
 fn the_faults_of_a_run_given_as_a_list_make_the_same_run() {
     for seed in 0..20 {
         let faults = Faults::built_in("hostile").unwrap();
-        let one = trial(seed, faults.clone(), None);
+        let one = trial(Policy::Ends, seed, faults.clone(), None);
         let list = Faults::of_script("list", one.run.faults.clone());
         assert_eq!(
-            run::events(seed, faults),
-            run::events(seed, list),
+            run::events(Policy::Ends, seed, faults),
+            run::events(Policy::Ends, seed, list),
             "seed {seed}"
         );
     }

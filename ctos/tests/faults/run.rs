@@ -10,9 +10,21 @@ use ctos::{
     time::Clock,
 };
 
-use crate::{app, checks, ledger::Ledger};
+use crate::{
+    app::{self, Policy},
+    checks,
+    ledger::Ledger,
+};
 
-static APP: LazyLock<App> = LazyLock::new(app::app);
+static ENDS: LazyLock<App> = LazyLock::new(|| app::app(Policy::Ends));
+static RETURNS: LazyLock<App> = LazyLock::new(|| app::app(Policy::Returns));
+
+fn app_of(policy: Policy) -> &'static App {
+    match policy {
+        Policy::Ends => &ENDS,
+        Policy::Returns => &RETURNS,
+    }
+}
 
 /// A run and everything that is wrong with it.
 pub struct Trial {
@@ -20,32 +32,36 @@ pub struct Trial {
     pub wrong: Vec<String>,
     pub messages: usize,
     pub calls_late: usize,
+    /// Chassis that came back.
+    pub returned: usize,
 }
 
 /// Runs a seed.
-pub fn trial(seed: u64, faults: Faults, breach: Option<Breach>) -> Trial {
-    let (run, ledger) = simulate(seed, faults, breach, None);
+pub fn trial(policy: Policy, seed: u64, faults: Faults, breach: Option<Breach>) -> Trial {
+    let (run, ledger) = simulate(policy, seed, faults, breach, None);
     let broken = breach.is_some();
-    let wrong = checks::all(&APP, &run, &ledger, broken);
+    let wrong = checks::all(app_of(policy), &run, &ledger, broken);
     let book = ledger.book();
     Trial {
         messages: book.sent.len(),
         calls_late: checks::late(&book),
+        returned: book.returned,
         wrong,
         run,
     }
 }
 
 /// The event log of a seed.
-pub fn events(seed: u64, faults: Faults) -> Vec<String> {
+pub fn events(policy: Policy, seed: u64, faults: Faults) -> Vec<String> {
     let lines = Arc::new(Mutex::new(Vec::new()));
     let seen = lines.clone();
     let sink: EventSink = Arc::new(move |line: &str| seen.lock().unwrap().push(line.to_owned()));
-    simulate(seed, faults, None, Some(sink));
+    simulate(policy, seed, faults, None, Some(sink));
     std::mem::take(&mut lines.lock().unwrap())
 }
 
 fn simulate(
+    policy: Policy,
     seed: u64,
     faults: Faults,
     breach: Option<Breach>,
@@ -53,7 +69,7 @@ fn simulate(
 ) -> (Run, Ledger) {
     // What a task panics with on purpose is no news.
     std::panic::set_hook(Box::new(|_| ()));
-    let mut app = APP.clone();
+    let mut app = app_of(policy).clone();
     app.seed = seed;
     let clock = Clock::virtual_clock();
     let ledger = Ledger::new(clock.clone());
@@ -66,6 +82,19 @@ fn simulate(
         BootEvent::PhaseDone {
             phase: Phase::Run, ..
         } => watched.book().running = true,
+        BootEvent::ChassisFailed { chassis, .. } => {
+            watched.book().failures.push((chassis.clone(), None));
+        }
+        // One whose task failed is stopped in order first, and works on until then.
+        BootEvent::Restarting { chassis, .. } => {
+            let now = watched.clock.now();
+            let mut book = watched.book();
+            let mut open = book.failures.iter_mut().rev();
+            if let Some(failure) = open.find(|(name, _)| name == chassis) {
+                failure.1 = Some(now);
+            }
+        }
+        BootEvent::Restarted { .. } => watched.book().returned += 1,
         _ => {}
     });
     let setup = Setup {

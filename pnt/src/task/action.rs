@@ -3,7 +3,10 @@
 
 use std::{rc::Rc, time::Duration};
 
-use ctos::{DEFAULT_DEADLINE, task::HandlerError};
+use ctos::{
+    DEFAULT_DEADLINE,
+    task::{Context, HandlerError},
+};
 
 use super::engine::Engine;
 use crate::{
@@ -20,8 +23,8 @@ const FIRST_RETRY: Duration = Duration::from_millis(100);
 
 impl<S: 'static> Engine<S> {
     pub(super) async fn act(self: Rc<Self>, id: TransitionId, firing: FiringId, action: Action<S>) {
-        let notes = Rc::clone(&action.notes);
-        let acted = match self.told().await {
+        let (notes, cx) = (Rc::clone(&action.notes), action.cx.clone());
+        let acted = match self.told(&cx).await {
             Ok(()) => self.action(id, action).await,
             Err(error) => Err(error),
         };
@@ -47,14 +50,15 @@ impl<S: 'static> Engine<S> {
                 }
             }
         }
-        if let Err(error) = self.end(id, firing, acted) {
+        if let Err(error) = self.end(&cx, id, firing, acted) {
             self.halt(&error.to_string());
         }
-        self.advance();
+        self.advance(&cx);
     }
 
     fn end(
         self: &Rc<Self>,
+        cx: &Context,
         id: TransitionId,
         firing: FiringId,
         acted: Acted,
@@ -69,9 +73,9 @@ impl<S: 'static> Engine<S> {
             Err(_) => core.execution.fail(firing)?,
         };
         let (remote, written) = (effects.remote.to_vec(), effects.written);
-        self.log(&mut core, id, phase, &text);
+        self.log(&mut core, cx, id, phase, &text);
         drop(core);
-        self.carry_out(id, &remote, written);
+        self.carry_out(cx, id, &remote, written);
         Ok(())
     }
 
@@ -113,7 +117,7 @@ impl<S: 'static> Engine<S> {
         (input, output): (Option<&str>, Option<&str>),
         limit: Duration,
     ) -> Acted {
-        let cx = &self.cx;
+        let cx = &action.cx;
         let info = cx.registry().command_of(cx.app(), task, command)?;
         let to = cx.task(task).await?;
         let request = match input {

@@ -10,13 +10,15 @@ use std::{
 
 use ctos::{
     message::Replier,
+    record::Number,
     task::{Context, Handled, HandlerError},
 };
 use futures_util::future::try_join_all;
+use serde::Serialize;
 
 use super::{
     journal::Journal,
-    messages::{PutTape, Snapshot, TapeAnswer, Tokens},
+    messages::{FiringEvent, PutTape, Snapshot, TapeAnswer, Tokens},
 };
 use crate::{
     exec::{Conflicts, Execution, FireError, Written},
@@ -43,10 +45,12 @@ pub(super) struct Core {
     halted: Option<String>,
     /// Who waits for which command's answer.
     waiting: BTreeMap<u64, Replier<PutTape>>,
+    /// The contexts in which those commands came: what is fired for one belongs to its trace.
+    commands: BTreeMap<u64, Context>,
     /// What goes into the text of the next answer.
     notes: Rc<RefCell<Vec<String>>>,
     /// Tokens on their way, per net; present while a child carries them.
-    outboxes: BTreeMap<String, VecDeque<Tokens>>,
+    outboxes: BTreeMap<String, VecDeque<(Context, Tokens)>>,
     /// Data objects, their places, and what their store was told last.
     objects: BTreeMap<String, (Vec<PlaceId>, bool)>,
     /// What their store must be told.
@@ -78,6 +82,7 @@ impl<S: 'static> Engine<S> {
                 begun: false,
                 halted: None,
                 waiting: BTreeMap::new(),
+                commands: BTreeMap::new(),
                 notes: Rc::default(),
                 outboxes: BTreeMap::new(),
                 objects,
@@ -101,12 +106,17 @@ impl<S: 'static> Engine<S> {
     // -- what comes in ----------------------------------------------------------------------
 
     /// Everybody is connected: fire.
-    pub(super) fn begin(self: &Rc<Self>) {
+    pub(super) fn begin(self: &Rc<Self>, cx: &Context) {
         self.core.borrow_mut().begun = true;
-        self.advance();
+        self.advance(cx);
     }
 
-    pub(super) fn put_tape(self: &Rc<Self>, request: PutTape, reply: Replier<PutTape>) -> Handled {
+    pub(super) fn put_tape(
+        self: &Rc<Self>,
+        cx: &Context,
+        request: PutTape,
+        reply: Replier<PutTape>,
+    ) -> Handled {
         {
             let mut core = self.core.borrow_mut();
             if let Some(why) = &core.halted {
@@ -119,12 +129,13 @@ impl<S: 'static> Engine<S> {
                 .execution
                 .put_symbol(&request.symbol, request.arguments)?;
             core.waiting.insert(number, reply);
+            core.commands.insert(number, cx.clone());
         }
-        self.advance();
+        self.advance(cx);
         Ok(())
     }
 
-    pub(super) fn put_tokens(self: &Rc<Self>, tokens: &Tokens) -> Handled {
+    pub(super) fn put_tokens(self: &Rc<Self>, cx: &Context, tokens: &Tokens) -> Handled {
         {
             let mut core = self.core.borrow_mut();
             if let Some(why) = &core.halted {
@@ -133,7 +144,7 @@ impl<S: 'static> Engine<S> {
             }
             core.execution.put_all(&tokens.tokens)?;
         }
-        self.advance();
+        self.advance(cx);
         Ok(())
     }
 
@@ -174,6 +185,7 @@ impl<S: 'static> Engine<S> {
             }
             core.halted = Some(why.to_owned());
             core.journal.stopped(self.cx.now(), why);
+            core.commands.clear();
             std::mem::take(&mut core.waiting)
         };
         for reply in waiting.into_values() {
@@ -184,16 +196,19 @@ impl<S: 'static> Engine<S> {
 
     // -- firing -----------------------------------------------------------------------------
 
-    /// Fires until nothing is enabled but what waits for actions, tokens or commands.
-    pub(super) fn advance(self: &Rc<Self>) {
+    /// Fires until nothing is enabled but what waits for actions, tokens or commands. All of it belongs
+    /// to the trace of `cx`: of the message that made it possible; what a command on the tape begins, to
+    /// that command's.
+    pub(super) fn advance(self: &Rc<Self>, cx: &Context) {
+        let mut cx = cx.clone();
         let mut at_once = 0;
         while let Some(id) = self.choose() {
             let fired = if self.net[id].action.is_some() {
                 at_once = 0;
-                self.start(id)
+                self.start(id, &mut cx)
             } else {
                 at_once += 1;
-                self.fire(id)
+                self.fire(id, &mut cx)
             };
             if let Err(error) = fired {
                 self.halt(&error.to_string());
@@ -204,7 +219,7 @@ impl<S: 'static> Engine<S> {
                 ));
             }
         }
-        self.tell_data();
+        self.tell_data(&cx);
     }
 
     fn choose(&self) -> Option<TransitionId> {
@@ -237,26 +252,38 @@ impl<S: 'static> Engine<S> {
         chosen
     }
 
-    fn fire(self: &Rc<Self>, id: TransitionId) -> Result<(), FireError> {
+    fn fire(self: &Rc<Self>, id: TransitionId, cx: &mut Context) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
+        let read = core
+            .execution
+            .tape()
+            .current()
+            .map(|on_tape| on_tape.number);
         let effects = core.execution.fire(id)?;
         let (remote, written) = (effects.remote.to_vec(), effects.written);
-        self.log(&mut core, id, "fired", "");
+        core.take_up(read, written.as_ref(), cx);
+        self.log(&mut core, cx, id, "fired", "");
         drop(core);
-        self.carry_out(id, &remote, written);
+        self.carry_out(cx, id, &remote, written);
         Ok(())
     }
 
-    fn start(self: &Rc<Self>, id: TransitionId) -> Result<(), FireError> {
+    fn start(self: &Rc<Self>, id: TransitionId, cx: &mut Context) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
+        let read = core
+            .execution
+            .tape()
+            .current()
+            .map(|on_tape| on_tape.number);
         let firing = core.execution.start(id)?;
-        self.log(&mut core, id, "started", "");
+        core.take_up(read, None, cx);
+        self.log(&mut core, cx, id, "started", "");
         let command = core.execution.tape().current().map(|on_tape| CommandLine {
             symbol: self.net[on_tape.command].symbol.clone(),
             arguments: on_tape.arguments.clone(),
         });
         let action = Action {
-            cx: self.cx.clone(),
+            cx: cx.clone(),
             state: Rc::clone(&self.library.state),
             transition: self.net[id].name.as_str().into(),
             data: self.data.clone(),
@@ -274,14 +301,22 @@ impl<S: 'static> Engine<S> {
         Ok(())
     }
 
-    pub(super) fn log(&self, core: &mut Core, id: TransitionId, phase: &str, text: &str) {
+    pub(super) fn log(
+        &self,
+        core: &mut Core,
+        cx: &Context,
+        id: TransitionId,
+        phase: &str,
+        text: &str,
+    ) {
         let name = &self.net[id].name;
         let event = core
             .journal
-            .firing(self.cx.now(), self.net.name(), name, phase, text);
-        if self.cx.is_recording() {
+            .firing(cx.now(), self.net.name(), name, phase, text);
+        if cx.is_recording() {
             let channel = format!("/firing/{}", self.net.name());
-            self.cx.record(&channel, event);
+            let trace = Number::of_trace(cx.trace());
+            cx.record(&channel, &Recorded { event, trace });
         }
         core.note_validity(&self.net);
     }
@@ -289,17 +324,19 @@ impl<S: 'static> Engine<S> {
     /// Hands out what a firing leaves to be done.
     pub(super) fn carry_out(
         self: &Rc<Self>,
+        cx: &Context,
         id: TransitionId,
         remote: &[RemoteArc],
         written: Option<Written>,
     ) {
-        self.post(remote);
+        self.post(cx, remote);
         match written {
             None => {}
             Some(Written::Answer { command, symbol }) => {
                 let mut core = self.core.borrow_mut();
                 let text = core.notes.take().join("\n");
                 let reply = core.waiting.remove(&command);
+                core.commands.remove(&command);
                 drop(core);
                 if let Some(reply) = reply {
                     // Answering never fails; a caller that is gone needs no answer.
@@ -319,7 +356,7 @@ impl<S: 'static> Engine<S> {
 
     /// Puts tokens into the outboxes of their nets: one message for each net, so that tokens of one
     /// firing arrive together. One child per net carries them, in order.
-    fn post(self: &Rc<Self>, remote: &[RemoteArc]) {
+    fn post(self: &Rc<Self>, cx: &Context, remote: &[RemoteArc]) {
         let mut per_net: BTreeMap<&str, Vec<(String, u32)>> = BTreeMap::new();
         for arc in remote {
             let tokens = per_net.entry(&arc.net).or_default();
@@ -332,11 +369,11 @@ impl<S: 'static> Engine<S> {
                 tokens,
             };
             if let Some(outbox) = core.outboxes.get_mut(net) {
-                outbox.push_back(message);
+                outbox.push_back((cx.clone(), message));
                 continue;
             }
             core.outboxes
-                .insert(net.to_owned(), VecDeque::from([message]));
+                .insert(net.to_owned(), VecDeque::from([(cx.clone(), message)]));
             let engine = Rc::clone(self);
             let net = net.to_owned();
             self.cx.spawn(async move { engine.carry(net).await });
@@ -354,8 +391,8 @@ impl<S: 'static> Engine<S> {
                 }
                 next
             };
-            let Some(tokens) = next else { return };
-            if let Err(error) = self.deliver(&net, tokens).await {
+            let Some((cx, tokens)) = next else { return };
+            if let Err(error) = deliver(&cx, &net, tokens).await {
                 self.halt(&format!(
                     "a token could not be carried to net `{net}`: {error}"
                 ));
@@ -364,19 +401,14 @@ impl<S: 'static> Engine<S> {
         }
     }
 
-    async fn deliver(&self, net: &str, tokens: Tokens) -> Acted {
-        let to = self.cx.task(net).await?;
-        Ok(self.cx.call(&to, tokens).await?)
-    }
-
     // -- data objects -----------------------------------------------------------------------
 
     /// Tells the store of data objects what became valid and invalid, beside whatever goes on.
-    fn tell_data(self: &Rc<Self>) {
+    fn tell_data(self: &Rc<Self>, cx: &Context) {
         if self.data.is_some() && !self.core.borrow().untold.is_empty() {
-            let engine = Rc::clone(self);
+            let (engine, cx) = (Rc::clone(self), cx.clone());
             self.cx.spawn(async move {
-                if let Err(error) = engine.told().await {
+                if let Err(error) = engine.told(&cx).await {
                     engine.halt(&format!(
                         "the store of data objects could not be told: {error}"
                     ));
@@ -387,20 +419,48 @@ impl<S: 'static> Engine<S> {
 
     /// Ends when the store knows all that was untold. All of it is sent at once, before anything that
     /// the caller sends after this.
-    pub(super) async fn told(&self) -> Acted {
+    pub(super) async fn told(&self, cx: &Context) -> Acted {
         let untold = std::mem::take(&mut self.core.borrow_mut().untold);
         let Some(store) = &self.data else {
             return Ok(());
         };
         let tell = untold
             .iter()
-            .map(|(object, valid)| store.validity(&self.cx, object, *valid));
+            .map(|(object, valid)| store.validity(cx, object, *valid));
         try_join_all(tell).await?;
         Ok(())
     }
 }
 
+/// A phase of a firing as it stands in a record.
+#[derive(Serialize)]
+struct Recorded<'e> {
+    #[serde(flatten)]
+    event: &'e FiringEvent,
+    /// That of the message that made the firing possible; what its action sends bears it too.
+    trace: Number,
+}
+
+async fn deliver(cx: &Context, net: &str, tokens: Tokens) -> Acted {
+    let to = cx.task(net).await?;
+    Ok(cx.call(&to, tokens).await?)
+}
+
 impl Core {
+    /// A firing that has read a command from the tape, where `read` was the command before, belongs to
+    /// what that command began. One that reads and answers in one step has read what it answers.
+    fn take_up(&self, read: Option<u64>, written: Option<&Written>, cx: &mut Context) {
+        let now = match (self.execution.tape().current(), written) {
+            (Some(on_tape), _) => Some(on_tape.number),
+            (None, Some(Written::Answer { command, .. })) => Some(*command),
+            _ => None,
+        };
+        let begun = now.filter(|now| read != Some(*now));
+        if let Some(of_command) = begun.and_then(|number| self.commands.get(&number)) {
+            *cx = of_command.clone();
+        }
+    }
+
     /// Notes data objects whose validity has changed. An object is valid while its place is marked,
     /// and while an action goes on that took the token.
     fn note_validity(&mut self, net: &Net) {

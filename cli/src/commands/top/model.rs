@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::commands::{
     ps, remote,
-    table::{Column, left, right},
+    table::{Column, left, rare, right},
     top::Sort,
 };
 
@@ -19,7 +19,7 @@ pub(crate) const COLUMNS: [Column; 8] = [
     right("BUSY"),
     right("QUEUE"),
     right("HANDLED"),
-    right("RESTARTS"),
+    rare("RESTARTS"),
     left("DOES"),
 ];
 

@@ -16,7 +16,7 @@ use crate::{
         handshake::{Answer, Greeting, HandshakeError, Hello, Token, greet, hear},
         session::{DownReason, Session, drive, state::Event, state::State},
         shm,
-        transport::{Address, ConnectError, Stream, connect},
+        transport::{Address, ConnectError, Stream, connect, connect_over},
     },
     security::Keys,
 };
@@ -158,7 +158,8 @@ impl Inner {
         session: &Session,
         address: &Address,
     ) -> Result<(Stream, Answer), CallError> {
-        let (mut stream, identity) = connect(address, self.keys.as_ref()).await?;
+        let (keys, fabric) = (self.keys.as_ref(), self.fabric.as_ref());
+        let (mut stream, identity) = connect_over(address, keys, fabric).await?;
         may_be_chassis(identity.as_ref())?;
         let shared = self.chassis.app.links.same_host == SameHost::Shared
             && matches!(stream, Stream::Unix(_))
@@ -179,14 +180,18 @@ impl Inner {
         Ok((stream, answer))
     }
 
-    /// Where to call a member: through the file system if it is on this host.
+    /// Where to call a member: through the file system only if it is on this host.
     fn nearest<'m>(&self, member: &'m Member) -> &'m Address {
         const NOWHERE: &Address = &Address::Tcp(std::net::SocketAddr::new(
             std::net::IpAddr::V4(std::net::Ipv4Addr::UNSPECIFIED),
             0,
         ));
         let near = self.process.sees(&member.process);
-        let usable = |address: &&Address| near || matches!(address, Address::Tcp(_));
+        let usable = |address: &&Address| match address {
+            Address::Unix(_) => near,
+            Address::Tcp(_) => true,
+            Address::Zenoh(_) => self.fabric.is_some(),
+        };
         member.listen.iter().find(usable).unwrap_or(NOWHERE)
     }
 }

@@ -22,6 +22,9 @@ use crate::{
     time::Clock,
 };
 
+#[cfg(feature = "zenoh")]
+mod zenoh;
+
 /// A test that takes longer hangs; none takes a fraction of it.
 const WATCHDOG: Duration = Duration::from_secs(60);
 

@@ -250,3 +250,65 @@ mod slow {
         drop(reader);
     }
 }
+
+#[test]
+fn a_disk_that_is_full_is_told_of_until_it_has_taken_lines_for_a_while() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let full = Arc::new(AtomicBool::new(false));
+    let is_full = full.clone();
+    let mut place = Place::new(path.clone(), 1_000, 100);
+    place.create = Box::new(move |path| {
+        let full = is_full.load(Ordering::Relaxed);
+        let path = if full { Path::new("/dev/full") } else { path };
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(!full).open(path)
+    });
+    let mut parts = Parts::open(place, BTreeMap::new()).unwrap();
+    let json = format!("{{\"x\":\"{}\"}}", "y".repeat(900));
+    let write = |parts: &mut Parts, now| {
+        parts.write(now, &line(now, json.as_bytes()));
+        parts.flush(now);
+    };
+    write(&mut parts, 1);
+    let before = parts.report();
+    assert_eq!((before.lines, before.lost, before.trouble), (1, 0, None));
+    // The next file is begun on the full disk.
+    full.store(true, Ordering::Relaxed);
+    for now in 2..10 {
+        write(&mut parts, now);
+    }
+    let during = parts.report();
+    let trouble = during.trouble.unwrap();
+    assert!(trouble.contains("No space left"), "{trouble}");
+    assert!(during.lost >= 7, "{} are lost", during.lost);
+    assert_eq!(during.bytes, std::fs::metadata(&path).unwrap().len());
+    full.store(false, Ordering::Relaxed);
+    // Not before the pause is over, and it counts as mended when it has held for as long again.
+    let retried = 10 + RETRY_NS;
+    write(&mut parts, retried);
+    assert!(parts.report().trouble.is_some());
+    write(&mut parts, retried + RETRY_NS);
+    let after = parts.report();
+    assert_eq!(after.trouble, None);
+    parts.close(retried + RETRY_NS);
+    assert_eq!(
+        after.lost,
+        parts.report().lost,
+        "what is lost stays counted"
+    );
+    let all: usize = parts_of(&path)
+        .unwrap()
+        .values()
+        .map(|file| {
+            let record = read(file);
+            let lines = record.entries.iter();
+            lines.filter(|entry| entry.channel.topic == "/x").count()
+        })
+        .sum();
+    assert_eq!(
+        all as u64 + after.lost,
+        11,
+        "every line is there or counted"
+    );
+}
