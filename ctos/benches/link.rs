@@ -6,6 +6,7 @@
 //! two.
 
 #![allow(
+    clippy::panic,
     clippy::unwrap_used,
     clippy::print_stdout,
     missing_docs,

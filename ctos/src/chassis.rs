@@ -76,6 +76,8 @@ pub struct Chassis {
     pub(crate) watch: Watch,
     /// Its links, when they are real ones.
     lookout: OnceLock<Arc<Lookout>>,
+    /// How many callers, and requests of tools, were refused so far.
+    pub(crate) refused: AtomicU64,
 }
 
 impl Chassis {
@@ -123,6 +125,7 @@ impl Chassis {
             tap: Tap::new(index),
             watch: Watch::default(),
             lookout: OnceLock::new(),
+            refused: AtomicU64::new(0),
         })
     }
 

@@ -27,6 +27,7 @@ pub mod message;
 pub mod realtime;
 pub mod record;
 pub mod registry;
+pub mod remote;
 pub mod security;
 pub mod semaphore;
 pub mod simulation;

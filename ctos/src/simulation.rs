@@ -225,6 +225,7 @@ impl Simulation {
             }
             if from.index() > 0 {
                 observer(&BootEvent::Started {
+                    host: None,
                     chassis: from.name().to_owned(),
                     pid: None,
                 });

@@ -16,10 +16,7 @@ use std::{
     collections::BTreeMap,
     io,
     path::Path,
-    sync::{
-        Arc, Mutex, OnceLock,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex, OnceLock, atomic::Ordering},
     time::Duration,
 };
 
@@ -29,7 +26,7 @@ use tokio::{runtime::Handle, sync::mpsc};
 use crate::{
     call::lock,
     chassis::Chassis,
-    config::{InjuryConfig, SameHost},
+    config::{App, InjuryConfig, SameHost},
     link::{
         handshake::{Process, Token},
         injure::Injury,
@@ -141,7 +138,6 @@ struct Inner {
     /// Whose link the chassis has: number and incarnation. Held while that changes.
     live: Mutex<BTreeMap<u8, u32>>,
     events: mpsc::UnboundedSender<MeshEvent>,
-    refused: AtomicU64,
 }
 
 /// The links of one chassis.
@@ -175,14 +171,7 @@ impl Mesh {
         process: Process,
     ) -> Result<Self, MeshError> {
         let app = &chassis.app;
-        let keys = match &app.security {
-            Some(security) => {
-                let place = |path: &Path| app.folder.join(path);
-                let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
-                Some(Arc::new(keys))
-            }
-            None => None,
-        };
+        let keys = keys_of(app)?;
         let fabric = Fabric::join(app, chassis.index() == 0)
             .await
             .map_err(MeshError::Zenoh)?;
@@ -209,7 +198,6 @@ impl Mesh {
             state: Mutex::default(),
             live: Mutex::default(),
             events: sender,
-            refused: AtomicU64::new(0),
         });
         let doors = listeners
             .into_iter()
@@ -220,6 +208,11 @@ impl Mesh {
             events,
             doors,
         })
+    }
+
+    /// The keys of the app, if it has any.
+    pub(crate) fn keys(&self) -> Option<Arc<Keys>> {
+        self.inner.keys.clone()
     }
 
     /// Where this chassis can be called, the nearest first.
@@ -240,15 +233,24 @@ impl Mesh {
 
     /// How many callers were refused so far.
     pub(crate) fn refused(&self) -> u64 {
-        self.inner.refused.load(Ordering::Relaxed)
+        self.inner.chassis.refused.load(Ordering::Relaxed)
     }
 
     /// Joins the app whose boot listens at `boot`; what comes of it are events.
     pub(crate) fn join(&self, boot: &Address) {
+        let near = match boot {
+            Address::Unix(_) | Address::Zenoh(_) => true,
+            Address::Tcp(at) => at.ip().to_canonical().is_loopback(),
+        };
         let member = Member {
             chassis: 0,
             incarnation: 1,
-            process: self.inner.process.clone(),
+            // One of another host is seen by nobody here.
+            process: if near {
+                self.inner.process.clone()
+            } else {
+                Process::unseen()
+            },
             listen: vec![boot.clone()],
         };
         self.inner.call(member);
@@ -305,6 +307,19 @@ impl Drop for Mesh {
     }
 }
 
+/// The keys that an app names.
+///
+/// # Errors
+/// When they cannot be used.
+pub(crate) fn keys_of(app: &App) -> Result<Option<Arc<Keys>>, KeyError> {
+    let Some(security) = &app.security else {
+        return Ok(None);
+    };
+    let place = |path: &Path| app.folder.join(path);
+    let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
+    Ok(Some(Arc::new(keys)))
+}
+
 /// Where this chassis listens: for its own host, and where the configuration says. The first is where
 /// others of this host call.
 async fn listeners(
@@ -313,9 +328,7 @@ async fn listeners(
     fabric: Option<&Arc<Fabric>>,
 ) -> Result<Vec<Listener>, MeshError> {
     let app = &chassis.app;
-    let mut configured = app.chassis.iter();
-    let configured = configured.find(|config| config.name == chassis.name());
-    let listen = configured.and_then(|config| config.listen);
+    let listen = app.listens_at(chassis.name());
     let mut listeners = Vec::new();
     if let Some(fabric) = fabric {
         let listener = fabric.listen(chassis.name()).await;

@@ -4,6 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use super::{Inner, Member, door::may_be_chassis};
 use crate::{
@@ -209,7 +210,13 @@ pub(super) async fn unable(
             chassis: chassis.index(),
             reason: reason.to_owned(),
         };
-        greet(&mut stream, &greeting).await.ok()
+        greet(&mut stream, &greeting).await.ok()?;
+        stream.shutdown().await.ok()?;
+        // What the other end has said and nobody reads would take the greeting with it when the stream
+        // is closed.
+        let mut rest = [0; 1024];
+        while stream.read(&mut rest).await.ok()? > 0 {}
+        Some(())
     };
     let _ = tokio::time::timeout(ANSWER_LIMIT, tell).await;
 }

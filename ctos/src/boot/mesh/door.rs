@@ -64,7 +64,7 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
             }
         };
         let Ok(place) = strangers.clone().try_acquire_owned() else {
-            mesh.refused.fetch_add(1, Ordering::Relaxed);
+            mesh.chassis.refused.fetch_add(1, Ordering::Relaxed);
             tracing::warn!(
                 most = STRANGERS,
                 "too many callers at once; one was turned away"
@@ -84,11 +84,11 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
             match served {
                 Ok(()) | Err(RefusedError::Attach(AttachError::Cut)) => {}
                 Err(error) => {
-                    mesh.refused.fetch_add(1, Ordering::Relaxed);
                     if error.hung_up() {
                         // As one does that looks whether anybody listens here at all.
                         tracing::debug!("a caller hung up");
                     } else {
+                        mesh.chassis.refused.fetch_add(1, Ordering::Relaxed);
                         tracing::warn!(reason = %error, "a caller was refused");
                     }
                 }
