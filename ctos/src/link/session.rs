@@ -30,7 +30,9 @@ use std::{
 
 use tokio::sync::watch;
 
-pub(crate) use self::writer::{DirectWrite, Writer};
+#[cfg(feature = "zenoh")]
+pub(crate) use self::writer::DirectWrite;
+pub(crate) use self::writer::Writer;
 use self::{
     line::Line,
     packet::{Kind, PacketError},
