@@ -99,16 +99,23 @@ fn an_idle_processor_takes_the_turn_from_the_relief_and_serves_what_comes_itself
     joined.served.recv().unwrap();
     parker.take_nudge();
     let (lookout, sits) = (joined.lookout.clone(), parker.clone());
+    let done = Arc::new(AtomicBool::new(false));
+    let ends = done.clone();
     let processor = std::thread::spawn(move || {
         sits.sit_down();
         sits.look_out(lookout);
-        sits.park(None);
+        // The relief wakes it once when it has left the turn to it.
+        while !ends.load(Ordering::SeqCst) {
+            sits.park(None);
+        }
     });
     while !joined.lookout.manned.load(Ordering::SeqCst) {
         std::thread::yield_now();
     }
     write_to(&joined.other_end);
     assert_eq!(joined.served.recv().unwrap(), processor.thread().id());
+    done.store(true, Ordering::SeqCst);
+    parker.unpark();
     processor.join().unwrap();
     joined.lookout.close();
 }
