@@ -19,7 +19,8 @@ fn main() {
 }
 
 fn buffer(name: &str, floats: usize, bytes: usize) -> (Writer, Reader) {
-    let place = Place::of_app(&format!("bench-{}", std::process::id())).unwrap();
+    let place = Place::of_app("bench").unwrap();
+    let name = &format!("{name}-{}", std::process::id());
     let layout = Layout::new(SLOTS, floats).bytes(bytes);
     let writer = Writer::create(&place, name, layout, &Clock::real()).unwrap();
     let reader = Reader::open(&place, name).unwrap();

@@ -86,6 +86,16 @@ fn host_ns(clock: &Clock) -> u64 {
     clock.now().as_nanos().saturating_add(origin)
 }
 
+/// Sleeps where there is nothing to be woken by.
+fn nap(limit: Duration) {
+    let time = rustix::thread::Timespec {
+        tv_sec: i64::try_from(limit.as_secs()).unwrap_or(0),
+        tv_nsec: limit.subsec_nanos().into(),
+    };
+    // A signal that ends it early does no harm.
+    let _ = rustix::thread::nanosleep(&time);
+}
+
 /// Why a snapshot buffer cannot be made, opened, written or read.
 #[derive(Debug, Error)]
 #[non_exhaustive]

@@ -146,7 +146,8 @@ static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
     OptionTable::new(
         "records a snapshot buffer. EXEC dump [N]: the recent records as text; start: writes all that come to -file \
          until stop, in a thread of its own (in virtual time: whenever EXEC collect is said); collect, stop and \
-         status answer IMSG 2: records written, records lost",
+         status answer IMSG 2: records written, records lost; segments: all buffers of the app; sweep: removes those \
+         that have no writer and were silent for 10 minutes, and answers their names",
     )
     .word(
         "name",
@@ -235,6 +236,24 @@ impl Flight {
             .map_err(|error| wrong(error.to_string()))
     }
 
+    /// A line for each buffer of the app.
+    fn segments(&self) -> Result<String, Report> {
+        let listed = self.host.place().and_then(|place| place.segments());
+        let listed = listed.map_err(|error| buffer_error(&error))?;
+        let lines = listed.iter().map(|one| {
+            let writer = if one.is_written {
+                format!("written by {}", one.writer)
+            } else {
+                format!("no writer; the last was {}", one.writer)
+            };
+            let age = one.age.map_or_else(String::new, |age| {
+                format!(", the latest {:.3} s old", age.as_secs_f64())
+            });
+            format!("{}: {} records{age}, {writer}", one.name, one.head)
+        });
+        Ok(lines.collect::<Vec<_>>().join("\n"))
+    }
+
     fn start(&mut self) -> Outcome {
         if !matches!(self.work, Work::Idle) {
             return Err(wrong("it records already; EXEC stop ends that"));
@@ -313,13 +332,22 @@ impl ServiceObject for Flight {
                 io.text = self.dump_recent(number("how many records", most)?)?;
                 return Ok(());
             }
+            ["segments"] => {
+                io.text = self.segments()?;
+                return Ok(());
+            }
+            ["sweep"] => {
+                let removed = self.host.place().and_then(|place| place.remove_stale());
+                io.text = removed.map_err(|error| buffer_error(&error))?.join(" ");
+                return Ok(());
+            }
             ["start"] => self.start()?,
             ["collect"] => self.collect()?,
             ["stop"] => self.stop()?,
             ["status"] => {}
             _ => {
                 return Err(wrong(format!(
-                    "EXEC takes dump [N], start, collect, stop or status, not `{}`",
+                    "EXEC takes dump [N], start, collect, stop, status, segments or sweep, not `{}`",
                     io.text
                 )));
             }

@@ -491,6 +491,13 @@ fn tickets_lapse_when_their_time_is_over() {
 fn the_segments_lie_where_the_host_says() {
     let desk = desk(Clock::real());
     desk.ask("shmem_w.pose EXEC FMSG 2 1 1");
+    let lines = desk.ask("flight.pose EXEC segments").text;
+    assert!(lines.starts_with("pose: 1 records, the latest "), "{lines}");
+    assert_eq!(
+        desk.ask("flight.pose EXEC sweep").text,
+        "",
+        "what is written stays"
+    );
     let segments = desk.host.place().unwrap().segments().unwrap();
     assert_eq!((segments[0].name.as_str(), segments[0].head), ("pose", 1));
     assert!(desk.clock.now() > Instant::START);

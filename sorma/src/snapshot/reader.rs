@@ -6,7 +6,7 @@ use super::layout::{Layout, ORIGIN, WRITING};
 use super::memory::{Page, View};
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Taken};
-use super::{Snapshot, SnapshotError, bell};
+use super::{Snapshot, SnapshotError, bell, nap};
 use crate::process::Process;
 use ctos::time::{Clock, Instant};
 use rustix::fs::OFlags;
@@ -375,14 +375,4 @@ impl Reader {
             path: self.path.clone(),
         }
     }
-}
-
-/// Sleeps where no bell can be reached.
-fn nap(limit: Duration) {
-    let time = rustix::thread::Timespec {
-        tv_sec: i64::try_from(limit.as_secs()).unwrap_or(0),
-        tv_nsec: limit.subsec_nanos().into(),
-    };
-    // A signal that ends it early does no harm.
-    let _ = rustix::thread::nanosleep(&time);
 }

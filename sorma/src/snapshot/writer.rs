@@ -5,12 +5,13 @@ use super::layout::{Layout, REPLACED, STATE, WRITING};
 use super::memory::Page;
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Store};
-use super::{SnapshotError, bell, host_ns};
+use super::{SnapshotError, bell, host_ns, nap};
 use crate::process::Process;
 use ctos::time::Clock;
 use rustix::fs::{CWD, FallocateFlags, Mode, OFlags, RenameFlags, renameat_with};
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// How often a segment that another process changes under our hands is tried again.
 const ATTEMPTS: u32 = 16;
@@ -47,7 +48,14 @@ impl Writer {
         let header = Header::new(layout, clock.origin_ns().is_none())?;
         for attempt in 0..ATTEMPTS {
             let old = match place::open(&path, OFlags::RDWR) {
-                Ok(file) => Some(lock(file, &path)?),
+                Ok(file) => match lock(file, &path) {
+                    // Somebody else looks at what a dead writer left, and is done in a moment.
+                    Err(SnapshotError::Busy { writer, .. }) if !writer.is_alive() => {
+                        nap(Duration::from_millis(1));
+                        continue;
+                    }
+                    locked => Some(locked?),
+                },
                 Err(SnapshotError::Missing { .. }) => None,
                 Err(error) => return Err(error),
             };

@@ -17,7 +17,8 @@ fn main() {
 }
 
 fn ours(name: &str, floats: usize, bytes: usize) -> (Writer, Reader) {
-    let place = Place::of_app(&format!("bench-{}", std::process::id())).unwrap();
+    let place = Place::of_app("bench").unwrap();
+    let name = &format!("{name}-{}", std::process::id());
     let layout = Layout::new(SLOTS, floats).bytes(bytes);
     let writer = Writer::create(&place, name, layout, &Clock::real()).unwrap();
     let reader = Reader::open(&place, name).unwrap();
@@ -108,7 +109,7 @@ fn write_64_floats_iceoryx2_blackboard(bencher: Bencher<'_, '_>) {
         .create()
         .unwrap();
     let writer = service.writer_builder().create().unwrap();
-    let mut entry = writer.entry::<[f64; 64]>(&1).unwrap();
+    let entry = writer.entry::<[f64; 64]>(&1).unwrap();
     let floats = [1.5; 64];
     bencher.bench_local(|| entry.update_with_copy(black_box(floats)));
 }
