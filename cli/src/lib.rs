@@ -1,4 +1,5 @@
-//! The program `ctos`: checks and boots apps whose event handlers are those of this workspace.
+//! The programs `ctos`, which checks and boots apps whose event handlers are those of this workspace, and
+//! [`scott`], which asks service objects.
 //!
 //! [`program`] gathers what every configuration can name; [`commands`] holds one file per command.
 //! A program with event handlers of its own calls [`commands::main`] with its own registry.
@@ -7,4 +8,5 @@ pub mod commands;
 pub mod exit;
 pub mod log;
 pub mod program;
+pub mod scott;
 pub mod show;

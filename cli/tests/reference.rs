@@ -1,4 +1,5 @@
-//! What is written from the code and kept beside it: `docs/commands.md` and `configs/ctos.schema.json`.
+//! What is written from the code and kept beside it: `docs/commands.md`, `docs/services.md` and
+//! `configs/ctos.schema.json`.
 //!
 //! `UPDATE=1 cargo test -p cli --test reference` writes them anew.
 
@@ -16,8 +17,10 @@ use clap::{Arg, Command, CommandFactory};
 use cli::{
     commands::{Cli, explain},
     exit, program,
+    scott::{self, services::CLASSES},
 };
 use common::root;
+use sorma::describe::{self, OptionInfo};
 
 /// Holds `text` against the file, or writes the file when asked to.
 fn same_as(file: &str, text: &str) {
@@ -48,7 +51,7 @@ fn the_schema_beside_the_configurations_is_the_programs() {
 /// `docs/commands.md`.
 fn page() -> String {
     let mut page = String::from(
-        "# Commands of ctos\n\nWritten from the program's own help: \
+        "# Commands of ctos and scott\n\nWritten from the program's own help: \
          `UPDATE=1 cargo test -p cli --test reference` writes it anew.\n\n## Exit codes\n\n\
          | code | meaning |\n|---|---|\n",
     );
@@ -65,7 +68,118 @@ fn page() -> String {
     for command in shown(&cli) {
         section(&mut page, command, "ctos");
     }
+    let mut scott = scott::Cli::command().term_width(100);
+    scott.build();
+    section(&mut page, &scott, "");
     page
+}
+
+/// `docs/services.md`.
+fn services() -> String {
+    let mut page = String::from(
+        "# Services\n\nThe classes of service objects, written from their own tables: \
+         `UPDATE=1 cargo test -p cli --test reference` writes it anew. `scott --local` carries all of them; \
+         `NAME CTRL -help` tells the same, `NAME CTRL -dump` the state.\n\n\
+         Numbers are in SI units and rad, matrices row by row. An option that is wrong leaves the object as it was. \
+         The option `-help` and `-dump` of CTRL and everything under DBX are those of every class.\n",
+    );
+    let manager = scott::services::manager(&[]).expect("the shipped dictionary is right");
+    for class in CLASSES.iter() {
+        let _ = write!(
+            page,
+            "\n## {}\n\n{} (version {}).\n",
+            class.name,
+            sentence(&class.about),
+            class.version
+        );
+        if !class.forms.is_empty() {
+            page.push_str("\n| EXEC | FMSG in | answer | does |\n|---|---|---|---|\n");
+        }
+        for form in &class.forms {
+            let text = if form.text.is_empty() {
+                String::new()
+            } else {
+                format!("`{}`", form.text)
+            };
+            let takes = if form.floats == 0 {
+                "none".to_owned()
+            } else {
+                format!("{}: {}", form.floats, form.takes)
+            };
+            let _ = writeln!(
+                page,
+                "| {text} | {} | {} | {} |",
+                cell(&takes),
+                cell(&form.gives),
+                cell(&form.help)
+            );
+        }
+        option_table(&mut page, "CTRL", &class.options);
+        let mut codes: Vec<_> = manager
+            .prototypes()
+            .into_iter()
+            .filter(|(name, _)| *name == class.name)
+            .collect();
+        codes.sort_by_key(|(_, prototype)| prototype.code);
+        if !codes.is_empty() {
+            page.push_str("\n| code | report | what to do |\n|---|---|---|\n");
+        }
+        for (_, prototype) in codes {
+            let _ = writeln!(
+                page,
+                "| {} | {} | {} |",
+                prototype.code,
+                cell(prototype.text),
+                cell(prototype.help)
+            );
+        }
+    }
+    page.push_str("\n## Every object\n");
+    option_table(&mut page, "DBX", &describe::dbx_options());
+    page
+}
+
+fn option_table(page: &mut String, method: &str, options: &[OptionInfo]) {
+    if options.is_empty() {
+        return;
+    }
+    let _ = write!(
+        page,
+        "\n| {method} | values | default | meaning |\n|---|---|---|---|\n"
+    );
+    for option in options {
+        let default = option.default.as_ref().map(|value| format!("`{value}`"));
+        let form = option.form();
+        let form = if form.is_empty() {
+            String::new()
+        } else {
+            format!("`{form}`")
+        };
+        let _ = writeln!(
+            page,
+            "| `-{}` | {} | {} | {} |",
+            option.name,
+            cell(&form),
+            cell(&default.unwrap_or_default()),
+            cell(&option.help)
+        );
+    }
+}
+
+/// A bar would end the cell.
+fn cell(text: &str) -> String {
+    text.replace('|', "\\|")
+}
+
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters.next().map(|first| first.to_uppercase().to_string());
+    first.unwrap_or_default() + letters.as_str()
+}
+
+#[test]
+fn the_page_of_services_is_what_the_option_tables_say() {
+    same_as("docs/services.md", &services());
 }
 
 fn shown(command: &Command) -> impl Iterator<Item = &Command> {
@@ -75,6 +189,7 @@ fn shown(command: &Command) -> impl Iterator<Item = &Command> {
 
 fn section(page: &mut String, command: &Command, parent: &str) {
     let name = format!("{parent} {}", command.get_name());
+    let name = name.trim_start().to_owned();
     let about = command.get_long_about().or(command.get_about());
     let usage = command.clone().render_usage().to_string();
     let _ = write!(page, "\n## {name}\n\n");
@@ -161,6 +276,7 @@ fn every_command_says_what_it_does_and_every_argument_what_it_means() {
     let mut cli = Cli::command();
     cli.build();
     ask(&cli, "ctos");
+    ask(&scott::Cli::command(), "scott");
 }
 
 /// Every text of three parts with `::` between them in the sources of the crates, tests left out.

@@ -7,6 +7,7 @@ mod processes;
 
 use std::{
     ffi::OsString,
+    num::NonZeroUsize,
     panic::AssertUnwindSafe,
     path::PathBuf,
     sync::{Arc, Mutex, mpsc},
@@ -22,6 +23,7 @@ use crate::{
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
     names::{self, TidServer},
+    placement,
     processor::panic_text,
     realtime::{self, Grant},
     registry::Registry,
@@ -222,18 +224,20 @@ fn start<H: EventHandler>(
         return;
     };
     let spec = TaskSpec {
-        record: record(name, tid, None),
+        record: record(name, tid, None, processor),
         config: None,
-        commands: commands.to_vec(),
+        commands: commands.into(),
         build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
-    chassis.add_task(spec.record.clone());
+    let record = spec.record.clone();
     let home = chassis.clone();
     processor.inject(move |processor| {
         if let Err(error) = start_task(&home, processor, spec) {
             tracing::error!(task = name, error = %error, "a task of the runtime did not start");
         }
     });
+    // After the order to start it, so that no message comes before that.
+    chassis.add_task(record);
 }
 
 /// A processor's thread, from outside.
@@ -255,12 +259,16 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
     } else {
         Grant::NotAsked
     };
+    let cpus = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let mut threads = Vec::new();
     let (prepared, grants) = mpsc::channel();
     // Nothing runs before it is known what was granted: the agent asks.
     let gate = Arc::new(Mutex::new(()));
     let closed = lock(&gate);
-    for (index, (name, _)) in chassis.processors.iter().enumerate() {
+    for (index, (name, handle)) in chassis.processors.iter().enumerate() {
+        if let Some(config) = chassis.processor_config(index) {
+            handle.set_spin(placement::poll(&chassis.app, config, cpus));
+        }
         let (home, memory, prepared) = (chassis.clone(), memory.clone(), prepared.clone());
         let gate = gate.clone();
         let (ending, ended) = oneshot::channel::<()>();

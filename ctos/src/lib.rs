@@ -15,6 +15,8 @@ extern crate self as ctos;
 #[doc(hidden)]
 pub use serde;
 
+#[doc(hidden)]
+pub mod bench;
 pub mod boot;
 pub mod call;
 pub mod chassis;
@@ -40,17 +42,25 @@ mod agent;
 mod bootstrap;
 mod children;
 mod circle;
+mod concurrent;
 mod context;
 mod directory;
+mod exchange;
 #[cfg(test)]
 mod fuzz;
+mod inbox;
 mod link;
 mod mailbox;
 mod moving;
 mod names;
+mod parcel;
+mod placement;
 mod processor;
+mod reply;
+mod room;
 mod runner;
 mod statistics;
+mod timers;
 mod waits;
 
 pub use context::{DEFAULT_DEADLINE, mix};

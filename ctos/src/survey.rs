@@ -74,6 +74,9 @@ pub struct QueueReport {
 
 /// Everything that is known of `chassis` now.
 pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
+    if let Some(here) = crate::processor::Processor::here() {
+        here.settle_calls();
+    }
     let processors = chassis.processors.iter();
     ChassisReport {
         chassis: chassis.name().to_owned(),

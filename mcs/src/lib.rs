@@ -13,6 +13,7 @@ pub mod arm;
 pub mod client;
 pub mod control;
 pub mod driver;
+pub mod services;
 pub mod servo;
 pub mod state;
 pub mod tasks;

@@ -1,6 +1,7 @@
 //! DBX, which every object inherits: what is known about it that its class need not write.
 
 use crate::class::Class;
+use crate::describe::OptionInfo;
 use crate::object::{Context, Outcome};
 use crate::options::OptionTable;
 use crate::report::{Report, Severity};
@@ -106,6 +107,11 @@ struct About {
     version: String,
     audit: String,
     statistics: String,
+}
+
+/// What a program may know about the options that DBX takes.
+pub(crate) fn options() -> Vec<OptionInfo> {
+    DBX.describe()
 }
 
 static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {

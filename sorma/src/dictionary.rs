@@ -6,7 +6,7 @@
 mod files;
 mod object;
 
-pub(crate) use object::DictionaryObject;
+pub(crate) use object::{DictionaryObject, class};
 
 use crate::name::suggestion;
 use crate::raise;

@@ -10,6 +10,8 @@ pub mod clock;
 pub mod comm;
 pub mod daemon;
 mod dbx;
+pub mod demo;
+pub mod describe;
 pub mod dictionary;
 pub mod ipc;
 mod manager;
@@ -31,6 +33,7 @@ pub mod words;
 
 pub use class::Class;
 pub use comm::{Alone, Comm};
+pub use describe::{ClassInfo, Form};
 pub use dictionary::Dictionary;
 pub use name::{Location, NameError, ObjectName};
 pub use object::{Context, Outcome, ServiceObject, TwoStep};

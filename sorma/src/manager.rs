@@ -1,5 +1,6 @@
 //! The manager as a service object, `sorm`: by it an inspector learns what there is, and sets it right.
 
+use crate::describe::ClassInfo;
 use crate::object::{Context, Outcome, ServiceObject, unsupported};
 use crate::options::OptionTable;
 use crate::raise;
@@ -50,6 +51,11 @@ impl Orders {
 /// The words of an action; the table has seen to their number.
 fn word(words: &[String], index: usize) -> String {
     words.get(index).cloned().unwrap_or_default()
+}
+
+/// What a program may know about the class.
+pub(crate) fn class() -> ClassInfo {
+    ORDERS.class("sorm", env!("CARGO_PKG_VERSION"))
 }
 
 static ORDERS: LazyLock<OptionTable<Orders>> = LazyLock::new(|| {

@@ -188,6 +188,11 @@ impl fmt::Display for ObjectName {
 
 /// "did you mean" in one sentence, for reports.
 pub(crate) fn suggestion<'a>(given: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    // Nothing known is as long as this, and a text of any length must not cost any time.
+    const LONGEST: usize = 200;
+    if given.len() > LONGEST {
+        return String::new();
+    }
     let finding = Finding::error("sorma", "").suggest(given, known);
     finding
         .help

@@ -1,13 +1,19 @@
 //! The option table of a class: what CTRL understands, written once per class.
 //!
-//! From one table come the parser (`-option value ...`), `-help` and `-dump`. Options of one request
-//! are taken together or not at all: when one is wrong the state stays as it was, and every wrong
-//! one is reported.
+//! From one table come the parser (`-option value ...`), `-help`, `-dump`, and the description that
+//! completion, panels and the page of services are made from. Options of one request are taken
+//! together or not at all: when one is wrong the state stays as it was, and every wrong one is
+//! reported. The forms of EXEC that a class understands stand in the same table and are checked by it.
 
+mod kind;
+
+use crate::describe::{ClassInfo, Form, FormInfo, OptionInfo};
 use crate::name::suggestion;
 use crate::report::{Report, code};
 use crate::transport::Transport;
 use crate::words::{self, Word};
+use kind::{Act, Field, Kind, Numbers};
+use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 
@@ -16,6 +22,7 @@ use std::ops::RangeInclusive;
 /// `-help` (what there is) and `-dump` (the state, as a line that CTRL takes back) are always there.
 pub struct OptionTable<T> {
     about: &'static str,
+    forms: &'static [Form],
     options: Vec<Opt<T>>,
 }
 
@@ -25,26 +32,22 @@ struct Opt<T> {
     kind: Kind<T>,
 }
 
-type Field<T, V> = fn(&mut T) -> &mut V;
-type Act<T> = fn(&mut T, &[String]) -> Result<String, String>;
-
-enum Kind<T> {
-    Flag(Field<T, bool>),
-    Float(Field<T, f64>, RangeInclusive<f64>, &'static str),
-    Int(Field<T, i64>, RangeInclusive<i64>, &'static str),
-    Choice(Field<T, String>, &'static [&'static str]),
-    Word(Field<T, String>, &'static str),
-    Action(&'static [&'static str], Act<T>),
-}
-
 impl<T: Clone + Default> OptionTable<T> {
     /// An empty table of a class; `about` says in one line what the class does.
     #[must_use]
     pub fn new(about: &'static str) -> Self {
         Self {
             about,
+            forms: &[],
             options: Vec::new(),
         }
+    }
+
+    /// The forms of EXEC that the class understands; [`Self::form`] then tells them apart.
+    #[must_use]
+    pub fn exec(mut self, forms: &'static [Form]) -> Self {
+        self.forms = forms;
+        self
     }
 
     fn option(mut self, name: &'static str, help: &'static str, kind: Kind<T>) -> Self {
@@ -68,7 +71,7 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, f64>,
     ) -> Self {
-        self.option(name, help, Kind::Float(field, range, unit))
+        self.option(name, help, Kind::Float(field, Numbers { range, unit }))
     }
 
     /// `-name 3`: a whole number within `range`, in `unit` ("" for a pure number).
@@ -81,7 +84,58 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, i64>,
     ) -> Self {
-        self.option(name, help, Kind::Int(field, range, unit))
+        self.option(name, help, Kind::Int(field, Numbers { range, unit }))
+    }
+
+    /// `-name 3` or `-name word`: a whole number within `range`, in `unit`, or the one word that says
+    /// that there is no such number. The field holds either as text.
+    #[must_use]
+    pub fn int_or(
+        self,
+        name: &'static str,
+        word: &'static str,
+        range: RangeInclusive<i64>,
+        unit: &'static str,
+        help: &'static str,
+        field: Field<T, String>,
+    ) -> Self {
+        self.option(
+            name,
+            help,
+            Kind::IntOr(field, word, Numbers { range, unit }),
+        )
+    }
+
+    /// `-name 0.1 0.2 0.3`: as many finite floats as there are `parameters`, each within `range`, in
+    /// `unit`. A list without numbers is not set; `-dump` leaves it out.
+    #[must_use]
+    pub fn floats(
+        self,
+        name: &'static str,
+        parameters: &'static [&'static str],
+        range: RangeInclusive<f64>,
+        unit: &'static str,
+        help: &'static str,
+        field: Field<T, Vec<f64>>,
+    ) -> Self {
+        let kind = Kind::Floats(field, parameters, Numbers { range, unit });
+        self.option(name, help, kind)
+    }
+
+    /// `-name 640 480`: as many whole numbers as there are `parameters`, each within `range`, in
+    /// `unit`. A list without numbers is not set; `-dump` leaves it out.
+    #[must_use]
+    pub fn ints(
+        self,
+        name: &'static str,
+        parameters: &'static [&'static str],
+        range: RangeInclusive<i64>,
+        unit: &'static str,
+        help: &'static str,
+        field: Field<T, Vec<i64>>,
+    ) -> Self {
+        let kind = Kind::Ints(field, parameters, Numbers { range, unit });
+        self.option(name, help, kind)
     }
 
     /// `-name word`: one of a few words.
@@ -127,11 +181,115 @@ impl<T: Clone + Default> OptionTable<T> {
         own.chain(["help", "dump"])
     }
 
-    /// What `-help` answers: a line for each option with its form, meaning and default.
+    /// What a program may know about the options, in the order of the table; `help` and `dump` are
+    /// left out.
+    #[must_use]
+    pub fn describe(&self) -> Vec<OptionInfo> {
+        let mut initial = T::default();
+        let described = self
+            .options
+            .iter()
+            .map(|option| option.kind.describe(option.name, option.help, &mut initial));
+        described.collect()
+    }
+
+    /// What a program may know about the class.
+    #[must_use]
+    pub fn class(&self, name: &str, version: &str) -> ClassInfo {
+        ClassInfo {
+            name: name.to_owned(),
+            version: version.to_owned(),
+            about: self.about.to_owned(),
+            forms: self.forms.iter().map(FormInfo::from).collect(),
+            options: self.describe(),
+        }
+    }
+
+    /// Which form of EXEC a request has, when its numbers are what that form takes: the right count
+    /// of floats, all of them finite, and nothing else. Allocates nothing when all is well.
+    ///
+    /// # Errors
+    /// What is wrong with the request, and what would have been right.
+    pub fn form(&self, io: &Transport) -> Result<&'static Form, Report> {
+        let text = io.text.trim();
+        let fits = |form: &&Form| form.text == text || form.is_placeholder() && !text.is_empty();
+        let mut fitting = self.forms.iter().filter(fits);
+        // Forms of one text differ by the count of their floats.
+        let counted = fitting.clone().find(|form| form.floats == io.floats.len());
+        let Some(form) = counted.or_else(|| fitting.next()) else {
+            return Err(self.no_form(text));
+        };
+        let takes = form.takes;
+        let wrong = |text: String| {
+            Err(Report::error(
+                code::VALUE,
+                format!("{} {text}", called(form)),
+            ))
+        };
+        if io.floats.len() != form.floats {
+            let given = io.floats.len();
+            return wrong(match form.floats {
+                0 => format!("takes no floats (FMSG), not {given}"),
+                count => format!(
+                    "takes {count} floats ({takes}), not {given}: write FMSG {count} and the numbers"
+                ),
+            });
+        }
+        if let Some(index) = io.floats.iter().position(|float| !float.is_finite()) {
+            let (count, given) = (
+                form.floats,
+                io.floats.get(index).copied().unwrap_or_default(),
+            );
+            let at = index + 1;
+            return wrong(format!(
+                "takes finite floats ({takes}), and float {at} of {count} is {given:?}"
+            ));
+        }
+        let (ints, bytes) = (io.ints.len(), io.opaque.len());
+        if ints > 0 {
+            return wrong(format!("takes no whole numbers (IMSG), not {ints}"));
+        }
+        if bytes > 0 {
+            return wrong(format!("takes no opaque bytes, not {bytes}"));
+        }
+        Ok(form)
+    }
+
+    fn no_form(&self, text: &str) -> Report {
+        let known: Vec<&str> = self.forms.iter().map(|form| form.text).collect();
+        let listed = known.join(", ");
+        let text = match (known.as_slice(), text) {
+            ([], _) => "this class has no EXEC".to_owned(),
+            ([one], "") => format!("after EXEC stands {one}"),
+            (_, "") => format!("after EXEC stands one of {listed}"),
+            (_, given) => {
+                let hint = suggestion(given, known);
+                format!(
+                    "EXEC `{}` is not known here: this class has {listed}{hint}",
+                    clipped(given)
+                )
+            }
+        };
+        Report::error(code::UNSUPPORTED, text)
+    }
+
+    /// What `-help` answers: a line for each form of EXEC and for each option, with its form, meaning
+    /// and default.
     #[must_use]
     pub fn help(&self) -> String {
         let mut initial = T::default();
         let mut out = self.about.to_owned();
+        for form in self.forms {
+            let floats = match form.floats {
+                0 => String::new(),
+                count => format!(" FMSG {count}"),
+            };
+            let request = format!("EXEC {}{floats}", form.text);
+            let _ = write!(out, "\n  {request:<28} {}; gives {}", form.help, form.gives);
+            if form.floats > 0 {
+                let _ = write!(out, "; takes {}", form.takes);
+            }
+        }
         for option in &self.options {
             let form = option.kind.form();
             // Writing to a `String` cannot fail.
@@ -205,7 +363,7 @@ impl<T: Clone + Default> OptionTable<T> {
         let Some(name) = word.text.strip_prefix('-') else {
             let text = format!(
                 "`{}` is no option; options begin with `-`, see -help",
-                word.text
+                clipped(&word.text)
             );
             return Err(Report::error(code::SYNTAX, text));
         };
@@ -215,7 +373,8 @@ impl<T: Clone + Default> OptionTable<T> {
             _ => {}
         }
         let Some(option) = self.options.iter().find(|option| option.name == name) else {
-            let text = format!("unknown option `-{name}`{}", suggestion(name, self.names()));
+            let hint = suggestion(name, self.names());
+            let text = format!("unknown option `-{}`{hint}", clipped(name));
             return Err(Report::error(code::UNKNOWN_OPTION, text));
         };
         option.take(state, rest)
@@ -229,12 +388,8 @@ impl<T> Opt<T> {
         rest: &'w [Word],
     ) -> Result<(Option<String>, &'w [Word]), Report> {
         let wrong = |text: String| Report::error(code::VALUE, format!("-{}: {text}", self.name));
-        let count = match (&self.kind, rest.first()) {
-            (Kind::Flag(_), Some(word)) if word.text == "on" || word.text == "off" => 1,
-            (Kind::Flag(_), _) => 0,
-            (Kind::Action(parameters, _), _) => parameters.len(),
-            _ => 1,
-        };
+        let next = rest.first().map(|word| word.text.as_str());
+        let count = self.kind.count(next);
         if rest.len() < count {
             return Err(wrong(format!("write -{}{}", self.name, self.kind.form())));
         }
@@ -245,84 +400,6 @@ impl<T> Opt<T> {
     }
 }
 
-impl<T> Kind<T> {
-    /// What stands after the option in the help.
-    fn form(&self) -> String {
-        match self {
-            Self::Flag(_) => " [on|off]".to_owned(),
-            Self::Float(_, range, unit) => {
-                format!(" {:?}..{:?}{}", range.start(), range.end(), spaced(unit))
-            }
-            Self::Int(_, range, unit) => {
-                format!(" {}..{}{}", range.start(), range.end(), spaced(unit))
-            }
-            Self::Choice(_, choices) => format!(" {}", choices.join("|")),
-            Self::Word(_, what) => format!(" {what}"),
-            Self::Action(parameters, _) => {
-                parameters.iter().map(|name| format!(" {name}")).collect()
-            }
-        }
-    }
-
-    /// The value as CTRL takes it; `None` for actions.
-    fn shown(&self, state: &mut T) -> Option<String> {
-        match self {
-            Self::Flag(field) => Some(if *field(state) { "on" } else { "off" }.to_owned()),
-            Self::Float(field, ..) => Some(format!("{:?}", field(state))),
-            Self::Int(field, ..) => Some(field(state).to_string()),
-            Self::Choice(field, _) | Self::Word(field, _) => Some(words::word(field(state))),
-            Self::Action(..) => None,
-        }
-    }
-
-    /// Sets the value from as many words as the option takes.
-    fn set(&self, state: &mut T, words: &[String]) -> Result<Option<String>, String> {
-        let word = words.first().map_or("", String::as_str);
-        match self {
-            Self::Flag(field) => *field(state) = word != "off",
-            Self::Float(field, range, unit) => {
-                let number: Option<f64> = word.parse().ok();
-                *field(state) =
-                    number
-                        .filter(|number| range.contains(number))
-                        .ok_or_else(|| {
-                            let (low, high) = (range.start(), range.end());
-                            format!(
-                                "must be a number from {low:?} to {high:?}{}, not `{word}`",
-                                spaced(unit)
-                            )
-                        })?;
-            }
-            Self::Int(field, range, unit) => {
-                let number: Option<i64> = word.parse().ok();
-                *field(state) =
-                    number
-                        .filter(|number| range.contains(number))
-                        .ok_or_else(|| {
-                            let (low, high) = (range.start(), range.end());
-                            format!(
-                                "must be a whole number from {low} to {high}{}, not `{word}`",
-                                spaced(unit)
-                            )
-                        })?;
-            }
-            Self::Choice(field, choices) => {
-                if !choices.contains(&word) {
-                    let hint = suggestion(word, choices.iter().copied());
-                    return Err(format!(
-                        "must be one of {}, not `{word}`{hint}",
-                        choices.join(", ")
-                    ));
-                }
-                word.clone_into(field(state));
-            }
-            Self::Word(field, _) => word.clone_into(field(state)),
-            Self::Action(_, act) => return act(state, words).map(Some),
-        }
-        Ok(None)
-    }
-}
-
 /// Where reading goes on after a wrong option: at the next word that looks like one and not like a
 /// negative number.
 fn begins_option(word: &Word) -> bool {
@@ -330,157 +407,22 @@ fn begins_option(word: &Word) -> bool {
     name.is_some_and(|name| name.starts_with(|first: char| first.is_ascii_alphabetic()))
 }
 
-fn spaced(unit: &str) -> String {
-    if unit.is_empty() {
-        String::new()
-    } else {
-        format!(" {unit}")
+/// `EXEC fkine`.
+fn called(form: &Form) -> String {
+    format!("EXEC {}", form.text).trim_end().to_owned()
+}
+
+/// The beginning of a text that may be of any length, for reports.
+fn clipped(text: &str) -> Cow<'_, str> {
+    const MOST: usize = 80;
+    match text.char_indices().nth(MOST) {
+        None => Cow::Borrowed(text),
+        Some((end, _)) => {
+            let begin = text.get(..end).unwrap_or_default();
+            Cow::Owned(format!("{begin}… ({} bytes)", text.len()))
+        }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    #[derive(Debug, Clone, PartialEq)]
-    struct Arm {
-        slow: bool,
-        speed: f64,
-        retries: i64,
-        frame: String,
-        tool: String,
-    }
-
-    impl Default for Arm {
-        fn default() -> Self {
-            Self {
-                slow: false,
-                speed: 0.5,
-                retries: 2,
-                frame: "base".to_owned(),
-                tool: String::new(),
-            }
-        }
-    }
-
-    fn table() -> OptionTable<Arm> {
-        OptionTable::new("moves an arm")
-            .flag("slow", "moves at a tenth of the speed", |arm: &mut Arm| {
-                &mut arm.slow
-            })
-            .float("speed", 0.0..=1.0, "m/s", "speed of the tool", |arm| {
-                &mut arm.speed
-            })
-            .int("retries", -3..=9, "", "how often it tries again", |arm| {
-                &mut arm.retries
-            })
-            .choice("frame", &["base", "tool"], "frame of targets", |arm| {
-                &mut arm.frame
-            })
-            .word("tool", "OBJECT", "what is in the hand", |arm| &mut arm.tool)
-            .action("echo", &["A", "B"], "says both", |_, words| {
-                Ok(words.join("+"))
-            })
-    }
-
-    fn ctrl(arm: &mut Arm, text: &str) -> Transport {
-        let mut io = Transport::text(text);
-        table().ctrl(arm, &mut io);
-        io
-    }
-
-    fn errors(text: &str) -> Vec<String> {
-        let mut arm = Arm::default();
-        let io = ctrl(&mut arm, text);
-        assert_eq!(arm, Arm::default(), "a refused request changes nothing");
-        assert!(!io.is_ok() && io.text.is_empty());
-        io.reports.into_iter().map(|report| report.text).collect()
-    }
-
-    #[test]
-    fn options_set_the_state_and_later_ones_override() {
-        let mut arm = Arm::default();
-        let io = ctrl(
-            &mut arm,
-            "-slow -speed 0.1 -retries -3 -tool 'red cup' -speed 1 -frame tool",
-        );
-        assert!(io.is_ok() && io.text.is_empty() && io.reports.is_empty());
-        let expected = Arm {
-            slow: true,
-            speed: 1.0,
-            retries: -3,
-            frame: "tool".to_owned(),
-            tool: "red cup".to_owned(),
-        };
-        assert_eq!(arm, expected);
-        ctrl(&mut arm, "-slow off");
-        assert!(!arm.slow);
-    }
-
-    #[test]
-    fn help_and_dump_are_always_there_and_actions_answer() {
-        let mut arm = Arm::default();
-        let help = ctrl(&mut arm, "-help").text;
-        assert!(
-            help.contains("-speed 0.0..1.0 m/s") && help.contains("(default 0.5)"),
-            "{help}"
-        );
-        assert!(
-            help.contains("-frame base|tool") && help.contains("-echo A B"),
-            "{help}"
-        );
-        let dump = ctrl(&mut arm, "-slow -dump").text;
-        assert_eq!(
-            dump,
-            "-slow on -speed 0.5 -retries 2 -frame base -tool \"\""
-        );
-        assert_eq!(ctrl(&mut arm, "-echo a 'b c' -echo d e").text, "a+b c\nd+e");
-    }
-
-    #[test]
-    fn all_wrong_options_of_a_request_are_reported_and_nothing_is_taken() {
-        assert_eq!(
-            errors("-slow -sped 3 x -speed 1.5 -retries 1.5 -frame tol -speed nan"),
-            [
-                "unknown option `-sped`; did you mean `speed`?",
-                "-speed: must be a number from 0.0 to 1.0 m/s, not `1.5`",
-                "-retries: must be a whole number from -3 to 9, not `1.5`",
-                "-frame: must be one of base, tool, not `tol`; did you mean `tool`?",
-                "-speed: must be a number from 0.0 to 1.0 m/s, not `nan`",
-            ]
-        );
-        assert_eq!(errors("-speed"), ["-speed: write -speed 0.0..1.0 m/s"]);
-        assert_eq!(errors("-echo a"), ["-echo: write -echo A B"]);
-        assert_eq!(
-            errors("slow"),
-            ["`slow` is no option; options begin with `-`, see -help"]
-        );
-        assert_eq!(errors("-tool 'a"), ["the quote at byte 6 is not closed"]);
-    }
-
-    proptest! {
-        #[test]
-        fn a_dump_is_a_recipe_for_the_same_state(
-            slow in any::<bool>(),
-            speed in 0.0..=1.0_f64,
-            retries in -3..=9_i64,
-            frame in prop::sample::select(vec!["base", "tool"]),
-            tool in any::<String>(),
-        ) {
-            let arm = Arm { slow, speed, retries, frame: frame.to_owned(), tool };
-            let mut copy = Arm::default();
-            let io = ctrl(&mut copy, &table().dump(&arm));
-            prop_assert!(io.is_ok(), "{:?}", io.reports);
-            prop_assert_eq!(copy, arm);
-        }
-
-        #[test]
-        fn any_text_is_taken_whole_or_changes_nothing(text in "[-a-z0-9.'\" ]{0,40}") {
-            let mut arm = Arm::default();
-            if !ctrl(&mut arm, &text).is_ok() {
-                prop_assert_eq!(arm, Arm::default());
-            }
-        }
-    }
-}
+mod tests;

@@ -69,6 +69,8 @@ impl LightPoint {
 pub enum LensModel {
     /// No distortion: 10 parameters.
     None,
+    /// Radial, its first term only: 11 parameters. Chosen only when asked for.
+    K1,
     /// Radial: 12 parameters.
     K1K2,
     /// Radial and tangential: 14 parameters.
@@ -78,7 +80,8 @@ pub enum LensModel {
 }
 
 impl LensModel {
-    const ALL: [Self; 4] = [Self::None, Self::K1K2, Self::K1K2P1P2, Self::Brown5];
+    /// The models that a calibration chooses from by itself.
+    const CHOSEN: [Self; 4] = [Self::None, Self::K1K2, Self::K1K2P1P2, Self::Brown5];
 
     /// Number of free parameters, pose and pinhole included. They are the first so many of
     /// [`Camera::project_with_jacobian`].
@@ -86,6 +89,7 @@ impl LensModel {
     pub fn parameters(self) -> usize {
         match self {
             Self::None => 10,
+            Self::K1 => 11,
             Self::K1K2 => 12,
             Self::K1K2P1P2 => 14,
             Self::Brown5 => 15,
@@ -96,16 +100,25 @@ impl LensModel {
     fn simpler(self) -> Option<(Self, &'static str)> {
         match self {
             Self::None => None,
+            Self::K1 => Some((Self::None, "k1")),
             Self::K1K2 => Some((Self::None, "k1, k2")),
             Self::K1K2P1P2 => Some((Self::K1K2, "p1, p2")),
             Self::Brown5 => Some((Self::K1K2P1P2, "k3")),
         }
     }
 
+    /// The fewest points that support the model.
+    #[must_use]
+    pub fn fewest_points(self) -> usize {
+        (self.parameters() + SPARE_EQUATIONS)
+            .div_ceil(2)
+            .max(MINIMUM_POINTS)
+    }
+
     /// The largest model that `points` points can support.
     fn largest_for(points: usize) -> Self {
         let fits = |model: &&Self| 2 * points >= model.parameters() + SPARE_EQUATIONS;
-        Self::ALL
+        Self::CHOSEN
             .iter()
             .rev()
             .find(fits)
@@ -245,6 +258,43 @@ pub fn calibrate(
     let sifted = reject(table, robust)?;
     let chosen = choose_model(table, sifted)?;
     assemble(table, width, height, &chosen)
+}
+
+/// Estimates the camera with just the distortion terms of `model`: none is dropped that the data do not
+/// support, and none is added. Otherwise as [`calibrate`].
+///
+/// # Errors
+/// [`CalibrationError`] with its reason if no camera follows from the table, or not one of that model.
+pub fn calibrate_as(
+    table: &[LightPoint],
+    width: usize,
+    height: usize,
+    model: LensModel,
+    rng: &mut ChaCha8Rng,
+) -> Result<Calibration, CalibrationError> {
+    table::check(table, width, height)?;
+    let enough = |points: usize| {
+        let needed = model.fewest_points();
+        let parameters = model.parameters();
+        (points >= needed)
+            .then_some(())
+            .ok_or(CalibrationError::TooFewForModel {
+                points,
+                needed,
+                parameters,
+            })
+    };
+    enough(table.len())?;
+    let start = start::find(table, width, height, rng)?;
+    let robust = robust_fit(table, start, model)?;
+    let stand = reject(table, robust)?;
+    enough(stand.used.len())?;
+    let choice = Choice {
+        full: stand.camera,
+        stand,
+        steps: Vec::new(),
+    };
+    assemble(table, width, height, &choice)
 }
 
 /// A camera with the points that it stands on.

@@ -20,6 +20,7 @@ pub mod command;
 pub mod components;
 pub mod frame;
 pub mod service;
+pub mod services;
 pub mod source;
 pub mod spot;
 pub mod tool;

@@ -1,4 +1,5 @@
-//! Finds the one bright spot of a picture, to a fraction of a pixel, or says why there is none.
+//! Finds the one bright spot of a picture, to a fraction of a pixel, or says why there is none; [`find_spots`]
+//! finds all of them.
 //!
 //! The picture is smoothed (5x5 binomial) and its noise measured; thresholds go down from near the brightest
 //! value to the noise, and the brightest component that is small, compact and fits a Gaussian is the
@@ -8,6 +9,7 @@
 //! well-sampled spot, whatever its width. This module knows pictures and no tasks.
 
 mod gauss;
+mod many;
 mod picture;
 
 use serde::{Deserialize, Serialize};
@@ -17,6 +19,7 @@ use crate::{
     frame::Frame,
 };
 use gauss::{Fit, Guess};
+pub use many::{FoundSpot, Spots, SpotsOptions, find_spots};
 pub use picture::noise_sd;
 
 /// Thresholds that are tried, as parts of the way from the background to the brightest value.
@@ -177,17 +180,8 @@ pub enum NotASpot {
 /// # Errors
 /// [`NoSpot`] with the numbers that speak against one; never panics, whatever the picture.
 pub fn find_spot(frame: &Frame, options: &SpotOptions) -> Result<Spot, NoSpot> {
-    let (width, height, pixels) = (frame.width, frame.height, frame.pixels.len());
-    if width == 0 || height == 0 {
-        return Err(NoSpot::Empty { width, height });
-    }
-    if width.checked_mul(height) != Some(pixels) {
-        return Err(NoSpot::WrongSize {
-            width,
-            height,
-            pixels,
-        });
-    }
+    check(frame)?;
+    let width = frame.width;
     let smooth = picture::smooth(&frame.pixels, width);
     let noise = noise_sd(&frame.pixels, width);
     let histogram = picture::histogram(&smooth);
@@ -211,6 +205,22 @@ pub fn find_spot(frame: &Frame, options: &SpotOptions) -> Result<Spot, NoSpot> {
         options,
     };
     search.run(brightest, lowest)
+}
+
+/// Whether a frame is a picture at all.
+fn check(frame: &Frame) -> Result<(), NoSpot> {
+    let (width, height, pixels) = (frame.width, frame.height, frame.pixels.len());
+    if width == 0 || height == 0 {
+        return Err(NoSpot::Empty { width, height });
+    }
+    if width.checked_mul(height) != Some(pixels) {
+        return Err(NoSpot::WrongSize {
+            width,
+            height,
+            pixels,
+        });
+    }
+    Ok(())
 }
 
 struct Search<'a> {

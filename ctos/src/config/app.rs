@@ -160,6 +160,8 @@ pub struct ProcessorConfig {
     pub priority: Option<u8>,
     /// The CPU it is pinned to, counted from 0.
     pub cpu: Option<usize>,
+    /// How long it looks for messages before it sleeps; `None` = the runtime chooses by placement.
+    pub poll: Option<Duration>,
     /// The base period of its synchronous functions; `None` = they bring their own.
     pub period: Option<Duration>,
     /// What it does with ticks that it comes too late for.

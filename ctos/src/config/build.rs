@@ -55,7 +55,7 @@ const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
 const BARRIER_KEYS: &[&str] = &["scope", "parties"];
 const PARTIES_MOST: u32 = 1_000_000;
 const PROCESSOR_KEYS: &[&str] = &[
-    "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
+    "realtime", "priority", "cpu", "poll_us", "period_s", "overrun", "spin_us",
 ];
 const CHASSIS_KEYS: &[&str] = &[
     "listen",
@@ -318,6 +318,7 @@ impl Builder<'_> {
                 required: false,
                 priority: None,
                 cpu: None,
+                poll: None,
                 period: None,
                 overrun: Overrun::default(),
                 spin: Duration::ZERO,
@@ -344,6 +345,7 @@ impl Builder<'_> {
         let realtime = required || realtime == Some(FlagOr::Flag(true));
         let priority = fields.integer("priority", 1..=99_u8);
         let cpu = fields.integer("cpu", 0..=1023_usize);
+        let poll_us = fields.integer("poll_us", 0..=10_000_u64);
         if let (Some(_), false, Some(at)) = (priority, realtime, fields.place("priority")) {
             let finding = Finding::warning(
                 "ctos::config::no_effect",
@@ -377,6 +379,7 @@ impl Builder<'_> {
             required,
             priority,
             cpu,
+            poll: poll_us.map(Duration::from_micros),
             period,
             overrun,
             spin: Duration::from_micros(spin_us),

@@ -339,6 +339,12 @@ pub(super) const TABLES: &[Table] = &[
                 "The CPU it is pinned to, counted from 0. Default: none.",
             ),
             key(
+                "poll_us",
+                Kind::Integer(0, 10_000),
+                None,
+                "How long it looks for messages before it sleeps, us. Default: 20 on a CPU of its own, else 0.",
+            ),
+            key(
                 "period_s",
                 Kind::Seconds(3600.0),
                 None,

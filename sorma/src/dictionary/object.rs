@@ -1,6 +1,7 @@
 //! The dictionary as a service object, `dict`.
 
 use super::Dictionary;
+use crate::describe::ClassInfo;
 use crate::name::suggestion;
 use crate::object::{Context, Outcome, ServiceObject, unsupported};
 use crate::options::OptionTable;
@@ -44,6 +45,11 @@ fn unknown(dictionary: &Dictionary, index: &str) -> String {
 fn told(findings: &Findings) -> String {
     let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
     lines.join("; ")
+}
+
+/// What a program may know about the class.
+pub(crate) fn class() -> ClassInfo {
+    OPTIONS.class("dict", env!("CARGO_PKG_VERSION"))
 }
 
 static OPTIONS: LazyLock<OptionTable<Edit>> = LazyLock::new(|| {

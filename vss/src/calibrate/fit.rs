@@ -53,6 +53,10 @@ pub(super) fn without_terms_beyond(camera: Camera, model: LensModel) -> Camera {
     let d = camera.distortion;
     let distortion = match model {
         LensModel::None => Distortion::default(),
+        LensModel::K1 => Distortion {
+            k1: d.k1,
+            ..Distortion::default()
+        },
         LensModel::K1K2 => Distortion {
             k1: d.k1,
             k2: d.k2,

@@ -54,6 +54,18 @@ pub enum CalibrationError {
         /// The number of rows at distinct positions.
         points: usize,
     },
+    /// Too few rows for the lens model that was asked for.
+    #[error(
+        "{points} usable points; a camera with {parameters} parameters needs at least {needed}, and 50 or more to be good"
+    )]
+    TooFewForModel {
+        /// The number of rows, outliers left out.
+        points: usize,
+        /// The fewest that would do.
+        needed: usize,
+        /// The parameters of the model, pose and pinhole included.
+        parameters: usize,
+    },
     /// All lights at one place.
     #[error(
         "all light positions are one point (within {extent_m:.2e} m); move the light through the work volume"

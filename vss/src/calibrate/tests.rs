@@ -248,6 +248,72 @@ fn the_same_table_and_seed_give_the_same_bits() {
     assert_eq!(run(&table).unwrap(), run(&table).unwrap());
 }
 
+/// Noise-free tables of each model, fitted as that model, give the camera that made them.
+#[test]
+fn a_model_that_is_asked_for_is_fitted_as_it_is() {
+    let brown = table_camera();
+    let d = brown.distortion;
+    let lens = |k1, k2| Distortion {
+        k1,
+        k2,
+        ..Distortion::default()
+    };
+    let cases = [
+        (LensModel::None, Distortion::default()),
+        (LensModel::K1, lens(d.k1, 0.0)),
+        (LensModel::K1K2, lens(d.k1, d.k2)),
+        (LensModel::Brown5, d),
+    ];
+    for (model, distortion) in cases {
+        let truth = Camera {
+            distortion,
+            ..brown
+        };
+        let mut random = rng(12);
+        let positions = volume(60, &mut random);
+        let exact = seen_by(&truth, &positions, 0.0, &mut random);
+        let found = calibrate_as(&exact, 640, 480, model, &mut rng(1)).unwrap();
+        assert_eq!(found.model, model);
+        for (index, change) in found.camera.change_to(&truth).iter().enumerate() {
+            assert!(
+                change.abs() < 1e-5,
+                "{model:?} {}: {change}",
+                PARAMETER_NAMES[index]
+            );
+        }
+        assert!(found.rms_px < 1e-7);
+        // With noise, the error is what the noise means.
+        let noisy = seen_by(&truth, &volume(200, &mut random), 0.3, &mut random);
+        let found = calibrate_as(&noisy, 640, 480, model, &mut rng(1)).unwrap();
+        let sds = found.uncertainty.parameter_sd;
+        for (change, sd) in found.camera.change_to(&truth).iter().zip(sds) {
+            assert!(change.abs() <= 5.0 * sd, "{model:?}: {change} {sd}");
+        }
+        assert!(
+            (found.noise_px / 0.3 - 1.0).abs() < 0.15,
+            "{}",
+            found.noise_px
+        );
+        assert!((found.rms_px / found.noise_px - 2_f64.sqrt()).abs() < 0.05);
+    }
+}
+
+#[test]
+fn a_model_with_too_many_terms_for_the_points_is_refused() {
+    let table = good_table(10);
+    let fitted = |model| calibrate_as(&table, 640, 480, model, &mut rng(1));
+    assert_eq!(
+        fitted(LensModel::Brown5).unwrap_err(),
+        CalibrationError::TooFewForModel {
+            points: 10,
+            needed: 11,
+            parameters: 15
+        }
+    );
+    assert_eq!(LensModel::K1.fewest_points(), 9);
+    assert_eq!(LensModel::None.fewest_points(), MINIMUM_POINTS);
+}
+
 fn good_table(n: usize) -> Vec<LightPoint> {
     let mut random = rng(8);
     let positions = volume(n, &mut random);

@@ -1,0 +1,7 @@
+//! The command `scott`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    cli::scott::main()
+}

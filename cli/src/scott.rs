@@ -1,0 +1,131 @@
+//! The program `scott`, the inspector: service objects asked by lines of text (SORMA technical report,
+//! section 1.8.1).
+//!
+//! [`services`] gathers the objects, [`script`] is the grammar, [`session`] runs it, [`prompt`] is the
+//! line editor, [`complete`] what it offers.
+
+pub mod complete;
+pub mod prompt;
+pub mod script;
+pub mod services;
+pub mod session;
+
+use std::{
+    fs::File,
+    io::{self, IsTerminal},
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use clap::Parser;
+
+use crate::{
+    exit,
+    show::{self, Colour},
+};
+use session::{Flow, Place, Session};
+
+const EXAMPLES: &str = "Examples:
+  scott --local
+  scott --local -c 'kin.puma560 EXEC TMSG fkine FMSG 6 0 0 0 0 0 0'
+  scott --local -c 'resect CTRL -size 640 480 -model k1k2' -c 'resect EXEC lights.csv'
+  scott --local -f checks.sor --json";
+
+/// Ask service objects by lines of text
+///
+/// A request is `name EXEC|CTRL|DBX text`, for example `foo.a EXEC` or `spot CTRL -help`; docs/services.md lists what
+/// there is. Replies go to standard output, one line each, in the form that reads back exactly; what is to be said
+/// about them goes to standard error. Without `-c` and `-f`, statements come from standard input; at a terminal they
+/// are typed at a prompt, with completion (Tab), search in the history (Ctrl-R), and Ctrl-D to leave.
+#[derive(Debug, Parser)]
+#[command(name = "scott", version, max_term_width = 100)]
+#[command(after_help = format!("{STATEMENTS}\n\n{EXAMPLES}\n\n{}", exit::help()))]
+pub struct Cli {
+    /// Carry all classes of service objects in this process; no app needs to run
+    #[arg(long, required = true)]
+    pub local: bool,
+    /// Run this statement and end (can be repeated)
+    #[arg(short = 'c', long = "command", value_name = "STATEMENT")]
+    pub commands: Vec<String>,
+    /// Run the statements of a file, after those of -c, and end; `-` is standard input
+    #[arg(short, long, value_name = "FILE")]
+    pub file: Option<PathBuf>,
+    /// Go on after a failure; the exit code is that of the first
+    #[arg(short, long)]
+    pub keep_going: bool,
+    /// Print replies as JSON, one object per line
+    #[arg(long)]
+    pub json: bool,
+    /// Read recipes and addresses from a dictionary file, over those that are shipped (can be repeated)
+    #[arg(long = "dict", value_name = "FILE")]
+    pub dictionaries: Vec<PathBuf>,
+    /// Edit lines with the keys of vi
+    #[arg(long)]
+    pub vi: bool,
+    /// When to use colours; `auto` asks NO_COLOR, then CLICOLOR_FORCE, then the terminal
+    #[arg(long, value_enum, value_name = "WHEN", default_value_t)]
+    pub color: Colour,
+}
+
+const STATEMENTS: &str = "Statements, one a line (a line that ends with \\ goes on in the next, # begins a comment):
+  NAME EXEC|CTRL|DBX TEXT   a request
+  set NAME = WORDS          a variable, used as $NAME; $RET $TMSG $FMSG $IMSG are the last reply's
+  expect RET 0              what the last reply must be: RET, TMSG, FMSG n .. [within TOLERANCE], IMSG, TDBX;
+                            a reply with an error is a failure unless an expect RET meets it
+  time REQUEST              how long it takes, reading and writing its text included
+  repeat 1000 REQUEST       least, median and longest time";
+
+/// Runs the command line of this process.
+#[must_use]
+pub fn main() -> ExitCode {
+    show::choose_colour(Colour::of_command_line(std::env::args_os()));
+    ExitCode::from(run(&Cli::parse()))
+}
+
+fn run(cli: &Cli) -> u8 {
+    let sorm = match services::manager(&cli.dictionaries) {
+        Ok(sorm) => sorm,
+        Err(findings) => {
+            show::findings(findings);
+            return exit::CONFIG;
+        }
+    };
+    let mut session = Session::new(sorm, cli.json, cli.keep_going);
+    for command in &cli.commands {
+        let place = Place {
+            name: "-c",
+            line: 0,
+            wrong: exit::USAGE,
+        };
+        if session.line(&place, command) == Flow::Stop {
+            return session.end("-c");
+        }
+    }
+    match &cli.file {
+        Some(path) if path == Path::new("-") => from_input(&mut session),
+        Some(path) => from_file(&mut session, path),
+        None if !cli.commands.is_empty() => session.end("-c"),
+        None if io::stdin().is_terminal() => prompt::run(&mut session, cli.vi),
+        None => from_input(&mut session),
+    }
+}
+
+fn from_input(session: &mut Session) -> u8 {
+    let name = "standard input";
+    session.script(name, io::stdin().lock());
+    session.end(name)
+}
+
+fn from_file(session: &mut Session, path: &Path) -> u8 {
+    let name = path.display().to_string();
+    match File::open(path) {
+        Ok(file) => {
+            session.script(&name, file);
+            session.end(&name)
+        }
+        Err(error) => {
+            show::say(&format!("error: cannot read `{name}`: {error}"));
+            exit::CONFIG
+        }
+    }
+}

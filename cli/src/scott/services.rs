@@ -1,0 +1,78 @@
+//! The service objects that `scott --local` carries itself: every class of the workspace.
+
+use std::{path::PathBuf, sync::LazyLock};
+
+use ctos::diagnostic::{Finding, Findings, Source};
+use sorma::{ClassInfo, Dictionary, Sorm, demo, describe};
+
+/// What a program may know about all classes, by name.
+pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
+    let mut classes = describe::own_classes();
+    classes.extend(demo::classes());
+    classes.extend(mcs::services::classes());
+    classes.extend(vss::services::classes());
+    classes.sort_by(|a, b| a.name.cmp(&b.name));
+    classes
+});
+
+/// The dictionaries that are shipped with the classes.
+const SHIPPED: [(&str, &str); 2] = [
+    ("the demo classes' dictionary", demo::DICTIONARY),
+    ("the arm's dictionary", mcs::services::DICTIONARY),
+];
+
+/// A manager with all classes, the shipped dictionary, and the given files over it.
+///
+/// # Errors
+/// What is wrong with the files.
+pub fn manager(files: &[PathBuf]) -> Result<Sorm, Findings> {
+    let mut dictionary = Dictionary::new();
+    for (name, text) in SHIPPED {
+        dictionary.load(&Source::new(name, text))?;
+    }
+    for file in files {
+        let source = Source::read(file).map_err(of_one)?;
+        dictionary.load(&source)?;
+    }
+    let sorm = Sorm::new(dictionary);
+    demo::register(&sorm);
+    mcs::services::register(&sorm);
+    vss::services::register(&sorm);
+    Ok(sorm)
+}
+
+fn of_one(finding: Finding) -> Findings {
+    let mut findings = Findings::new();
+    findings.push(finding);
+    findings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_registered_class_is_described_and_every_described_one_registered() {
+        let sorm = manager(&[]).unwrap();
+        let registered: Vec<String> = sorm
+            .classes()
+            .iter()
+            .map(|class| class.name().to_owned())
+            .collect();
+        let described: Vec<String> = CLASSES.iter().map(|class| class.name.clone()).collect();
+        assert_eq!(registered, described);
+    }
+
+    #[test]
+    fn codes_of_reports_are_not_used_twice() {
+        let sorm = manager(&[]).unwrap();
+        let mut seen = std::collections::BTreeMap::new();
+        for (_, prototype) in sorm.prototypes() {
+            let before = seen.insert(prototype.code, prototype.name);
+            assert!(
+                before.is_none_or(|name| name == prototype.name),
+                "{prototype:?}"
+            );
+        }
+    }
+}

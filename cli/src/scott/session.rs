@@ -1,0 +1,435 @@
+//! Runs statements against a manager of service objects, and writes what comes of them.
+
+use std::{
+    io::{self, BufRead, Read},
+    time::Duration,
+};
+
+use ctos::time::Clock;
+use serde_json::{Value, json};
+use sorma::{Reply, Report, Sorm, Transport, report::code, words};
+
+use super::script::{self, Expectation, Statement, Variables};
+use crate::{exit, show};
+
+/// A longer line is refused and skipped, bytes.
+pub const LONGEST_LINE: usize = 16 << 20;
+
+/// Runs statements.
+pub struct Session {
+    sorm: Sorm,
+    clock: Clock,
+    variables: Variables,
+    last: Option<Transport>,
+    /// A request ended with an error that no expectation has met yet.
+    pending: Option<Failure>,
+    /// Replies as JSON.
+    json: bool,
+    /// Goes on after a failure.
+    keep_going: bool,
+    /// The exit code of the first failure.
+    failed: u8,
+}
+
+/// What went wrong, where, and the exit code that it means.
+struct Failure {
+    text: String,
+    exit: u8,
+}
+
+/// Where a statement stands, for messages: `file:3`.
+pub struct Place<'a> {
+    /// The file's name, or another name of what is read.
+    pub name: &'a str,
+    /// The line, from 1; 0 for none.
+    pub line: usize,
+    /// The exit code of a statement that is none.
+    pub wrong: u8,
+}
+
+impl<'a> Place<'a> {
+    /// A line of a file.
+    #[must_use]
+    pub fn of_file(name: &'a str, line: usize) -> Self {
+        Self {
+            name,
+            line,
+            wrong: exit::CONFIG,
+        }
+    }
+}
+
+impl std::fmt::Display for Place<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.line {
+            0 => f.write_str(self.name),
+            line => write!(f, "{}:{line}", self.name),
+        }
+    }
+}
+
+/// Whether to go on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flow {
+    /// With the next statement.
+    On,
+    /// No: something failed.
+    Stop,
+}
+
+impl Session {
+    /// A session with the objects of `sorm`.
+    #[must_use]
+    pub fn new(sorm: Sorm, json: bool, keep_going: bool) -> Self {
+        Self {
+            sorm,
+            clock: Clock::real(),
+            variables: Variables::new(),
+            last: None,
+            pending: None,
+            json,
+            keep_going,
+            failed: exit::OK,
+        }
+    }
+
+    /// The manager.
+    #[must_use]
+    pub fn sorm(&self) -> &Sorm {
+        &self.sorm
+    }
+
+    /// Names of the variables.
+    pub fn variables(&self) -> impl Iterator<Item = &str> {
+        self.variables.keys().map(String::as_str)
+    }
+
+    /// The exit code so far, when nothing more comes.
+    pub fn end(&mut self, name: &str) -> u8 {
+        self.settle(&Place::of_file(name, 0));
+        self.failed
+    }
+
+    /// Runs a script of lines; a line that ends with `\` goes on in the next.
+    pub fn script(&mut self, name: &str, input: impl Read) -> Flow {
+        let mut input = io::BufReader::new(input);
+        let mut line = 0;
+        let mut begun = (0, String::new());
+        loop {
+            line += 1;
+            let place = Place::of_file(name, line);
+            let text = match next_line(&mut input) {
+                Ok(Some(Ok(text))) => text,
+                Ok(None) => break,
+                Ok(Some(Err(why))) => {
+                    if self.fail(&place, &why, exit::CONFIG) == Flow::Stop {
+                        return Flow::Stop;
+                    }
+                    continue;
+                }
+                // Whatever comes after cannot be read either.
+                Err(error) => {
+                    let _ = self.fail(&place, &format!("cannot be read: {error}"), exit::CONFIG);
+                    return Flow::Stop;
+                }
+            };
+            if begun.1.is_empty() {
+                begun.0 = line;
+            }
+            match text.strip_suffix('\\') {
+                Some(more) => {
+                    begun.1.push_str(more);
+                    begun.1.push(' ');
+                    if begun.1.len() <= LONGEST_LINE {
+                        continue;
+                    }
+                }
+                None => begun.1.push_str(&text),
+            }
+            let (line, statement) = std::mem::take(&mut begun);
+            if self.line(&Place::of_file(name, line), &statement) == Flow::Stop {
+                return Flow::Stop;
+            }
+        }
+        if begun.1.is_empty() {
+            return Flow::On;
+        }
+        self.line(&Place::of_file(name, begun.0), &begun.1)
+    }
+
+    /// Runs one line.
+    pub fn line(&mut self, place: &Place<'_>, line: &str) -> Flow {
+        let statement = script::replace(line, &self.variables).and_then(|line| script::read(&line));
+        let statement = match statement {
+            Ok(Statement::Nothing) => return Flow::On,
+            Ok(statement) => statement,
+            Err(why) => return self.fail(place, &why, place.wrong),
+        };
+        if !matches!(statement, Statement::Expect(_)) && self.settle(place) == Flow::Stop {
+            return Flow::Stop;
+        }
+        match statement {
+            Statement::Nothing => Flow::On,
+            Statement::Set { name, words } => {
+                self.variables.insert(name, words);
+                Flow::On
+            }
+            Statement::Expect(expected) => self.expect(place, &expected),
+            Statement::Request(request) => {
+                let reply = self.sorm.dispatch(&request);
+                self.replied(place, &reply, None)
+            }
+            Statement::Time(request) => self.timed(place, &request, None),
+            Statement::Repeat(count, request) => self.timed(place, &request, Some(count)),
+        }
+    }
+
+    /// An error that no expectation has met becomes a failure.
+    fn settle(&mut self, place: &Place<'_>) -> Flow {
+        match self.pending.take() {
+            None => Flow::On,
+            Some(failure) => self.fail(place, &failure.text, failure.exit),
+        }
+    }
+
+    fn fail(&mut self, place: &Place<'_>, why: &str, code: u8) -> Flow {
+        self.pending = None;
+        show::say(&format!("{place}: {why}"));
+        if self.failed == exit::OK {
+            self.failed = code;
+        }
+        if self.keep_going {
+            Flow::On
+        } else {
+            Flow::Stop
+        }
+    }
+
+    fn expect(&mut self, place: &Place<'_>, expected: &Expectation) -> Flow {
+        let Some(last) = &self.last else {
+            return self.fail(
+                place,
+                "there is no reply yet to expect anything of",
+                place.wrong,
+            );
+        };
+        let unmet = expected.unmet(last);
+        if !unmet.is_empty() {
+            return self.fail(place, &unmet.join("; "), exit::FAILED);
+        }
+        if expected.code.is_some() {
+            self.pending = None;
+        }
+        Flow::On
+    }
+
+    /// Dispatches a request once or `count` times and tells how long it took.
+    fn timed(&mut self, place: &Place<'_>, request: &str, count: Option<u64>) -> Flow {
+        let mut times: Vec<Duration> = Vec::new();
+        let mut reply = String::new();
+        for _ in 0..count.unwrap_or(1) {
+            let start = self.clock.now();
+            reply = self.sorm.dispatch(request);
+            times.push(self.clock.now() - start);
+            let good = reply.parse::<Reply>().is_ok_and(|reply| reply.body.is_ok());
+            if !good {
+                break;
+            }
+        }
+        times.sort_unstable();
+        let at = |index: usize| times.get(index).copied().unwrap_or_default();
+        let told = Times {
+            repeats: count.map(|_| times.len()),
+            least: at(0),
+            median: at(times.len() / 2),
+            longest: at(times.len().saturating_sub(1)),
+        };
+        self.replied(place, &reply, Some(&told))
+    }
+
+    fn replied(&mut self, place: &Place<'_>, text: &str, times: Option<&Times>) -> Flow {
+        // The manager's own text: it reads back.
+        let reply = match text.parse::<Reply>() {
+            Ok(reply) => reply,
+            Err(error) => return self.fail(place, &error.to_string(), exit::FAILED),
+        };
+        let written = if self.json {
+            show::data(&as_json(&reply, times).to_string())
+        } else {
+            let timed = times.map(|times| format!("\n{}", times.text()));
+            show::data(&format!("{text}{}", timed.unwrap_or_default()))
+        };
+        if written.is_err() {
+            // Whoever read this has what they wanted.
+            return Flow::Stop;
+        }
+        self.remember(&reply.body);
+        if !reply.body.is_ok() {
+            let told = reply.body.reports.iter().map(told);
+            let told: Vec<String> = told.collect();
+            self.pending = Some(Failure {
+                text: format!(
+                    "{} ended with {}\n  {}",
+                    reply.name,
+                    reply.body.code,
+                    told.join("\n  ")
+                ),
+                exit: exit_of(reply.body.code),
+            });
+        }
+        self.last = Some(reply.body);
+        Flow::On
+    }
+
+    /// Sets the variables of the last reply.
+    fn remember(&mut self, body: &Transport) {
+        let counted = |count: usize, numbers: Vec<String>| {
+            let mut words = vec![count.to_string()];
+            words.extend(numbers);
+            words.join(" ")
+        };
+        let floats = body.floats.iter().map(|float| format!("{float:?}"));
+        let ints = body.ints.iter().map(ToString::to_string);
+        let values = [
+            body.code.to_string(),
+            words::quoted(&body.text),
+            counted(body.floats.len(), floats.collect()),
+            counted(body.ints.len(), ints.collect()),
+        ];
+        for (name, value) in script::REPLY.into_iter().zip(values) {
+            self.variables.insert(name.to_owned(), value);
+        }
+    }
+
+    /// For the prompt: shows what pends, without ending anything.
+    pub fn forget_failure(&mut self) {
+        if let Some(failure) = self.pending.take() {
+            show::say(&failure.text);
+        }
+    }
+}
+
+/// A report for people, its text not indented deeper than needed.
+fn told(report: &Report) -> String {
+    report.to_string().replace('\n', "\n    ")
+}
+
+/// The exit code that a return code means.
+fn exit_of(ret: i32) -> u8 {
+    match ret {
+        code::UNKNOWN_CLASS | code::UNKNOWN_FLAVOR => exit::NO_SUCH_NAME,
+        code::DAEMON => exit::UNREACHABLE,
+        _ => exit::FAILED,
+    }
+}
+
+/// How long requests took.
+struct Times {
+    repeats: Option<usize>,
+    least: Duration,
+    median: Duration,
+    longest: Duration,
+}
+
+impl Times {
+    fn text(&self) -> String {
+        let us = |time: Duration| format!("{:.3} us", time.as_secs_f64() * 1e6);
+        match self.repeats {
+            None => format!("# time {}", us(self.median)),
+            Some(count) => format!(
+                "# repeat {count}: min {}, median {}, max {}",
+                us(self.least),
+                us(self.median),
+                us(self.longest)
+            ),
+        }
+    }
+}
+
+/// A reply as one JSON object; floats that JSON does not have are texts as in the textual form.
+fn as_json(reply: &Reply, times: Option<&Times>) -> Value {
+    let float = |float: &f64| match serde_json::Number::from_f64(*float) {
+        Some(number) => Value::Number(number),
+        None => json!(format!("{float:?}").to_lowercase()),
+    };
+    let report = |report: &Report| {
+        json!({
+            "severity": report.severity.word(),
+            "code": report.code,
+            "text": report.text,
+            "object": report.object,
+            "process": report.process,
+            "time_ns": report.time_ns,
+            "file": report.file,
+            "line": report.line,
+        })
+    };
+    let body = &reply.body;
+    let mut object = json!({
+        "name": reply.name.to_string(),
+        "ret": body.code,
+        "text": body.text,
+        "floats": body.floats.iter().map(float).collect::<Vec<_>>(),
+        "ints": body.ints,
+        "reports": body.reports.iter().map(report).collect::<Vec<_>>(),
+    });
+    if let (Some(times), Some(object)) = (times, object.as_object_mut()) {
+        let us = |time: Duration| json!(time.as_secs_f64() * 1e6);
+        let told = match times.repeats {
+            None => us(times.median),
+            Some(count) => json!({
+                "count": count,
+                "min": us(times.least),
+                "median": us(times.median),
+                "max": us(times.longest),
+            }),
+        };
+        object.insert("time_us".to_owned(), told);
+    }
+    object
+}
+
+/// The next line without its end, or why it cannot be one: it is too long (and skipped to its end) or
+/// not UTF-8. `None` after the last.
+fn next_line(input: &mut impl BufRead) -> io::Result<Option<Result<String, String>>> {
+    let mut bytes = Vec::new();
+    let most = u64::try_from(LONGEST_LINE).unwrap_or(u64::MAX) + 1;
+    input.by_ref().take(most).read_until(b'\n', &mut bytes)?;
+    if bytes.is_empty() {
+        return Ok(None);
+    }
+    if bytes.len() > LONGEST_LINE && !bytes.ends_with(b"\n") {
+        let rest = skip_line(input)?;
+        let read = u64::try_from(bytes.len()).unwrap_or(u64::MAX);
+        let length = read.saturating_add(rest);
+        let why = format!("the line has {length} bytes; lines up to {LONGEST_LINE} bytes are read");
+        return Ok(Some(Err(why)));
+    }
+    while bytes.last().is_some_and(|last| b"\r\n".contains(last)) {
+        bytes.pop();
+    }
+    Ok(Some(String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to() + 1;
+        format!("byte {at} of the line is not UTF-8")
+    })))
+}
+
+/// Reads to the end of the line without keeping it; the bytes that it had.
+fn skip_line(input: &mut impl BufRead) -> io::Result<u64> {
+    let mut length = 0;
+    loop {
+        let part = input.fill_buf()?;
+        if part.is_empty() {
+            return Ok(length);
+        }
+        let (used, done) = match part.iter().position(|byte| *byte == b'\n') {
+            Some(at) => (at + 1, true),
+            None => (part.len(), false),
+        };
+        input.consume(used);
+        length += u64::try_from(used).unwrap_or(u64::MAX);
+        if done {
+            return Ok(length);
+        }
+    }
+}

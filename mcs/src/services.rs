@@ -1,0 +1,92 @@
+//! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
+//!
+//! The classes here need no running app: they compute. Their texts and numbers are a fixed interface
+//! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
+//! under joint 1 and frame 6 as the DH table has it.
+
+mod dynamics;
+mod kinematics;
+
+use sorma::{Class, ClassInfo, Outcome, Sorm, Transport};
+
+use crate::arm::{ArmModel, Joints};
+
+/// Version of the classes.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Height of frame 0's origin to joint 2's axis, m, unless an option says otherwise.
+const PEDESTAL: f64 = 0.67183;
+
+sorma::prototypes! {
+    /// The codes of the reports of these classes.
+    pub mod code {
+        UNREACHABLE = 120, Error, "no joint positions reach the pose",
+            "move the pose nearer, or away from joint 1's axis; the text has the distances";
+        SINGULAR = 121, Error, "infinitely many joint positions reach the pose",
+            "set -singular near, and -near to where joint 4 should stay";
+        LIMITS = 122, Error, "every way to reach the pose has a joint outside its limits",
+            "choose another orientation, or look at the solutions with -limits off";
+        NO_POSE = 123, Error, "the 16 numbers are no pose",
+            "write base_T_6 row by row: rotation and position in m, last row 0 0 0 1";
+        TOO_LARGE = 124, Error, "the numbers are too large to compute with",
+            "check the units: rad, rad/s, rad/s^2";
+    }
+}
+
+/// The recipes that are shipped with the classes.
+pub const DICTIONARY: &str = "\
+kin.puma560 -arm puma560
+dyn.puma560 -arm puma560
+";
+
+/// Makes the classes known to a manager.
+pub fn register(sorm: &Sorm) {
+    let kin = Class::new("kin", VERSION, |_, _| {
+        Ok(Box::new(kinematics::Kinematics::default()))
+    });
+    let dynamics = Class::new("dyn", VERSION, |_, _| {
+        Ok(Box::new(dynamics::Dynamics::default()))
+    });
+    for class in [kin, dynamics] {
+        sorm.register(class.codes(code::PROTOTYPES));
+    }
+}
+
+/// What a program may know about the classes.
+#[must_use]
+pub fn classes() -> Vec<ClassInfo> {
+    vec![
+        kinematics::TABLE.class("kin", VERSION),
+        dynamics::TABLE.class("dyn", VERSION),
+    ]
+}
+
+/// The PUMA 560 with its published inertias, or with those that physics engines accept.
+fn arm(inertias: &str, pedestal: f64) -> ArmModel {
+    let mut model = match inertias {
+        "engine" => ArmModel::puma560(),
+        _ => ArmModel::puma560_identified(),
+    };
+    let [first, ..] = &mut model.dh;
+    first.d = pedestal;
+    model
+}
+
+/// The joint vector that begins at `start` in `floats`, which the table has counted; missing numbers
+/// would be 0.
+fn joints(floats: &[f64], start: usize) -> Joints {
+    std::array::from_fn(|index| floats.get(start + index).copied().unwrap_or_default())
+}
+
+/// Ends a request: what came in must not stay there as if it were an answer.
+fn ended(io: &mut Transport, outcome: Outcome) -> Outcome {
+    io.text.clear();
+    if outcome.is_err() {
+        io.floats.clear();
+        io.ints.clear();
+    }
+    outcome
+}
+
+#[cfg(test)]
+mod tests;

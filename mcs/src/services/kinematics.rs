@@ -1,0 +1,321 @@
+//! The class `kin`: forward, differential and inverse kinematics of an arm.
+
+use std::{f64::consts::TAU, sync::LazyLock};
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+
+use super::{PEDESTAL, arm, code, ended, joints};
+use crate::arm::{ArmModel, DOF, IkError, IkSolution, JointLimits, Joints};
+
+/// A joint this little (rad) beyond its limit is rounding.
+const LIMIT_ROUNDING: f64 = 1e-9;
+/// Joint vectors this near each other (rad) in every joint are one solution.
+const SAME: f64 = 1e-9;
+/// Likewise where postures coincide, at a straight arm or over the shoulder: half of the digits are lost there.
+const SAME_AT_SINGULARITY: f64 = 1e-5;
+/// Sine of joint 5 below which the wrist is singular.
+const WRIST_SINGULAR: f64 = 1e-9;
+/// Departure of a rotation from an orthonormal matrix that is taken for a slip and not for rounding.
+const NO_ROTATION: f64 = 1e-3;
+/// Departure above which the rounding is worth a warning.
+const ROUNDED: f64 = 1e-6;
+/// Farther than this (m) nothing is that an arm could reach.
+const FARTHEST: f64 = 1e6;
+
+const FORMS: &[Form] = &[
+    Form {
+        text: "fkine",
+        floats: 6,
+        takes: "joint positions q1 to q6, rad",
+        gives: "16 floats: base_T_6, row by row, m",
+        help: "forward kinematics",
+    },
+    Form {
+        text: "jacobian",
+        floats: 6,
+        takes: "joint positions q1 to q6, rad",
+        gives: "36 floats, row by row: vx vy vz wx wy wz of frame 6's origin in the base frame per rad/s of each joint",
+        help: "geometric Jacobian",
+    },
+    Form {
+        text: "ikine",
+        floats: 16,
+        takes: "base_T_6, row by row, m",
+        gives: "6 n floats: all n solutions, rad; 1 int: n",
+        help: "inverse kinematics: every solution, or the reason why there is none",
+    },
+];
+
+#[derive(Debug, Clone)]
+pub(super) struct Options {
+    arm: String,
+    pedestal: f64,
+    limits: bool,
+    turns: String,
+    singular: String,
+    near: Vec<f64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            arm: "puma560".to_owned(),
+            pedestal: PEDESTAL,
+            limits: true,
+            turns: "all".to_owned(),
+            singular: "refuse".to_owned(),
+            near: vec![0.0; DOF],
+        }
+    }
+}
+
+pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    OptionTable::new("kinematics of an arm")
+        .exec(FORMS)
+        .choice(
+            "arm",
+            &["puma560"],
+            "whose kinematics",
+            |options: &mut Options| &mut options.arm,
+        )
+        .float(
+            "d1",
+            0.0..=5.0,
+            "m",
+            "height of the shoulder above the base frame; 0 puts the base frame there",
+            |options| &mut options.pedestal,
+        )
+        .flag(
+            "limits",
+            "ikine answers only what keeps every joint within its limits",
+            |options| &mut options.limits,
+        )
+        .choice(
+            "turns",
+            &["all", "near"],
+            "whether ikine answers all whole turns of a joint within its limits, or the one next to -near",
+            |options| &mut options.turns,
+        )
+        .choice(
+            "singular",
+            &["refuse", "near"],
+            "what ikine does at a singular wrist, where the solutions are infinitely many: refuse, \
+             or answer those that keep joint 4 at -near",
+            |options| &mut options.singular,
+        )
+        .floats(
+            "near",
+            &["Q1", "Q2", "Q3", "Q4", "Q5", "Q6"],
+            -10.0..=10.0,
+            "rad",
+            "joint positions that -turns near and -singular near go by",
+            |options| &mut options.near,
+        )
+});
+
+/// An object of class `kin`.
+pub(super) struct Kinematics {
+    options: Options,
+    model: ArmModel,
+}
+
+impl Default for Kinematics {
+    fn default() -> Self {
+        let options = Options::default();
+        let model = arm("identified", options.pedestal);
+        Self { options, model }
+    }
+}
+
+impl ServiceObject for Kinematics {
+    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let outcome = TABLE.form(io).and_then(|form| match form.text {
+            "fkine" => self.forward(io),
+            "jacobian" => self.jacobian(io),
+            _ => self.inverse(io),
+        });
+        ended(io, outcome)
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        TABLE.ctrl(&mut self.options, io);
+        self.model = arm("identified", self.options.pedestal);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        TABLE.dump(&self.options)
+    }
+}
+
+impl Kinematics {
+    fn forward(&self, io: &mut Transport) -> Outcome {
+        let frame = self.model.frame_6(&joints(&io.floats, 0));
+        io.floats.clear();
+        for row in 0..3 {
+            io.floats.extend(frame.rotation.row(row).iter());
+            io.floats.push(frame.origin[row]);
+        }
+        io.floats.extend([0.0, 0.0, 0.0, 1.0]);
+        Ok(())
+    }
+
+    fn jacobian(&self, io: &mut Transport) -> Outcome {
+        let jacobian = self
+            .model
+            .jacobian(&joints(&io.floats, 0), &Vector3::zeros());
+        io.floats.clear();
+        io.floats.extend(jacobian.transpose().iter());
+        Ok(())
+    }
+
+    fn inverse(&self, io: &mut Transport) -> Outcome {
+        let pose = pose(io)?;
+        let near = joints(&self.options.near, 0);
+        let found = self.model.inverse(&pose, &near).map_err(|error| {
+            // The pose's numbers are finite, so every error here is one of reach.
+            Report::error(code::UNREACHABLE, format!("unreachable: {error}"))
+        })?;
+        let usable = |found: &&IkSolution| found.outside.is_none() || !self.options.limits;
+        let postures: Vec<&IkSolution> = found.all.iter().filter(usable).collect();
+        if postures.is_empty() {
+            let why = match found.nearest(&self.model, &near, None) {
+                Err(error) => error,
+                // Not reached: without a posture within limits there is no nearest one.
+                Ok(_) => IkError::NotFinite,
+            };
+            let text = format!("outside joint limits in every posture: in the best of them {why}");
+            return Err(Report::error(code::LIMITS, text));
+        }
+        if let Some(posture) = postures.iter().find(|posture| wrist_is_singular(posture)) {
+            self.singular(posture, io)?;
+        }
+        let coincide = found.singular.elbow || found.singular.shoulder;
+        let same = if coincide { SAME_AT_SINGULARITY } else { SAME };
+        let mut solutions: Vec<Joints> = Vec::new();
+        for turned in postures.iter().flat_map(|posture| self.turned(posture)) {
+            let known = |other: &Joints| {
+                let mut pairs = other.iter().zip(&turned);
+                pairs.all(|(a, b)| (a - b).abs() <= same)
+            };
+            if !solutions.iter().any(known) {
+                solutions.push(turned);
+            }
+        }
+        io.floats.clear();
+        io.floats.extend(solutions.iter().flatten());
+        io.ints.clear();
+        io.ints
+            .push(i64::try_from(solutions.len()).unwrap_or(i64::MAX));
+        Ok(())
+    }
+
+    /// At a singular wrist: refused, or with a warning answered.
+    fn singular(&self, posture: &IkSolution, io: &mut Transport) -> Outcome {
+        let [.., q4, q5, q6] = posture.joints;
+        let (sign, only) = if q5.abs() < 1.0 {
+            ("+", q4 + q6)
+        } else {
+            ("-", q4 - q6)
+        };
+        let what = format!(
+            "singular: with joint 5 at {q5:?} rad the axes of joints 4 and 6 are one, and only \
+             q4 {sign} q6 = {only:?} rad is determined"
+        );
+        if self.options.singular == "near" {
+            io.report(Report::warning(
+                code::SINGULAR,
+                format!("{what}; joint 4 stays at -near"),
+            ));
+            return Ok(());
+        }
+        let text = format!(
+            "{what}, so the solutions are infinitely many; `-singular near` answers those that keep joint 4 at -near"
+        );
+        Err(Report::error(code::SINGULAR, text))
+    }
+
+    /// The posture with every whole turn that keeps each joint within its limits; the posture alone
+    /// when turns are not asked for.
+    fn turned(&self, posture: &IkSolution) -> Vec<Joints> {
+        let mut all = vec![posture.joints];
+        if self.options.turns == "near" || !self.options.limits {
+            return all;
+        }
+        for (index, limit) in self.model.limits.iter().enumerate() {
+            let turned: Vec<Joints> = all
+                .iter()
+                .flat_map(|joints| {
+                    [0.0, -TAU, TAU].into_iter().filter_map(move |turn| {
+                        let mut joints = *joints;
+                        let joint = joints.get_mut(index)?;
+                        *joint = within(*joint + turn, limit)?;
+                        Some(joints)
+                    })
+                })
+                .collect();
+            all = turned;
+        }
+        all
+    }
+}
+
+/// The position, when it is within the limits; rounding beyond them is taken off.
+fn within(position: f64, limit: &JointLimits) -> Option<f64> {
+    let clamped = position.clamp(limit.lower, limit.upper);
+    ((position - clamped).abs() <= LIMIT_ROUNDING).then_some(clamped)
+}
+
+fn wrist_is_singular(posture: &IkSolution) -> bool {
+    let [.., q5, _] = posture.joints;
+    q5.sin().abs() < WRIST_SINGULAR
+}
+
+/// The pose of 16 numbers, with a warning when its rotation had to be rounded.
+fn pose(io: &mut Transport) -> Result<Isometry3<f64>, Report> {
+    let wrong = |text: String| Report::error(code::NO_POSE, text);
+    let at = |row: usize, column: usize| io.floats.get(4 * row + column).copied().unwrap_or(0.0);
+    let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];
+    if last != [0.0, 0.0, 0.0, 1.0] {
+        let text = format!(
+            "the last row of base_T_6 is 0 0 0 1, not {last:?}; the 16 numbers go row by row"
+        );
+        return Err(wrong(text));
+    }
+    let origin = Vector3::new(at(0, 3), at(1, 3), at(2, 3));
+    if origin.amax() > FARTHEST {
+        let text = format!(
+            "unreachable: frame 6 would be {:e} m away; lengths are in m",
+            origin.amax()
+        );
+        return Err(Report::error(code::UNREACHABLE, text));
+    }
+    let given = Matrix3::from_fn(at);
+    let off = (given.transpose() * given - Matrix3::identity()).amax();
+    if off.is_nan() || off > NO_ROTATION {
+        return Err(wrong(format!(
+            "the rotation in base_T_6 is none: its columns are not of length 1 and at right angles, they are off by {off:.1e}"
+        )));
+    }
+    if given.determinant() < 0.0 {
+        let text = "the rotation in base_T_6 is mirrored: its determinant is -1, not 1";
+        return Err(wrong(text.to_owned()));
+    }
+    let rotation = nearest_rotation(given)
+        .ok_or_else(|| wrong("the rotation in base_T_6 is none".to_owned()))?;
+    if off > ROUNDED {
+        let text = format!(
+            "the rotation in base_T_6 is off by {off:.1e}; the rotation nearest to it was taken"
+        );
+        io.report(Report::warning(code::NO_POSE, text));
+    }
+    Ok(Isometry3::from_parts(Translation3::from(origin), rotation))
+}
+
+/// The rotation nearest to a matrix that almost is one.
+fn nearest_rotation(given: Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let parts = given.try_svd(true, true, 1e-15, 200)?;
+    let rotation = Rotation3::from_matrix_unchecked(parts.u? * parts.v_t?);
+    Some(UnitQuaternion::from_rotation_matrix(&rotation))
+}

@@ -1,0 +1,355 @@
+//! The classes `kin` and `dyn` by their textual requests: published answers, identities that hold for
+//! any arm, and every way to ask wrongly.
+
+use super::*;
+use ctos::diagnostic::Source;
+use nalgebra::{DMatrix, Matrix3, Matrix4};
+use proptest::prelude::*;
+use sorma::{Dictionary, Reply, Request, Transport};
+
+fn manager() -> Sorm {
+    let mut dictionary = Dictionary::new();
+    dictionary.load(&Source::new("mcs", DICTIONARY)).unwrap();
+    let sorm = Sorm::new(dictionary);
+    register(&sorm);
+    sorm
+}
+
+/// The reply to a line of text, read back from text.
+fn ask(sorm: &Sorm, line: &str) -> Transport {
+    sorm.dispatch(line).parse::<Reply>().unwrap().body
+}
+
+/// A request with floats, through text both ways.
+fn compute(sorm: &Sorm, request: &str, floats: &[f64]) -> Transport {
+    let mut request: Request = request.parse().unwrap();
+    request.body.floats = floats.to_vec();
+    ask(sorm, &request.to_text().unwrap())
+}
+
+fn floats(sorm: &Sorm, request: &str, given: &[f64]) -> Vec<f64> {
+    let reply = compute(sorm, request, given);
+    assert!(reply.is_ok(), "{request}: {:?}", reply.reports);
+    assert!(reply.text.is_empty());
+    reply.floats
+}
+
+fn near(found: &[f64], expected: &[f64], within: f64) {
+    assert_eq!(found.len(), expected.len());
+    for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+        assert!(
+            (found - expected).abs() <= within,
+            "{index}: {found} is not {expected}"
+        );
+    }
+}
+
+/// The error's code and text of a request that is refused, with nothing else in the reply.
+fn refused(sorm: &Sorm, line: &str) -> (i32, String) {
+    let reply = ask(sorm, line);
+    assert!(!reply.is_ok(), "{line}");
+    assert!(reply.floats.is_empty() && reply.ints.is_empty() && reply.text.is_empty());
+    let last = reply.reports.last().unwrap();
+    assert!(!last.object.is_empty() && last.line > 0, "{last:?}");
+    (reply.code, last.text.clone())
+}
+
+const POSE: [f64; 6] = [0.5, -0.5, 0.5, -0.5, 0.5, -0.5];
+
+#[test]
+fn forward_kinematics_are_the_published_ones() {
+    let sorm = manager();
+    let at_zero = floats(&sorm, "kin.puma560 EXEC TMSG fkine", &[0.0; 6]);
+    #[rustfmt::skip]
+    let expected = [
+        1.0, 0.0, 0.0, 0.4521,
+        0.0, 1.0, 0.0, -0.15005,
+        0.0, 0.0, 1.0, 1.10363,
+        0.0, 0.0, 0.0, 1.0,
+    ];
+    near(&at_zero, &expected, 1e-12);
+    let found = floats(&sorm, "kin.puma560 EXEC TMSG fkine", &POSE);
+    near(
+        &found[0..3],
+        &[0.770_151_153, 0.420_735_492, -0.479_425_539],
+        5e-10,
+    );
+    let origin = [found[3], found[7], found[11]];
+    near(
+        &origin,
+        &[0.422_303_996, 0.059_724_661, 0.896_614_052],
+        5e-10,
+    );
+}
+
+#[test]
+fn dynamics_are_the_published_ones() {
+    let sorm = manager();
+    let gravity = floats(&sorm, "dyn.puma560 EXEC TMSG gravity", &POSE);
+    let published = [0.0, 33.404_608_849, 0.237_041_794, 0.0, -0.013_545_114, 0.0];
+    near(&gravity, &published, 5e-10);
+    let mut given = [1.0; 18];
+    given[..6].copy_from_slice(&POSE);
+    let rigid = floats(&sorm, "dyn.puma560 EXEC TMSG rne", &given);
+    #[rustfmt::skip]
+    let published = [2.162_084_304, 34.157_004_464, 1.338_393_456, 0.005_147_848, -0.008_551_583, 0.000_019_806];
+    near(&rigid, &published, 5e-10);
+    assert!(ask(&sorm, "dyn.puma560 CTRL -rotor on").is_ok());
+    let rotors = floats(&sorm, "dyn.puma560 EXEC TMSG rne", &given);
+    #[rustfmt::skip]
+    let published = [2.946_114_273, 36.481_819_309, 1.915_266_788, 0.195_938_475, 0.162_154_709, 0.194_084_311];
+    near(&rotors, &published, 5e-10);
+}
+
+/// |G| (B |G| qd + Tc of the direction), from the table of the motors.
+#[test]
+fn friction_is_the_motors_table() {
+    const GEARS: [f64; 6] = [62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686];
+    const VISCOUS: [f64; 6] = [1.48e-3, 0.817e-3, 1.38e-3, 71.2e-6, 82.6e-6, 36.7e-6];
+    const FORWARD: [f64; 6] = [0.395, 0.126, 0.132, 0.0112, 0.00926, 0.00396];
+    const BACKWARD: [f64; 6] = [-0.435, -0.071, -0.105, -0.0169, -0.0145, -0.0105];
+    let sorm = manager();
+    assert!(
+        ask(
+            &sorm,
+            "dict CTRL -add dyn.f '-SUBST dyn.puma560 -friction on'"
+        )
+        .is_ok()
+    );
+    for (speed, coulomb) in [(0.7, FORWARD), (-0.7, BACKWARD)] {
+        let mut given = [0.0; 18];
+        given[..6].copy_from_slice(&POSE);
+        given[6..12].fill(speed);
+        let without = floats(&sorm, "dyn.puma560 EXEC TMSG rne", &given);
+        let with = floats(&sorm, "dyn.f EXEC TMSG rne", &given);
+        for joint in 0..6 {
+            let gear = GEARS[joint];
+            let expected = gear * (VISCOUS[joint] * gear * speed + coulomb[joint]);
+            assert!((with[joint] - without[joint] - expected).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn a_pose_that_the_arm_cannot_take_is_refused_by_name() {
+    let sorm = manager();
+    let pose = |x: f64, y: f64, z: f64| {
+        format!("kin.puma560 EXEC TMSG ikine FMSG 16 1 0 0 {x:?} 0 1 0 {y:?} 0 0 1 {z:?} 0 0 0 1")
+    };
+    let (code, text) = refused(&sorm, &pose(2.0, 0.0, 0.6));
+    assert_eq!(code, code::UNREACHABLE);
+    assert!(text.starts_with("unreachable: out of reach:"), "{text}");
+    let (code, text) = refused(&sorm, &pose(0.05, 0.05, 0.9));
+    assert_eq!(code, code::UNREACHABLE);
+    assert!(
+        text.starts_with("unreachable: inside the shoulder:"),
+        "{text}"
+    );
+    let (code, _) = refused(&sorm, &pose(1e300, 0.0, 0.0));
+    assert_eq!(code, code::UNREACHABLE);
+    // Straight above the zero position the wrist is singular.
+    let (code, text) = refused(&sorm, &pose(0.4521, -0.15005, 1.10363));
+    assert_eq!(code, code::SINGULAR);
+    assert!(text.starts_with("singular: with joint 5 at"), "{text}");
+    assert!(
+        ask(
+            &sorm,
+            "kin.puma560 CTRL -singular near -near 0 0 0 0.25 0 0"
+        )
+        .is_ok()
+    );
+    let kept = ask(&sorm, &pose(0.4521, -0.15005, 1.10363));
+    assert!(kept.is_ok() && kept.reports[0].code == code::SINGULAR);
+    let wanted = [0.0, 0.0, 0.0, 0.25, 0.0, -0.25];
+    let found = kept.floats.chunks(6).any(|joints| {
+        joints
+            .iter()
+            .zip(&wanted)
+            .all(|(a, b)| (a - b).abs() < 1e-7)
+    });
+    assert!(found, "{:?}", kept.floats);
+    // The hand upwards, low before the arm: joint 5 would have to be beyond its 100 degrees.
+    let (code, text) = refused(&sorm, &pose(0.7, 0.0, 0.2));
+    assert_eq!(code, code::LIMITS, "{text}");
+    assert!(text.starts_with("outside joint limits in every posture: in the best of them joint"));
+    assert!(ask(&sorm, "kin.puma560 CTRL -limits off").is_ok());
+    assert_eq!(ask(&sorm, &pose(0.7, 0.0, 0.2)).ints, [8]);
+}
+
+#[test]
+fn wrong_requests_say_what_would_have_been_right() {
+    let sorm = manager();
+    let cases = [
+        (
+            "kin.puma560 EXEC",
+            "after EXEC stands one of fkine, jacobian, ikine",
+        ),
+        (
+            "kin.puma560 EXEC TMSG fkin FMSG 6 0 0 0 0 0 0",
+            "EXEC `fkin` is not known here: this class has fkine, jacobian, ikine; did you mean `fkine`?",
+        ),
+        (
+            "kin.puma560 EXEC TMSG fkine FMSG 5 0 0 0 0 0",
+            "EXEC fkine takes 6 floats (joint positions q1 to q6, rad), not 5: write FMSG 6 and the numbers",
+        ),
+        (
+            "kin EXEC TMSG fkine FMSG 6 0 0 nan 0 0 0",
+            "EXEC fkine takes finite floats (joint positions q1 to q6, rad), and float 3 of 6 is NaN",
+        ),
+        (
+            "dyn.puma560 EXEC TMSG rne FMSG 6 0 0 0 0 0 0",
+            "EXEC rne takes 18 floats (6 positions in rad, 6 speeds in rad/s, 6 accelerations in rad/s^2), \
+             not 6: write FMSG 18 and the numbers",
+        ),
+        (
+            "dyn.puma560 EXEC TMSG gravity FMSG 6 0 0 0 0 0 0 IMSG 1 3",
+            "EXEC gravity takes no whole numbers (IMSG), not 1",
+        ),
+        (
+            "dyn.puma560 EXEC TMSG rne FMSG 18 0 0 0 0 0 0 1e200 0 0 0 0 0 0 0 0 0 0 0",
+            "EXEC rne: speeds or accelerations are too large to compute with",
+        ),
+        (
+            "kin.puma560 EXEC TMSG ikine FMSG 16 1 0 0 0 0 1 0 0 0 0 1 0 0.4 0 0.9 1",
+            "the last row of base_T_6 is 0 0 0 1, not [0.4, 0.0, 0.9, 1.0]; the 16 numbers go row by row",
+        ),
+        (
+            "kin.puma560 EXEC TMSG ikine FMSG 16 1 0 0 0.4 0 1 0 0 0 0 -1 0.5 0 0 0 1",
+            "the rotation in base_T_6 is mirrored: its determinant is -1, not 1",
+        ),
+        (
+            "kin.puma560 EXEC TMSG ikine FMSG 16 2 0 0 0.4 0 1 0 0 0 0 1 0.5 0 0 0 1",
+            "the rotation in base_T_6 is none: its columns are not of length 1 and at right angles, they are off by 3.0e0",
+        ),
+        (
+            "kin.puma560 CTRL -d1 9",
+            "-d1: must be a number from 0.0 to 5.0 m, not `9`",
+        ),
+        (
+            "kin.puma CTRL -help",
+            "the dictionary has no recipe for `kin.puma`; did you mean `kin.puma560`?",
+        ),
+    ];
+    for (line, expected) in cases {
+        let reply = ask(&sorm, line);
+        assert!(!reply.is_ok(), "{line}");
+        assert_eq!(reply.reports.last().unwrap().text, expected, "{line}");
+        assert!(reply.floats.is_empty(), "{line}: what came in is no answer");
+    }
+}
+
+#[test]
+fn options_change_one_flavor_and_are_told() {
+    let sorm = manager();
+    assert!(ask(&sorm, "dict CTRL -add kin.table '-SUBST kin.puma560 -d1 0'").is_ok());
+    let low = floats(&sorm, "kin.table EXEC TMSG fkine", &POSE);
+    let high = floats(&sorm, "kin.puma560 EXEC TMSG fkine", &POSE);
+    assert!((high[11] - low[11] - 0.67183).abs() < 1e-12);
+    let dump = ask(&sorm, "kin.table CTRL -dump").text;
+    assert!(
+        dump.starts_with("-arm puma560 -d1 0.0 -limits on"),
+        "{dump}"
+    );
+    for class in classes() {
+        let help = ask(&sorm, &format!("{}.puma560 CTRL -help", class.name)).text;
+        for form in &class.forms {
+            assert!(help.contains(&format!("EXEC {}", form.text)), "{help}");
+        }
+    }
+}
+
+fn joints_within(share: f64) -> impl Strategy<Value = [f64; 6]> {
+    let limits = ArmModel::puma560().limits;
+    prop::array::uniform6(-1.0..1.0_f64).prop_map(move |parts| {
+        std::array::from_fn(|index| {
+            let limit = &limits[index];
+            let middle = 0.5 * (limit.lower + limit.upper);
+            middle + share * parts[index] * 0.5 * (limit.upper - limit.lower)
+        })
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn the_jacobian_is_the_derivative_of_forward_kinematics(q in joints_within(1.0)) {
+        let sorm = manager();
+        let of = |q: &[f64; 6]| floats(&sorm, "kin.puma560 EXEC TMSG fkine", q);
+        let jacobian = floats(&sorm, "kin.puma560 EXEC TMSG jacobian", &q);
+        let at = Matrix4::from_row_slice(&of(&q));
+        for joint in 0..6 {
+            let moved = |step: f64| {
+                let mut q = q;
+                q[joint] += step;
+                Matrix4::from_row_slice(&of(&q))
+            };
+            let rate = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+            // dR/dt = [w] R.
+            let turning: Matrix3<f64> = rate.fixed_view::<3, 3>(0, 0) * at.fixed_view::<3, 3>(0, 0).transpose();
+            let numeric = [
+                rate[(0, 3)], rate[(1, 3)], rate[(2, 3)],
+                turning[(2, 1)], turning[(0, 2)], turning[(1, 0)],
+            ];
+            for (row, numeric) in numeric.iter().enumerate() {
+                prop_assert!((jacobian[6 * row + joint] - numeric).abs() < 1e-8);
+            }
+        }
+    }
+
+    #[test]
+    fn gravity_and_inertia_are_parts_of_inverse_dynamics(q in joints_within(1.0), rotor in any::<bool>()) {
+        let sorm = manager();
+        if rotor {
+            ask(&sorm, "dyn.puma560 CTRL -rotor");
+        }
+        let rne = |qdd: [f64; 6]| {
+            let given = [q, [0.0; 6], qdd].concat();
+            floats(&sorm, "dyn.puma560 EXEC TMSG rne", &given)
+        };
+        let still = rne([0.0; 6]);
+        near(&floats(&sorm, "dyn.puma560 EXEC TMSG gravity", &q), &still, 1e-10);
+        let inertia = floats(&sorm, "dyn.puma560 EXEC TMSG inertia", &q);
+        let matrix = DMatrix::from_row_slice(6, 6, &inertia);
+        prop_assert!((&matrix - matrix.transpose()).amax() < 1e-10);
+        prop_assert!(matrix.clone().cholesky().is_some(), "positive definite");
+        for joint in 0..6 {
+            let mut qdd = [0.0; 6];
+            qdd[joint] = 1.0;
+            let column: Vec<f64> = rne(qdd).iter().zip(&still).map(|(with, without)| with - without).collect();
+            near(&column, matrix.column(joint).as_slice(), 1e-10);
+        }
+    }
+
+    #[test]
+    fn inverse_kinematics_find_every_way_to_a_pose(q in joints_within(0.98)) {
+        let sorm = manager();
+        let pose = floats(&sorm, "kin.puma560 EXEC TMSG fkine", &q);
+        prop_assume!(q[4].sin().abs() > 1e-3);
+        let reply = compute(&sorm, "kin.puma560 EXEC TMSG ikine", &pose);
+        prop_assert!(reply.is_ok(), "{:?}", reply.reports);
+        prop_assert_eq!(reply.ints, [(reply.floats.len() / 6) as i64]);
+        let solutions: Vec<&[f64]> = reply.floats.chunks(6).collect();
+        let far = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        prop_assert!(solutions.iter().any(|found| far(found, &q) < 1e-6), "{:?} not in {:?}", q, solutions);
+        let model = ArmModel::puma560();
+        for (index, found) in solutions.iter().enumerate() {
+            near(&floats(&sorm, "kin.puma560 EXEC TMSG fkine", found), &pose, 1e-8);
+            prop_assert_eq!(model.joint_outside(&joints(found, 0)), None);
+            for other in &solutions[..index] {
+                prop_assert!(far(found, other) > 1e-9, "one solution twice");
+            }
+        }
+    }
+
+    #[test]
+    fn any_numbers_are_answered_or_refused(
+        text in prop::sample::select(vec!["fkine", "jacobian", "ikine"]),
+        numbers in prop::collection::vec(prop::num::f64::ANY, 0..20),
+    ) {
+        let sorm = manager();
+        let reply = compute(&sorm, &format!("kin EXEC TMSG {text}"), &numbers);
+        prop_assert!(reply.is_ok() || !reply.reports.is_empty());
+        prop_assert!(reply.floats.iter().all(|float| float.is_finite()));
+    }
+}

@@ -1,0 +1,90 @@
+//! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
+//!
+//! The classes here need no running app and no camera: they work on files. Their texts and numbers are a
+//! fixed interface that other programs lean on: metres, rad, pixels with centres at whole numbers.
+
+mod resect;
+mod spot;
+mod table;
+
+use std::{fs::File, path::Path};
+
+use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
+
+/// Version of the classes.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// The largest file that is read, bytes.
+const LARGEST_FILE: u64 = 256 << 20;
+
+sorma::prototypes! {
+    /// The codes of the reports of these classes.
+    pub mod code {
+        FILE = 140, Error, "a file cannot be read, or is not of the kind it should be",
+            "check the path; it is taken from where the process was started";
+        TABLE = 141, Error, "a table has wrong lines",
+            "correct the lines at the places given: X,Y,Z,u,v in m and px";
+        NO_CAMERA = 142, Error, "no camera follows from a table",
+            "the text says what is missing: points, depth, or agreement";
+        REJECTED = 143, Warning, "points of a table were not used",
+            "look at the rows: they are off by more than the noise explains";
+        NO_SPOT = 144, Warning, "there is no spot in a picture, or there are too many",
+            "look at the picture, then at -threshold, -polarity and -min-area";
+    }
+}
+
+/// Makes the classes known to a manager.
+pub fn register(sorm: &Sorm) {
+    let spot = Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default())));
+    let resect = Class::new("resect", VERSION, |_, _| {
+        Ok(Box::new(resect::Resect::default()))
+    });
+    for class in [spot, resect] {
+        sorm.register(class.codes(code::PROTOTYPES));
+    }
+}
+
+/// What a program may know about the classes.
+#[must_use]
+pub fn classes() -> Vec<ClassInfo> {
+    vec![
+        spot::TABLE.class("spot", VERSION),
+        resect::TABLE.class("resect", VERSION),
+    ]
+}
+
+/// Refuses what no request should wait for or fill the memory with: folders, devices, huge files.
+fn check_file(path: &str) -> Outcome {
+    let wrong = |text: String| Err(Report::error(code::FILE, text));
+    let about = match File::open(Path::new(path)).and_then(|file| file.metadata()) {
+        Ok(about) => about,
+        Err(error) => {
+            return wrong(format!(
+                "cannot read `{path}`: {error}; a path is taken from where this process was started"
+            ));
+        }
+    };
+    if !about.is_file() {
+        return wrong(format!("`{path}` is no file"));
+    }
+    if about.len() > LARGEST_FILE {
+        let size = about.len();
+        return wrong(format!(
+            "`{path}` has {size} bytes; files up to {LARGEST_FILE} bytes are read"
+        ));
+    }
+    Ok(())
+}
+
+/// Ends a request: what came in must not stay there as if it were an answer.
+fn ended(io: &mut Transport, outcome: Outcome) -> Outcome {
+    io.text.clear();
+    if outcome.is_err() {
+        io.floats.clear();
+        io.ints.clear();
+    }
+    outcome
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,208 @@
+//! The class `resect`: the camera that saw known points, from a table of points and pixels.
+
+use std::{path::Path, sync::LazyLock};
+
+use ctos::diagnostic::{Findings, Source};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+
+use super::{
+    check_file, code, ended,
+    table::{self, Table},
+};
+use crate::calibrate::{Calibration, CalibrationError, LensModel, RejectReason, calibrate_as};
+
+/// So many findings and rejected points are told one by one.
+const MOST_TOLD: usize = 20;
+
+const FORMS: &[Form] = &[Form {
+    text: "FILE",
+    floats: 0,
+    takes: "",
+    gives: "16 floats: fx fy cx cy (px) k1 k2 p1 p2 k3, rotation vector (rad) and translation (m) of \
+            camera_T_world, rms over the used points of the distance between seen and predicted (px)",
+    help: "calibrates a camera from a table X,Y,Z,u,v (m and px, comma-separated)",
+}];
+
+#[derive(Debug, Clone)]
+pub(super) struct Options {
+    size: Vec<i64>,
+    model: String,
+    seed: i64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            size: Vec::new(),
+            model: "brown5".to_owned(),
+            seed: 1,
+        }
+    }
+}
+
+pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    OptionTable::new("calibrates a camera from known points and their pixels")
+        .exec(FORMS)
+        .ints(
+            "size",
+            &["W", "H"],
+            1..=100_000,
+            "px",
+            "size of the pictures; must be set before EXEC",
+            |options: &mut Options| &mut options.size,
+        )
+        .choice(
+            "model",
+            &["none", "k1", "k1k2", "brown5"],
+            "distortion terms that are fitted; the others are 0",
+            |options| &mut options.model,
+        )
+        .int(
+            "seed",
+            0..=i64::MAX,
+            "",
+            "seed of the random samples that the start value comes from; one seed, one result",
+            |options| &mut options.seed,
+        )
+});
+
+/// An object of class `resect`.
+#[derive(Default)]
+pub(super) struct Resect(Options);
+
+impl ServiceObject for Resect {
+    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let outcome = TABLE.form(io).and_then(|_| self.calibrate(io));
+        ended(io, outcome)
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        TABLE.ctrl(&mut self.0, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        TABLE.dump(&self.0)
+    }
+}
+
+impl Options {
+    fn model(&self) -> LensModel {
+        match self.model.as_str() {
+            "none" => LensModel::None,
+            "k1" => LensModel::K1,
+            "k1k2" => LensModel::K1K2,
+            _ => LensModel::Brown5,
+        }
+    }
+}
+
+impl Resect {
+    fn calibrate(&self, io: &mut Transport) -> Outcome {
+        let [width, height] = self.0.size.as_slice() else {
+            let text = "the size of the pictures is not known: set it with CTRL -size W H";
+            return Err(Report::error(sorma::report::code::VALUE, text));
+        };
+        let side = |length: i64| usize::try_from(length).unwrap_or_default();
+        let path = io.text.trim().to_owned();
+        check_file(&path)?;
+        let source = Source::read(Path::new(&path))
+            .map_err(|finding| Report::error(code::FILE, finding.to_string()))?;
+        let table =
+            table::read(&source).map_err(|findings| Report::error(code::TABLE, told(findings)))?;
+        let mut rng = ChaCha8Rng::seed_from_u64(self.0.seed.unsigned_abs());
+        let (width, height) = (side(*width), side(*height));
+        let found = calibrate_as(&table.points, width, height, self.0.model(), &mut rng)
+            .map_err(|error| Report::error(code::NO_CAMERA, refused(&source, &table, &error)))?;
+        if !found.rejected.is_empty() {
+            let text = rejected(&source, &table, &found);
+            io.report(Report::warning(code::REJECTED, text));
+        }
+        if !found.monotonic {
+            let text = "the distortion cannot be undone over the whole picture: spread the points up to its corners, or take fewer terms";
+            io.report(Report::warning(code::NO_CAMERA, text));
+        }
+        answer(&found, io);
+        Ok(())
+    }
+}
+
+fn answer(found: &Calibration, io: &mut Transport) {
+    let camera = &found.camera;
+    let (i, d) = (&camera.intrinsics, &camera.distortion);
+    let camera_t_world = camera.camera_from_world();
+    let turn = camera_t_world.rotation.scaled_axis();
+    let shift = camera_t_world.translation.vector;
+    io.floats.clear();
+    io.floats
+        .extend([i.fx, i.fy, i.cx, i.cy, d.k1, d.k2, d.p1, d.p2, d.k3]);
+    io.floats.extend(turn.iter().chain(shift.iter()));
+    io.floats.push(found.rms_px);
+}
+
+/// The findings of a table, in one text.
+fn told(findings: Findings) -> String {
+    let sorted = findings.into_sorted();
+    let mut lines: Vec<String> = sorted
+        .iter()
+        .take(MOST_TOLD)
+        .map(ToString::to_string)
+        .collect();
+    let more = sorted.len().saturating_sub(MOST_TOLD);
+    if more > 0 {
+        lines.push(format!("and {more} more"));
+    }
+    lines.join("\n")
+}
+
+/// `file:line:column` of a row.
+fn place(source: &Source, table: &Table, row: usize) -> String {
+    let (line, column) = source.line_column(table.rows.get(row).copied().unwrap_or_default());
+    format!("{}:{line}:{column}", source.name())
+}
+
+/// Why no camera follows, with the place where there is one.
+fn refused(source: &Source, table: &Table, error: &CalibrationError) -> String {
+    match error {
+        CalibrationError::OutsidePicture {
+            row,
+            u,
+            v,
+            width,
+            height,
+        } => format!(
+            "{}: the point is seen at ({u:?}, {v:?}), outside the picture of {width} x {height} px (-size)",
+            place(source, table, *row)
+        ),
+        other => format!("{}: {other}", source.name()),
+    }
+}
+
+/// Which points were not used, and why.
+fn rejected(source: &Source, table: &Table, found: &Calibration) -> String {
+    let all = found.rejected.len();
+    let told = found.rejected.iter().take(MOST_TOLD).map(|point| {
+        let at = place(source, table, point.row);
+        match point.reason {
+            RejectReason::Behind => format!("{at} lies behind the camera"),
+            RejectReason::Outlier { limit_px } => {
+                let off = point.du.abs().max(point.dv.abs());
+                format!("{at} is off by {off:.2} px, more than {limit_px:.2}")
+            }
+        }
+    });
+    let told: Vec<String> = told.collect();
+    let more = all.saturating_sub(MOST_TOLD);
+    let rest = if more > 0 {
+        format!("; and {more} more")
+    } else {
+        String::new()
+    };
+    let points = table.points.len();
+    format!(
+        "{all} of {points} points are not used: {}{rest}",
+        told.join("; ")
+    )
+}

@@ -1,0 +1,193 @@
+//! The class `spot`: the spots of a picture in a file.
+
+use std::{sync::LazyLock, time::Duration};
+
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+
+use super::{check_file, code, ended};
+use crate::{
+    frame::Frame,
+    spot::{SpotsOptions, find_spots},
+};
+
+const FORMS: &[Form] = &[Form {
+    text: "FILE",
+    floats: 0,
+    takes: "",
+    gives: "3 n floats: u, v (px, pixel centres at whole numbers) and area (px) of each spot, \
+            in the order of their first pixels, row by row; 1 int: n",
+    help: "finds the spots of a picture (PNG)",
+}];
+
+#[derive(Debug, Clone)]
+pub(super) struct Options {
+    threshold: String,
+    polarity: String,
+    min_area: i64,
+    max_area: i64,
+    max_ratio: f64,
+    border: bool,
+    most: i64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let spots = SpotsOptions::default();
+        Self {
+            threshold: AUTO.to_owned(),
+            polarity: "bright".to_owned(),
+            min_area: i64::try_from(spots.min_area).unwrap_or(i64::MAX),
+            max_area: i64::try_from(spots.max_area).unwrap_or(i64::MAX),
+            max_ratio: spots.max_ratio,
+            border: spots.border,
+            most: 10_000,
+        }
+    }
+}
+
+/// The word that stands for a threshold found from the picture.
+const AUTO: &str = "auto";
+
+impl Options {
+    fn spots(&self) -> SpotsOptions {
+        SpotsOptions {
+            threshold: self.threshold.parse().ok(),
+            dark: self.polarity == "dark",
+            min_area: self.min_area.unsigned_abs(),
+            max_area: self.max_area.unsigned_abs(),
+            max_ratio: self.max_ratio,
+            border: self.border,
+        }
+    }
+}
+
+pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    OptionTable::new("finds spots in pictures")
+        .exec(FORMS)
+        .int_or(
+            "threshold",
+            AUTO,
+            0..=255,
+            "grey values",
+            "pixels at or above it (dark: at or below it) belong to spots; auto: what stands out of the \
+             noise, each spot down to half of its own height",
+            |options: &mut Options| &mut options.threshold,
+        )
+        .choice(
+            "polarity",
+            &["bright", "dark"],
+            "whether spots are brighter or darker than what is around them",
+            |options| &mut options.polarity,
+        )
+        .int(
+            "min-area",
+            1..=1_000_000_000,
+            "px",
+            "fewest pixels of a spot",
+            |options| &mut options.min_area,
+        )
+        .int(
+            "max-area",
+            1..=1_000_000_000,
+            "px",
+            "most pixels of a spot",
+            |options| &mut options.max_area,
+        )
+        .float(
+            "max-ratio",
+            1.0..=1e6,
+            "",
+            "largest ratio of a spot's axes",
+            |options| &mut options.max_ratio,
+        )
+        .flag(
+            "border",
+            "spots that the picture's border cuts count",
+            |options| &mut options.border,
+        )
+        .int(
+            "most",
+            1..=1_000_000,
+            "",
+            "most spots that are answered; more are an error, for then the options are wrong",
+            |options| &mut options.most,
+        )
+});
+
+/// An object of class `spot`.
+#[derive(Default)]
+pub(super) struct Spot(Options);
+
+impl ServiceObject for Spot {
+    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let outcome = TABLE.form(io).and_then(|_| self.find(io));
+        ended(io, outcome)
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        TABLE.ctrl(&mut self.0, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        TABLE.dump(&self.0)
+    }
+}
+
+impl Spot {
+    fn find(&self, io: &mut Transport) -> Outcome {
+        let path = io.text.trim();
+        let frame = read(path)?;
+        let found = find_spots(&frame, &self.0.spots())
+            .map_err(|why| Report::error(code::FILE, format!("`{path}`: {why}")))?;
+        let count = found.spots.len();
+        let most = usize::try_from(self.0.most).unwrap_or(usize::MAX);
+        if count > most {
+            let text = format!(
+                "`{path}` has {count} spots, more than -most {most}; raise -min-area or -threshold"
+            );
+            return Err(Report::error(code::NO_SPOT, text));
+        }
+        let path = path.to_owned();
+        if let Some(why) = &found.nothing {
+            let text = format!("`{path}` has no spot: {why}");
+            io.report(Report::warning(code::NO_SPOT, text));
+        } else if count == 0 {
+            let text = format!(
+                "`{path}` has no spot: {} things reach the threshold, and none has the area, the ratio and the place asked for",
+                found.refused
+            );
+            io.report(Report::warning(code::NO_SPOT, text));
+        }
+        io.floats.clear();
+        for spot in &found.spots {
+            io.floats.extend([spot.u, spot.v, spot.area as f64]);
+        }
+        io.ints.clear();
+        io.ints.push(i64::try_from(count).unwrap_or(i64::MAX));
+        Ok(())
+    }
+}
+
+/// The picture in a file, as grey values.
+fn read(path: &str) -> Result<Frame, Report> {
+    check_file(path)?;
+    let wrong = |why: &dyn std::fmt::Display| {
+        let text = format!("`{path}` is no picture that can be read (PNG): {why}");
+        Report::error(code::FILE, text)
+    };
+    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
+    let picture = reader.map_err(|error| wrong(&error))?;
+    let grey = picture
+        .decode()
+        .map_err(|error| wrong(&error))?
+        .into_luma8();
+    let side = |length: u32| usize::try_from(length).unwrap_or(usize::MAX);
+    Ok(Frame {
+        width: side(grey.width()),
+        height: side(grey.height()),
+        pixels: grey.into_raw().into(),
+        stamp: Duration::ZERO,
+        number: 0,
+    })
+}
