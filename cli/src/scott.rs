@@ -98,13 +98,13 @@ fn run(cli: &Cli) -> u8 {
             wrong: exit::USAGE,
         };
         if session.line(&place, command) == Flow::Stop {
-            return session.end("-c");
+            return session.end();
         }
     }
     match &cli.file {
         Some(path) if path == Path::new("-") => from_input(&mut session),
         Some(path) => from_file(&mut session, path),
-        None if !cli.commands.is_empty() => session.end("-c"),
+        None if !cli.commands.is_empty() => session.end(),
         None if io::stdin().is_terminal() => prompt::run(&mut session, cli.vi),
         None => from_input(&mut session),
     }
@@ -113,7 +113,7 @@ fn run(cli: &Cli) -> u8 {
 fn from_input(session: &mut Session) -> u8 {
     let name = "standard input";
     session.script(name, io::stdin().lock());
-    session.end(name)
+    session.end()
 }
 
 fn from_file(session: &mut Session, path: &Path) -> u8 {
@@ -121,7 +121,7 @@ fn from_file(session: &mut Session, path: &Path) -> u8 {
     match File::open(path) {
         Ok(file) => {
             session.script(&name, file);
-            session.end(&name)
+            session.end()
         }
         Err(error) => {
             show::say(&format!("error: cannot read `{name}`: {error}"));

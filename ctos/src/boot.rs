@@ -3,7 +3,8 @@
 mod child;
 mod mesh;
 mod parent;
-mod processes;
+pub(crate) mod processes;
+pub(crate) mod spawn;
 
 use std::{
     ffi::OsString,
@@ -27,6 +28,7 @@ use crate::{
     processor::panic_text,
     realtime::{self, Grant},
     registry::Registry,
+    remote::HostError,
     runner::{TaskSpec, record, start_task},
     semaphore::{self, server::SemaphoreServer},
     simulation::{self, Faults, Setup},
@@ -49,6 +51,10 @@ pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
 /// The environment variable that says how often the chassis has been started; the first time is 1, which
 /// is also what its absence means.
 pub const INCARNATION_VARIABLE: &str = "CTOS_INCARNATION";
+
+/// The environment variable that tells a chassis that its standard input ends with the agent that started
+/// it.
+pub(crate) const TETHER_VARIABLE: &str = "CTOS_TETHERED";
 
 /// How to start the process of a chassis: this program with these arguments, after which come
 /// `--chassis NAME --boot ADDRESS --origin NANOSECONDS`.
@@ -101,6 +107,9 @@ pub enum BootError {
         /// What it said last.
         reason: String,
     },
+    /// Hosts cannot take their chassis.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Hosts(Vec<HostError>),
     /// A chassis was not connected in time.
     #[error("chassis {} did not connect within {limit_s} s; give them more time with `app.phase_timeout_s`", .chassis.join(", "))]
     Late {
@@ -152,9 +161,30 @@ pub fn boot_on(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
+    boot_with(clock, app, registry, launcher, &[], observer)
+}
+
+/// [`boot_on`] for apps that may have chassis on other hosts: `options` are what those are told besides
+/// the app (how much to log), as `launcher` tells those of this host.
+///
+/// # Errors
+/// As [`boot`]; also [`BootError::Hosts`].
+pub fn boot_with(
+    clock: &Clock,
+    app: App,
+    registry: Registry,
+    launcher: &Launcher,
+    options: &[String],
+    observer: &Observer,
+) -> Result<Outcome, BootError> {
     let (app, registry) = (Arc::new(app), Arc::new(registry));
     if clock.origin_ns().is_some() {
-        parent::boot(clock, &app, &registry, launcher, &contained(observer))
+        let setup = parent::Setup {
+            launcher,
+            options,
+            observer: &contained(observer),
+        };
+        parent::boot(clock, &app, &registry, &setup)
     } else {
         let setup = Setup {
             clock: clock.clone(),
@@ -283,6 +313,9 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
                 drop(prepared);
                 drop(lock(&gate));
                 if let Some(processor) = home.processor(index) {
+                    if let Some(lookout) = home.lookout_of(index) {
+                        processor.handle.parker.look_out(lookout);
+                    }
                     drop(home);
                     processor.run();
                 }

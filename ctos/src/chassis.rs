@@ -22,6 +22,7 @@ use crate::{
     call::lock,
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
+    link::lookout::Lookout,
     message::{Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
@@ -73,6 +74,10 @@ pub struct Chassis {
     pub(crate) tap: Tap,
     /// What it has seen of itself.
     pub(crate) watch: Watch,
+    /// Its links, when they are real ones.
+    lookout: OnceLock<Arc<Lookout>>,
+    /// How many callers, and requests of tools, were refused so far.
+    pub(crate) refused: AtomicU64,
 }
 
 impl Chassis {
@@ -119,6 +124,8 @@ impl Chassis {
             realtime: Mutex::default(),
             tap: Tap::new(index),
             watch: Watch::default(),
+            lookout: OnceLock::new(),
+            refused: AtomicU64::new(0),
         })
     }
 
@@ -181,6 +188,21 @@ impl Chassis {
             self.clock.clone(),
             schedule,
         ))
+    }
+
+    /// Its processors' threads look at these links when they have nothing else to do.
+    pub(crate) fn set_lookout(&self, lookout: Arc<Lookout>) {
+        let _ = self.lookout.set(lookout);
+    }
+
+    /// The links that the thread of processor `index` looks at: none where something must run in time,
+    /// and the runtime's own processor only where there is no other.
+    pub(crate) fn lookout_of(&self, index: usize) -> Option<Arc<Lookout>> {
+        let may = match self.processor_config(index) {
+            Some(config) => !config.realtime && config.period.is_none(),
+            None => self.processors.len() == 1,
+        };
+        self.lookout.get().filter(|_| may).cloned()
     }
 
     /// The synchronous functions that run here, by `task.function`, with what is known of each.

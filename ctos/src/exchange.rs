@@ -443,6 +443,7 @@ mod tests {
         );
         let late = calls.answer(gone, Some(first), Ok(Data::of(1_u8)));
         assert!(matches!(late, Given::Unwanted { .. }));
+        drop(late);
         assert!(matches!(look(&mut calls, key), Looked::Waiting));
         let given = calls.answer(key, Some(second), Ok(Data::of(2_u8)));
         assert!(matches!(given, Given::Taken(Some(_))));

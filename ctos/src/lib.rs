@@ -27,6 +27,7 @@ pub mod message;
 pub mod realtime;
 pub mod record;
 pub mod registry;
+pub mod remote;
 pub mod security;
 pub mod semaphore;
 pub mod simulation;
@@ -39,6 +40,7 @@ pub mod time;
 pub mod watch;
 
 mod agent;
+mod blob;
 mod bootstrap;
 mod children;
 mod circle;
@@ -63,6 +65,7 @@ mod statistics;
 mod timers;
 mod waits;
 
+pub use blob::Blob;
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use ctos_derive::handler;
 pub use message::Command;

@@ -335,8 +335,7 @@ impl Processor {
 
     /// The processor's thread: returns after [`ProcessorHandle::stop`].
     pub(crate) fn run(self: &Rc<Self>) {
-        // Set once: a processor has one thread.
-        let _ = self.handle.thread.set(std::thread::current());
+        self.handle.parker.sit_down();
         self.enter();
         let mut ticked = false;
         while !self.handle.stop.load(Ordering::Acquire) {
@@ -369,9 +368,10 @@ impl Processor {
         if left == Some(Duration::ZERO) || !self.handle.inbox.sleep() {
             return;
         }
-        match left {
-            Some(left) => std::thread::park_timeout(left),
-            None => std::thread::park(),
+        self.handle.parker.park(left);
+        if self.ready_count() > 0 {
+            // What it read at the links was for tasks of its own.
+            self.handle.parker.had_work();
         }
         self.look_at_clock();
     }

@@ -93,7 +93,7 @@ fn variables(known: Known<'_>) -> Vec<Candidate> {
 fn offered(line: &Line<'_>, known: Known<'_>) -> Vec<Candidate> {
     match line.done.as_slice() {
         [] => beginnings(known),
-        ["set", ..] => Vec::new(),
+        ["set", ..] | ["repeat"] => Vec::new(),
         ["expect", ..] => ["RET", "TMSG", "FMSG", "IMSG", "TDBX", "within"]
             .map(|word| candidate(word, ""))
             .to_vec(),
@@ -142,12 +142,7 @@ fn class_of<'a>(name: &str, known: Known<'a>) -> Option<&'a ClassInfo> {
 }
 
 fn requests(class: &ClassInfo, rest: &[&str], begun: &str) -> Vec<Candidate> {
-    let text = match rest {
-        [] => true,
-        ["TMSG"] => true,
-        _ => false,
-    };
-    if !text {
+    if !matches!(rest, [] | ["TMSG"]) {
         return Vec::new();
     }
     let mut all: Vec<Candidate> = class

@@ -13,7 +13,7 @@ use reedline::{
     Emacs, ExternalPrinter, FileBackedHistory, Hinter, History, KeyCode, KeyModifiers, Keybindings,
     MenuBuilder, Reedline, ReedlineEvent, ReedlineMenu, Signal, Span, Suggestion, ValidationResult,
     Validator, Vi, default_emacs_keybindings, default_vi_insert_keybindings,
-    default_vi_normal_keybindings,
+    default_vi_normal_keybindings, default_vi_visual_keybindings,
 };
 use sorma::{
     Reply,
@@ -95,7 +95,11 @@ fn editor(names: &Shared, vi: bool) -> Reedline {
     let mode: Box<dyn EditMode> = if vi {
         let mut insert = default_vi_insert_keybindings();
         bind(&mut insert);
-        Box::new(Vi::new(insert, default_vi_normal_keybindings()))
+        Box::new(Vi::new(
+            insert,
+            default_vi_normal_keybindings(),
+            default_vi_visual_keybindings(),
+        ))
     } else {
         let mut keys = default_emacs_keybindings();
         bind(&mut keys);

@@ -1,6 +1,7 @@
 //! Runs statements against a manager of service objects, and writes what comes of them.
 
 use std::{
+    fmt,
     io::{self, BufRead, Read},
     time::Duration,
 };
@@ -33,6 +34,7 @@ pub struct Session {
 
 /// What went wrong, where, and the exit code that it means.
 struct Failure {
+    place: String,
     text: String,
     exit: u8,
 }
@@ -59,8 +61,8 @@ impl<'a> Place<'a> {
     }
 }
 
-impl std::fmt::Display for Place<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Place<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.line {
             0 => f.write_str(self.name),
             line => write!(f, "{}:{line}", self.name),
@@ -105,8 +107,8 @@ impl Session {
     }
 
     /// The exit code so far, when nothing more comes.
-    pub fn end(&mut self, name: &str) -> u8 {
-        self.settle(&Place::of_file(name, 0));
+    pub fn end(&mut self) -> u8 {
+        self.settle();
         self.failed
     }
 
@@ -165,7 +167,7 @@ impl Session {
             Ok(statement) => statement,
             Err(why) => return self.fail(place, &why, place.wrong),
         };
-        if !matches!(statement, Statement::Expect(_)) && self.settle(place) == Flow::Stop {
+        if !matches!(statement, Statement::Expect(_)) && self.settle() == Flow::Stop {
             return Flow::Stop;
         }
         match statement {
@@ -185,14 +187,14 @@ impl Session {
     }
 
     /// An error that no expectation has met becomes a failure.
-    fn settle(&mut self, place: &Place<'_>) -> Flow {
+    fn settle(&mut self) -> Flow {
         match self.pending.take() {
             None => Flow::On,
-            Some(failure) => self.fail(place, &failure.text, failure.exit),
+            Some(failure) => self.fail(&failure.place, &failure.text, failure.exit),
         }
     }
 
-    fn fail(&mut self, place: &Place<'_>, why: &str, code: u8) -> Flow {
+    fn fail(&mut self, place: &dyn fmt::Display, why: &str, code: u8) -> Flow {
         self.pending = None;
         show::say(&format!("{place}: {why}"));
         if self.failed == exit::OK {
@@ -268,6 +270,7 @@ impl Session {
             let told = reply.body.reports.iter().map(told);
             let told: Vec<String> = told.collect();
             self.pending = Some(Failure {
+                place: place.to_string(),
                 text: format!(
                     "{} ended with {}\n  {}",
                     reply.name,

@@ -12,10 +12,12 @@ use std::{
 
 use super::{Chassis, Envelope, WaitFor};
 use crate::{
+    blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
     link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::Acceptance,
     message::{Data, Flags, Header, Message},
+    processor::Processor,
     system,
     time::Instant,
 };
@@ -92,7 +94,7 @@ impl Outbound {
                 call: self.call,
                 trace: self.trace,
                 left_ns: NO_DEADLINE,
-                body: Vec::new(),
+                body: Body::default(),
             });
         }
     }
@@ -187,7 +189,7 @@ impl Chassis {
             Err(fault) => (
                 Flags::REPLY.with(Flags::FAULT),
                 // A fault is plain data; should it fail to encode, the empty body is read as one.
-                postcard::to_stdvec(&fault).unwrap_or_default(),
+                postcard::to_stdvec(&fault).unwrap_or_default().into(),
             ),
         };
         // What is not a request is never refused.
@@ -215,6 +217,11 @@ impl Chassis {
             left_ns,
             body,
         } = frame;
+        if let Some(processor) = Processor::here() {
+            // Its thread slept at the links: its last look at the clock may be an old one.
+            processor.look_at_clock();
+        }
+        let body = body.into_vec();
         if header.flags.contains(Flags::REPLY) {
             return self.receive_reply(peer, call, header.flags, body);
         }
@@ -368,8 +375,8 @@ impl Chassis {
 }
 
 /// The data of a frame.
-fn body_of(data: Data) -> Result<Vec<u8>, Fault> {
-    let body = data.into_bytes().map_err(|error| Fault::BadPayload {
+fn body_of(data: Data) -> Result<Body, Fault> {
+    let body = data.into_body().map_err(|error| Fault::BadPayload {
         text: error.to_string(),
     })?;
     if body.len() > BODY_LIMIT {

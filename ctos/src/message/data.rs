@@ -6,6 +6,8 @@ use serde::{Serialize, de::DeserializeOwned};
 
 pub use crate::parcel::Parcel;
 
+use crate::blob::{self, Body};
+
 /// Data that can move as a value and be encoded when it must leave the chassis.
 pub trait Payload: Any + Send {
     /// Postcard bytes.
@@ -23,10 +25,9 @@ pub trait Payload: Any + Send {
 
 impl<T: Serialize + Send + 'static> Payload for T {
     fn encode(&self) -> Result<Vec<u8>, PayloadError> {
-        postcard::to_stdvec(self).map_err(|error| PayloadError {
-            expected: std::any::type_name::<T>(),
-            reason: error.to_string(),
-        })
+        let mut bytes = Vec::new();
+        self.encode_into(&mut bytes)?;
+        Ok(bytes)
     }
 
     fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
@@ -57,7 +58,9 @@ impl postcard::ser_flavors::Flavor for Appending<'_> {
     }
 
     fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        self.0.extend_from_slice(bytes);
+        if !blob::collect(self.0.len(), bytes) {
+            self.0.extend_from_slice(bytes);
+        }
         Ok(())
     }
 
@@ -119,7 +122,7 @@ impl Data {
                 expected,
                 reason: "the sender passed another type".to_owned(),
             }),
-            Self::Bytes(bytes) => decode::<T>(&bytes),
+            Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
         }
     }
 
@@ -150,6 +153,17 @@ impl Data {
 }
 
 impl Data {
+    /// What goes to a link; large blobs in it are shared, not copied.
+    ///
+    /// # Errors
+    /// When a typed value cannot be encoded.
+    pub(crate) fn into_body(self) -> Result<Body, PayloadError> {
+        match self {
+            Self::Bytes(bytes) => Ok(bytes.into()),
+            typed @ Self::Typed(_) => blob::body_of(|| typed.into_bytes()),
+        }
+    }
+
     /// The bytes that would be put on the wire; the data stays.
     pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
         match self {

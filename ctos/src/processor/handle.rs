@@ -2,11 +2,7 @@
 
 use std::{
     rc::Rc,
-    sync::{
-        OnceLock,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
-    thread::Thread,
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::Duration,
 };
 
@@ -15,6 +11,7 @@ use crate::{
     call::Answer,
     exchange::{CallKey, Ticket},
     inbox::Inbox,
+    link::lookout::Parker,
     mailbox::{Delivery, Order},
 };
 
@@ -45,7 +42,8 @@ pub(super) enum Item {
 pub(crate) struct ProcessorHandle {
     index: u8,
     pub(super) inbox: Inbox<Item>,
-    pub(super) thread: OnceLock<Thread>,
+    /// Where its thread sleeps.
+    pub(crate) parker: Parker,
     pub(super) stop: AtomicBool,
     /// How long the thread looks for work before it sleeps, ns.
     pub(super) spin_ns: AtomicU64,
@@ -121,10 +119,8 @@ impl ProcessorHandle {
     }
 
     pub(super) fn bring(&self, item: Item) -> Result<(), Item> {
-        if self.inbox.push(item)?
-            && let Some(thread) = self.thread.get()
-        {
-            thread.unpark();
+        if self.inbox.push(item)? {
+            self.parker.unpark();
         }
         Ok(())
     }

@@ -53,6 +53,7 @@ fn metrics() -> ChassisMetrics {
             text: "words".to_owned(),
         }],
         unrecorded: Some(5),
+        refused: 11,
     }
 }
 
