@@ -14,6 +14,7 @@ mod shmem_w;
 mod tickets;
 
 use crate::class::Class;
+use crate::describe::ClassInfo;
 use crate::name::ObjectName;
 use crate::object::ServiceObject;
 use crate::report::Report;
@@ -28,22 +29,25 @@ use std::time::Duration;
 crate::prototypes! {
     /// The codes of the reports of these classes.
     pub mod code {
-        BUFFER = 100, Error, "a snapshot buffer cannot be made, opened, written or read",
+        BUFFER = 180, Error, "a snapshot buffer cannot be made, opened, written or read",
             "the text says which and why; `shmem_r.NAME EXEC status` tells about a buffer";
-        SUCCEEDED = 101, Warning, "another writer has taken over a buffer, or it was made anew",
+        SUCCEEDED = 181, Warning, "another writer has taken over a buffer, or it was made anew",
             "go on; the numbers of the records begin again only when it was made anew";
-        LOST = 102, Warning, "records were overwritten before they were read",
+        LOST = 182, Warning, "records were overwritten before they were read",
             "read more often, or give the buffer more slots";
-        FILE = 103, Error, "a file of a flight recorder cannot be written",
+        FILE = 183, Error, "a file of a flight recorder cannot be written",
             "choose another -file, or make room";
-        FULL = 104, Error, "a queue, a blackboard or a line of those who wait is full",
+        FULL = 184, Error, "a queue, a blackboard or a line of those who wait is full",
             "try again later, or set -capacity";
-        UNKNOWN = 105, Error, "no such key or hold", "see EXEC keys, EXEC holders";
-        LATE = 106, Error, "the time for which one wanted to wait is over", "ask anew, for longer";
-        CONFLICT = 107, Error, "a value has another version than the one that was to be replaced",
+        UNKNOWN = 185, Error, "no such key or hold", "see EXEC keys, EXEC holders";
+        LATE = 186, Error, "the time for which one wanted to wait is over", "ask anew, for longer";
+        CONFLICT = 187, Error, "a value has another version than the one that was to be replaced",
             "get it again, and decide anew";
     }
 }
+
+/// Version of the classes.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// What EXEC answers, as text, when the caller is to ask again.
 pub const NOT_YET: &str = "not yet";
@@ -75,9 +79,15 @@ impl Host {
     /// # Errors
     /// It is not this user's alone, or cannot be made.
     pub fn place(&self) -> Result<Place, SnapshotError> {
+        self.place_of("")
+    }
+
+    /// The folder of another app's segments; of this one's when it has no name.
+    fn place_of(&self, app: &str) -> Result<Place, SnapshotError> {
+        let app = if app.is_empty() { &self.app } else { app };
         match &self.root {
-            Some(root) => Place::under(root, &self.app),
-            None => Place::of_app(&self.app),
+            Some(root) => Place::under(root, app),
+            None => Place::of_app(app),
         }
     }
 
@@ -108,6 +118,19 @@ pub fn register(sorm: &Sorm, host: &Host) {
     });
 }
 
+/// What a program may know about the classes.
+#[must_use]
+pub fn classes() -> Vec<ClassInfo> {
+    vec![
+        shmem_w::OPTIONS.class("shmem_w", VERSION),
+        shmem_r::OPTIONS.class("shmem_r", VERSION),
+        flight::OPTIONS.class("flight", VERSION),
+        queue::OPTIONS.class("queue", VERSION),
+        semaphore::OPTIONS.class("semaphore", VERSION),
+        blackboard::OPTIONS.class("blackboard", VERSION),
+    ]
+}
+
 fn add(
     sorm: &Sorm,
     host: &Host,
@@ -115,9 +138,7 @@ fn add(
     make: fn(Host, &ObjectName) -> Box<dyn ServiceObject>,
 ) {
     let host = host.clone();
-    let class = Class::new(class, env!("CARGO_PKG_VERSION"), move |name, _| {
-        Ok(make(host.clone(), name))
-    });
+    let class = Class::new(class, VERSION, move |name, _| Ok(make(host.clone(), name)));
     sorm.register(class.codes(code::PROTOTYPES));
 }
 

@@ -22,7 +22,7 @@ struct Entry {
 }
 
 #[derive(Debug, Clone)]
-struct Board {
+pub(super) struct Board {
     capacity: i64,
     entries: BTreeMap<String, Entry>,
     /// The version of the last change of all.
@@ -77,7 +77,7 @@ impl Board {
     }
 }
 
-static OPTIONS: LazyLock<OptionTable<Board>> = LazyLock::new(|| {
+pub(super) static OPTIONS: LazyLock<OptionTable<Board>> = LazyLock::new(|| {
     OptionTable::new(
         "values by key. EXEC set KEY [TEXT] with FMSG, opaque: IMSG 1 VERSION; get KEY: the value with IMSG 2, its \
          version and when it was set (ns of the app's time); wait KEY VERSION: the value when it is later than \

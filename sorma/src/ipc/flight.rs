@@ -126,7 +126,8 @@ pub fn dump(reader: &Reader, most: u64, format: Format, clock: &Clock) -> io::Re
 }
 
 #[derive(Debug, Clone, PartialEq)]
-struct Settings {
+pub(super) struct Settings {
+    app: String,
     name: String,
     file: String,
     format: String,
@@ -135,6 +136,7 @@ struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
+            app: String::new(),
             name: String::new(),
             file: String::new(),
             format: "text".to_owned(),
@@ -142,7 +144,7 @@ impl Default for Settings {
     }
 }
 
-static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
+pub(super) static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
     OptionTable::new(
         "records a snapshot buffer. EXEC dump [N]: the recent records as text; start: writes all that come to -file \
          until stop, in a thread of its own (in virtual time: whenever EXEC collect is said); collect, stop and \
@@ -150,10 +152,16 @@ static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
          that have no writer and were silent for 10 minutes, and answers their names",
     )
     .word(
+        "app",
+        "APP",
+        "the app whose buffer it is; this one when empty",
+        |set: &mut Settings| &mut set.app,
+    )
+    .word(
         "name",
         "BUFFER",
         "name of the buffer; the flavor when empty",
-        |set: &mut Settings| &mut set.name,
+        |set| &mut set.name,
     )
     .word(
         "file",
@@ -238,7 +246,10 @@ impl Flight {
 
     /// A line for each buffer of the app.
     fn segments(&self) -> Result<String, Report> {
-        let listed = self.host.place().and_then(|place| place.segments());
+        let listed = self
+            .host
+            .place_of(&self.settings.app)
+            .and_then(|place| place.segments());
         let listed = listed.map_err(|error| buffer_error(&error))?;
         let lines = listed.iter().map(|one| {
             let writer = if one.is_written {
@@ -337,7 +348,10 @@ impl ServiceObject for Flight {
                 return Ok(());
             }
             ["sweep"] => {
-                let removed = self.host.place().and_then(|place| place.remove_stale());
+                let removed = self
+                    .host
+                    .place_of(&self.settings.app)
+                    .and_then(|place| place.remove_stale());
                 io.text = removed.map_err(|error| buffer_error(&error))?.join(" ");
                 return Ok(());
             }

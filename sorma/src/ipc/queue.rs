@@ -23,7 +23,7 @@ struct Item {
 
 /// A bounded queue with a line of those who wait for items.
 #[derive(Debug, Clone)]
-struct Queue {
+pub(super) struct Queue {
     capacity: i64,
     items: VecDeque<Item>,
     takers: Tickets<()>,
@@ -90,7 +90,7 @@ impl Queue {
     }
 }
 
-static OPTIONS: LazyLock<OptionTable<Queue>> = LazyLock::new(|| {
+pub(super) static OPTIONS: LazyLock<OptionTable<Queue>> = LazyLock::new(|| {
     OptionTable::new(
         "a queue. EXEC put [TEXT] with FMSG, IMSG, opaque: adds an item; take [SECONDS]: the oldest item, or \
          `not yet`, with IMSG 1 TICKET when there is a time to wait, with which claim TICKET asks again, in turn; \

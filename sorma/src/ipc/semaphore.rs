@@ -36,7 +36,7 @@ struct Hold {
 }
 
 #[derive(Debug, Clone)]
-struct Semaphore {
+pub(super) struct Semaphore {
     permits: i64,
     holds: Vec<Hold>,
     waiting: Tickets<Holder>,
@@ -95,7 +95,7 @@ impl Semaphore {
     }
 }
 
-static OPTIONS: LazyLock<OptionTable<Semaphore>> = LazyLock::new(|| {
+pub(super) static OPTIONS: LazyLock<OptionTable<Semaphore>> = LazyLock::new(|| {
     OptionTable::new(
         "a counting semaphore. EXEC acquire [WHO [SECONDS [PID]]], the caller when it says no WHO: IMSG 1 HOLD, or `not yet` with IMSG 1 TICKET when \
          there is a time to wait, with which claim TICKET asks again, in turn; release HOLD; drop TICKET: waits no \

@@ -10,7 +10,8 @@ use ctos::time::Clock;
 use std::sync::LazyLock;
 
 #[derive(Debug, Clone, PartialEq)]
-struct Settings {
+pub(super) struct Settings {
+    app: String,
     name: String,
     floats: i64,
     bytes: i64,
@@ -19,6 +20,7 @@ struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
+            app: String::new(),
             name: String::new(),
             floats: -1,
             bytes: -1,
@@ -26,7 +28,7 @@ impl Default for Settings {
     }
 }
 
-static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
+pub(super) static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
     OptionTable::new(
         "reads records from a snapshot buffer. EXEC latest, next, all, since COUNT or history N answers FMSG: the \
          floats of the records, one after the other; opaque: their bytes; IMSG, 6 for each record: its number, when \
@@ -34,10 +36,16 @@ static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
          before it, its bytes. EXEC status tells about the buffer",
     )
     .word(
+        "app",
+        "APP",
+        "the app whose buffer it is; this one when empty",
+        |set: &mut Settings| &mut set.app,
+    )
+    .word(
         "name",
         "BUFFER",
         "name of the buffer; the flavor when empty",
-        |set: &mut Settings| &mut set.name,
+        |set| &mut set.name,
     )
     .int(
         "floats",
@@ -115,7 +123,7 @@ impl ShmemR {
         } else {
             &set.name
         };
-        let opened = self.host.place().and_then(|place| {
+        let opened = self.host.place_of(&set.app).and_then(|place| {
             let reader = Reader::open(&place, name)?;
             let has = reader.layout();
             let floats = usize::try_from(set.floats).unwrap_or(has.floats);

@@ -9,7 +9,7 @@ use crate::transport::Transport;
 use std::sync::LazyLock;
 
 #[derive(Debug, Clone, Default, PartialEq)]
-struct Settings {
+pub(super) struct Settings {
     name: String,
     slots: i64,
     floats: i64,
@@ -19,7 +19,7 @@ struct Settings {
     open: bool,
 }
 
-static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
+pub(super) static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
     OptionTable::new(
         "writes records into a snapshot buffer. EXEC FMSG: the floats of a record, opaque or TMSG: its \
          bytes; answers IMSG 1: the number of the record",

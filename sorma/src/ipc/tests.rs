@@ -498,6 +498,18 @@ fn the_segments_lie_where_the_host_says() {
         "",
         "what is written stays"
     );
+    desk.ask("shmem_r.pose CTRL -app other");
+    assert_eq!(desk.refused("shmem_r.pose EXEC").0, code::BUFFER);
+    desk.ask("shmem_r.pose CTRL -app test");
+    assert_eq!(desk.ask("shmem_r.pose EXEC").floats, [1.0, 1.0]);
+    let known: Vec<String> = classes().iter().map(|class| class.name.clone()).collect();
+    let registered: Vec<String> = desk
+        .sorm
+        .classes()
+        .iter()
+        .map(|class| class.name().to_owned())
+        .collect();
+    assert!(known.iter().all(|class| registered.contains(class)) && known.len() == 6);
     let segments = desk.host.place().unwrap().segments().unwrap();
     assert_eq!((segments[0].name.as_str(), segments[0].head), ("pose", 1));
     assert!(desk.clock.now() > Instant::START);
