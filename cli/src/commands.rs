@@ -1,5 +1,6 @@
 //! The commands of `ctos`, a file each.
 
+pub mod agent;
 pub mod boot;
 pub mod chassis;
 pub mod check;
@@ -73,6 +74,8 @@ pub enum Command {
     /// Every chassis becomes a process, every processor a thread; `--set time.mode="virtual"` runs the whole app in
     /// one process on the virtual clock instead. Ctrl-C stops it in order, a second Ctrl-C skips a step.
     Boot(boot::BootArgs),
+    /// Wait on this host for boots of other hosts, and run their chassis
+    Agent(agent::AgentArgs),
     /// Make and list keys for connections beyond this host
     Keys(keys::KeysArgs),
     /// Run a whole app on one thread in virtual time, with faults
@@ -167,6 +170,7 @@ pub fn main(registry: Registry) -> ExitCode {
     let code = match cli.command {
         Command::Check(args) => check::run(&args, &registry),
         Command::Boot(args) => boot::run(&args, registry),
+        Command::Agent(args) => agent::run(&args, registry),
         Command::Keys(args) => keys::run(&args),
         Command::Sim(args) => sim::run(&args, registry),
         Command::Config(args) => config::run(&args),

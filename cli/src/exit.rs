@@ -16,13 +16,15 @@ pub const UNREACHABLE: u8 = 5;
 pub const TIMED_OUT: u8 = 6;
 /// A breakpoint or a limit that was asked for ended it.
 pub const LIMIT: u8 = 7;
+/// The key that was shown, or its role, does not permit it.
+pub const NOT_ALLOWED: u8 = 8;
 /// Interrupted by Ctrl-C (128 + SIGINT).
 pub const INTERRUPTED: u8 = 130;
 /// Ended by SIGTERM (128 + SIGTERM).
 pub const TERMINATED: u8 = 143;
 
 /// Every code with what it means.
-pub const CODES: [(u8, &str); 10] = [
+pub const CODES: [(u8, &str); 11] = [
     (OK, "fine; also when whoever reads the output has closed it"),
     (FAILED, "what was asked for failed"),
     (USAGE, "the command line is wrong"),
@@ -40,6 +42,7 @@ pub const CODES: [(u8, &str); 10] = [
         LIMIT,
         "stopped by a breakpoint or a limit that was asked for",
     ),
+    (NOT_ALLOWED, "the key, or its role, does not permit it"),
     (INTERRUPTED, "interrupted by Ctrl-C"),
     (TERMINATED, "ended by SIGTERM"),
 ];

@@ -6,6 +6,7 @@
 //! two.
 
 #![allow(
+    clippy::panic,
     clippy::unwrap_used,
     clippy::print_stdout,
     missing_docs,
@@ -23,6 +24,7 @@ use std::{
 };
 
 use ctos::{
+    Blob,
     boot::{Launcher, Observer, boot, run_chassis},
     config::load_texts,
     message::{Command as _, CommandInfo, Message},
@@ -34,7 +36,7 @@ use ctos::{
 
 ctos::command! {
     /// Answers with as many bytes as it got, or with none.
-    pub struct Echo { pub back: bool, pub bytes: Vec<u8> } => Vec<u8>, 1, "echo"
+    pub struct Echo { pub back: bool, pub bytes: Blob } => Blob, 1, "echo"
 }
 
 struct Echoes;
@@ -45,7 +47,7 @@ impl EventHandler for Echoes {
             return cx.default_processing(message);
         }
         let (Echo { back, bytes }, reply) = message.open::<Echo>()?;
-        reply.ok(if back { bytes } else { Vec::new() })
+        reply.ok(if back { bytes } else { Blob::default() })
     }
 }
 
@@ -75,8 +77,10 @@ impl EventHandler for Caller {
             for (_, size, back, most) in CASES {
                 let mut times = Vec::new();
                 let clock = Clock::real();
+                // As the raw peers do, the same bytes again and again.
+                let all = Blob::from(vec![1; size]);
                 while times.len() < most && clock.now().since_start() < LIMIT {
-                    let bytes = vec![1; size];
+                    let bytes = all.clone();
                     let began = clock.now();
                     cx.call(&far, Echo { back, bytes }).await.unwrap();
                     times.push((clock.now() - began).as_nanos() as u64);
@@ -134,10 +138,14 @@ fn through(sets: &str, pin: Option<[usize; 2]>) -> Vec<u64> {
         arguments: ["link-chassis", sets, &pins].map(OsString::from).to_vec(),
     };
     let text: Arc<Mutex<String>> = Arc::default();
-    let silent: Observer = Arc::new(|_| ());
-    let outcome = boot(app(sets), registry(), &launcher, &silent).unwrap();
-    if let ctos::boot::End::Finished(result) = outcome.end {
-        *text.lock().unwrap() = result.text;
+    let said: Arc<Mutex<Vec<String>>> = Arc::default();
+    let hears = said.clone();
+    let observer: Observer =
+        Arc::new(move |event| hears.lock().unwrap().push(format!("{event:?}")));
+    let outcome = boot(app(sets), registry(), &launcher, &observer).unwrap();
+    match outcome.end {
+        ctos::boot::End::Finished(result) => *text.lock().unwrap() = result.text,
+        other => panic!("{other:?}: {:#?}", said.lock().unwrap()),
     }
     let text = text.lock().unwrap();
     text.split(' ')

@@ -325,9 +325,9 @@ async fn create_one(
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
     let spec = TaskSpec {
-        record: record(&config.name, tid, Some(config)),
+        record: record(&config.name, tid, Some(config), &processor),
         config: Some(config.clone()),
-        commands: kind.commands().to_vec(),
+        commands: kind.commands_shared(),
         build: kind.builder(),
     };
     let (built, building) = oneshot::channel();

@@ -3,10 +3,12 @@
 mod child;
 mod mesh;
 mod parent;
-mod processes;
+pub(crate) mod processes;
+pub(crate) mod spawn;
 
 use std::{
     ffi::OsString,
+    num::NonZeroUsize,
     panic::AssertUnwindSafe,
     path::PathBuf,
     sync::{Arc, Mutex, mpsc},
@@ -22,9 +24,11 @@ use crate::{
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
     names::{self, TidServer},
+    placement,
     processor::panic_text,
     realtime::{self, Grant},
     registry::Registry,
+    remote::HostError,
     runner::{TaskSpec, record, start_task},
     semaphore::{self, server::SemaphoreServer},
     simulation::{self, Faults, Setup},
@@ -47,6 +51,10 @@ pub const TOKEN_VARIABLE: &str = "CTOS_RUN_TOKEN";
 /// The environment variable that says how often the chassis has been started; the first time is 1, which
 /// is also what its absence means.
 pub const INCARNATION_VARIABLE: &str = "CTOS_INCARNATION";
+
+/// The environment variable that tells a chassis that its standard input ends with the agent that started
+/// it.
+pub(crate) const TETHER_VARIABLE: &str = "CTOS_TETHERED";
 
 /// How to start the process of a chassis: this program with these arguments, after which come
 /// `--chassis NAME --boot ADDRESS --origin NANOSECONDS`.
@@ -99,6 +107,9 @@ pub enum BootError {
         /// What it said last.
         reason: String,
     },
+    /// Hosts cannot take their chassis.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Hosts(Vec<HostError>),
     /// A chassis was not connected in time.
     #[error("chassis {} did not connect within {limit_s} s; give them more time with `app.phase_timeout_s`", .chassis.join(", "))]
     Late {
@@ -150,9 +161,30 @@ pub fn boot_on(
     launcher: &Launcher,
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
+    boot_with(clock, app, registry, launcher, &[], observer)
+}
+
+/// [`boot_on`] for apps that may have chassis on other hosts: `options` are what those are told besides
+/// the app (how much to log), as `launcher` tells those of this host.
+///
+/// # Errors
+/// As [`boot`]; also [`BootError::Hosts`].
+pub fn boot_with(
+    clock: &Clock,
+    app: App,
+    registry: Registry,
+    launcher: &Launcher,
+    options: &[String],
+    observer: &Observer,
+) -> Result<Outcome, BootError> {
     let (app, registry) = (Arc::new(app), Arc::new(registry));
     if clock.origin_ns().is_some() {
-        parent::boot(clock, &app, &registry, launcher, &contained(observer))
+        let setup = parent::Setup {
+            launcher,
+            options,
+            observer: &contained(observer),
+        };
+        parent::boot(clock, &app, &registry, &setup)
     } else {
         let setup = Setup {
             clock: clock.clone(),
@@ -222,18 +254,20 @@ fn start<H: EventHandler>(
         return;
     };
     let spec = TaskSpec {
-        record: record(name, tid, None),
+        record: record(name, tid, None, processor),
         config: None,
-        commands: commands.to_vec(),
+        commands: commands.into(),
         build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
-    chassis.add_task(spec.record.clone());
+    let record = spec.record.clone();
     let home = chassis.clone();
     processor.inject(move |processor| {
         if let Err(error) = start_task(&home, processor, spec) {
             tracing::error!(task = name, error = %error, "a task of the runtime did not start");
         }
     });
+    // After the order to start it, so that no message comes before that.
+    chassis.add_task(record);
 }
 
 /// A processor's thread, from outside.
@@ -255,12 +289,16 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
     } else {
         Grant::NotAsked
     };
+    let cpus = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let mut threads = Vec::new();
     let (prepared, grants) = mpsc::channel();
     // Nothing runs before it is known what was granted: the agent asks.
     let gate = Arc::new(Mutex::new(()));
     let closed = lock(&gate);
-    for (index, (name, _)) in chassis.processors.iter().enumerate() {
+    for (index, (name, handle)) in chassis.processors.iter().enumerate() {
+        if let Some(config) = chassis.processor_config(index) {
+            handle.set_spin(placement::poll(&chassis.app, config, cpus));
+        }
         let (home, memory, prepared) = (chassis.clone(), memory.clone(), prepared.clone());
         let gate = gate.clone();
         let (ending, ended) = oneshot::channel::<()>();
@@ -275,6 +313,9 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
                 drop(prepared);
                 drop(lock(&gate));
                 if let Some(processor) = home.processor(index) {
+                    if let Some(lookout) = home.lookout_of(index) {
+                        processor.handle.parker.look_out(lookout);
+                    }
                     drop(home);
                     processor.run();
                 }

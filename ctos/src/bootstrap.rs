@@ -59,6 +59,9 @@ pub enum BootEvent {
         chassis: String,
         /// Its process id, if it has a process of its own.
         pid: Option<u32>,
+        /// Its host, if that is not the boot's.
+        #[serde(default)]
+        host: Option<String>,
     },
     /// A startup phase is over.
     PhaseDone {

@@ -3,6 +3,10 @@
 //! Delivery is decided here and nowhere else: a task of this chassis gets a pointer, a task of
 //! another one gets a frame over the link. The sender waits the same way for both.
 
+mod delivery;
+mod links;
+mod tasks;
+
 use std::{
     any::Any,
     collections::BTreeMap,
@@ -11,117 +15,38 @@ use std::{
         Arc, Mutex, OnceLock, PoisonError, RwLock,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
-    time::Duration,
 };
 
+use self::{links::Links, tasks::Tasks};
 use crate::{
-    call::{Answer, Fault, Promise, ReplySlot, Waiting, lock},
+    call::lock,
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
-    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
-    mailbox::{Acceptance, Mailbox},
-    message::{Command, Data, Flags, Header, Message, Tid},
+    link::lookout::Lookout,
+    message::{Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
-    record::{Asked, Tap},
+    record::Tap,
     registry::Registry,
     semaphore::{SemaphoreView, Store},
-    statistics::TaskStatistics,
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
-    system,
-    time::{Clock, Instant},
-    waits::Waits,
+    time::Clock,
     watch::Watch,
+};
+
+pub(crate) use self::{
+    delivery::{Envelope, Question, Sent, WaitFor},
+    links::{Inbound, Outbound},
+    tasks::TaskRecord,
 };
 
 /// The name of the chassis that boots the others; its number is 0.
 pub const BOOT_CHASSIS: &str = "boot";
 
-struct Pending {
-    promise: Arc<Promise>,
-    peer: u8,
-}
-
-#[derive(Default)]
-struct Links {
-    up: BTreeMap<u8, Arc<dyn Link>>,
-    /// What this chassis asked others and has no answer to yet.
-    pending: BTreeMap<u64, Pending>,
-    next_call: u64,
-    /// What others asked this chassis, by chassis and its number for the call: the flag is set when
-    /// nobody waits for the answer any more.
-    inbound: BTreeMap<(u8, u64), Arc<AtomicBool>>,
-}
-
-/// A request that came over a link and waits for its answer.
-#[derive(Clone)]
-pub(crate) struct Inbound {
-    header: Header,
-    call: u64,
-    trace: u64,
-    recorded: u64,
-    abandoned: Arc<AtomicBool>,
-}
-
-impl Inbound {
-    /// Whether the caller, or its chassis, is gone.
-    pub(crate) fn is_abandoned(&self) -> bool {
-        self.abandoned.load(Ordering::Acquire)
-    }
-}
-
-/// A request that went over a link and waits for its answer.
-pub(crate) struct Outbound {
-    chassis: Arc<Chassis>,
-    header: Header,
-    call: u64,
-    trace: u64,
-}
-
-impl Outbound {
-    /// The sender waits no longer: the receiver need not begin, if it has not.
-    pub(crate) fn abandon(self) {
-        let peer = self.header.to.chassis();
-        let link = {
-            let mut links = lock(&self.chassis.links);
-            if links.pending.remove(&self.call).is_none() {
-                return;
-            }
-            links.up.get(&peer).cloned()
-        };
-        if let Some(link) = link {
-            // What is not a request is never refused.
-            let _ = link.post(Frame {
-                header: Header {
-                    flags: Flags::ABANDONED,
-                    size: 0,
-                    ..self.header
-                },
-                call: self.call,
-                trace: self.trace,
-                left_ns: NO_DEADLINE,
-                body: Vec::new(),
-            });
-        }
-    }
-
-    /// The sender never waited; the message goes its way.
-    pub(crate) fn forget(self) {}
-}
-
 type OnExit = Box<dyn FnOnce(i32) + Send>;
 
 /// Sees each message that a task of the chassis begins to handle.
 pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
-
-/// A task of this chassis, as the others see it.
-pub(crate) struct TaskRecord {
-    pub(crate) name: Arc<str>,
-    pub(crate) tid: Tid,
-    pub(crate) mailbox: Arc<Mailbox>,
-    pub(crate) statistics: Arc<TaskStatistics>,
-    pub(crate) waits: Waits,
-}
 
 /// One process's share of an app. Shared by its threads.
 pub struct Chassis {
@@ -132,7 +57,7 @@ pub struct Chassis {
     pub(crate) registry: Arc<Registry>,
     /// Processor 0 belongs to the runtime; the configured ones follow.
     pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
+    tasks: RwLock<Tasks>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     pub(crate) directory: TaskDirectory,
@@ -149,40 +74,10 @@ pub struct Chassis {
     pub(crate) tap: Tap,
     /// What it has seen of itself.
     pub(crate) watch: Watch,
-}
-
-/// What the sender of a message waits for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum WaitFor {
-    /// The reply.
-    Reply,
-    /// That the receiver's queue has taken the message.
-    Acceptance,
-}
-
-/// Who sends what to whom.
-pub(crate) struct Envelope {
-    pub(crate) to: Tid,
-    pub(crate) from: Tid,
-    pub(crate) command: u16,
-    pub(crate) flags: Flags,
-    pub(crate) data: Data,
-    /// 0 when nothing led to it: it then begins a trace of its own.
-    pub(crate) trace: u64,
-    /// When the sender stops waiting.
-    pub(crate) deadline: Option<Instant>,
-}
-
-impl Envelope {
-    fn header(&self, flags: Flags, size: usize) -> Header {
-        Header {
-            to: self.to,
-            from: self.from,
-            command: self.command,
-            flags: self.flags.with(flags).with(Flags::OWNED),
-            size: u32::try_from(size).unwrap_or(u32::MAX),
-        }
-    }
+    /// Its links, when they are real ones.
+    lookout: OnceLock<Arc<Lookout>>,
+    /// How many callers, and requests of tools, were refused so far.
+    pub(crate) refused: AtomicU64,
 }
 
 impl Chassis {
@@ -202,12 +97,13 @@ impl Chassis {
         let configured = usize::from(index)
             .checked_sub(1)
             .and_then(|place| app.chassis.get(place));
-        let mut processors = vec![("system".to_owned(), Arc::default())];
-        if let Some(configured) = configured {
-            for processor in &configured.processors {
-                processors.push((processor.name.clone(), Arc::default()));
-            }
-        }
+        let configured = configured.map_or(&[][..], |configured| &configured.processors);
+        let processors = std::iter::once("system".to_owned())
+            .chain(configured.iter().map(|one| one.name.clone()))
+            // The configuration allows no more processors than a task id can tell apart.
+            .zip(0..=u8::MAX)
+            .map(|(name, number)| (name, Arc::new(ProcessorHandle::new(number))))
+            .collect();
         Arc::new(Self {
             index,
             names,
@@ -228,6 +124,8 @@ impl Chassis {
             realtime: Mutex::default(),
             tap: Tap::new(index),
             watch: Watch::default(),
+            lookout: OnceLock::new(),
+            refused: AtomicU64::new(0),
         })
     }
 
@@ -292,6 +190,21 @@ impl Chassis {
         ))
     }
 
+    /// Its processors' threads look at these links when they have nothing else to do.
+    pub(crate) fn set_lookout(&self, lookout: Arc<Lookout>) {
+        let _ = self.lookout.set(lookout);
+    }
+
+    /// The links that the thread of processor `index` looks at: none where something must run in time,
+    /// and the runtime's own processor only where there is no other.
+    pub(crate) fn lookout_of(&self, index: usize) -> Option<Arc<Lookout>> {
+        let may = match self.processor_config(index) {
+            Some(config) => !config.realtime && config.period.is_none(),
+            None => self.processors.len() == 1,
+        };
+        self.lookout.get().filter(|_| may).cloned()
+    }
+
     /// The synchronous functions that run here, by `task.function`, with what is known of each.
     #[must_use]
     pub fn cyclics(&self) -> Vec<(String, Arc<CyclicStatistics>)> {
@@ -338,7 +251,7 @@ impl Chassis {
         self.tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .insert(task.tid, task);
+            .insert(task);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
@@ -348,7 +261,7 @@ impl Chassis {
             .tasks
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .remove(&tid);
+            .remove(tid);
         if let Some(task) = entry {
             task.mailbox.close();
         }
@@ -358,313 +271,25 @@ impl Chassis {
         self.tasks
             .read()
             .unwrap_or_else(PoisonError::into_inner)
-            .get(&tid)
+            .get(tid)
             .cloned()
     }
 
     /// The tasks of this chassis, by id.
     pub(crate) fn tasks(&self) -> Vec<Arc<TaskRecord>> {
         let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
-        tasks.values().cloned().collect()
+        tasks.iter().cloned().collect()
     }
 
     /// A trace id that no other message of the run has.
     pub(crate) fn fresh_trace(&self) -> u64 {
+        self.fresh_traces(1)
+    }
+
+    /// The first of `count` trace ids that no other message of the run has.
+    fn fresh_traces(&self, count: u64) -> u64 {
         // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
-        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
-    }
-
-    /// Sends; the returned future ends with what `wait` names, or with a fault.
-    pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
-        if envelope.trace == 0 {
-            envelope.trace = self.fresh_trace();
-        }
-        // A fence goes to the old place itself.
-        if envelope.command != system::Fence::CODE {
-            envelope.to = self.directory.current(envelope.to);
-        }
-        if let Some(replay) = self.tap.replay() {
-            return replay.dispatch(&envelope, wait, self.clock.now());
-        }
-        let recorded = self.tap.sent(&envelope, Some(wait));
-        let promise = Arc::new(Promise::default());
-        let waiting = if envelope.to.chassis() == self.index {
-            self.dispatch_here(envelope, wait, recorded, &promise);
-            Waiting::here(promise)
-        } else {
-            match self.dispatch_there(envelope, wait, &promise) {
-                Ok(outbound) => Waiting::there(promise, outbound),
-                Err(fault) => {
-                    promise.fulfil(Err(fault));
-                    Waiting::here(promise)
-                }
-            }
-        };
-        waiting.recorded_as(recorded)
-    }
-
-    fn dispatch_here(
-        &self,
-        envelope: Envelope,
-        wait: WaitFor,
-        recorded: u64,
-        promise: &Arc<Promise>,
-    ) {
-        let Some(task) = self.task(envelope.to) else {
-            return promise.fulfil(Err(Fault::UnknownTask));
-        };
-        let (flag, reply, acceptance) = match wait {
-            WaitFor::Reply => (
-                Flags::REPLY_WAIT,
-                Some(ReplySlot::local(promise.clone())),
-                Acceptance::Silent,
-            ),
-            WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Local(promise.clone())),
-        };
-        let message = Message {
-            header: envelope.header(flag, 0),
-            trace: envelope.trace,
-            deadline: envelope.deadline,
-            recorded,
-            data: envelope.data,
-            reply,
-        };
-        task.mailbox.put(message, acceptance);
-    }
-
-    fn dispatch_there(
-        self: &Arc<Self>,
-        mut envelope: Envelope,
-        wait: WaitFor,
-        promise: &Arc<Promise>,
-    ) -> Result<Outbound, Fault> {
-        let flag = match wait {
-            WaitFor::Reply => Flags::REPLY_WAIT,
-            WaitFor::Acceptance => Flags::ACCEPT_WAIT,
-        };
-        let data = std::mem::replace(&mut envelope.data, Data::Bytes(Vec::new()));
-        let body = body_of(data)?;
-        let header = envelope.header(flag, body.len());
-        let peer = envelope.to.chassis();
-        let mut links = lock(&self.links);
-        let Some(link) = links.up.get(&peer).cloned() else {
-            return Err(self.peer_down_fault(peer));
-        };
-        links.next_call += 1;
-        let call = links.next_call;
-        links.pending.insert(
-            call,
-            Pending {
-                promise: promise.clone(),
-                peer,
-            },
-        );
-        drop(links);
-        let posted = link.post(Frame {
-            header,
-            call,
-            trace: envelope.trace,
-            left_ns: self.left_ns(envelope.deadline),
-            body,
-        });
-        if let Err(Full { bytes }) = posted {
-            lock(&self.links).pending.remove(&call);
-            return Err(Fault::LinkFull { bytes });
-        }
-        Ok(Outbound {
-            chassis: self.clone(),
-            header,
-            call,
-            trace: envelope.trace,
-        })
-    }
-
-    /// Sends only if the receiver is on this chassis and has room now.
-    pub(crate) fn try_dispatch_here(&self, mut envelope: Envelope) -> Result<(), Fault> {
-        envelope.to = self.directory.current(envelope.to);
-        let there = envelope.to.chassis();
-        if there != self.index {
-            let chassis = self.name_of(there).to_owned();
-            return Err(Fault::Elsewhere { chassis });
-        }
-        if envelope.trace == 0 {
-            envelope.trace = self.fresh_trace();
-        }
-        if let Some(replay) = self.tap.replay() {
-            return replay.try_dispatch(&envelope, self.clock.now());
-        }
-        let asked = Asked::of(&envelope);
-        let recorded = self.tap.sent(&envelope, None);
-        let put = self.task(envelope.to).ok_or(Fault::UnknownTask);
-        let put = put.and_then(|task| {
-            task.mailbox.try_put(Message {
-                header: envelope.header(Flags::NONE, 0),
-                trace: envelope.trace,
-                deadline: None,
-                recorded,
-                data: envelope.data,
-                reply: None,
-            })
-        });
-        if let Err(fault) = &put {
-            self.tap.answered(recorded, &asked, &Err(fault.clone()));
-        }
-        put
-    }
-
-    /// How long it is until `deadline`, for the wire.
-    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
-        deadline.map_or(NO_DEADLINE, |deadline| {
-            let left = deadline.since(self.clock.now()).as_nanos();
-            u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
-        })
-    }
-
-    /// Sends a message of the runtime without waiting for anything. It is lost only with its
-    /// receiver.
-    pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
-        let envelope = Envelope {
-            to,
-            from: system::agent_tid(self.index),
-            command: C::CODE,
-            flags: Flags::HIGH_PRIORITY,
-            data: Data::of(request),
-            trace: 0,
-            deadline: None,
-        };
-        self.dispatch(envelope, WaitFor::Acceptance).forget();
-    }
-
-    /// Sends an answer back over the link that the request came by, if anybody waits for it.
-    pub(crate) fn post_reply(&self, inbound: &Inbound, answer: Answer) {
-        let Inbound {
-            header: request,
-            call,
-            trace,
-            ..
-        } = inbound;
-        let peer = request.from.chassis();
-        let link = {
-            let mut links = lock(&self.links);
-            if links.inbound.remove(&(peer, *call)).is_none() {
-                return;
-            }
-            links.up.get(&peer).cloned()
-        };
-        let Some(link) = link else {
-            return;
-        };
-        self.tap
-            .replied(inbound.recorded, request, *trace, answer.as_ref());
-        let (flags, body) = match answer.and_then(body_of) {
-            Ok(body) => (Flags::REPLY, body),
-            Err(fault) => (
-                Flags::REPLY.with(Flags::FAULT),
-                // A fault is plain data; should it fail to encode, the empty body is read as one.
-                postcard::to_stdvec(&fault).unwrap_or_default(),
-            ),
-        };
-        // What is not a request is never refused.
-        let _ = link.post(Frame {
-            header: Header {
-                to: request.from,
-                from: request.to,
-                command: request.command,
-                flags,
-                size: u32::try_from(body.len()).unwrap_or(u32::MAX),
-            },
-            call: *call,
-            trace: *trace,
-            left_ns: NO_DEADLINE,
-            body,
-        });
-    }
-
-    /// Takes a frame that came from chassis `peer`.
-    pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
-        let Frame {
-            header,
-            call,
-            trace,
-            left_ns,
-            body,
-        } = frame;
-        if header.flags.contains(Flags::REPLY) {
-            return self.receive_reply(peer, call, header.flags, body);
-        }
-        if header.from.chassis() != peer || header.to.chassis() != self.index {
-            tracing::error!(
-                peer = self.name_of(peer),
-                from = %header.from,
-                to = %header.to,
-                "a frame on the wrong link"
-            );
-            return;
-        }
-        if header.flags.contains(Flags::ABANDONED) {
-            let abandoned = lock(&self.links).inbound.remove(&(peer, call));
-            if let Some(abandoned) = abandoned {
-                abandoned.store(true, Ordering::Release);
-            }
-            return;
-        }
-        let deadline =
-            (left_ns != NO_DEADLINE).then(|| self.clock.now() + Duration::from_nanos(left_ns));
-        let recorded = self.tap.arrived(&header, trace, deadline, &body);
-        let request = Inbound {
-            header,
-            call,
-            trace,
-            recorded,
-            abandoned: Arc::default(),
-        };
-        lock(&self.links)
-            .inbound
-            .insert((peer, call), request.abandoned.clone());
-        let Some(task) = self.task(header.to) else {
-            return self.post_reply(&request, Err(Fault::UnknownTask));
-        };
-        // Every request between chassis waits for one or the other, so that none is lost unseen.
-        let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
-            let slot = ReplySlot::remote(self.clone(), request);
-            (Some(slot), Acceptance::Silent)
-        } else {
-            let chassis = self.clone();
-            (None, Acceptance::Remote { chassis, request })
-        };
-        let message = Message {
-            header,
-            trace,
-            deadline,
-            recorded,
-            data: Data::Bytes(body),
-            reply,
-        };
-        task.mailbox.put(message, acceptance);
-    }
-
-    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Vec<u8>) {
-        let pending = {
-            let mut links = lock(&self.links);
-            // A reply counts only when it comes from the chassis that was asked.
-            match links.pending.get(&call) {
-                Some(pending) if pending.peer == peer => links.pending.remove(&call),
-                _ => None,
-            }
-        };
-        let Some(pending) = pending else {
-            return;
-        };
-        pending.promise.fulfil(if flags.contains(Flags::FAULT) {
-            Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
-        } else {
-            Ok(Data::Bytes(body))
-        });
-    }
-
-    /// Connects chassis `peer`.
-    pub(crate) fn link_up(&self, peer: u8, link: Arc<dyn Link>) {
-        lock(&self.links).up.insert(peer, link);
+        (u64::from(self.index) << 56) | self.next_trace.fetch_add(count, Ordering::Relaxed)
     }
 
     /// The app is being taken down.
@@ -675,80 +300,6 @@ impl Chassis {
     /// Whether the app is being taken down.
     pub(crate) fn is_stopping(&self) -> bool {
         self.stopping.load(Ordering::Acquire)
-    }
-
-    /// Gives up all links without telling anybody, so that their writers end.
-    pub(crate) fn drop_links(&self) {
-        lock(&self.links).up.clear();
-    }
-
-    /// Whether chassis `peer` is connected.
-    pub(crate) fn is_linked(&self, peer: u8) -> bool {
-        lock(&self.links).up.contains_key(&peer)
-    }
-
-    /// What went over its links so far, by the name of the chassis at the other end.
-    #[must_use]
-    pub fn link_counts(&self) -> Vec<(String, Counts)> {
-        let up: Vec<_> = {
-            let links = lock(&self.links);
-            let up = links.up.iter();
-            up.map(|(peer, link)| (*peer, link.clone())).collect()
-        };
-        up.into_iter()
-            .map(|(peer, link)| (self.name_of(peer).to_owned(), link.counts()))
-            .collect()
-    }
-
-    /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
-    /// dropped, and every task here is told.
-    pub(crate) fn link_down(self: &Arc<Self>, peer: u8) {
-        let ended: Vec<Arc<Promise>> = {
-            let mut links = lock(&self.links);
-            if links.up.remove(&peer).is_none() {
-                return;
-            }
-            links.inbound.retain(|(from, _), abandoned| {
-                if *from == peer {
-                    abandoned.store(true, Ordering::Release);
-                }
-                *from != peer
-            });
-            let of_peer: Vec<u64> = links
-                .pending
-                .iter()
-                .filter(|(_, pending)| pending.peer == peer)
-                .map(|(call, _)| *call)
-                .collect();
-            of_peer
-                .into_iter()
-                .filter_map(|call| links.pending.remove(&call))
-                .map(|pending| pending.promise)
-                .collect()
-        };
-        for promise in ended {
-            promise.fulfil(Err(self.peer_down_fault(peer)));
-        }
-        self.directory.forget_chassis(peer);
-        if self.stopping.load(Ordering::Acquire) && peer != 0 {
-            return;
-        }
-        let chassis = self.name_of(peer).to_owned();
-        tracing::debug!(chassis = %chassis, "link down");
-        for task in self.tasks() {
-            self.post_system(
-                task.tid,
-                system::ChassisDown {
-                    chassis: chassis.clone(),
-                },
-            );
-        }
-    }
-
-    fn peer_down_fault(&self, peer: u8) -> Fault {
-        Fault::PeerDown {
-            chassis: self.name_of(peer).to_owned(),
-        }
     }
 
     /// Whom to show each message that a task begins to handle. The first one counts.
@@ -787,13 +338,13 @@ impl Chassis {
     pub(crate) fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
-        for task in tasks.values() {
+        for task in tasks.iter() {
             task.mailbox.close();
         }
         let links = std::mem::take(&mut *lock(&self.links));
         for pending in links.pending.into_values() {
             let fault = self.peer_down_fault(pending.peer);
-            pending.promise.fulfil(Err(fault));
+            pending.answer(Err(fault));
         }
         lock(&self.shared).clear();
         self.blocking.close();
@@ -805,21 +356,6 @@ impl Chassis {
             handle.stop();
         }
     }
-}
-
-/// The data of a frame.
-fn body_of(data: Data) -> Result<Vec<u8>, Fault> {
-    let body = data.into_bytes().map_err(|error| Fault::BadPayload {
-        text: error.to_string(),
-    })?;
-    if body.len() > BODY_LIMIT {
-        let text = format!(
-            "{} bytes of data; a message between chassis holds at most {BODY_LIMIT}",
-            body.len()
-        );
-        return Err(Fault::BadPayload { text });
-    }
-    Ok(body)
 }
 
 impl std::fmt::Debug for Chassis {

@@ -126,9 +126,9 @@ impl Context {
         config.restart = Policy::default();
         config.args = args;
         let spec = TaskSpec {
-            record: record(task, tid, Some(&config)),
+            record: record(task, tid, Some(&config), &self.inner.processor.handle),
             config: Some(config),
-            commands: kind.commands().to_vec(),
+            commands: kind.commands_shared(),
             build: kind.builder(),
         };
         Ok((spec, tid))

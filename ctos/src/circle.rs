@@ -5,12 +5,9 @@
 //! followed from task to task, chassis by chassis, and a way that leads back is reported. Nothing is
 //! looked for while calls are answered in time.
 
-use std::{cell::RefCell, pin::pin, time::Duration};
-
-use futures_util::future::{Either, select};
+use std::time::Duration;
 
 use crate::{
-    call::{Answer, Fault, Waiting},
     chassis::{Chassis, Envelope, WaitFor},
     context::Context,
     message::{Command, Data, Flags, Tid},
@@ -23,38 +20,14 @@ pub(crate) const LONG: Duration = Duration::from_secs(1);
 /// The longest chain of tasks that is followed.
 const LONGEST_CHAIN: usize = 64;
 
-/// Goes on with a call that has waited long, until `limit` after now, and looks once whether it waits in
-/// a circle. The lint is a warning: the call goes on, because one of the others may give up first.
-pub(crate) async fn watched(
-    cx: &Context,
-    to: Tid,
-    waiting: Waiting,
-    limit: Duration,
-    whole: Duration,
-) -> Answer {
-    let found = RefCell::new(None);
-    let looking = async {
-        if let Some(circle) = circle(cx, to).await {
-            tracing::warn!(task = %cx.name(), circle = %circle, "tasks wait for one another");
-            *found.borrow_mut() = Some(circle);
-        }
-    };
-    let both = async {
-        match select(waiting, pin!(looking)).await {
-            Either::Left((answer, _)) => answer,
-            Either::Right(((), waiting)) => waiting.await,
-        }
-    };
-    if let Ok(answer) = cx.timeout(limit, both).await {
-        return answer;
+/// Looks whether a call to `to` that has waited long waits in a circle. The lint is a warning: the call
+/// goes on, because one of the others may give up first.
+pub(crate) async fn look(cx: Context, to: Tid) -> Option<String> {
+    let circle = circle(&cx, to).await;
+    if let Some(circle) = &circle {
+        tracing::warn!(task = %cx.name(), circle = %circle, "tasks wait for one another");
     }
-    Err(match found.take() {
-        Some(circle) => Fault::Circle {
-            after: whole,
-            circle,
-        },
-        None => Fault::Deadline { after: whole },
-    })
+    circle
 }
 
 /// Follows the notes from `to`; the circle in words if they lead back to this task.

@@ -16,6 +16,7 @@ mod build;
 mod bundle;
 mod de;
 mod fields;
+mod hosts;
 mod keys;
 mod links;
 mod load;
@@ -31,8 +32,8 @@ mod variables;
 mod zenoh;
 
 pub use app::{
-    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
-    ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, HostConfig,
+    OnTaskFailure, ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};

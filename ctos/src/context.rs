@@ -1,109 +1,45 @@
 //! What a task can reach: the [`Context`] its handler is called with.
 
+mod asking;
+mod finding;
+mod services;
+
 use std::{
     cell::{Cell, RefCell},
     collections::BTreeMap,
     fmt,
-    future::{Future, IntoFuture},
+    future::Future,
     path::PathBuf,
-    pin::Pin,
     rc::Rc,
     sync::Arc,
     time::Duration,
 };
 
-use futures_util::future::{Either, LocalBoxFuture, select};
+use futures_util::future::{Either, select};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::de::DeserializeOwned;
 
+use self::asking::Ask;
 use crate::{
     call::{CallError, Fault},
-    chassis::{Chassis, Envelope, TaskRecord, WaitFor},
-    circle,
+    chassis::{Chassis, Envelope, TaskRecord},
     config::TaskConfig,
     diagnostic::Finding,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
-    processor::Processor,
-    realtime::{self, Grant},
-    record::Asked,
-    semaphore::{self, Barrier, Scope, Semaphore, SemaphoreError, SemaphoreView},
-    sync::{
-        Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
-    },
-    system::{
-        self, AppResult, AwaitTid, Broke, CommandDescription, Introspect, Monitor, Ping, QueryTid,
-        Shutdown, Statistics,
-    },
+    processor::{FutureId, Processor},
+    system::{Broke, CommandDescription, Introspect, Ping, Shutdown, Statistics},
     task::Handled,
     time::Instant,
 };
 
+pub(crate) use self::asking::Note;
+pub use self::{
+    asking::{Call, Calling, Send, Sending},
+    finding::{NameError, TaskRef},
+};
+
 /// How long a call waits for its reply unless it, or the task's configuration, says otherwise.
 pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(10);
-
-/// A task that was found by name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TaskRef {
-    name: Arc<str>,
-    tid: Tid,
-}
-
-impl TaskRef {
-    pub(crate) fn new(name: impl Into<Arc<str>>, tid: Tid) -> Self {
-        Self {
-            name: name.into(),
-            tid,
-        }
-    }
-
-    /// Its symbolic name.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Its id.
-    #[must_use]
-    pub fn tid(&self) -> Tid {
-        self.tid
-    }
-}
-
-/// A symbolic name that leads to no task.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum NameError {
-    /// The task identification service knows no such name.
-    #[error("no task is called `{name}` (asked by `{from}`); there are: {}", .known.join(", "))]
-    Unknown {
-        /// The asking task.
-        from: String,
-        /// The name.
-        name: String,
-        /// The names there are.
-        known: Vec<String>,
-    },
-    /// A task waits for a name that does not appear.
-    #[error("`{from}` waited {:.3} s for a task called `{name}`: {why}", .after.as_secs_f64())]
-    NotYet {
-        /// The waiting task.
-        from: String,
-        /// The name.
-        name: String,
-        /// How long it waited.
-        after: Duration,
-        /// Who waits for whom.
-        why: String,
-    },
-    /// Tasks wait for one another in a circle, so that none of the names can ever appear.
-    #[error("nobody can go on: {circle}")]
-    Circle {
-        /// The circle in words.
-        circle: String,
-    },
-    /// The service itself could not be asked.
-    #[error(transparent)]
-    Service(#[from] CallError),
-}
 
 /// A wait that took too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -114,8 +50,9 @@ pub(crate) struct Inner {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) chassis: Arc<Chassis>,
     pub(crate) processor: Rc<Processor>,
-    config: Option<TaskConfig>,
-    commands: Vec<CommandInfo>,
+    /// Boxed, because it is large and tasks of the runtime have none.
+    config: Option<Box<TaskConfig>>,
+    commands: Arc<[CommandInfo]>,
     children: RefCell<Children>,
     /// Counts the handlers that the task had.
     incarnation: Cell<u64>,
@@ -126,7 +63,7 @@ pub(crate) struct Inner {
 /// The children of a task that have not ended, by number, with what cancels them.
 #[derive(Default)]
 struct Children {
-    running: BTreeMap<u64, u64>,
+    running: BTreeMap<u64, FutureId>,
     next: u64,
 }
 
@@ -144,14 +81,14 @@ impl Context {
         chassis: Arc<Chassis>,
         processor: Rc<Processor>,
         config: Option<TaskConfig>,
-        commands: Vec<CommandInfo>,
+        commands: Arc<[CommandInfo]>,
     ) -> Self {
         Self {
             inner: Rc::new(Inner {
                 record,
                 chassis,
                 processor,
-                config,
+                config: config.map(Box::new),
                 commands,
                 children: RefCell::default(),
                 incarnation: Cell::new(0),
@@ -203,6 +140,11 @@ impl Context {
         &self.inner.chassis
     }
 
+    /// The processor that the task runs on.
+    pub(crate) fn processor(&self) -> &Rc<Processor> {
+        &self.inner.processor
+    }
+
     /// The app's configuration.
     #[must_use]
     pub fn app(&self) -> &crate::config::App {
@@ -221,89 +163,6 @@ impl Context {
     }
 
     // -- other tasks ------------------------------------------------------------------------
-
-    /// Finds a task by its symbolic name. Found once, a name is remembered by the chassis.
-    ///
-    /// # Errors
-    /// [`NameError`] when no task has the name or the service cannot be reached.
-    pub async fn task(&self, name: &str) -> Result<TaskRef, NameError> {
-        let directory = &self.inner.chassis.directory;
-        if let Some(tid) = directory.known(name) {
-            return Ok(TaskRef::new(name, tid));
-        }
-        let query = QueryTid {
-            name: name.to_owned(),
-        };
-        match self.call(&Self::server(), query).await? {
-            Ok(tid) => Ok(TaskRef::new(name, directory.learn(name, tid))),
-            Err(known) => Err(NameError::Unknown {
-                from: self.name().to_owned(),
-                name: name.to_owned(),
-                known,
-            }),
-        }
-    }
-
-    /// The task identification service.
-    pub(crate) fn server() -> TaskRef {
-        TaskRef::new("tidsvr", system::TID_SERVER)
-    }
-
-    /// Finds a task by its symbolic name, and waits for the name to appear if there is none yet: another
-    /// task may be about to [start](Self::start) it, or its chassis is just being started again.
-    ///
-    /// # Errors
-    /// [`NameError::NotYet`] after `limit`, with who waits for whom; [`NameError::Circle`] at once, when
-    /// the task that would start it waits, directly or not, for a name that only this task can start.
-    pub async fn wait_for_task(&self, name: &str, limit: Duration) -> Result<TaskRef, NameError> {
-        let directory = &self.inner.chassis.directory;
-        if let Some(tid) = directory.known(name) {
-            return Ok(TaskRef::new(name, tid));
-        }
-        let request = AwaitTid {
-            name: name.to_owned(),
-            waiter: self.name().to_owned(),
-        };
-        match self.call(&Self::server(), request).deadline(limit).await {
-            Ok(Ok(tid)) => Ok(TaskRef::new(name, directory.learn(name, tid))),
-            Ok(Err(circle)) => Err(NameError::Circle { circle }),
-            Err(error) if matches!(error.fault, Fault::Deadline { .. }) => {
-                let query = system::WhoWaits {
-                    name: name.to_owned(),
-                };
-                Err(NameError::NotYet {
-                    from: self.name().to_owned(),
-                    name: name.to_owned(),
-                    after: limit,
-                    why: self.call(&Self::server(), query).await?,
-                })
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// From now on the handler's `task_down` and `task_up` are called when `task` goes down and comes
-    /// up again. When it is down already, `task_down` is called at once.
-    ///
-    /// # Errors
-    /// When the task identification service cannot be asked.
-    pub async fn monitor(&self, task: &TaskRef) -> Result<(), CallError> {
-        let name = task.name().to_owned();
-        let up = self.call(&Self::server(), Monitor { name }).await?;
-        if !up {
-            let changed = system::TaskChanged {
-                task: system::TaskName {
-                    name: task.name().to_owned(),
-                    tid: task.tid(),
-                },
-                change: system::Change::Down {
-                    reason: "it was not there when it began to be monitored".to_owned(),
-                },
-            };
-            self.inner.chassis.post_system(self.tid(), changed);
-        }
-        Ok(())
-    }
 
     /// Asks a task and waits for its reply. Ends with the reply or an error, always: 10 s after the
     /// call at the latest, unless [`Call::deadline`] or the task's `call_deadline_s` says otherwise.
@@ -342,7 +201,7 @@ impl Context {
         let envelope = self.envelope(to, C::CODE, Flags::NONE, Data::of(request));
         self.inner
             .chassis
-            .try_dispatch_here(envelope)
+            .try_send(&self.inner.processor, envelope)
             .map_err(|fault| self.error(to, C::NAME, fault))
     }
 
@@ -359,9 +218,8 @@ impl Context {
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
         let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
-        let answer = self
-            .ask(to, command.name, envelope, WaitFor::Reply, deadline)
-            .await;
+        let cx = self.clone();
+        let answer = Ask::call(cx, to.clone(), command.name, envelope, deadline).await;
         answer
             .and_then(|data| {
                 data.into_bytes().map_err(|error| Fault::BadPayload {
@@ -414,6 +272,7 @@ impl Context {
         }
     }
 
+    #[inline]
     fn envelope(&self, to: &TaskRef, command: u16, flags: Flags, data: Data) -> Envelope {
         Envelope {
             to: to.tid,
@@ -433,34 +292,6 @@ impl Context {
             command: command.to_owned(),
             fault,
         }
-    }
-
-    async fn ask(
-        &self,
-        to: &TaskRef,
-        command: &'static str,
-        mut envelope: Envelope,
-        wait: WaitFor,
-        deadline: Duration,
-    ) -> Result<Data, Fault> {
-        let now = self.now();
-        envelope.deadline = Some(now + deadline);
-        let (name, to) = (&to.name, envelope.to);
-        let _waits = self.inner.record.waits.begin(name, to, command, now);
-        let asked = Asked::of(&envelope);
-        let mut waiting = self.inner.chassis.dispatch(envelope, wait);
-        let recorded = waiting.recorded();
-        // Whoever waits long may wait for ever; see `circle.rs`.
-        let answer = match self.timeout(deadline.min(circle::LONG), &mut waiting).await {
-            Ok(answer) => answer,
-            Err(_) if deadline > circle::LONG => {
-                let rest = deadline.saturating_sub(circle::LONG);
-                circle::watched(self, to, waiting, rest, deadline).await
-            }
-            Err(Elapsed(after)) => Err(Fault::Deadline { after }),
-        };
-        self.inner.chassis.tap.answered(recorded, &asked, &answer);
-        answer
     }
 
     // -- time -------------------------------------------------------------------------------
@@ -493,66 +324,6 @@ impl Context {
             Either::Left((output, _)) => Ok(output),
             Either::Right(((), _)) => Err(Elapsed(duration)),
         }
-    }
-
-    /// Calls a synchronous function every `period` on this task's processor, until the handle is
-    /// dropped. If it panics, it is taken off the schedule and the task's restart policy decides; it has failed if the
-    /// processor has a base period that `period` is no multiple of. [`Self::schedule`] says more of a
-    /// function, and refuses instead.
-    #[must_use]
-    pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
-        let tap = &self.inner.chassis.tap;
-        tap.used(|| "a synchronous function".to_owned());
-        let schedule = &self.inner.processor.schedule;
-        let free = |name: &String| !schedule.has(&format!("{}.{name}", self.name()));
-        let numbered = (2_u32..).map(|number| format!("cyclic-{number}"));
-        let mut names = std::iter::once("cyclic".to_owned()).chain(numbered);
-        let name = names.find(free).unwrap_or_default();
-        let period = period.max(Duration::from_micros(1));
-        let function = Synchronous::new(name, function).period(period);
-        self.schedule(function).unwrap_or_else(|error| {
-            self.fail(&error.to_string());
-            CyclicHandle::of_nothing()
-        })
-    }
-
-    /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
-    /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
-    /// it is taken off the schedule, and the task's restart policy decides.
-    ///
-    /// # Errors
-    /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
-    pub fn schedule(&self, function: Synchronous) -> Result<CyclicHandle, CyclicError> {
-        let name = format!("{}.{}", self.name(), function.name());
-        let function = function.renamed(name).on_failure(self.when_broken());
-        self.inner.processor.schedule.add(function)
-    }
-
-    /// Lets a device say when the base ticks of this task's processor are, until the handle is dropped. The
-    /// processor needs a `period_s`, at which the clock goes on when the device fails. In virtual time
-    /// there is no device, and the clock goes on ticking.
-    ///
-    /// # Errors
-    /// [`CyclicError`]: the processor has no base period, or another source already.
-    pub fn tick_source(
-        &self,
-        source: impl TickSource + 'static,
-    ) -> Result<TickSourceHandle, CyclicError> {
-        let (chassis, index) = (
-            self.inner.chassis.clone(),
-            self.inner.record.tid.processor(),
-        );
-        let handle = self.inner.processor.handle.clone();
-        let pacemaker = Pacemaker {
-            prepare: Box::new(move || {
-                let config = chassis.processor_config(usize::from(index));
-                // Memory was locked for the whole chassis; a refusal was said for the processor.
-                let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
-            }),
-            wake: Box::new(move || handle.unpark()),
-        };
-        let schedule = &self.inner.processor.schedule;
-        schedule.pace(Box::new(source), pacemaker)
     }
 
     // -- the task itself --------------------------------------------------------------------
@@ -624,7 +395,7 @@ impl Context {
     /// The task's part of the configuration; `None` for tasks of the runtime.
     #[must_use]
     pub fn config(&self) -> Option<&TaskConfig> {
-        self.inner.config.as_ref()
+        self.inner.config.as_deref()
     }
 
     /// A path of the configuration, taken relative to the configuration's folder.
@@ -637,8 +408,12 @@ impl Context {
     /// only.
     #[must_use]
     pub fn rng(&self, stream: &str) -> ChaCha8Rng {
-        let seed = self.app().seed;
-        ChaCha8Rng::seed_from_u64(mix(seed, &[self.name(), stream]))
+        ChaCha8Rng::seed_from_u64(self.seed_of(stream))
+    }
+
+    /// The seed of [`Self::rng`].
+    pub(crate) fn seed_of(&self, stream: &str) -> u64 {
+        mix(self.app().seed, &[self.name(), stream])
     }
 
     /// Makes `value` known to the other tasks of this chassis.
@@ -650,73 +425,6 @@ impl Context {
     #[must_use]
     pub fn shared<T: std::marker::Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
         self.inner.chassis.shared(key)
-    }
-
-    // -- what tasks take turns with ---------------------------------------------------------
-
-    /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
-    /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
-    /// configuration says so or its name begins with `app/`.
-    ///
-    /// # Errors
-    /// [`SemaphoreError`]: no permits at all, or another number than others use.
-    pub fn semaphore(&self, name: &str, permits: u32) -> Result<Semaphore, SemaphoreError> {
-        Semaphore::find(self, name, permits)
-    }
-
-    /// The barrier called `name`, for `parties` unless `[barrier.NAME]` of the configuration says for how many.
-    /// Shared as [`Self::semaphore`] says.
-    ///
-    /// # Errors
-    /// [`SemaphoreError`]: nobody to wait for, or another number than others use.
-    pub fn barrier(&self, name: &str, parties: u32) -> Result<Barrier, SemaphoreError> {
-        Barrier::find(self, name, parties)
-    }
-
-    /// The semaphores that this task could use, who holds them and who waits: those of this chassis and
-    /// those of the app.
-    ///
-    /// # Errors
-    /// When the task that keeps those of the app cannot be asked.
-    pub async fn semaphores(&self) -> Result<Vec<SemaphoreView>, CallError> {
-        let mut views = semaphore::of_app(self).await?;
-        let here = self.chassis().semaphores().into_iter();
-        views.extend(here.filter(|view| view.scope == Scope::Chassis));
-        Ok(views)
-    }
-
-    // -- the person who booted the app ------------------------------------------------------
-
-    /// Shows how far the task is: `done` of `total` steps, each of which is a `step` ("position"), and
-    /// what happened at this one.
-    pub fn progress(&self, done: u64, total: u64, step: &str, what: &str) {
-        let progress = system::Progress {
-            task: self.name().to_owned(),
-            done,
-            total,
-            step: step.to_owned(),
-            what: what.to_owned(),
-        };
-        self.inner.chassis.post_system(system::BOOTSTRAP, progress);
-    }
-
-    /// Ends the app with a result, if `until` of the configuration names this task.
-    pub fn finish(&self, result: AppResult) {
-        let finish = system::Finish {
-            task: self.name().to_owned(),
-            result,
-        };
-        self.inner.chassis.post_system(system::BOOTSTRAP, finish);
-    }
-
-    /// Reports that this task failed for good; the app is stopped.
-    pub fn fail(&self, reason: &str) {
-        tracing::error!(task = %self.name(), reason, "task failed");
-        let failed = system::TaskFailed {
-            task: self.name().to_owned(),
-            reason: reason.to_owned(),
-        };
-        self.inner.chassis.post_system(system::BOOTSTRAP, failed);
     }
 }
 
@@ -734,103 +442,4 @@ pub fn mix(seed: u64, words: &[&str]) -> u64 {
         hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
     }
     hash ^ seed.rotate_left(32)
-}
-
-/// A call that has not been made yet; `.await` makes it.
-#[must_use = "a call is made when it is awaited"]
-pub struct Call<C: Command> {
-    cx: Context,
-    to: TaskRef,
-    request: C,
-    deadline: Duration,
-    flags: Flags,
-}
-
-impl<C: Command> Call<C> {
-    /// Waits at most this long for the reply.
-    pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.deadline = deadline;
-        self
-    }
-
-    /// Overtakes messages of normal priority in the receiver's queue.
-    pub fn high_priority(mut self) -> Self {
-        self.flags = self.flags.with(Flags::HIGH_PRIORITY);
-        self
-    }
-
-    async fn run(self) -> Result<C::Reply, CallError> {
-        let Self {
-            cx,
-            to,
-            request,
-            deadline,
-            flags,
-        } = self;
-        let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx
-            .ask(&to, C::NAME, envelope, WaitFor::Reply, deadline)
-            .await;
-        let reply = answer.and_then(|data| {
-            data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
-                text: format!("its reply: {error}"),
-            })
-        });
-        reply.map_err(|fault| cx.error(&to, C::NAME, fault))
-    }
-}
-
-impl<C: Command> IntoFuture for Call<C> {
-    type Output = Result<C::Reply, CallError>;
-    type IntoFuture = LocalBoxFuture<'static, Self::Output>;
-
-    fn into_future(self) -> Self::IntoFuture {
-        Box::pin(self.run())
-    }
-}
-
-/// A one-way message that has not been sent yet; `.await` sends it.
-#[must_use = "a message is sent when it is awaited"]
-pub struct Send<C: Command> {
-    call: Call<C>,
-}
-
-impl<C: Command> Send<C> {
-    /// Waits at most this long for room in the receiver's queue.
-    pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.call.deadline = deadline;
-        self
-    }
-
-    /// Overtakes messages of normal priority in the receiver's queue.
-    pub fn high_priority(mut self) -> Self {
-        self.call = self.call.high_priority();
-        self
-    }
-
-    async fn run(self) -> Result<(), CallError> {
-        let Call {
-            cx,
-            to,
-            request,
-            deadline,
-            flags,
-        } = self.call;
-        let envelope = cx.envelope(&to, C::CODE, flags, Data::of(request));
-        let answer = cx
-            .ask(&to, C::NAME, envelope, WaitFor::Acceptance, deadline)
-            .await;
-        answer
-            .map(|_| ())
-            .map_err(|fault| cx.error(&to, C::NAME, fault))
-    }
-}
-
-impl<C: Command> IntoFuture for Send<C> {
-    type Output = Result<(), CallError>;
-    type IntoFuture = Pin<Box<dyn Future<Output = Self::Output>>>;
-
-    fn into_future(self) -> Self::IntoFuture {
-        Box::pin(self.run())
-    }
 }

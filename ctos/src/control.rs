@@ -7,6 +7,7 @@
 pub mod client;
 pub mod protocol;
 
+mod gate;
 mod logs;
 mod moves;
 mod place;

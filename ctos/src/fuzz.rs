@@ -36,12 +36,13 @@ const LONGEST: usize = 4096;
 /// What is done with an input.
 type Target = fn(&[u8]);
 
-const TARGETS: [(&str, Target); 5] = [
+const TARGETS: [(&str, Target); 6] = [
     ("header", header),
     ("packets", packets),
     ("handshake", handshake),
     ("config", config),
     ("payload", payload),
+    ("agent", crate::remote::fuzz),
 ];
 
 /// Sixteen bytes are a header whatever they are, and are the same bytes again.
@@ -130,6 +131,7 @@ fn own(target: &str) -> Vec<Vec<u8>> {
             vec![packets.concat()]
         }
         "handshake" => vec![crate::link::handshake::greeting_of_corpus()],
+        "agent" => crate::remote::corpus(),
         "config" => vec![crate::config::DEFAULTS.as_bytes().to_vec()],
         _ => {
             let fault = crate::call::Fault::NoReply;

@@ -15,6 +15,8 @@ extern crate self as ctos;
 #[doc(hidden)]
 pub use serde;
 
+#[doc(hidden)]
+pub mod bench;
 pub mod boot;
 pub mod call;
 pub mod chassis;
@@ -25,6 +27,7 @@ pub mod message;
 pub mod realtime;
 pub mod record;
 pub mod registry;
+pub mod remote;
 pub mod security;
 pub mod semaphore;
 pub mod simulation;
@@ -37,22 +40,32 @@ pub mod time;
 pub mod watch;
 
 mod agent;
+mod blob;
 mod bootstrap;
 mod children;
 mod circle;
+mod concurrent;
 mod context;
 mod directory;
+mod exchange;
 #[cfg(test)]
 mod fuzz;
+mod inbox;
 mod link;
 mod mailbox;
 mod moving;
 mod names;
+mod parcel;
+mod placement;
 mod processor;
+mod reply;
+mod room;
 mod runner;
 mod statistics;
+mod timers;
 mod waits;
 
+pub use blob::Blob;
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use ctos_derive::handler;
 pub use message::Command;

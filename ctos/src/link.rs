@@ -2,6 +2,7 @@
 
 pub(crate) mod handshake;
 pub(crate) mod injure;
+pub(crate) mod lookout;
 pub(crate) mod session;
 pub(crate) mod shm;
 pub(crate) mod simulated;
@@ -12,7 +13,7 @@ pub(crate) mod zenoh;
 #[path = "link/no_zenoh.rs"]
 pub(crate) mod zenoh;
 
-use crate::message::Header;
+use crate::{blob::Body, message::Header};
 
 /// The largest frame that is sent or accepted, bytes.
 pub(crate) const FRAME_LIMIT: usize = 64 * 1024 * 1024;
@@ -35,7 +36,7 @@ pub(crate) struct Frame {
     /// How long the sender still waits, ns; clocks of two hosts need not agree. [`NO_DEADLINE`] when
     /// it does not wait.
     pub(crate) left_ns: u64,
-    pub(crate) body: Vec<u8>,
+    pub(crate) body: Body,
 }
 
 /// Nobody waits for the answer to this frame.
@@ -88,7 +89,7 @@ impl Frame {
             call: u64::from_le_bytes(call),
             trace: u64::from_le_bytes(trace),
             left_ns: u64::from_le_bytes(left_ns),
-            body,
+            body: body.into(),
         })
     }
 }
@@ -97,7 +98,7 @@ impl Frame {
 impl Frame {
     /// Head and data in one piece.
     pub(crate) fn encode(&self) -> Vec<u8> {
-        [&self.head()[..], &self.body].concat()
+        [&self.head()[..], &self.body.clone().into_vec()].concat()
     }
 
     /// Reads what [`Self::encode`] wrote.
@@ -119,7 +120,7 @@ impl Frame {
             call: 1,
             trace: 0,
             left_ns: NO_DEADLINE,
-            body,
+            body: body.into(),
         }
     }
 }
@@ -191,7 +192,7 @@ mod tests {
                 call,
                 trace,
                 left_ns,
-                body,
+                body: body.into(),
             };
             prop_assert_eq!(Frame::decode(&frame.encode()).unwrap(), frame);
         }

@@ -4,14 +4,22 @@
 //! typed pointer and is never encoded; between chassis it is postcard behind the header. A receiver
 //! cannot tell the difference: [`Message::open`] yields the typed request either way.
 
-use std::{any::Any, fmt};
+mod command;
+mod data;
 
-use serde::{Serialize, de::DeserializeOwned};
+use std::fmt;
+
+use serde::Serialize;
 
 use crate::{
     call::{Fault, ReplySlot},
     time::Instant,
 };
+
+pub(crate) use data::append;
+
+pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
+pub use data::{Data, Parcel, Payload, PayloadError};
 
 /// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
 #[derive(
@@ -180,324 +188,6 @@ impl Header {
     }
 }
 
-pub use ctos_derive::Command;
-
-/// A request that a task takes: its data, its code, its name and the type of its reply. Derived:
-///
-/// ```
-/// use ctos::message::Command;
-/// use serde::{Deserialize, Serialize};
-///
-/// /// Greets somebody.
-/// #[derive(Serialize, Deserialize, Command)]
-/// #[command(reply = String, code = 0x0001)]
-/// struct Greet {
-///     name: String,
-/// }
-/// assert_eq!((Greet::NAME, Greet::DOC), ("greet", "Greets somebody."));
-/// ```
-///
-/// [`command!`](crate::command) says the same on one line.
-pub trait Command: Serialize + DeserializeOwned + Send + 'static {
-    /// What the task answers.
-    type Reply: Serialize + DeserializeOwned + Send + 'static;
-    /// Code in the header; unique among the commands of one handler and below [`SYSTEM_COMMANDS`].
-    const CODE: u16;
-    /// Name in nets, text and logs.
-    const NAME: &'static str;
-    /// One line of help.
-    const DOC: &'static str;
-    /// The description that a handler registers.
-    const INFO: CommandInfo = CommandInfo {
-        code: Self::CODE,
-        name: Self::NAME,
-        doc: Self::DOC,
-        request: ToJson::of::<Self>(),
-        reply: ToJson::of::<Self::Reply>(),
-    };
-}
-
-/// Codes from here on belong to the runtime.
-pub const SYSTEM_COMMANDS: u16 = 0xff00;
-
-/// What is known of a command without its types.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct CommandInfo {
-    /// Code in the header.
-    pub code: u16,
-    /// Name in nets, text and logs.
-    pub name: &'static str,
-    /// One line of help.
-    pub doc: &'static str,
-    /// Turns the bytes of a request into text.
-    pub request: ToJson,
-    /// Turns the bytes of a reply into text.
-    pub reply: ToJson,
-}
-
-/// Turns postcard bytes of one type into JSON, for people and programs that do not know the type.
-#[derive(Clone, Copy)]
-pub struct ToJson(fn(&[u8], &mut Vec<u8>) -> Result<(), PayloadError>);
-
-impl ToJson {
-    /// For values of type `T`.
-    #[must_use]
-    pub const fn of<T: Serialize + DeserializeOwned + 'static>() -> Self {
-        Self(to_json::<T>)
-    }
-
-    /// Appends `bytes` as JSON to `json`, which is left as it was when they are not such a value.
-    ///
-    /// # Errors
-    /// What is wrong with the bytes.
-    pub fn convert(self, bytes: &[u8], json: &mut Vec<u8>) -> Result<(), PayloadError> {
-        let length = json.len();
-        let converted = (self.0)(bytes, json);
-        if converted.is_err() {
-            json.truncate(length);
-        }
-        converted
-    }
-}
-
-fn to_json<T: Serialize + DeserializeOwned + 'static>(
-    bytes: &[u8],
-    json: &mut Vec<u8>,
-) -> Result<(), PayloadError> {
-    let value = decode::<T>(bytes)?;
-    serde_json::to_writer(json, &value).map_err(|error| PayloadError {
-        expected: std::any::type_name::<T>(),
-        reason: error.to_string(),
-    })
-}
-
-/// Code, name and documentation say what a command is; how it is turned into text follows from them.
-impl PartialEq for ToJson {
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
-
-impl Eq for ToJson {}
-
-impl fmt::Debug for ToJson {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("ToJson")
-    }
-}
-
-/// Declares a typed command: the request with its documentation, `=>` its reply, code and name.
-///
-/// ```
-/// ctos::command! {
-///     /// Greets somebody.
-///     pub struct Greet { pub name: String } => String, 0x0001, "greet"
-/// }
-/// # use ctos::message::Command;
-/// assert_eq!(Greet::DOC, "Greets somebody.");
-/// ```
-#[macro_export]
-macro_rules! command {
-    ($(
-        $(#[doc = $doc:literal])+
-        $(#[derive($($derive:path),* $(,)?)])?
-        $vis:vis struct $name:ident $({ $($(#[$field_meta:meta])* $field_vis:vis $field:ident : $type:ty),* $(,)? })?
-        => $reply:ty, $code:expr, $text:literal $(;)?
-    )+) => {$(
-        $(#[doc = $doc])+
-        #[derive($crate::serde::Serialize, $crate::serde::Deserialize $(, $($derive),*)?)]
-        #[serde(crate = "ctos::serde")]
-        $vis struct $name { $($($(#[$field_meta])* $field_vis $field : $type),*)? }
-
-        impl $crate::message::Command for $name {
-            type Reply = $reply;
-            const CODE: u16 = $code;
-            const NAME: &'static str = $text;
-            const DOC: &'static str = $crate::message::trimmed(concat!($($doc),+));
-        }
-    )+};
-}
-
-/// Drops the blank that rustdoc leaves in front of a documentation line.
-#[doc(hidden)]
-#[must_use]
-pub const fn trimmed(text: &'static str) -> &'static str {
-    match text.as_bytes() {
-        [b' ', ..] => text.split_at(1).1,
-        _ => text,
-    }
-}
-
-/// Data that can move as a pointer and be encoded when it must leave the chassis.
-pub trait Payload: Any + Send {
-    /// Postcard bytes.
-    ///
-    /// # Errors
-    /// When the value cannot be serialized.
-    fn encode(&self) -> Result<Vec<u8>, PayloadError>;
-
-    /// Appends the postcard bytes to `buffer`; after an error part of them may be there.
-    ///
-    /// # Errors
-    /// When the value cannot be serialized.
-    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError>;
-
-    /// The pointer, for a checked downcast.
-    fn into_any(self: Box<Self>) -> Box<dyn Any + Send>;
-}
-
-impl<T: Serialize + Send + 'static> Payload for T {
-    fn encode(&self) -> Result<Vec<u8>, PayloadError> {
-        postcard::to_stdvec(self).map_err(|error| PayloadError {
-            expected: std::any::type_name::<T>(),
-            reason: error.to_string(),
-        })
-    }
-
-    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
-        append(self, buffer).map_err(|error| PayloadError {
-            expected: std::any::type_name::<T>(),
-            reason: error.to_string(),
-        })
-    }
-
-    fn into_any(self: Box<Self>) -> Box<dyn Any + Send> {
-        self
-    }
-}
-
-/// Appends the postcard bytes of `value` to `buffer`.
-pub(crate) fn append<T: Serialize + ?Sized>(
-    value: &T,
-    buffer: &mut Vec<u8>,
-) -> Result<(), postcard::Error> {
-    postcard::serialize_with_flavor(value, Appending(buffer))
-}
-
-/// A postcard output that appends to a buffer of somebody else's.
-struct Appending<'a>(&'a mut Vec<u8>);
-
-impl postcard::ser_flavors::Flavor for Appending<'_> {
-    type Output = ();
-
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.0.push(byte);
-        Ok(())
-    }
-
-    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        self.0.extend_from_slice(bytes);
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
-    }
-}
-
-/// Data that is not what the receiver expects.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("data is not a {expected}: {reason}")]
-pub struct PayloadError {
-    /// The type that was expected.
-    pub expected: &'static str,
-    /// Why the data is not one.
-    pub reason: String,
-}
-
-/// Reads exactly one `T`.
-fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadError> {
-    let expected = std::any::type_name::<T>();
-    match postcard::take_from_bytes::<T>(bytes) {
-        Ok((value, [])) => Ok(value),
-        Ok((_, rest)) => Err(PayloadError {
-            expected,
-            reason: format!("{} bytes too many", rest.len()),
-        }),
-        Err(error) => Err(PayloadError {
-            expected,
-            reason: error.to_string(),
-        }),
-    }
-}
-
-/// The data of a message: a typed pointer inside a chassis, bytes from another one.
-pub enum Data {
-    /// A value of the sender's, moved.
-    Typed(Box<dyn Payload>),
-    /// Postcard bytes.
-    Bytes(Vec<u8>),
-}
-
-impl Data {
-    /// Data that moves `value`.
-    pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
-        Self::Typed(Box::new(value))
-    }
-
-    /// The value, moved out or decoded.
-    ///
-    /// # Errors
-    /// When the pointer is of another type, or the bytes do not decode to exactly one `T`.
-    pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
-        let expected = std::any::type_name::<T>();
-        match self {
-            Self::Typed(payload) => match payload.into_any().downcast::<T>() {
-                Ok(value) => Ok(*value),
-                Err(_) => Err(PayloadError {
-                    expected,
-                    reason: "the sender passed another type".to_owned(),
-                }),
-            },
-            Self::Bytes(bytes) => decode::<T>(&bytes),
-        }
-    }
-
-    /// Appends the bytes that would go on the wire to `buffer`; the data stays.
-    ///
-    /// # Errors
-    /// When a typed value cannot be encoded.
-    pub(crate) fn append_to(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
-        match self {
-            Self::Typed(payload) => payload.encode_into(buffer),
-            Self::Bytes(bytes) => {
-                buffer.extend_from_slice(bytes);
-                Ok(())
-            }
-        }
-    }
-
-    /// The bytes to put on the wire.
-    ///
-    /// # Errors
-    /// When a typed value cannot be encoded.
-    pub fn into_bytes(self) -> Result<Vec<u8>, PayloadError> {
-        match self {
-            Self::Typed(payload) => payload.encode(),
-            Self::Bytes(bytes) => Ok(bytes),
-        }
-    }
-}
-
-impl Data {
-    /// The bytes that would be put on the wire; the data stays.
-    pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
-        match self {
-            Self::Typed(payload) => payload.encode(),
-            Self::Bytes(bytes) => Ok(bytes.clone()),
-        }
-    }
-}
-
-impl fmt::Debug for Data {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Typed(_) => f.write_str("Typed(..)"),
-            Self::Bytes(bytes) => write!(f, "Bytes({})", bytes.len()),
-        }
-    }
-}
-
 /// What an event handler is called with.
 #[derive(Debug)]
 pub struct Message {
@@ -545,6 +235,7 @@ impl Message {
     ///
     /// # Errors
     /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
+    #[inline]
     pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
         let slot = self.reply;
         match self.data.take::<C>() {

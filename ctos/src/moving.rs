@@ -37,9 +37,9 @@ use tokio::sync::oneshot;
 
 use crate::{
     call::{CallError, Fault, ReplySlot},
-    chassis::{Chassis, Envelope, TaskRecord, WaitFor},
+    chassis::{Chassis, Envelope, WaitFor},
     context::{Context, TaskRef},
-    mailbox::Acceptance,
+    mailbox::{Acceptance, TaskQueue},
     message::{Command, Data, Flags, Message, Replier, Tid},
     processor::panic_text,
     runner::{Origin, Runner, TaskSpec, drop_handler, record, start_at},
@@ -200,13 +200,13 @@ fn make_place(
     let new = Tid::new(chassis.index(), request.processor, slot);
     chassis.name().clone_into(&mut config.chassis);
     name.clone_into(&mut config.processor);
-    let record = record(&request.name, new, Some(&config));
+    let record = record(&request.name, new, Some(&config), processor);
     let everybody = chassis.others().chain([chassis.index()]);
     record.mailbox.close_gates(everybody.collect());
     let spec = TaskSpec {
         record,
         config: Some(config),
-        commands: kind.commands().to_vec(),
+        commands: kind.commands_shared(),
         build: kind.builder(),
     };
     let (ready, readied) = oneshot::channel();
@@ -330,15 +330,15 @@ pub(crate) async fn depart(runner: &mut Runner, message: Message) -> Option<Depa
             return None;
         }
     };
-    let mailbox = runner.record.mailbox.clone();
-    mailbox.hold();
+    let queue = runner.queue.clone();
+    queue.hold();
     // The old handler is finished before the new one begins.
     if let Some(handler) = runner.handler.take() {
         drop_handler(&runner.cx, handler);
     }
     runner.end_incarnation(Ending::Order).await;
     runner.kept = Some(state.clone());
-    let accepted = mailbox.take_accepted();
+    let accepted = queue.take_accepted();
     match prepare(runner, to, state, &accepted).await {
         Ok((new, copies)) => {
             let _ = reply.ok(new);
@@ -348,7 +348,7 @@ pub(crate) async fn depart(runner: &mut Runner, message: Message) -> Option<Depa
             })
         }
         Err(why) => {
-            mailbox.release(accepted);
+            queue.release(accepted);
             let _ = reply.fail(why);
             None
         }
@@ -386,10 +386,10 @@ async fn prepare(
     state: Vec<u8>,
     accepted: &[Message],
 ) -> Result<(Tid, Vec<Option<UnderWay>>), String> {
-    let (cx, mailbox) = (&runner.cx, runner.record.mailbox.clone());
+    let (cx, queue) = (&runner.cx, runner.queue.clone());
     let agent = agent_of(to.chassis);
     let readying = pin!(make_ready(cx, &agent, to, state, accepted));
-    let (new, copies) = match select(readying, pin!(mailbox.stop_waits())).await {
+    let (new, copies) = match select(readying, pin!(queue.stop_waits())).await {
         Either::Left((ready, _)) => ready?,
         // The place is given up by the agent there when this end of its call is dropped.
         Either::Right(((), _)) => return Err("it is being stopped".to_owned()),
@@ -524,7 +524,7 @@ async fn begin(cx: &Context, agent: &TaskRef, to: Tid, what: Load, deadline: Dur
 }
 
 /// Sends on what still comes to the old place, in its order, until nobody can send there any more.
-pub(crate) async fn forward(cx: &Context, record: &Arc<TaskRecord>, departed: Departed) {
+pub(crate) async fn forward(cx: &Context, queue: &TaskQueue, departed: Departed) {
     let Departed { to, accepted } = departed;
     let agent = agent_of(to.chassis());
     for (message, load) in accepted {
@@ -532,7 +532,7 @@ pub(crate) async fn forward(cx: &Context, record: &Arc<TaskRecord>, departed: De
             see_through(cx, message.reply, Acceptance::Silent, load);
         }
     }
-    while let Some(batch) = record.mailbox.next_held().await {
+    while let Some(batch) = queue.next_held().await {
         let mut fences = Vec::new();
         for (message, acceptance) in batch {
             match message.command() {

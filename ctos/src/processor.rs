@@ -1,110 +1,82 @@
 //! A processor: one thread that runs tasks, their timers and their synchronous functions.
 //!
-//! The executor knows nothing of messages. It polls futures that were woken, fires timers, and calls
-//! cyclic functions at their deadlines, which come before everything else. In real time each
-//! processor has a thread of its own ([`Processor::run`]); in virtual time the simulation polls all
-//! processors from one thread through the small steps that `run` is made of.
+//! The executor knows nothing of what messages mean. It polls futures that were woken, fires timers,
+//! hands over what other threads brought to its inbox, and calls cyclic functions at their deadlines,
+//! which come before everything else. In real time each processor has a thread of its own
+//! ([`Processor::run`]); in virtual time the simulation polls all processors from one thread through
+//! the small steps that `run` is made of.
+//!
+//! What stays on the processor needs no atomics and no lock: queues of its tasks, calls that its tasks
+//! wait for, futures that are ready. The clock is read once after each poll; that moment counts as the
+//! beginning of whatever comes next.
+
+mod alarm;
+mod calls;
+mod futures;
+mod handle;
 
 use std::{
     any::Any,
     cell::{Cell, RefCell},
-    collections::{BTreeMap, VecDeque},
-    future::Future,
     panic::{AssertUnwindSafe, catch_unwind},
-    pin::Pin,
     rc::Rc,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
-    },
-    task::{Context as PollContext, Poll, Wake, Waker},
-    thread::Thread,
+    sync::{Arc, atomic::Ordering},
+    task::Waker,
     time::Duration,
 };
 
+use self::{alarm::Timed, futures::Futures, handle::Item};
 use crate::{
-    call::lock,
+    call::ReplySlot,
+    exchange::{CallKey, Calls},
+    mailbox::{Mailbox, TaskQueue},
+    message::Tid,
     sync::Schedule,
     time::{Clock, Instant},
+    timers::Timers,
 };
 
-/// Work brought to a processor from another thread.
-type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
-
-/// The part of a processor that other threads may touch.
-#[derive(Default)]
-pub(crate) struct ProcessorHandle {
-    ready: Mutex<VecDeque<u64>>,
-    jobs: Mutex<Vec<Job>>,
-    thread: Mutex<Option<Thread>>,
-    stop: AtomicBool,
-}
-
-impl ProcessorHandle {
-    /// Runs `job` on the processor's thread, soon.
-    pub(crate) fn inject(&self, job: impl FnOnce(&Rc<Processor>) + Send + 'static) {
-        lock(&self.jobs).push(Box::new(job));
-        self.unpark();
-    }
-
-    /// Ends [`Processor::run`] after the present step.
-    pub(crate) fn stop(&self) {
-        self.stop.store(true, Ordering::Release);
-        self.unpark();
-    }
-
-    /// Wakes the processor, if it sleeps.
-    pub(crate) fn unpark(&self) {
-        if let Some(thread) = lock(&self.thread).as_ref() {
-            thread.unpark();
-        }
-    }
-}
-
-struct FutureWaker {
-    id: u64,
-    queued: AtomicBool,
-    processor: Arc<ProcessorHandle>,
-}
-
-impl Wake for FutureWaker {
-    fn wake(self: Arc<Self>) {
-        self.wake_by_ref();
-    }
-
-    fn wake_by_ref(self: &Arc<Self>) {
-        if !self.queued.swap(true, Ordering::AcqRel) {
-            lock(&self.processor.ready).push_back(self.id);
-            self.processor.unpark();
-        }
-    }
-}
-
-/// Called with what a child future's panic said.
-type PanicHook = Rc<dyn Fn(String)>;
-
-struct Entry {
-    /// Out while it is being polled.
-    future: Option<Pin<Box<dyn Future<Output = ()>>>>,
-    waker: Arc<FutureWaker>,
-    on_panic: Option<PanicHook>,
-}
-
-#[derive(Default)]
-struct Timers {
-    queue: BTreeMap<(Instant, u64), Waker>,
-    next: u64,
-}
+pub(crate) use self::{
+    futures::{FutureId, LocalWake},
+    handle::ProcessorHandle,
+};
 
 /// One processor, seen from its own thread.
 pub(crate) struct Processor {
     pub(crate) handle: Arc<ProcessorHandle>,
     clock: Clock,
-    futures: RefCell<BTreeMap<u64, Entry>>,
-    next_future: Cell<u64>,
-    timers: RefCell<Timers>,
+    /// The moment at which the runtime last took over from the code of tasks, or woke up.
+    recent: Cell<Instant>,
+    /// Whether no code of tasks has run since then.
+    fresh: Cell<bool>,
+    futures: RefCell<Futures>,
+    /// The future that is being polled, and its waker.
+    current: RefCell<Option<(FutureId, Waker)>>,
+    timers: RefCell<Timers<Timed>>,
+    calls: RefCell<Calls>,
+    /// Calls of the present poll, whose time runs from its end.
+    begun: RefCell<Vec<CallKey>>,
+    /// Slots of calls that were made lately: they have no timers, and nobody sees them who wants to know
+    /// what their tasks wait for.
+    young: RefCell<Vec<u32>>,
+    /// When these are looked after at the latest, if nothing leads to it before.
+    young_until: Cell<Instant>,
+    queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
+    /// Queues of the other processors of the chassis, by processor and slot, that messages went to.
+    routes: RefCell<Vec<Vec<Option<Arc<Mailbox>>>>>,
+    batch: RefCell<Vec<Item>>,
     /// Its synchronous functions.
     pub(crate) schedule: Schedule,
+    /// The next trace ids of its tasks, and where they end.
+    traces: Cell<(u64, u64)>,
+    handling: Cell<u64>,
+    next_serial: Cell<u64>,
+    orphan: RefCell<Option<ReplySlot>>,
+}
+
+thread_local! {
+    /// The processor whose code this thread runs.
+    static HERE: RefCell<Option<Rc<Processor>>> = const { RefCell::new(None) };
 }
 
 impl Processor {
@@ -121,152 +93,250 @@ impl Processor {
     ) -> Rc<Self> {
         Rc::new(Self {
             handle,
+            recent: Cell::new(clock.now()),
+            fresh: Cell::new(false),
             clock,
             futures: RefCell::default(),
-            next_future: Cell::new(0),
+            current: RefCell::default(),
             timers: RefCell::default(),
+            calls: RefCell::default(),
+            begun: RefCell::default(),
+            young: RefCell::default(),
+            young_until: Cell::new(Instant::LAST),
+            queues: RefCell::default(),
+            routes: RefCell::default(),
+            batch: RefCell::default(),
             schedule,
+            traces: Cell::new((0, 0)),
+            handling: Cell::new(0),
+            next_serial: Cell::new(1),
+            orphan: RefCell::default(),
         })
     }
 
+    /// The present moment.
+    #[inline]
     pub(crate) fn now(&self) -> Instant {
         self.clock.now()
     }
 
-    /// Adds a future; the number cancels it again.
-    pub(crate) fn spawn(
-        &self,
-        future: impl Future<Output = ()> + 'static,
-        on_panic: Option<PanicHook>,
-    ) -> u64 {
-        let id = self.next_future.get();
-        self.next_future.set(id + 1);
-        let waker = Arc::new(FutureWaker {
-            id,
-            queued: AtomicBool::new(false),
-            processor: self.handle.clone(),
+    /// The moment at which the runtime last took over from the code of tasks.
+    #[inline]
+    pub(crate) fn recent(&self) -> Instant {
+        self.recent.get()
+    }
+
+    /// Reads the clock where code of a task has just ended.
+    #[inline]
+    pub(crate) fn look_at_clock(&self) -> Instant {
+        let now = self.clock.now();
+        self.recent.set(now);
+        self.fresh.set(true);
+        now
+    }
+
+    /// The moment at which code of a task has ended: that of the last look, if none has run since.
+    #[inline]
+    fn moment(&self) -> Instant {
+        if self.fresh.get() {
+            self.recent.get()
+        } else {
+            self.look_at_clock()
+        }
+    }
+
+    /// Code of a task is about to run: the last look at the clock will be an old one.
+    #[inline]
+    pub(crate) fn leave(&self) {
+        self.fresh.set(false);
+    }
+
+    // -- which processor this thread runs ---------------------------------------------------
+
+    /// From now on this thread runs code of this processor.
+    #[inline]
+    pub(crate) fn enter(self: &Rc<Self>) {
+        let before = HERE.with(|here| {
+            let mut here = here.borrow_mut();
+            match here.as_ref() {
+                Some(here) if Rc::ptr_eq(here, self) => None,
+                _ => here.replace(self.clone()),
+            }
         });
-        let entry = Entry {
-            future: Some(Box::pin(future)),
-            waker: waker.clone(),
-            on_panic,
-        };
-        self.futures.borrow_mut().insert(id, entry);
-        waker.wake();
-        id
+        // Outside the borrow: the last owner of a processor ends what waits there.
+        drop(before);
     }
 
-    /// Drops a future. A future that cancels itself ends at its next await.
-    pub(crate) fn cancel(&self, id: u64) {
-        let entry = self.futures.borrow_mut().remove(&id);
-        // Dropped outside the borrow: destructors may spawn, wake or cancel.
-        drop_contained(entry);
+    /// The processor of `handle`, if this thread runs it.
+    #[inline]
+    pub(crate) fn here_if(handle: &Arc<ProcessorHandle>) -> Option<Rc<Self>> {
+        let here = HERE.try_with(|here| {
+            let here = here.borrow();
+            let here = here.as_ref()?;
+            Arc::ptr_eq(&here.handle, handle).then(|| here.clone())
+        });
+        here.ok().flatten()
     }
 
-    /// A future that ends at `deadline`.
-    pub(crate) fn sleep_until(self: &Rc<Self>, deadline: Instant) -> Sleep {
-        Sleep {
-            processor: self.clone(),
-            deadline,
-            key: None,
+    /// The processor that this thread runs.
+    pub(crate) fn here() -> Option<Rc<Self>> {
+        HERE.try_with(|here| here.borrow().clone()).ok().flatten()
+    }
+
+    // -- queues of tasks --------------------------------------------------------------------
+
+    /// Makes the queue of the task in `slot` known.
+    pub(crate) fn add_queue(&self, slot: u16, queue: Rc<TaskQueue>) {
+        let mut queues = self.queues.borrow_mut();
+        let slot = usize::from(slot);
+        if queues.len() <= slot {
+            queues.resize_with(slot + 1, || None);
+        }
+        if let Some(place) = queues.get_mut(slot) {
+            *place = Some(queue);
         }
     }
 
-    /// Runs the jobs that other threads brought. True when there were some.
+    /// The queue of the task in `slot`.
+    #[inline]
+    pub(crate) fn queue(&self, slot: u16) -> Option<Rc<TaskQueue>> {
+        self.queues.borrow().get(usize::from(slot))?.clone()
+    }
+
+    /// Forgets the queue of the task in `slot` and refuses what is in it.
+    pub(crate) fn close_queue(&self, slot: u16) {
+        let queue = self
+            .queues
+            .borrow_mut()
+            .get_mut(usize::from(slot))
+            .and_then(Option::take);
+        if let Some(queue) = queue {
+            queue.close(self);
+        }
+    }
+
+    /// The open queue of `to`, a task of another processor of this chassis; `find` is asked when it
+    /// is not known here.
+    pub(crate) fn route(
+        &self,
+        to: Tid,
+        find: impl FnOnce() -> Option<Arc<Mailbox>>,
+    ) -> Option<std::cell::Ref<'_, Arc<Mailbox>>> {
+        let (processor, slot) = (usize::from(to.processor()), usize::from(to.slot()));
+        let known = std::cell::Ref::filter_map(self.routes.borrow(), |routes| {
+            let mailbox = routes.get(processor)?.get(slot)?.as_ref()?;
+            (!mailbox.is_closed()).then_some(mailbox)
+        });
+        match known {
+            Ok(known) => return Some(known),
+            // Not known, or closed; the cell is free again.
+            Err(routes) => drop(routes),
+        }
+        let found = find();
+        let mut routes = self.routes.borrow_mut();
+        if routes.len() <= processor {
+            routes.resize_with(processor + 1, Vec::new);
+        }
+        let slots = routes.get_mut(processor)?;
+        if slots.len() <= slot {
+            slots.resize_with(slot + 1, || None);
+        }
+        *slots.get_mut(slot)? = found;
+        drop(routes);
+        std::cell::Ref::filter_map(self.routes.borrow(), |routes| {
+            routes.get(processor)?.get(slot)?.as_ref()
+        })
+        .ok()
+    }
+
+    /// A trace id that no other message of the run has; `more` gives the first of as many new ones.
+    #[inline]
+    pub(crate) fn fresh_trace(&self, more: impl FnOnce(u64) -> u64) -> u64 {
+        /// So many at once, so that the processors of a chassis rarely meet at its counter.
+        const BLOCK: u64 = 256;
+        let (mut next, mut end) = self.traces.get();
+        if next == end {
+            next = more(BLOCK);
+            end = next + BLOCK;
+        }
+        self.traces.set((next + 1, end));
+        next
+    }
+
+    // -- what others bring ------------------------------------------------------------------
+
+    /// Takes in what other threads brought. True when there was something.
     pub(crate) fn run_jobs(self: &Rc<Self>) -> bool {
-        let jobs = std::mem::take(&mut *lock(&self.handle.jobs));
-        let any = !jobs.is_empty();
-        for job in jobs {
-            job(self);
+        if !self.handle.inbox.is_filled() {
+            return false;
         }
+        self.enter();
+        let mut batch = std::mem::take(&mut *self.batch.borrow_mut());
+        self.handle.inbox.swap(&mut batch);
+        let any = !batch.is_empty();
+        // Whoever sends much sends it to the same task.
+        let mut last: Option<(u16, Rc<TaskQueue>)> = None;
+        for item in batch.drain(..) {
+            let Item::Message(slot, delivery) = item else {
+                end_batch(last.take());
+                self.take_in(item);
+                continue;
+            };
+            if last.as_ref().is_none_or(|(of, _)| *of != slot) {
+                end_batch(last.take());
+                last = self.queue(slot).map(|queue| (slot, queue));
+            }
+            match &last {
+                Some((_, queue)) => queue.take_in(self, delivery),
+                None => delivery.refuse(),
+            }
+        }
+        end_batch(last);
+        *self.batch.borrow_mut() = batch;
         any
     }
 
-    /// How many futures are ready to be polled.
-    pub(crate) fn ready_count(&self) -> usize {
-        lock(&self.handle.ready).len()
-    }
-
-    /// Polls the `index`-th ready future. False when there is none.
-    pub(crate) fn poll_ready(&self, index: usize) -> bool {
-        let Some(id) = lock(&self.handle.ready).remove(index) else {
-            return false;
-        };
-        let taken = {
-            let mut futures = self.futures.borrow_mut();
-            futures.get_mut(&id).and_then(|entry| {
-                // A swap, so that what a waker that comes too late to queue again has written is
-                // seen by the poll below.
-                entry.waker.queued.swap(false, Ordering::AcqRel);
-                let future = entry.future.take()?;
-                Some((future, entry.waker.clone(), entry.on_panic.clone()))
-            })
-        };
-        let Some((mut future, waker, on_panic)) = taken else {
-            return true;
-        };
-        let waker = Waker::from(waker);
-        let mut cx = PollContext::from_waker(&waker);
-        match catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx))) {
-            Ok(Poll::Pending) => {
-                if let Some(entry) = self.futures.borrow_mut().get_mut(&id) {
-                    entry.future = Some(future);
-                    return true;
+    fn take_in(self: &Rc<Self>, item: Item) {
+        match item {
+            Item::Message(slot, delivery) => match self.queue(slot) {
+                Some(queue) => {
+                    queue.take_in(self, delivery);
+                    queue.end_batch();
                 }
-                // It was cancelled while it was polled.
-                drop_contained(future);
+                None => delivery.refuse(),
+            },
+            Item::Answer(ticket, answer) => self.take_answer(ticket, answer),
+            Item::AnswerByKey(key, answer) => self.take_answer_by_key(key, answer),
+            Item::Wake(id) => {
+                if let Some(entry) = self.futures.borrow_mut().entry(id)
+                    && let Some(shared) = &entry.shared
+                {
+                    // A swap, so that what a waker that comes too late to be brought again has
+                    // written is seen by the poll that follows.
+                    shared.brought.swap(false, Ordering::AcqRel);
+                }
+                self.wake(id);
             }
-            Ok(Poll::Ready(())) => {
-                drop_contained(future);
-                self.cancel(id);
-            }
-            Err(panic) => {
-                drop_contained(future);
-                self.cancel(id);
-                if let Some(on_panic) = on_panic {
-                    on_panic(panic_text(panic.as_ref()));
+            Item::Close(slot) => self.close_queue(slot),
+            Item::Order(slot, order) => {
+                if let Some(queue) = self.queue(slot) {
+                    queue.obey(self, order);
                 }
             }
-        }
-        true
-    }
-
-    /// The next moment at which something is due without being woken.
-    pub(crate) fn next_deadline(&self) -> Option<Instant> {
-        let timer = self.timers.borrow().queue.keys().next().map(|key| key.0);
-        timer.into_iter().chain(self.schedule.next_due()).min()
-    }
-
-    /// Wakes the timers that are due.
-    pub(crate) fn fire_timers(&self) {
-        if self.timers.borrow().queue.is_empty() {
-            return;
-        }
-        let now = self.now();
-        loop {
-            let waker = {
-                let mut timers = self.timers.borrow_mut();
-                match timers.queue.first_entry() {
-                    Some(entry) if entry.key().0 <= now => Some(entry.remove()),
-                    _ => None,
-                }
-            };
-            match waker {
-                Some(waker) => waker.wake(),
-                None => return,
+            Item::Job(job) => {
+                job(self);
+                self.look_at_clock();
             }
+            Item::Nudge => {}
         }
     }
 
-    /// The moment at which a sleeping processor must be awake: for a timer, or shortly before a tick.
-    fn wake_at(&self) -> Option<Instant> {
-        let timer = self.timers.borrow().queue.keys().next().map(|key| key.0);
-        timer.into_iter().chain(self.schedule.wake_at()).min()
-    }
+    // -- the thread -------------------------------------------------------------------------
 
     /// The processor's thread: returns after [`ProcessorHandle::stop`].
     pub(crate) fn run(self: &Rc<Self>) {
-        *lock(&self.handle.thread) = Some(std::thread::current());
+        self.handle.parker.sit_down();
+        self.enter();
         let mut ticked = false;
         while !self.handle.stop.load(Ordering::Acquire) {
             self.run_jobs();
@@ -275,37 +345,105 @@ impl Processor {
                 self.schedule.spin_to_tick();
             }
             ticked = self.schedule.run();
-            self.fire_timers();
-            if self.poll_ready(0) {
-                continue;
+            if ticked {
+                self.look_at_clock();
             }
-            match self.wake_at() {
-                Some(deadline) => {
-                    let wait = deadline.since(self.now());
-                    if wait > Duration::ZERO {
-                        std::thread::park_timeout(wait);
-                    }
-                }
-                None => std::thread::park(),
+            self.fire_due(self.recent.get());
+            if !self.poll_ready(0) {
+                self.wait();
             }
         }
         self.clear();
     }
 
-    /// Drops every future, so that what they own is released and answered.
-    pub(crate) fn clear(&self) {
+    /// Waits for something to do: awake for a while if so told, then asleep.
+    fn wait(&self) {
+        let now = self.moment();
+        if self.spin(now) {
+            return;
+        }
+        self.settle_calls();
+        let deadline = self.wake_at();
+        let left = deadline.map(|deadline| deadline.since(self.look_at_clock()));
+        if left == Some(Duration::ZERO) || !self.handle.inbox.sleep() {
+            return;
+        }
+        self.handle.parker.park(left);
+        if self.ready_count() > 0 {
+            // What it read at the links was for tasks of its own.
+            self.handle.parker.had_work();
+        }
+        self.look_at_clock();
+    }
+
+    /// Looks for work without sleeping, as long as the processor was told to. Never yields: that would
+    /// hand the core to whoever else wants it for a whole slice. True when there is something to do.
+    fn spin(&self, since: Instant) -> bool {
+        /// Looks between two looks at the clock.
+        const LOOKS: u32 = 32;
+        let spin = Duration::from_nanos(self.handle.spin_ns.load(Ordering::Relaxed));
+        if spin == Duration::ZERO {
+            return false;
+        }
+        let until = since + spin;
+        let deadline = self.wake_at().unwrap_or(Instant::LAST);
+        let deadline = deadline.min(self.young_until.get());
+        loop {
+            for _ in 0..LOOKS {
+                if self.handle.inbox.is_filled() {
+                    self.look_at_clock();
+                    return true;
+                }
+                std::hint::spin_loop();
+            }
+            let now = self.look_at_clock();
+            if deadline <= now {
+                return true;
+            }
+            if now >= until {
+                return false;
+            }
+        }
+    }
+
+    /// Drops every future, so that what they own is released and answered, and takes nothing more.
+    pub(crate) fn clear(self: &Rc<Self>) {
+        self.enter();
+        let brought = self.handle.inbox.close();
+        for item in brought {
+            match item {
+                // What waits for room or an answer is told; the rest only goes.
+                Item::Message(_, delivery) => delivery.refuse(),
+                item => drop_contained(item),
+            }
+        }
         loop {
             let futures = std::mem::take(&mut *self.futures.borrow_mut());
             let cyclics = self.schedule.clear();
-            let jobs = std::mem::take(&mut *lock(&self.handle.jobs));
-            if futures.is_empty() && !cyclics && jobs.is_empty() {
-                return;
+            let queues = std::mem::take(&mut *self.queues.borrow_mut());
+            let timers = self.timers.borrow_mut().clear();
+            if futures.entries.is_empty() && !cyclics && queues.is_empty() {
+                break;
             }
-            for (_, entry) in futures {
+            for entry in futures.entries {
                 drop_contained(entry);
             }
-            drop_contained(jobs);
+            for queue in queues.into_iter().flatten() {
+                queue.close(self);
+            }
+            drop_contained(timers);
         }
+        self.routes.borrow_mut().clear();
+        let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
+        // Outside the borrow, as in `enter`.
+        drop(here);
+    }
+}
+
+/// The last of some messages for one queue has been taken in.
+fn end_batch(queue: Option<(u16, Rc<TaskQueue>)>) {
+    if let Some((_, queue)) = queue {
+        queue.end_batch();
     }
 }
 
@@ -328,212 +466,5 @@ pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> String {
     }
 }
 
-/// Ends at a moment.
-pub(crate) struct Sleep {
-    processor: Rc<Processor>,
-    deadline: Instant,
-    key: Option<(Instant, u64)>,
-}
-
-impl Future for Sleep {
-    type Output = ();
-
-    fn poll(mut self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<()> {
-        if self.processor.now() >= self.deadline {
-            return Poll::Ready(());
-        }
-        let processor = self.processor.clone();
-        let mut timers = processor.timers.borrow_mut();
-        if let Some(key) = self.key.take() {
-            timers.queue.remove(&key);
-        }
-        let key = (self.deadline, timers.next);
-        timers.next += 1;
-        timers.queue.insert(key, cx.waker().clone());
-        self.key = Some(key);
-        Poll::Pending
-    }
-}
-
-impl Drop for Sleep {
-    fn drop(&mut self) {
-        if let Some(key) = self.key.take() {
-            self.processor.timers.borrow_mut().queue.remove(&key);
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{
-        call::{Promise, Waiting},
-        message::Data,
-        sync::{ScheduleSettings, Synchronous, Tick},
-    };
-
-    fn processor() -> (Rc<Processor>, Clock) {
-        let clock = Clock::virtual_clock();
-        (Processor::new(Arc::default(), clock.clone()), clock)
-    }
-
-    fn run_until_idle(processor: &Rc<Processor>) {
-        while processor.poll_ready(0) {}
-    }
-
-    #[test]
-    fn timers_end_in_the_order_of_their_deadlines() {
-        let (processor, clock) = processor();
-        let order = Rc::new(RefCell::new(Vec::new()));
-        for delay in [30, 10, 20] {
-            let sleep = processor.sleep_until(Instant::from_nanos(delay));
-            let order = order.clone();
-            processor.spawn(
-                async move {
-                    sleep.await;
-                    order.borrow_mut().push(delay);
-                },
-                None,
-            );
-        }
-        run_until_idle(&processor);
-        while let Some(next) = processor.next_deadline() {
-            clock.advance_to(next);
-            processor.fire_timers();
-            run_until_idle(&processor);
-        }
-        assert_eq!(*order.borrow(), [10, 20, 30]);
-    }
-
-    #[test]
-    fn a_panic_ends_its_future_only_and_is_reported() {
-        let (processor, _) = processor();
-        let said = Rc::new(RefCell::new(String::new()));
-        let heard = said.clone();
-        processor.spawn(
-            async { panic!("boom") },
-            Some(Rc::new(move |text| *heard.borrow_mut() = text)),
-        );
-        let done = Rc::new(Cell::new(false));
-        let flag = done.clone();
-        processor.spawn(async move { flag.set(true) }, None);
-        run_until_idle(&processor);
-        assert_eq!((said.borrow().as_str(), done.get()), ("boom", true));
-    }
-
-    #[test]
-    fn a_dropped_sleep_leaves_no_timer() {
-        let (processor, _) = processor();
-        let sleep = processor.sleep_until(Instant::from_nanos(5));
-        let id = processor.spawn(sleep, None);
-        run_until_idle(&processor);
-        assert!(processor.next_deadline().is_some());
-        processor.cancel(id);
-        assert!(processor.next_deadline().is_none());
-    }
-
-    #[test]
-    fn a_schedule_that_takes_all_the_time_does_not_starve_the_tasks() {
-        let (handle, clock) = (Arc::new(ProcessorHandle::default()), Clock::real());
-        let settings = ScheduleSettings {
-            period: Some(Duration::from_micros(100)),
-            spin: Duration::from_micros(50),
-            ..ScheduleSettings::default()
-        };
-        let schedule = Schedule::new(settings, clock.clone());
-        let processor = Processor::with_schedule(handle.clone(), clock.clone(), schedule);
-        let busy = move |tick: &Tick| while clock.now() < tick.due + Duration::from_micros(99) {};
-        let busy = processor
-            .schedule
-            .add(Synchronous::new("busy", busy))
-            .unwrap();
-        let left = Rc::new(Cell::new(200));
-        let turns = left.clone();
-        processor.spawn(
-            std::future::poll_fn(move |cx| {
-                turns.set(turns.get() - 1);
-                if turns.get() == 0 {
-                    handle.stop();
-                    return Poll::Ready(());
-                }
-                cx.waker().wake_by_ref();
-                Poll::Pending
-            }),
-            None,
-        );
-        processor.run();
-        assert_eq!(left.get(), 0);
-        assert!(busy.statistics().runs() > 0);
-    }
-
-    #[test]
-    fn a_destructor_that_panics_does_not_end_the_processor() {
-        struct Bad;
-        impl Drop for Bad {
-            fn drop(&mut self) {
-                if !std::thread::panicking() {
-                    panic!("in a destructor");
-                }
-            }
-        }
-        let (processor, _) = processor();
-        let bad = Bad;
-        let id = processor.spawn(
-            async move {
-                let _bad = bad;
-                std::future::pending::<()>().await;
-            },
-            None,
-        );
-        run_until_idle(&processor);
-        processor.cancel(id);
-        let done = Rc::new(Cell::new(false));
-        let flag = done.clone();
-        processor.spawn(async move { flag.set(true) }, None);
-        run_until_idle(&processor);
-        assert!(done.get());
-    }
-
-    #[test]
-    fn wakes_from_other_threads_are_never_lost() {
-        // Each round trip parks the processor; a lost wake-up would hang the test.
-        let handle = Arc::new(ProcessorHandle::default());
-        let (ask, asked) = std::sync::mpsc::channel::<Arc<Promise>>();
-        let answering = std::thread::spawn(move || {
-            for promise in asked {
-                promise.fulfil(Ok(Data::Bytes(Vec::new())));
-            }
-        });
-        let run = handle.clone();
-        let thread = std::thread::spawn(move || Processor::new(run, Clock::real()).run());
-        let stopper = handle.clone();
-        handle.inject(move |processor| {
-            processor.spawn(
-                async move {
-                    for _ in 0..20_000 {
-                        let promise = Arc::new(Promise::default());
-                        ask.send(promise.clone()).unwrap();
-                        Waiting::here(promise).await.unwrap();
-                    }
-                    stopper.stop();
-                },
-                None,
-            );
-        });
-        thread.join().unwrap();
-        answering.join().unwrap();
-    }
-
-    #[test]
-    fn a_job_from_another_thread_runs_on_the_processor() {
-        let handle = Arc::new(ProcessorHandle::default());
-        let other = handle.clone();
-        let thread = std::thread::spawn(move || {
-            let processor = Processor::new(handle, Clock::real());
-            processor.run();
-        });
-        let stopper = other.clone();
-        other.inject(move |_| stopper.stop());
-        thread.join().unwrap();
-    }
-}
+mod tests;

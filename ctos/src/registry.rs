@@ -27,7 +27,7 @@ type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
 /// A kind of event handler: how to build one, which commands it takes, how to check its arguments.
 pub struct HandlerKind {
     name: String,
-    commands: Vec<CommandInfo>,
+    commands: Arc<[CommandInfo]>,
     build: Build,
     checks: Vec<CheckTask>,
     waits_for: Option<WaitsFor>,
@@ -70,6 +70,11 @@ impl HandlerKind {
     ) -> &mut Self {
         self.checks.push(Box::new(check));
         self
+    }
+
+    /// The same, to be kept.
+    pub(crate) fn commands_shared(&self) -> Arc<[CommandInfo]> {
+        self.commands.clone()
     }
 
     /// Declares which other tasks a task of this kind waits for before it has finished its startup:
@@ -147,7 +152,7 @@ impl Registry {
     fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {
         let kind = HandlerKind {
             name: name.to_owned(),
-            commands: commands.to_vec(),
+            commands: commands.into(),
             build,
             checks: Vec::new(),
             waits_for: None,

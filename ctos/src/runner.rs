@@ -1,29 +1,30 @@
 //! The loop of a task: takes messages from its queue, calls its handler, contains its panics, and
 //! builds the handler anew as `supervise.rs` rules.
 
-use std::{panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+mod incarnation;
+mod serving;
 
-use futures_util::{
-    FutureExt,
-    future::{Either, LocalBoxFuture, select},
-};
+use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
 
+use futures_util::{FutureExt, future::LocalBoxFuture};
+
+pub(crate) use self::serving::{Served, Serving};
 use crate::{
-    call::{Fault, ReplySlot},
+    call::Fault,
     chassis::{Chassis, TaskRecord},
     config::TaskConfig,
     context::{Context, TaskRef},
-    mailbox::Mailbox,
+    mailbox::{Mailbox, TaskQueue},
     message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
     moving::{self, Arrival, Departed},
-    processor::{Processor, panic_text},
-    record::{AtHand, Ending as HandlerEnding},
-    supervise::{Ending, Event, Policy, Restarts, State, Verdict},
+    processor::{Processor, ProcessorHandle, panic_text},
+    statistics::TaskStatistics,
+    supervise::{Ending, Event, Policy, Restarts, State},
     system::{
         Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, RestartTask, Shutdown,
-        StopTask, TaskChanged, TaskName, interrupts,
+        StopTask, TaskChanged, interrupts,
     },
-    task::{DynHandler, Handled, HandlerError, Phase, StopReason},
+    task::{DynHandler, Handled, HandlerError, Phase},
     waits::Waits,
 };
 
@@ -33,13 +34,18 @@ const SYSTEM_QUEUE: usize = 1024;
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 
 /// What others see of a task of the configuration, or of the runtime itself.
-pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<TaskRecord> {
+pub(crate) fn record(
+    name: &str,
+    tid: Tid,
+    config: Option<&TaskConfig>,
+    processor: &Arc<ProcessorHandle>,
+) -> Arc<TaskRecord> {
     let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
     Arc::new(TaskRecord {
         name: name.into(),
         tid,
-        mailbox: Arc::new(Mailbox::new(capacity)),
-        statistics: Arc::default(),
+        mailbox: Mailbox::new(capacity, processor.clone(), tid.slot()),
+        statistics: TaskStatistics::default(),
         waits: Waits::default(),
     })
 }
@@ -48,7 +54,7 @@ pub(crate) fn record(name: &str, tid: Tid, config: Option<&TaskConfig>) -> Arc<T
 pub(crate) struct TaskSpec {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) config: Option<TaskConfig>,
-    pub(crate) commands: Vec<CommandInfo>,
+    pub(crate) commands: Arc<[CommandInfo]>,
     pub(crate) build: Build,
 }
 
@@ -72,16 +78,11 @@ enum Next {
     Forward(Departed),
 }
 
-/// What came of building a handler anew.
-enum Rebuilt {
-    Yes,
-    No(String),
-    StopWaits,
-}
-
 pub(crate) struct Runner {
     pub(crate) cx: Context,
     pub(crate) record: Arc<TaskRecord>,
+    pub(crate) queue: Rc<TaskQueue>,
+    serving: Rc<Serving>,
     build: Build,
     /// None between two incarnations.
     pub(crate) handler: Option<Box<dyn DynHandler>>,
@@ -129,6 +130,8 @@ pub(crate) fn start_at(
         spec.commands,
     );
     let handler = build_contained(&spec.build, &cx)?;
+    let queue = TaskQueue::new(spec.record.mailbox.clone());
+    processor.add_queue(spec.record.tid.slot(), queue.clone());
     chassis.add_task(spec.record.clone());
     spec.record.statistics.meter.count(cx.commands());
     chassis
@@ -141,10 +144,17 @@ pub(crate) fn start_at(
     };
     let runner = Runner {
         cx: cx.clone(),
-        record: spec.record,
+        record: spec.record.clone(),
+        queue: queue.clone(),
+        serving: Rc::new(Serving {
+            cx: cx.clone(),
+            record: spec.record,
+            queue: queue.clone(),
+            stopped: Cell::new(false),
+        }),
         build: spec.build,
         handler: Some(handler),
-        restarts: Restarts::new(policy, cx.rng("restart")),
+        restarts: Restarts::new(policy, cx.seed_of("restart")),
         state: State::Running,
         kept: None,
         phase: None,
@@ -156,7 +166,8 @@ pub(crate) fn start_at(
         cx.cancel_children();
         cx.chassis().remove_task(cx.tid());
     };
-    processor.spawn(runner.run(arrival), Some(Rc::new(on_panic)));
+    let runner = processor.spawn(runner.run(arrival), Some(Rc::new(on_panic)));
+    queue.set_runner(runner);
     Ok(())
 }
 
@@ -172,36 +183,42 @@ fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, H
 impl Runner {
     async fn run(mut self, arrival: Option<Arrival>) {
         let settled = match arrival {
-            Some(arrival) => moving::arrive(&mut self, arrival).await,
+            Some(arrival) => moving::arrive(&mut self, arrival).boxed_local().await,
             None => true,
         };
         if settled {
             self.serve().await;
         }
         self.cx.cancel_children();
-        self.cx.end_all_started().await;
+        self.cx.end_all_started().boxed_local().await;
         self.cx.chassis().remove_task(self.cx.tid());
     }
 
     async fn serve(&mut self) {
-        while let Some(message) = self.record.mailbox.next().await {
-            let abandoned = message.reply.as_ref().is_some_and(ReplySlot::is_abandoned);
-            // A stop is carried out even when whoever ordered it had to go on.
-            if abandoned && message.command() != StopTask::CODE {
-                tracing::debug!(task = %self.cx.name(), command = message.command(), "caller gave up");
-                continue;
-            }
-            if self.state == State::Stopped && message.command() < SYSTEM_COMMANDS {
-                if let Some(slot) = message.reply {
-                    slot.answer(Err(Fault::Stopping));
-                }
-                continue;
-            }
-            match self.take(message).await {
-                Next::Take => {}
+        let serving = self.serving.clone();
+        let mut next = serving.next().await;
+        while let Some(message) = next.take() {
+            let of_tasks = message.command() < SYSTEM_COMMANDS;
+            let then = match self.handler.as_deref_mut() {
+                Some(handler) if of_tasks => match handler.serve(&serving, message).await {
+                    Served::Next(message) => {
+                        next = Some(message);
+                        continue;
+                    }
+                    Served::Closed => return,
+                    Served::Panicked(text) => {
+                        let why = format!("its handler panicked: {text}");
+                        self.supervise(Ending::Failure, why).boxed_local().await
+                    }
+                },
+                _ => self.take(message).boxed_local().await,
+            };
+            match then {
+                Next::Take => next = serving.next().await,
                 Next::End => return,
                 Next::Forward(departed) => {
-                    return moving::forward(&self.cx, &self.record, departed).await;
+                    let forwarding = moving::forward(&self.cx, &self.queue, departed);
+                    return forwarding.boxed_local().await;
                 }
             }
         }
@@ -228,6 +245,7 @@ impl Runner {
 
     /// Handles one message.
     async fn take(&mut self, message: Message) -> Next {
+        self.cx.processor().leave();
         match message.command() {
             command if command < SYSTEM_COMMANDS || self.cx.config().is_none() => {}
             Broke::CODE => return self.broke(message).await,
@@ -245,68 +263,26 @@ impl Runner {
             }
             _ => {}
         }
-        let slot = message.reply.clone();
-        let command = message.command();
-        let record = self.record.clone();
+        let serving = self.serving.clone();
+        let mut message = message;
+        let at_hand = serving.begin(&mut message);
         let cx = self.cx.within(message.trace());
-        cx.chassis().delivered(&record, &message);
-        let began = cx.now();
-        record.statistics.begin(command, began);
-        let at_hand = AtHand::of(record.tid, &message, began);
-        cx.chassis().tap.began(&at_hand);
-        let handling = AssertUnwindSafe(self.call(&cx, message)).catch_unwind();
-        let handling = record.statistics.meter.in_turns(handling);
-        let outcome = if interrupts(command) {
-            handling.await
-        } else {
-            // A handler that waits for others must not delay an orderly stop: it is dropped there.
-            match select(handling, pin!(record.mailbox.interruption_waits())).await {
-                Either::Left((outcome, _)) => outcome,
-                Either::Right((broke, _)) => {
-                    let now = cx.now();
-                    record.statistics.end(false, now);
-                    cx.chassis()
-                        .tap
-                        .ended(&at_hand, now, || HandlerEnding::Stopped);
-                    if let Some(slot) = slot {
-                        slot.answer(Err(if broke {
-                            let text = "a part of it did, while it was handled".to_owned();
-                            Fault::Panicked { text }
-                        } else {
-                            Fault::Stopping
-                        }));
-                    }
-                    return Next::Take;
-                }
-            }
+        let interruptible = !interrupts(message.command());
+        let ended = {
+            let mut handling = pin!(Some(self.call(&cx, message)));
+            let ended =
+                poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll));
+            let ended = ended.await;
+            let processor = serving.cx.processor();
+            processor.handling(at_hand.serial, || handling.set(None));
+            ended
         };
-        let now = cx.now();
-        record.statistics.end(matches!(outcome, Ok(Ok(()))), now);
-        cx.chassis().tap.ended(&at_hand, now, || match &outcome {
-            Ok(Ok(())) => HandlerEnding::Done,
-            Ok(Err(error)) => HandlerEnding::Refused(error.to_string()),
-            Err(panic) => HandlerEnding::Panicked(panic_text(panic.as_ref())),
-        });
-        match outcome {
-            Ok(Ok(())) => Next::Take,
-            Ok(Err(error)) => {
-                tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
-                if let Some(slot) = slot {
-                    slot.answer(Err(Fault::Refused {
-                        text: error.to_string(),
-                    }));
-                }
-                Next::Take
-            }
-            Err(panic) => {
-                let text = panic_text(panic.as_ref());
-                tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
-                if let Some(slot) = slot {
-                    slot.answer(Err(Fault::Panicked { text: text.clone() }));
-                }
+        match serving.end(at_hand, ended) {
+            Some(text) => {
                 let why = format!("its handler panicked: {text}");
                 self.supervise(Ending::Failure, why).await
             }
+            None => Next::Take,
         }
     }
 
@@ -355,241 +331,13 @@ impl Runner {
     async fn stop(&mut self, cx: &Context, message: Message) -> Handled {
         let (StopTask { reason, .. }, reply) = message.open::<StopTask>()?;
         self.step(Event::Stop);
+        self.serving.stopped.set(true);
         cx.chassis().set_stopping();
         if let Some(handler) = &mut self.handler {
             handler.stop(cx, &reason).await?;
         }
         cx.end_all_started().await;
         reply.ok(())
-    }
-
-    /// A child or a synchronous function of this task panicked.
-    async fn broke(&mut self, message: Message) -> Next {
-        match message.open::<Broke>() {
-            Ok((broke, _)) if broke.incarnation == self.cx.incarnation() => {
-                tracing::error!(task = %self.cx.name(), reason = %broke.reason, "a part of it broke");
-                self.supervise(Ending::Failure, broke.reason).await
-            }
-            _ => Next::Take,
-        }
-    }
-
-    /// A person wants the handler built anew, whatever the policy says.
-    async fn restart(&mut self, message: Message) -> Next {
-        let Ok((RestartTask {}, reply)) = message.open::<RestartTask>() else {
-            return Next::Take;
-        };
-        // Below, a reply cannot fail.
-        if self.state == State::Stopped {
-            let _ = reply.fail("it is being stopped");
-            return Next::Take;
-        }
-        let why = "it is restarted by order".to_owned();
-        self.end_incarnation(Ending::Order).await;
-        self.tell(Change::Down { reason: why });
-        self.record.statistics.restarted();
-        match self.rebuild_or_stop().await {
-            Rebuilt::Yes => {
-                self.tell(Change::Up);
-                tracing::warn!(task = %self.cx.name(), "restarted by order");
-                let _ = reply.ok(());
-                Next::Take
-            }
-            Rebuilt::StopWaits => {
-                let _ = reply.fail("it is being stopped");
-                Next::Take
-            }
-            Rebuilt::No(broken) => {
-                let why = format!("it could not be restarted: {broken}");
-                let _ = reply.fail(&why);
-                self.kept = None;
-                self.supervise(Ending::Failure, why).await
-            }
-        }
-    }
-
-    /// Comes to an orderly stop by itself.
-    async fn shut_down(&mut self, message: Message) -> Next {
-        let Ok((Shutdown {}, reply)) = message.open::<Shutdown>() else {
-            return Next::Take;
-        };
-        let limit = self.cx.app().stop_timeout;
-        let cx = self.cx.clone();
-        let mut why = "it was told to shut down".to_owned();
-        if let Some(handler) = &mut self.handler {
-            let stopping = AssertUnwindSafe(handler.stop(&cx, &StopReason::Shutdown));
-            match cx.timeout(limit, stopping.catch_unwind()).await {
-                Ok(Ok(Ok(()))) => {}
-                Ok(Ok(Err(error))) => why = format!("it was told to shut down and said: {error}"),
-                Ok(Err(panic)) => {
-                    let text = panic_text(panic.as_ref());
-                    why = format!("it panicked while it shut down: {text}");
-                }
-                Err(elapsed) => why = format!("it was told to shut down: {elapsed}"),
-            }
-        }
-        let next = self.supervise(Ending::Order, why).await;
-        // Never an error: a reply cannot fail.
-        let _ = reply.ok(());
-        next
-    }
-
-    /// What happens after an end: what the restart policy rules.
-    async fn supervise(&mut self, ending: Ending, why: String) -> Next {
-        let (mut ending, mut why) = (ending, why);
-        loop {
-            self.end_incarnation(ending).await;
-            let verdict = if self.state == State::Stopped {
-                Verdict::StayDown
-            } else {
-                self.restarts.judge(ending, self.cx.now())
-            };
-            let Verdict::RestartAfter(backoff) = verdict else {
-                self.give_up(ending, &why, verdict).await;
-                return Next::End;
-            };
-            self.step(Event::RestartAllowed);
-            self.tell(Change::Down {
-                reason: why.clone(),
-            });
-            if !self.backs_off(backoff).await {
-                return Next::Take;
-            }
-            self.step(Event::BackoffOver);
-            self.record.statistics.restarted();
-            match self.rebuild_or_stop().await {
-                Rebuilt::Yes => {
-                    self.step(Event::Rebuilt);
-                    self.tell(Change::Up);
-                    tracing::warn!(task = %self.cx.name(), reason = %why, "restarted");
-                    return Next::Take;
-                }
-                // Half rebuilt, but what can be stopped of it is stopped next.
-                Rebuilt::StopWaits => return Next::Take,
-                Rebuilt::No(broken) => {
-                    // What may have broken it is not tried twice.
-                    self.kept = None;
-                    ending = Ending::Failure;
-                    why = format!("it could not be restarted: {broken}");
-                }
-            }
-        }
-    }
-
-    /// Waits before a restart; false when an order to stop came meanwhile.
-    async fn backs_off(&self, backoff: std::time::Duration) -> bool {
-        let sleep = pin!(self.cx.sleep(backoff));
-        let stop = pin!(self.record.mailbox.stop_waits());
-        matches!(select(sleep, stop).await, Either::Left(_))
-    }
-
-    async fn rebuild_or_stop(&mut self) -> Rebuilt {
-        let (cx, mailbox) = (self.cx.clone(), self.record.mailbox.clone());
-        let limit = cx.app().phase_timeout;
-        let rebuilt = AssertUnwindSafe(cx.timeout(limit, self.rebuild())).catch_unwind();
-        match select(pin!(rebuilt), pin!(mailbox.stop_waits())).await {
-            Either::Left((Ok(Ok(Ok(()))), _)) => Rebuilt::Yes,
-            Either::Left((Ok(Ok(Err(error))), _)) => Rebuilt::No(error.to_string()),
-            Either::Left((Ok(Err(elapsed)), _)) => Rebuilt::No(elapsed.to_string()),
-            Either::Left((Err(panic), _)) => {
-                Rebuilt::No(format!("it panicked again: {}", panic_text(panic.as_ref())))
-            }
-            Either::Right(_) => Rebuilt::StopWaits,
-        }
-    }
-
-    /// The old incarnation is finished before anything of a new one begins: its state is kept where that
-    /// is allowed, and its children, its tasks and what it had not answered yet end now.
-    pub(crate) async fn end_incarnation(&mut self, ending: Ending) {
-        self.cx.next_incarnation();
-        self.cx.cancel_children();
-        self.record.mailbox.forget_broken();
-        if let Some(mut handler) = self.handler.take() {
-            if ending == Ending::Order || handler.survives_panic() {
-                let given = std::panic::catch_unwind(AssertUnwindSafe(|| handler.hand_over()));
-                match given {
-                    Ok(Some(Ok(state))) => self.kept = Some(state),
-                    Ok(Some(Err(error))) => {
-                        tracing::warn!(task = %self.cx.name(), error = %error, "no state is kept");
-                    }
-                    Ok(None) | Err(_) => {}
-                }
-            }
-            drop_handler(&self.cx, handler);
-        }
-        self.cx.end_all_started().await;
-    }
-
-    /// It is not restarted: whoever must know is told, and its name is free.
-    async fn give_up(&mut self, ending: Ending, why: &str, verdict: Verdict) {
-        let tried = match verdict {
-            Verdict::GiveUp { restarts } => format!(" (after {restarts} restarts)"),
-            _ => String::new(),
-        };
-        let reason = format!("{why}{tried}");
-        match ending {
-            Ending::Order if self.state == State::Running => self.step(Event::ShutDown),
-            Ending::Order => {}
-            Ending::Failure => {
-                self.step(Event::RestartRefused);
-                match &self.parent {
-                    Some(parent) => parent(&format!("`{}`: {reason}", self.cx.name())),
-                    None => self.cx.fail(&reason),
-                }
-            }
-        }
-        // Whatever is still in its queue is answered before the name can be anybody else's.
-        self.cx.chassis().remove_task(self.cx.tid());
-        let changed = self.changed(Change::Ended { reason });
-        let told = self.cx.call(&Context::server(), changed);
-        if let Err(error) = told.deadline(self.cx.app().stop_timeout).await {
-            tracing::debug!(task = %self.cx.name(), error = %error, "its name is not free");
-        }
-    }
-
-    fn changed(&self, change: Change) -> TaskChanged {
-        TaskChanged {
-            task: TaskName {
-                name: self.cx.name().to_owned(),
-                tid: self.cx.tid(),
-            },
-            change,
-        }
-    }
-
-    fn tell(&self, change: Change) {
-        let changed = self.changed(change);
-        let chassis = self.cx.chassis();
-        chassis.post_system(crate::system::TID_SERVER, changed);
-    }
-
-    /// A move came to nothing after the state had been given away.
-    async fn rebuilt_after_failed_move(&mut self) -> Next {
-        match self.rebuild_or_stop().await {
-            Rebuilt::Yes | Rebuilt::StopWaits => Next::Take,
-            Rebuilt::No(why) => {
-                let why = format!("it could not go on after a move that failed: {why}");
-                self.supervise(Ending::Failure, why).await
-            }
-        }
-    }
-
-    /// Builds the handler anew and brings it to the phase that the old one had reached. Messages
-    /// that wait in the queue stay there.
-    async fn rebuild(&mut self) -> Handled {
-        let mut handler = build_contained(&self.build, &self.cx)?;
-        if let Some(state) = &self.kept {
-            handler.take_over(&self.cx, state)?;
-        }
-        let handler = self.handler.insert(handler);
-        let reached = self.phase;
-        for phase in Phase::ALL {
-            if reached.is_some_and(|reached| phase <= reached) {
-                handler.phase(&self.cx, phase).await?;
-            }
-        }
-        self.kept = None;
-        Ok(())
     }
 }
 

@@ -11,7 +11,7 @@ mod tls;
 use std::{fmt, io, path::PathBuf, str::FromStr};
 
 pub use files::{Listed, list_keys, make_key};
-pub use tls::Keys;
+pub use tls::{BlockingStream, Keys};
 
 #[cfg(feature = "zenoh")]
 pub(crate) use files::KeyFiles;

@@ -8,6 +8,7 @@
 mod draw;
 mod events;
 mod happen;
+mod injured;
 mod machine;
 mod mishap;
 mod processes;
@@ -160,6 +161,8 @@ struct Simulation {
     drawn: Drawn,
     stop_at: Option<Instant>,
     happened: Vec<Mishap>,
+    /// What of the script the app's own configuration asks for.
+    injuries: Vec<Mishap>,
     /// Processes that would have ended by themselves now.
     exits: Exits,
     /// How the last process of a chassis ended, if otherwise than it should have.
@@ -197,7 +200,12 @@ impl Simulation {
             .collect();
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
-        let script = schedule(&names, faults.script, &mut happened)?;
+        let mut script = schedule(&names, faults.script, &mut happened)?;
+        let injuries = injured::mishaps(&app.links.injury, &names);
+        for injury in &injuries {
+            let at = script.entry(injury.at()).or_default();
+            at.push(injury.clone());
+        }
         let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
         let events = EventLog::new(events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
@@ -217,6 +225,7 @@ impl Simulation {
             }
             if from.index() > 0 {
                 observer(&BootEvent::Started {
+                    host: None,
                     chassis: from.name().to_owned(),
                     pid: None,
                 });
@@ -247,6 +256,7 @@ impl Simulation {
             script,
             drawn,
             happened,
+            injuries,
             exits,
             casualties: BTreeMap::new(),
             incarnations: BTreeMap::new(),

@@ -27,6 +27,12 @@ pub(crate) struct TaskStatistics {
     pub(crate) meter: TaskMeter,
 }
 
+/// Adds to a counter that has one writer, the loop of its task: no other addition can come between.
+pub(crate) fn add(counter: &AtomicU64, more: u64) {
+    let before = counter.load(Ordering::Relaxed);
+    counter.store(before.wrapping_add(more), Ordering::Relaxed);
+}
+
 /// The counters of one task at a moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TaskCounters {
@@ -58,15 +64,18 @@ impl TaskStatistics {
 
     /// The handler has returned.
     pub(crate) fn end(&self, ok: bool, now: Instant) {
-        let began = self.began_ns.swap(0, Ordering::AcqRel);
+        let began = self.began_ns.load(Ordering::Relaxed);
+        self.began_ns.store(0, Ordering::Release);
         let took = now.as_nanos().saturating_add(1).saturating_sub(began);
-        self.busy_ns.fetch_add(took, Ordering::Relaxed);
-        self.longest_ns.fetch_max(took, Ordering::Relaxed);
-        self.handled.fetch_add(1, Ordering::Relaxed);
+        add(&self.busy_ns, took);
+        if took > self.longest_ns.load(Ordering::Relaxed) {
+            self.longest_ns.store(took, Ordering::Relaxed);
+        }
+        add(&self.handled, 1);
         let command = self.command.load(Ordering::Relaxed);
         self.meter.ended(command, ok, took);
         if !ok {
-            self.failed.fetch_add(1, Ordering::Relaxed);
+            add(&self.failed, 1);
         }
     }
 

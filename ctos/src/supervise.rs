@@ -9,7 +9,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::time::Instant;
 
@@ -81,18 +81,21 @@ pub struct Restarts {
     policy: Policy,
     /// The moments of the restarts within the window, oldest first.
     recent: VecDeque<Instant>,
-    rng: ChaCha8Rng,
+    seed: u64,
+    /// Made when it is needed first: most things are never restarted, and it is large.
+    rng: Option<Box<ChaCha8Rng>>,
 }
 
 impl Restarts {
-    /// Nothing was restarted so far. `rng` draws the jitter, so that things that fail together are not
-    /// restarted together.
+    /// Nothing was restarted so far. The jitter is drawn from `seed`, so that things that fail together are
+    /// not restarted together.
     #[must_use]
-    pub fn new(policy: Policy, rng: ChaCha8Rng) -> Self {
+    pub fn new(policy: Policy, seed: u64) -> Self {
         Self {
             policy,
             recent: VecDeque::new(),
-            rng,
+            seed,
+            rng: None,
         }
     }
 
@@ -125,7 +128,11 @@ impl Restarts {
             .and_then(|doublings| 1_u32.checked_shl(doublings))
             .unwrap_or(u32::MAX);
         let whole = self.policy.backoff.saturating_mul(factor);
-        let part: f64 = self.rng.random_range(0.75..=1.0);
+        let seed = self.seed;
+        let rng = self
+            .rng
+            .get_or_insert_with(|| Box::new(ChaCha8Rng::seed_from_u64(seed)));
+        let part: f64 = rng.random_range(0.75..=1.0);
         whole.min(LONGEST_BACKOFF).mul_f64(part)
     }
 }
@@ -231,7 +238,6 @@ fn task_states() -> String {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use rand_chacha::rand_core::SeedableRng;
 
     use super::*;
 
@@ -241,7 +247,7 @@ mod tests {
             max,
             ..Policy::default()
         };
-        Restarts::new(policy, ChaCha8Rng::seed_from_u64(1))
+        Restarts::new(policy, 1)
     }
 
     fn at_s(seconds: u64) -> Instant {
@@ -333,7 +339,7 @@ mod tests {
         #[test]
         fn the_back_off_doubles_up_to_its_limit(seed: u64) {
             let policy = Policy { when: When::OnFailure, max: 40, ..Policy::default() };
-            let mut restarts = Restarts::new(policy, ChaCha8Rng::seed_from_u64(seed));
+            let mut restarts = Restarts::new(policy, seed);
             let mut whole = policy.backoff;
             for _ in 0..40 {
                 let Verdict::RestartAfter(wait) = restarts.judge(Ending::Failure, at_s(0)) else {

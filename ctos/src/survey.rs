@@ -32,6 +32,8 @@ pub struct ChassisReport {
     pub processors: Vec<String>,
     /// Its tasks, those of the runtime too.
     pub tasks: Vec<TaskReport>,
+    /// How many callers were refused.
+    pub refused: u64,
     /// Its records, if it is recorded.
     pub records: Vec<RecordReport>,
 }
@@ -74,6 +76,9 @@ pub struct QueueReport {
 
 /// Everything that is known of `chassis` now.
 pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
+    if let Some(here) = crate::processor::Processor::here() {
+        here.settle_calls();
+    }
     let processors = chassis.processors.iter();
     ChassisReport {
         chassis: chassis.name().to_owned(),
@@ -86,6 +91,7 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
             .iter()
             .map(|task| report(chassis, task))
             .collect(),
+        refused: chassis.refused.load(std::sync::atomic::Ordering::Relaxed),
     }
 }
 

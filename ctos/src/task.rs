@@ -10,11 +10,14 @@ use std::{fmt, future::Future, pin::Pin};
 use futures_util::future::LocalBoxFuture;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::message::Message;
+use crate::{
+    message::Message,
+    runner::{Served, Serving},
+};
 
 pub use crate::{
     children::StartError,
-    context::{Call, Context, Elapsed, NameError, Send, TaskRef},
+    context::{Call, Calling, Context, Elapsed, NameError, Send, Sending, TaskRef},
 };
 
 /// What a handler returns.
@@ -213,6 +216,8 @@ pub trait Handover: EventHandler {
 
 /// [`EventHandler`] behind a pointer; implemented for every event handler.
 pub(crate) trait DynHandler {
+    /// Handles `first` and the messages after it, until there is one that is not for the handler.
+    fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served>;
     fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled>;
     fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled>;
     fn stop<'a>(
@@ -260,6 +265,10 @@ fn boxed<'a, T>(future: impl Future<Output = T> + 'a) -> Pin<Box<dyn Future<Outp
 }
 
 impl<H: EventHandler> DynHandler for H {
+    fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served> {
+        boxed(serving.serve(self, first))
+    }
+
     fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
         boxed(EventHandler::handle(self, cx, message))
     }
@@ -314,6 +323,10 @@ impl<H: EventHandler> DynHandler for H {
 pub(crate) struct WithHandover<H>(pub(crate) H);
 
 impl<H: Handover> DynHandler for WithHandover<H> {
+    fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served> {
+        boxed(serving.serve(&mut self.0, first))
+    }
+
     fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
         boxed(EventHandler::handle(&mut self.0, cx, message))
     }

@@ -26,6 +26,8 @@ pub struct Instant(u64);
 impl Instant {
     /// The start of the app.
     pub const START: Self = Self(0);
+    /// No moment is later.
+    pub(crate) const LAST: Self = Self(u64::MAX);
 
     /// A moment `nanos` nanoseconds after the start of the app.
     #[must_use]

@@ -1,4 +1,5 @@
-//! Whom a task waits for. Noted by every call as it is made, readable from any thread while it waits.
+//! Whom a task waits for. Noted of every call that waits for longer than its processor has
+//! other things to do, readable from any thread.
 
 use std::sync::{Arc, Mutex};
 
@@ -32,22 +33,22 @@ pub(crate) struct Waits {
 }
 
 impl Waits {
-    /// Notes a call until the guard is dropped.
+    /// Shows a call; the number takes it away again.
     pub(crate) fn begin(
         &self,
-        to: &Arc<str>,
+        to: Arc<str>,
         tid: Tid,
         command: &'static str,
         since: Instant,
-    ) -> WaitGuard<'_> {
+    ) -> usize {
         let entry = Some(Entry {
-            to: to.clone(),
+            to,
             tid,
             command,
             since,
         });
         let mut entries = lock(&self.entries);
-        let place = match entries.iter().position(Option::is_none) {
+        match entries.iter().position(Option::is_none) {
             Some(free) => {
                 if let Some(place) = entries.get_mut(free) {
                     *place = entry;
@@ -58,8 +59,14 @@ impl Waits {
                 entries.push(entry);
                 entries.len() - 1
             }
-        };
-        WaitGuard { waits: self, place }
+        }
+    }
+
+    /// The call has ended, however it ended.
+    pub(crate) fn end(&self, place: usize) {
+        if let Some(place) = lock(&self.entries).get_mut(place) {
+            *place = None;
+        }
     }
 
     /// Whom the latest of them asked, and when.
@@ -87,20 +94,6 @@ impl Waits {
     }
 }
 
-/// Takes the note away when the call has ended, however it ends.
-pub(crate) struct WaitGuard<'w> {
-    waits: &'w Waits,
-    place: usize,
-}
-
-impl Drop for WaitGuard<'_> {
-    fn drop(&mut self) {
-        if let Some(place) = lock(&self.waits.entries).get_mut(self.place) {
-            *place = None;
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,26 +101,21 @@ mod tests {
     #[test]
     fn what_has_ended_is_not_waited_for_and_the_longest_comes_first() {
         let waits = Waits::default();
-        let first = waits.begin(&"arm".into(), Tid::default(), "go", Instant::from_nanos(5));
-        let second = waits.begin(
-            &"eye".into(),
-            Tid::default(),
-            "look",
-            Instant::from_nanos(3),
-        );
+        let first = waits.begin("arm".into(), Tid::default(), "go", Instant::from_nanos(5));
+        let second = waits.begin("eye".into(), Tid::default(), "look", Instant::from_nanos(3));
         let names = |waits: &Waits| -> Vec<String> {
             waits.read().into_iter().map(|wait| wait.to).collect()
         };
         assert_eq!(names(&waits), ["eye", "arm"]);
-        drop(first);
+        waits.end(first);
         assert_eq!(names(&waits), ["eye"]);
         let _third = waits.begin(
-            &"ear".into(),
+            "ear".into(),
             Tid::default(),
             "listen",
             Instant::from_nanos(9),
         );
-        drop(second);
+        waits.end(second);
         assert_eq!(names(&waits), ["ear"]);
         assert_eq!(lock(&waits.entries).len(), 2, "a free place was not used");
     }

@@ -6,21 +6,25 @@
 //! [`daemon`] carries it by the tasks of CTOS.
 
 pub mod class;
+pub mod clock;
 pub mod comm;
 pub mod daemon;
 mod dbx;
 pub mod demo;
 pub mod describe;
 pub mod dictionary;
+pub mod ipc;
 mod manager;
 pub mod name;
 pub mod object;
 pub mod options;
 mod plant;
+pub mod process;
 pub mod report;
 pub mod request;
 mod reserve;
 mod slot;
+pub mod snapshot;
 pub mod sorm;
 pub mod together;
 pub mod transport;
@@ -41,7 +45,11 @@ pub use sorm::Sorm;
 pub use transport::Transport;
 pub use waiting::Waiting;
 
-/// The page whose example is run as a test.
+/// The pages of `docs` whose examples are run as tests.
 #[cfg(doctest)]
-#[doc = include_str!("../../docs/service-objects.md")]
-struct Page;
+mod pages {
+    #[doc = include_str!("../../docs/service-objects.md")]
+    mod service_objects {}
+    #[doc = include_str!("../../docs/snapshots.md")]
+    mod snapshots {}
+}

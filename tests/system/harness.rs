@@ -324,7 +324,7 @@ impl Run<'_> {
     /// `chassis  ws1          pid 4711`
     fn note_chassis(&mut self, line: &str) {
         let words: Vec<&str> = line.split_whitespace().collect();
-        if let ["chassis", name, "pid", number] = words[..] {
+        if let ["chassis", name, "pid", number, ..] = words[..] {
             let pid = Pid::from_raw(number.parse().unwrap()).unwrap();
             let handle = pidfd_open(pid, PidfdFlags::empty()).ok();
             self.chassis
@@ -341,9 +341,14 @@ impl Run<'_> {
 
     /// Reads on until a line contains `text`.
     pub fn wait_for(&mut self, text: &str) {
+        self.line_with(text);
+    }
+
+    /// Reads on until a line contains `text`: that line.
+    pub fn line_with(&mut self, text: &str) -> String {
         while let Some(line) = self.next() {
             if line.contains(text) {
-                return;
+                return line;
             }
         }
         panic!(
@@ -419,6 +424,13 @@ impl Ended {
     pub fn must_exit(&self, code: i32) -> &Self {
         assert_eq!(self.code, Some(code), "exit code: {}", self.told);
         assert!(self.left.is_empty(), "left: {:?}: {}", self.left, self.told);
+        self
+    }
+
+    /// The exit code must be `code`, while others of this folder run on.
+    #[track_caller]
+    pub fn must_exit_leaving(&self, code: i32) -> &Self {
+        assert_eq!(self.code, Some(code), "exit code: {}", self.told);
         self
     }
 

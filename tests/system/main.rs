@@ -15,6 +15,8 @@ mod faults;
 mod full_disk;
 mod half_open;
 mod harness;
+mod hosts;
+mod keys;
 mod kills;
 mod machine;
 mod main_job;

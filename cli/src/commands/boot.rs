@@ -188,7 +188,14 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         }
         shown.show(event);
     });
-    let outcome = ctos::boot::boot_on(&clock, app, registry, &launcher, &observer);
+    let outcome = ctos::boot::boot_with(
+        &clock,
+        app,
+        registry,
+        &launcher,
+        &log_options(args),
+        &observer,
+    );
     display.finish();
     match outcome {
         Ok(outcome) => {
@@ -255,15 +262,22 @@ fn boot_arguments(args: &BootArgs) -> Vec<OsString> {
     for set in args.app.sets.iter().cloned().chain(args.injure.sets()) {
         arguments.extend(["--set".into(), set.into()]);
     }
-    if args.log.quiet {
-        arguments.push("--quiet".into());
-    }
-    arguments.extend((0..args.log.verbose).map(|_| OsString::from("-v")));
-    arguments.extend(["--log-format".into(), args.log.log_format.word().into()]);
-    if let Some(filter) = &args.log.log {
-        arguments.extend(["--log".into(), filter.into()]);
-    }
+    arguments.extend(log_options(args).into_iter().map(OsString::from));
     arguments
+}
+
+/// How much a chassis is to say, wherever it runs.
+fn log_options(args: &BootArgs) -> Vec<String> {
+    let mut options = Vec::new();
+    if args.log.quiet {
+        options.push("--quiet".to_owned());
+    }
+    options.extend((0..args.log.verbose).map(|_| "-v".to_owned()));
+    options.extend(["--log-format", args.log.log_format.word()].map(str::to_owned));
+    if let Some(filter) = &args.log.log {
+        options.extend(["--log".to_owned(), filter.clone()]);
+    }
+    options
 }
 
 /// Shows how the app ended.

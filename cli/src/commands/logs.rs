@@ -75,7 +75,7 @@ impl From<LevelName> for Level {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &LogsArgs) -> u8 {
-    let mut client = match remote::connect(args.remote.app.as_deref()) {
+    let mut client = match args.remote.connect() {
         Ok(client) => client,
         Err(error) => return remote::failed(&error),
     };

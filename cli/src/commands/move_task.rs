@@ -67,7 +67,7 @@ pub fn run(args: &MoveArgs) -> u8 {
 
 /// Waits until the task is there, and tells what keeps it.
 fn moved(args: &MoveArgs) -> Result<Option<MoveView>, ClientError> {
-    let mut client = remote::connect(args.remote.app.as_deref())?;
+    let mut client = args.remote.connect()?;
     client.ask(Request::Move {
         task: args.task.clone(),
         to: args.to.clone(),

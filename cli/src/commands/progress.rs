@@ -128,9 +128,13 @@ impl Display {
 /// at all.
 pub(crate) fn words(event: &BootEvent, width: usize) -> Option<String> {
     Some(match event {
-        BootEvent::Started { chassis, pid } => {
+        BootEvent::Started { chassis, pid, host } => {
             let pid = pid.map_or_else(|| "in this process".to_owned(), |pid| format!("pid {pid}"));
-            format!("chassis  {chassis:<width$}  {pid}")
+            let host = host.as_ref().map(|host| format!(" on {host}"));
+            format!(
+                "chassis  {chassis:<width$}  {pid}{}",
+                host.unwrap_or_default()
+            )
         }
         BootEvent::PhaseDone { phase, tasks, took } => {
             let number = Phase::ALL.iter().position(|one| one == phase).unwrap_or(0) + 1;

@@ -31,6 +31,20 @@ pub struct PsArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &PsArgs) -> u8 {
+    if args.remote.at.at.is_some() {
+        let view = args
+            .remote
+            .connect()
+            .and_then(|mut client| view(&mut client));
+        return match view {
+            Ok(view) => {
+                // A reader that went away has what it wanted.
+                let _ = show::data(&shown(&view, args.json));
+                exit::OK
+            }
+            Err(error) => remote::failed(&error),
+        };
+    }
     let apps = match &args.remote.app {
         Some(name) => client::find(Some(name)).map(|app| vec![app]),
         None => Ok(client::apps()),
@@ -42,24 +56,31 @@ pub fn run(args: &PsArgs) -> u8 {
     };
     let mut code = exit::OK;
     for (index, app) in apps.into_iter().enumerate() {
-        let view = remote::connect(Some(&format!("{}-{}", app.app, app.pid)))
+        let view = remote::connect_here(Some(&format!("{}-{}", app.app, app.pid)))
             .and_then(|mut client| view(&mut client));
-        let shown = match view {
-            Ok(view) if args.json => serde_json::to_string(&view).unwrap_or_default(),
+        let text = match view {
             Ok(view) => {
-                let gap = if index > 0 { "\n" } else { "" };
-                format!("{gap}{}", lines(&view, table::width()).join("\n"))
+                let gap = if index > 0 && !args.json { "\n" } else { "" };
+                format!("{gap}{}", shown(&view, args.json))
             }
             Err(error) => {
                 code = remote::failed(&error);
                 continue;
             }
         };
-        if show::data(&shown).is_err() {
+        if show::data(&text).is_err() {
             break;
         }
     }
     code
+}
+
+fn shown(view: &AppView, json: bool) -> String {
+    if json {
+        serde_json::to_string(view).unwrap_or_default()
+    } else {
+        lines(view, table::width()).join("\n")
+    }
 }
 
 /// Asks an app how it is.
@@ -86,7 +107,20 @@ pub(crate) fn title(app: &AppView) -> String {
 }
 
 fn lines(app: &AppView, width: usize) -> Vec<String> {
-    let mut lines = vec![table::fitted(&title(app), width), String::new()];
+    let mut lines = vec![table::fitted(&title(app), width)];
+    if app.refused > 0 {
+        let callers = if app.refused == 1 {
+            "caller was"
+        } else {
+            "callers were"
+        };
+        lines.push(format!(
+            "{} {callers} refused; the log of the boot says why",
+            app.refused
+        ));
+    }
+    lines.push(String::new());
+    let is_spread = app.chassis.iter().any(|chassis| chassis.host.is_some());
     let chassis: Vec<Vec<String>> = app
         .chassis
         .iter()
@@ -96,8 +130,13 @@ fn lines(app: &AppView, width: usize) -> Vec<String> {
             } else {
                 format!("{}, no answer", chassis.state)
             };
+            let host = chassis.host.as_deref().unwrap_or("here");
+            let name = match is_spread {
+                true => format!("{} on {host}", chassis.name),
+                false => chassis.name.clone(),
+            };
             vec![
-                chassis.name.clone(),
+                name,
                 chassis
                     .pid
                     .map_or_else(|| "-".to_owned(), |pid| pid.to_string()),

@@ -95,7 +95,7 @@ fn prepared(folder: &Path) -> io::Result<String> {
 
 /// Waits for the end of the record.
 fn recorded(args: &RecordArgs, folder: &str) -> Result<Option<RecordView>, ClientError> {
-    let mut client = remote::connect(args.app.as_deref())?;
+    let mut client = remote::connect_here(args.app.as_deref())?;
     client.ask(Request::Record(RecordRequest {
         folder: folder.to_owned(),
         channels: args.channels.clone(),

@@ -1,16 +1,19 @@
 //! What the commands that talk to a running app share: which app, how to reach it, and what an error
 //! means for the exit code.
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
-use ctos::control::{
-    Socket,
-    client::{self, Client, ClientError},
-    protocol::TaskView,
+use ctos::{
+    control::{
+        Socket,
+        client::{self, Client, ClientError},
+        protocol::TaskView,
+    },
+    security::Keys,
 };
 
-use crate::{exit, show};
+use crate::{commands::agent::authority_beside, exit, show};
 
 /// How long an app may take to answer. It asks its chassis itself, and waits for those half a second.
 const LIMIT: Duration = Duration::from_secs(5);
@@ -19,12 +22,63 @@ const LIMIT: Duration = Duration::from_secs(5);
 #[derive(Debug, Clone, Args)]
 pub struct RemoteArgs {
     /// Name of the running app, its process id, or NAME-PID; needed only when several are running
-    #[arg(long, value_name = "APP")]
+    #[arg(long, value_name = "APP", conflicts_with = "at")]
     pub app: Option<String>,
+    /// An app on another host
+    #[command(flatten)]
+    pub at: AtArgs,
 }
 
-/// Connects to the app that is meant.
-pub(crate) fn connect(app: Option<&str>) -> Result<Client, ClientError> {
+/// A running app on another host.
+#[derive(Debug, Clone, Default, Args)]
+pub struct AtArgs {
+    /// Where the app listens for tools, as its `[control] listen` says
+    #[arg(long, value_name = "HOST:PORT")]
+    pub at: Option<String>,
+    /// Key to show there, without its ending, made by `ctos keys new`
+    #[arg(long, value_name = "DIR/NAME", requires = "at")]
+    pub key: Option<PathBuf>,
+    /// Certificate of the authority of all keys; `ca.pem` beside the key when it is left out
+    #[arg(long, value_name = "FILE", requires = "key")]
+    pub authority: Option<PathBuf>,
+}
+
+/// Connects to the app that is meant, on whatever host: `app` is its name here.
+pub(crate) fn connect_to(app: Option<&str>, at: &AtArgs) -> Result<Client, ClientError> {
+    let Some(place) = &at.at else {
+        return connect_here(app);
+    };
+    let keys = at.key.as_ref().map(|key| {
+        let authority = at.authority.clone();
+        let authority = authority.unwrap_or_else(|| authority_beside(key));
+        Keys::load(key, &authority)
+    });
+    let keys = keys.transpose().map_err(|error| ClientError::Key {
+        at: "--key".to_owned(),
+        error,
+    })?;
+    Client::connect_at(place, keys.as_ref(), LIMIT)
+}
+
+impl RemoteArgs {
+    /// Connects to the app that is meant.
+    pub(crate) fn connect(&self) -> Result<Client, ClientError> {
+        connect_to(self.app.as_deref(), &self.at)
+    }
+
+    /// What the suggested command lines must add to mean the same app.
+    pub(crate) fn option(&self, app: &Socket) -> String {
+        let Some(place) = &self.at.at else {
+            return app_option(app);
+        };
+        let key = self.at.key.as_ref();
+        let key = key.map(|key| format!(" --key {}", key.display()));
+        format!(" --at {place}{}", key.unwrap_or_default())
+    }
+}
+
+/// Connects to an app of this host and user.
+pub(crate) fn connect_here(app: Option<&str>) -> Result<Client, ClientError> {
     Client::connect(client::find(app)?, LIMIT)
 }
 
@@ -47,6 +101,8 @@ pub(crate) fn failed(error: &ClientError) -> u8 {
     }
     if error.is_no_such_name() {
         exit::NO_SUCH_NAME
+    } else if error.is_not_allowed() {
+        exit::NOT_ALLOWED
     } else if error.is_timed_out() {
         exit::TIMED_OUT
     } else if error.is_refused() {

@@ -32,7 +32,7 @@ pub struct RestartArgs {
 #[must_use]
 pub fn run(args: &RestartArgs) -> u8 {
     let name = &args.name;
-    let restarted = remote::connect(args.remote.app.as_deref()).and_then(|mut client| {
+    let restarted = args.remote.connect().and_then(|mut client| {
         client.ask(Request::Restart { name: name.clone() })?;
         // The phases have limits of their own, which the app keeps.
         client.wait_for_ever()?;

@@ -46,7 +46,7 @@ pub fn run(args: &StatusArgs) -> u8 {
             json: args.json,
         });
     };
-    let mut client = match remote::connect(args.remote.app.as_deref()) {
+    let mut client = match args.remote.connect() {
         Ok(client) => client,
         Err(error) => return remote::failed(&error),
     };
@@ -62,7 +62,7 @@ pub fn run(args: &StatusArgs) -> u8 {
     let shown = if args.json {
         serde_json::to_string(&status).unwrap_or_default()
     } else {
-        let option = remote::app_option(client.app());
+        let option = args.remote.option(client.app());
         lines(&status, name, &option, table::width()).join("\n")
     };
     // A reader that went away has what it wanted.
@@ -111,8 +111,12 @@ fn process(chassis: &ChassisView) -> String {
         ", does not answer"
     };
     format!(
-        "{pid}, of chassis {}: {} for {}{answers}",
+        "{pid}, of chassis {}{}: {} for {}{answers}",
         chassis.name,
+        chassis
+            .host
+            .as_ref()
+            .map_or_else(String::new, |host| format!(" on host {host}")),
         chassis.state,
         remote::span(chassis.since_s)
     )

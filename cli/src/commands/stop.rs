@@ -4,7 +4,10 @@ use clap::Args;
 use ctos::control::protocol::{Answer, Request};
 
 use crate::{
-    commands::{progress, remote},
+    commands::{
+        progress,
+        remote::{self, AtArgs},
+    },
     exit, show,
 };
 
@@ -18,7 +21,11 @@ use crate::{
   ctos stop calibrate --now")]
 pub struct StopArgs {
     /// Name of the running app, its process id, or NAME-PID; needed only when several are running
+    #[arg(conflicts_with = "at")]
     pub app: Option<String>,
+    /// An app on another host
+    #[command(flatten)]
+    pub at: AtArgs,
     /// Do not wait for tasks that do not stop at once
     #[arg(long)]
     pub now: bool,
@@ -30,7 +37,7 @@ pub struct StopArgs {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &StopArgs) -> u8 {
-    let mut client = match remote::connect(args.app.as_deref()) {
+    let mut client = match remote::connect_to(args.app.as_deref(), &args.at) {
         Ok(client) => client,
         Err(error) => return remote::failed(&error),
     };

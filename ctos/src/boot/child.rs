@@ -1,13 +1,13 @@
 //! The process of one chassis: connects to the others, runs its processors until it is told to end.
 
-use std::sync::Arc;
+use std::{os::fd::AsFd, sync::Arc};
 
-use tokio::sync::oneshot;
+use tokio::{io::AsyncReadExt, net::unix::pipe, sync::oneshot};
 
 use crate::{
     boot::{
         self,
-        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+        mesh::{self, FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
     },
     chassis::Chassis,
     config::App,
@@ -97,7 +97,14 @@ async fn serve(
     });
     boot::start_system_tasks(chassis, None);
     let limit = chassis.app.phase_timeout;
-    let connected = tokio::time::timeout(limit, connect(chassis, boot, who)).await;
+    let mut tether = Tether::taken()?;
+    let connected = tokio::select! {
+        connected = tokio::time::timeout(limit, connect(chassis, boot, who)) => connected,
+        () = tether.cut() => return Err(ChildError::Connect {
+            what: "the app".to_owned(),
+            reason: "the agent that started this chassis is gone, or has ended its run".to_owned(),
+        }),
+    };
     let mut mesh = connected.map_err(|_| ChildError::Connect {
         what: "the other chassis".to_owned(),
         reason: format!("not done within {:.3} s", limit.as_secs_f64()),
@@ -107,6 +114,11 @@ async fn serve(
         tokio::select! {
             // Without a sender left, every chassis thread is gone: an error exit.
             code = &mut exited => break code.unwrap_or(1),
+            () = tether.cut() => {
+                tracing::error!("the agent that started this chassis is gone, or has ended its run");
+                // Its tasks are stopped as when the boot is gone.
+                chassis.link_down(0);
+            }
             // What becomes of the others, the tasks see.
             _ = mesh.next() => {}
         }
@@ -117,6 +129,30 @@ async fn serve(
     let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
     let _ = tokio::time::timeout(FLUSH_LIMIT, ended).await;
     Ok(code)
+}
+
+/// The hold that an agent has on the chassis that it started: their standard input, which ends with it.
+struct Tether(Option<pipe::Receiver>);
+
+impl Tether {
+    /// That of this process, if an agent started it.
+    fn taken() -> std::io::Result<Self> {
+        if std::env::var_os(super::TETHER_VARIABLE).is_none() {
+            return Ok(Self(None));
+        }
+        let input = std::io::stdin().as_fd().try_clone_to_owned()?;
+        Ok(Self(Some(pipe::Receiver::from_owned_fd(input)?)))
+    }
+
+    /// Ends, once, when the agent lets go.
+    async fn cut(&mut self) {
+        let Some(input) = &mut self.0 else {
+            return std::future::pending().await;
+        };
+        let mut ignored = [0; 64];
+        while let Ok(1..) = input.read(&mut ignored).await {}
+        self.0 = None;
+    }
 }
 
 /// Lets the last frames out.
@@ -140,13 +176,16 @@ async fn connect(
                     address,
                     reason: error.to_string(),
                 },
+                MeshError::Wait(error) => ChildError::System(error),
                 MeshError::Keys(error) => ChildError::Keys(error.to_string()),
                 MeshError::Zenoh(error) => ChildError::Connect {
                     what: "the network of [zenoh]".to_owned(),
                     reason: error.to_string(),
                 },
             };
-            Mesh::unable(boot, chassis, None, &token, &error.to_string()).await;
+            // Without keys that can be used it cannot be told; the boot sees the process end.
+            let keys = mesh::keys_of(&chassis.app).ok().flatten();
+            Mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
             return Err(error);
         }
     };

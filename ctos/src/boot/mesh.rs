@@ -9,35 +9,29 @@
 
 mod call;
 mod door;
+mod members;
+mod peer;
 
 use std::{
     collections::BTreeMap,
     io,
     path::Path,
-    sync::{
-        Arc, Mutex, OnceLock, Weak,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex, OnceLock, atomic::Ordering},
     time::Duration,
 };
 
-use rustix::process::{Pid, PidfdFlags, pidfd_open};
 use serde::{Deserialize, Serialize};
-use tokio::{
-    io::{Interest, unix::AsyncFd},
-    runtime::Handle,
-    sync::mpsc,
-};
+use tokio::{runtime::Handle, sync::mpsc};
 
 use crate::{
     call::lock,
     chassis::Chassis,
-    config::{InjuryConfig, SameHost},
+    config::{App, InjuryConfig, SameHost},
     link::{
-        Frame,
         handshake::{Process, Token},
         injure::Injury,
-        session::{DownReason, Limits, Receiver, Session, state::Event, state::State},
+        lookout::Lookout,
+        session::{DownReason, Limits, Session, state::Event, state::State},
         transport::{Address, Listener},
         zenoh::Fabric,
     },
@@ -46,9 +40,6 @@ use crate::{
 
 /// How long the last frames may take when a process ends.
 pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
-
-/// Exit code of a chassis that the boot has given up: it was silent for too long.
-const EXIT_GIVEN_UP: i32 = 6;
 
 /// What the mesh of one chassis tells that of another.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,6 +83,9 @@ pub(crate) enum MeshError {
     /// The address of the configuration cannot be listened at.
     #[error("cannot listen at {address}: {error}")]
     Listen { address: String, error: io::Error },
+    /// The system does not let it wait for its links.
+    #[error("cannot wait for links: {0}")]
+    Wait(io::Error),
     /// The keys cannot be used.
     #[error("the keys of [security] cannot be used: {0}")]
     Keys(#[from] KeyError),
@@ -137,12 +131,13 @@ struct Inner {
     keys: Option<Arc<Keys>>,
     fabric: Option<Arc<Fabric>>,
     runtime: Handle,
+    /// Who reads what comes over plain sockets and shared memory.
+    lookout: Arc<Lookout>,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
     live: Mutex<BTreeMap<u8, u32>>,
     events: mpsc::UnboundedSender<MeshEvent>,
-    refused: AtomicU64,
 }
 
 /// The links of one chassis.
@@ -176,14 +171,7 @@ impl Mesh {
         process: Process,
     ) -> Result<Self, MeshError> {
         let app = &chassis.app;
-        let keys = match &app.security {
-            Some(security) => {
-                let place = |path: &Path| app.folder.join(path);
-                let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
-                Some(Arc::new(keys))
-            }
-            None => None,
-        };
+        let keys = keys_of(app)?;
         let fabric = Fabric::join(app, chassis.index() == 0)
             .await
             .map_err(MeshError::Zenoh)?;
@@ -193,6 +181,10 @@ impl Mesh {
             address: chassis.name().to_owned(),
             error,
         })?;
+        let spin = app.links.spin;
+        let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
+        let lookout = lookout.map_err(MeshError::Wait)?;
+        chassis.set_lookout(lookout.clone());
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -201,11 +193,11 @@ impl Mesh {
             keys,
             fabric,
             runtime: Handle::current(),
+            lookout,
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
             live: Mutex::default(),
             events: sender,
-            refused: AtomicU64::new(0),
         });
         let doors = listeners
             .into_iter()
@@ -216,6 +208,11 @@ impl Mesh {
             events,
             doors,
         })
+    }
+
+    /// The keys of the app, if it has any.
+    pub(crate) fn keys(&self) -> Option<Arc<Keys>> {
+        self.inner.keys.clone()
     }
 
     /// Where this chassis can be called, the nearest first.
@@ -236,15 +233,24 @@ impl Mesh {
 
     /// How many callers were refused so far.
     pub(crate) fn refused(&self) -> u64 {
-        self.inner.refused.load(Ordering::Relaxed)
+        self.inner.chassis.refused.load(Ordering::Relaxed)
     }
 
     /// Joins the app whose boot listens at `boot`; what comes of it are events.
     pub(crate) fn join(&self, boot: &Address) {
+        let near = match boot {
+            Address::Unix(_) | Address::Zenoh(_) => true,
+            Address::Tcp(at) => at.ip().to_canonical().is_loopback(),
+        };
         let member = Member {
             chassis: 0,
             incarnation: 1,
-            process: self.inner.process.clone(),
+            // One of another host is seen by nobody here.
+            process: if near {
+                self.inner.process.clone()
+            } else {
+                Process::unseen()
+            },
             listen: vec![boot.clone()],
         };
         self.inner.call(member);
@@ -288,15 +294,30 @@ impl Mesh {
         if let Some(fabric) = &self.inner.fabric {
             fabric.close().await;
         }
+        self.inner.lookout.close();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
+        self.inner.lookout.close();
         for door in &self.doors {
             door.abort();
         }
     }
+}
+
+/// The keys that an app names.
+///
+/// # Errors
+/// When they cannot be used.
+pub(crate) fn keys_of(app: &App) -> Result<Option<Arc<Keys>>, KeyError> {
+    let Some(security) = &app.security else {
+        return Ok(None);
+    };
+    let place = |path: &Path| app.folder.join(path);
+    let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
+    Ok(Some(Arc::new(keys)))
 }
 
 /// Where this chassis listens: for its own host, and where the configuration says. The first is where
@@ -307,9 +328,7 @@ async fn listeners(
     fabric: Option<&Arc<Fabric>>,
 ) -> Result<Vec<Listener>, MeshError> {
     let app = &chassis.app;
-    let mut configured = app.chassis.iter();
-    let configured = configured.find(|config| config.name == chassis.name());
-    let listen = configured.and_then(|config| config.listen);
+    let listen = app.listens_at(chassis.name());
     let mut listeners = Vec::new();
     if let Some(fabric) = fabric {
         let listener = fabric.listen(chassis.name()).await;
@@ -396,7 +415,7 @@ impl Inner {
             room: app.links.room,
         };
         let injury = self.injury(&app.links.injury, chassis);
-        let receiver = PeerReceiver {
+        let receiver = peer::PeerReceiver {
             mesh: Arc::downgrade(self),
             chassis,
             incarnation,
@@ -404,9 +423,10 @@ impl Inner {
         let clock = self.chassis.clock.clone();
         let session = Session::new(clock, limits, injury, Box::new(receiver));
         peer.session = Some(session.clone());
-        self.runtime.spawn(keep(session.clone()));
+        self.runtime.spawn(peer::keep(session.clone()));
         if self.process.sees(process) {
-            self.runtime.spawn(watch(session.clone(), process.pid));
+            self.runtime
+                .spawn(peer::watch(session.clone(), process.pid));
         }
         Some(session)
     }
@@ -414,248 +434,6 @@ impl Inner {
     fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
         let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
         Injury::of(config, self.chassis.app.seed, from, to)
-    }
-
-    /// A link came up, or went down.
-    fn changed(self: &Arc<Self>) {
-        if self.chassis.index() == 0 {
-            self.announce();
-        } else {
-            self.report();
-        }
-    }
-
-    /// At the boot: when everybody who is expected has called, all are told of all.
-    fn announce(&self) {
-        let (notice, sessions) = {
-            let mut state = lock(&self.state);
-            let is_up = |peer: &Peer| {
-                let session = peer.session.as_ref();
-                // One that has just lost its stream is a member all the same.
-                session.is_some_and(|session| matches!(session.state(), State::Up | State::Broken))
-            };
-            let expected = |peer: &&Peer| {
-                let session = peer.session.as_ref();
-                session.is_none_or(|session| session.state() != State::Down)
-            };
-            let mut peers = state.peers.values().filter(expected);
-            if !peers.all(|peer| is_up(peer) && peer.member.is_some()) {
-                return;
-            }
-            state.round += 1;
-            let round = state.round;
-            let up = || state.peers.values().filter(|peer| is_up(peer));
-            let members = up().filter_map(|peer| peer.member.clone()).collect();
-            let sessions: Vec<_> = up().filter_map(|peer| peer.session.clone()).collect();
-            (Notice::Members { round, members }, sessions)
-        };
-        for session in sessions {
-            tell(&session, &notice);
-        }
-    }
-
-    /// Elsewhere: when all members are connected, or gone again, the boot is told.
-    fn report(&self) {
-        let (round, boot) = {
-            let mut state = lock(&self.state);
-            let Some(awaited) = &state.awaited else {
-                return;
-            };
-            let connected = |member: &Member| {
-                let Some(peer) = state.peers.get(&member.chassis) else {
-                    return false;
-                };
-                let session = peer.session.as_ref();
-                let met = session.is_some_and(|session| session.state() != State::Waiting);
-                peer.incarnation > member.incarnation
-                    || peer.incarnation == member.incarnation && met
-            };
-            let ours = self.chassis.index();
-            let mut others = awaited.iter().filter(|member| member.chassis != ours);
-            if !others.all(connected) {
-                return;
-            }
-            state.awaited = None;
-            let boot = state.peers.get(&0).and_then(|peer| peer.session.clone());
-            (state.round, boot)
-        };
-        if let Some(boot) = boot {
-            tell(&boot, &Notice::Ready { round });
-        }
-        self.send(MeshEvent::Joined {
-            chassis: self.chassis.index(),
-            incarnation: self.who.incarnation,
-        });
-    }
-
-    /// What the mesh of `chassis` says.
-    fn heard(self: &Arc<Self>, chassis: u8, notice: Notice) {
-        match notice {
-            Notice::Members { round, members } if chassis == 0 => {
-                let ours = (self.chassis.index(), self.who.incarnation);
-                for member in &members {
-                    let theirs = (member.chassis, member.incarnation);
-                    if theirs.0 != ours.0 && calls(ours, theirs) {
-                        self.call(member.clone());
-                    }
-                }
-                {
-                    let mut state = lock(&self.state);
-                    state.round = round;
-                    state.awaited = Some(members);
-                }
-                self.report();
-            }
-            Notice::Ready { round } if self.chassis.index() == 0 => {
-                let incarnation = {
-                    let mut state = lock(&self.state);
-                    let last = state.round;
-                    let Some(peer) = state.peers.get_mut(&chassis) else {
-                        return;
-                    };
-                    if round != last {
-                        return;
-                    }
-                    peer.ready = round;
-                    peer.incarnation
-                };
-                self.send(MeshEvent::Joined {
-                    chassis,
-                    incarnation,
-                });
-            }
-            other => {
-                let peer = self.chassis.name_of(chassis);
-                tracing::error!(peer, notice = ?other, "not for this chassis to hear");
-            }
-        }
-    }
-}
-
-/// Sends a message of the mesh.
-fn tell(session: &Session, notice: &Notice) {
-    match postcard::to_stdvec(notice) {
-        Ok(bytes) => session.notify(bytes),
-        Err(error) => tracing::error!(error = %error, "a message of the mesh cannot be written"),
-    }
-}
-
-/// Looks after a session until it is over.
-async fn keep(session: Arc<Session>) {
-    let mut ticks = tokio::time::interval(session.pulse_every());
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    while session.state() != State::Down {
-        ticks.tick().await;
-        session.keep();
-    }
-}
-
-/// Tells a session when the process at its other end is gone.
-#[allow(
-    deprecated,
-    reason = "the file belongs to the watcher alone, which is what the function's replacement asks to be promised in unsafe code"
-)]
-async fn watch(session: Arc<Session>, pid: u32) {
-    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
-    let opened = pid.map(|pid| pidfd_open(pid, PidfdFlags::NONBLOCK));
-    let ended = match opened {
-        Some(Ok(process)) => AsyncFd::with_interest(process, Interest::READABLE),
-        Some(Err(rustix::io::Errno::SRCH)) => {
-            return session.event(Event::PeerEnded, DownReason::Ended);
-        }
-        // Then its silence tells.
-        _ => return,
-    };
-    let Ok(process) = ended else {
-        return;
-    };
-    let mut state = session.watch();
-    tokio::select! {
-        _ = process.readable() => session.event(Event::PeerEnded, DownReason::Ended),
-        _ = state.wait_for(|state| *state == State::Down) => {}
-    }
-}
-
-/// Takes what one session brings.
-struct PeerReceiver {
-    mesh: Weak<Inner>,
-    chassis: u8,
-    incarnation: u32,
-}
-
-impl Receiver for PeerReceiver {
-    fn up(&self, session: Arc<Session>) {
-        let Some(mesh) = self.mesh.upgrade() else {
-            return;
-        };
-        {
-            let mut live = lock(&mesh.live);
-            live.insert(self.chassis, self.incarnation);
-            mesh.chassis.link_up(self.chassis, session);
-        }
-        mesh.send(MeshEvent::Up {
-            chassis: self.chassis,
-            incarnation: self.incarnation,
-        });
-        // The session shows that it is up only when this has returned.
-        let runtime = mesh.runtime.clone();
-        runtime.spawn(async move { mesh.changed() });
-    }
-
-    fn frame(&self, frame: Frame) {
-        if let Some(mesh) = self.mesh.upgrade() {
-            mesh.chassis.receive(self.chassis, frame);
-        }
-    }
-
-    fn notice(&self, bytes: Vec<u8>) {
-        let Some(mesh) = self.mesh.upgrade() else {
-            return;
-        };
-        match postcard::from_bytes(&bytes) {
-            Ok(notice) => mesh.heard(self.chassis, notice),
-            Err(error) => {
-                let peer = mesh.chassis.name_of(self.chassis);
-                tracing::error!(peer, error = %error, "a message of the mesh cannot be read");
-            }
-        }
-    }
-
-    fn down(&self, reason: &DownReason) {
-        let Some(mesh) = self.mesh.upgrade() else {
-            return;
-        };
-        let peer = mesh.chassis.name_of(self.chassis);
-        match reason {
-            DownReason::Bye | DownReason::Closed => {
-                tracing::debug!(peer, reason = %reason, "link down");
-            }
-            // Those that end in their order are no news.
-            _ if mesh.chassis.is_stopping() => tracing::debug!(peer, reason = %reason, "link down"),
-            _ => tracing::warn!(peer, reason = %reason, "link down"),
-        }
-        if self.chassis == 0 && *reason == DownReason::GivenUp {
-            tracing::error!(
-                "the boot has given this chassis up, which was silent for too long: it ends"
-            );
-            // Before the tasks see that the boot is gone, and take that for the reason.
-            mesh.chassis.exit(EXIT_GIVEN_UP);
-        }
-        {
-            let mut live = lock(&mesh.live);
-            // The link of a successor must not go down with this one.
-            if live.get(&self.chassis) == Some(&self.incarnation) {
-                live.remove(&self.chassis);
-                mesh.chassis.link_down(self.chassis);
-            }
-        }
-        mesh.send(MeshEvent::Down {
-            chassis: self.chassis,
-            incarnation: self.incarnation,
-            reason: reason.clone(),
-        });
-        let runtime = mesh.runtime.clone();
-        runtime.spawn(async move { mesh.changed() });
     }
 }
 

@@ -22,21 +22,32 @@ use crate::{
     chassis::Chassis,
     config::App,
     control::{LogStore, Server, Ticker},
-    link::handshake::Token,
+    link::{
+        handshake::Token,
+        transport::{Address, Listener},
+    },
     record,
     registry::Registry,
+    remote::{Hosts, HostsSetup},
     system,
     time::Clock,
     watch,
 };
+
+/// How chassis are started, and who watches.
+pub(crate) struct Setup<'a> {
+    pub(crate) launcher: &'a Launcher,
+    /// What chassis of other hosts are told besides the app.
+    pub(crate) options: &'a [String],
+    pub(crate) observer: &'a Observer,
+}
 
 /// Boots `app` with one process per chassis.
 pub(crate) fn boot(
     clock: &Clock,
     app: &Arc<App>,
     registry: &Arc<Registry>,
-    launcher: &Launcher,
-    observer: &Observer,
+    setup: &Setup<'_>,
 ) -> Result<Outcome, BootError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -44,7 +55,7 @@ pub(crate) fn boot(
         .map_err(io("cannot start the runtime"))?;
     let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
     let recording = record::start(std::slice::from_ref(&chassis)).map_err(io("cannot record"))?;
-    let outcome = runtime.block_on(run(&chassis, launcher, observer));
+    let outcome = runtime.block_on(run(&chassis, setup));
     runtime.shutdown_background();
     if let Some(recording) = recording {
         recording.finish();
@@ -52,28 +63,31 @@ pub(crate) fn boot(
     outcome
 }
 
-async fn run(
-    chassis: &Arc<Chassis>,
-    launcher: &Launcher,
-    observer: &Observer,
-) -> Result<Outcome, BootError> {
-    let mut processes = Vec::new();
-    let outcome = run_processes(chassis, launcher, observer, &mut processes).await;
+async fn run(chassis: &Arc<Chassis>, setup: &Setup<'_>) -> Result<Outcome, BootError> {
+    let mut started = Started::default();
+    let outcome = run_processes(chassis, setup, &mut started).await;
     // Those that are still in the list were not brought up: nothing moves yet, and nobody may be left.
-    for mut process in processes {
+    for mut process in started.processes {
         process.kill();
         process.ended().await;
     }
+    started.hosts.close().await;
     outcome
 }
 
-/// Starts the processes and runs the app to its end. Those that have not been seen to end are left in
-/// `processes`.
+/// What must not be left behind.
+#[derive(Default)]
+struct Started {
+    /// Those that have not been seen to end.
+    processes: Vec<Process>,
+    hosts: Hosts,
+}
+
+/// Starts the processes and runs the app to its end. What is to be undone is left in `started`.
 async fn run_processes(
     chassis: &Arc<Chassis>,
-    launcher: &Launcher,
-    observer: &Observer,
-    processes: &mut Vec<Process>,
+    setup: &Setup<'_>,
+    started: &mut Started,
 ) -> Result<Outcome, BootError> {
     let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
     let who = Identification {
@@ -86,6 +100,7 @@ async fn run_processes(
             MeshError::Listen { address, error } => {
                 io(format!("cannot listen at {address}"))(error)
             }
+            MeshError::Wait(error) => io("cannot wait for links")(error),
             MeshError::Keys(error) => BootError::Keys(error.to_string()),
             MeshError::Zenoh(error) => io("cannot join the network of [zenoh]")(error),
         })?;
@@ -96,15 +111,41 @@ async fn run_processes(
     };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
+    let gate = match chassis.app.control {
+        Some(address) => {
+            let listener = Listener::tcp(address, mesh.keys()).await;
+            Some(listener.map_err(io(format!("cannot listen at {address}, as [control] says")))?)
+        }
+        None => None,
+    };
+    let is_tcp = |address: &&Address| matches!(address, Address::Tcp(_));
+    let beyond = mesh.addresses().iter().find(is_tcp).unwrap_or(&address);
+    let hosts = HostsSetup {
+        chassis,
+        keys: mesh.keys(),
+        options: setup.options,
+        boot: beyond.clone(),
+        token: token.clone(),
+    };
+    started.hosts = tokio::select! {
+        hosts = Hosts::connect(&hosts) => hosts.map_err(BootError::Hosts)?,
+        _ = interrupt.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => {
+            (setup.observer)(&BootEvent::Terminated);
+            return Ok(interrupted(chassis));
+        }
+    };
+    let processes = &mut started.processes;
     let logs = Arc::new(LogStore::new(chassis.clock.clone()));
-    let (ticker, observer) = &Ticker::observe(observer);
+    let (ticker, observer) = &Ticker::observe(setup.observer);
     let starter = Starter {
         chassis: chassis.clone(),
-        launcher: launcher.clone(),
+        launcher: setup.launcher.clone(),
         observer: observer.clone(),
         boot: address,
         token: token.clone(),
         logs: logs.clone(),
+        hosts: started.hosts.clone(),
     };
     for index in chassis.others() {
         processes.push(starter.start(index, 1)?);
@@ -141,7 +182,7 @@ async fn run_processes(
         served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
     }
     let threads = boot::start_processors(chassis).map_err(io("cannot start a thread"))?;
-    let server = serve(chassis, &logs, ticker);
+    let server = Server::start(chassis, &logs, ticker.clone(), gate);
     let mut newcomers = Newcomers::default();
     chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
     loop {
@@ -174,21 +215,8 @@ async fn run_processes(
         casualties,
         took,
     };
-    if let Some(server) = server {
-        server.finish(&outcome).await;
-    }
+    server.finish(&outcome).await;
     Ok(outcome)
-}
-
-/// Serves the control socket. An app that cannot have one runs without.
-fn serve(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Option<Server> {
-    match Server::start(chassis, logs, ticker.clone()) {
-        Ok(server) => Some(server),
-        Err(error) => {
-            tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
-            None
-        }
-    }
 }
 
 fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
@@ -300,7 +328,7 @@ async fn first_exit(processes: &mut [Process]) -> BootError {
     });
     let ((chassis, ending, lines), _, _) = futures_util::future::select_all(waits).await;
     let how = ending.how;
-    let lines = lock(&lines).iter().cloned().collect::<Vec<_>>().join("\n");
+    let lines = lock(&lines).text();
     let reason = if lines.is_empty() {
         format!("it {how}")
     } else {

@@ -1,70 +1,47 @@
-//! The processes of an app, as the one that boots sees them: started, watched, ended.
+//! The processes of an app, as the one that boots sees them: started, watched, ended. Some are its own
+//! children, others those of agents on other hosts.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
-    process::{ExitStatus, Stdio},
+    collections::BTreeMap,
     sync::{Arc, Mutex},
     time::Duration,
 };
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use tokio::{
-    io::{AsyncBufReadExt, BufReader},
-    process::{Child, ChildStderr, Command},
-    sync::{Notify, mpsc, watch},
+    process::Command,
+    sync::{mpsc, watch},
 };
 
 use crate::{
     boot::{
         BootError, BootEvent, End, INCARNATION_VARIABLE, Launcher, Observer, TOKEN_VARIABLE,
-        mesh::FLUSH_LIMIT,
+        spawn::{self, Ending, LastLines, Tether},
     },
     bootstrap::Processes,
     call::lock,
     chassis::Chassis,
     control::LogStore,
     link::{handshake::Token, transport::Address},
+    remote::{HostLink, Hosts},
     system,
 };
-
-/// How many of its last lines are kept of a chassis's log, for the error that its end causes.
-const LAST_LINES: usize = 5;
-
-/// A longer line of a log is cut: a chassis that writes no line ends must not fill the memory of the
-/// boot, bytes.
-const LINE_LIMIT: usize = 16 * 1024;
-
-/// How a process ended.
-#[derive(Debug, Clone)]
-pub(super) struct Ending {
-    /// Completes "the chassis ...".
-    pub(super) how: String,
-    pub(super) code: Option<i32>,
-}
-
-impl Ending {
-    fn of(status: std::io::Result<ExitStatus>) -> Self {
-        match status {
-            Ok(status) => Self {
-                how: describe(&status),
-                code: status.code(),
-            },
-            Err(error) => Self {
-                how: format!("ended, and nobody can tell how: {error}"),
-                code: None,
-            },
-        }
-    }
-}
 
 /// A chassis's process.
 pub(super) struct Process {
     pub(super) name: String,
     incarnation: u32,
-    pid: Option<u32>,
-    pub(super) last_lines: Arc<Mutex<VecDeque<String>>>,
-    kill: Arc<Notify>,
+    pub(super) last_lines: Arc<Mutex<LastLines>>,
+    home: Home,
     ended: watch::Receiver<Option<Ending>>,
+}
+
+/// Where a process lives.
+enum Home {
+    /// A child of this process.
+    Here(mpsc::UnboundedSender<Signal>),
+    /// A child of the agent of that host.
+    There { link: HostLink, index: u8 },
 }
 
 impl Process {
@@ -81,17 +58,95 @@ impl Process {
 
     /// Ends it at once.
     pub(super) fn kill(&self) {
-        self.kill.notify_one();
+        self.signal(Signal::KILL);
     }
 
     fn signal(&self, signal: Signal) {
-        let pid = self.pid.and_then(|pid| i32::try_from(pid).ok());
-        if let Some(pid) = pid.and_then(Pid::from_raw)
-            && self.ended.borrow().is_none()
-        {
-            // It may have ended just now; whoever waits for it sees that.
-            let _ = kill_process(pid, signal);
+        match &self.home {
+            Home::Here(signals) => {
+                // One that has ended needs no signal.
+                let _ = signals.send(signal);
+            }
+            Home::There { link, index } => link.signal(*index, self.incarnation, signal),
         }
+    }
+}
+
+/// Hears everything of one process, wherever it lives.
+pub(crate) struct Witness {
+    chassis: Arc<Chassis>,
+    pub(crate) index: u8,
+    pub(crate) incarnation: u32,
+    pub(crate) name: String,
+    host: Option<String>,
+    observer: Observer,
+    logs: Arc<LogStore>,
+    last_lines: Arc<Mutex<LastLines>>,
+    ended: Mutex<Option<watch::Sender<Option<Ending>>>>,
+}
+
+impl Witness {
+    /// One whose process nobody starts.
+    #[cfg(test)]
+    pub(crate) fn of_test(
+        chassis: &Arc<Chassis>,
+        index: u8,
+        incarnation: u32,
+        observer: Observer,
+    ) -> Self {
+        Self {
+            chassis: chassis.clone(),
+            index,
+            incarnation,
+            name: chassis.name_of(index).to_owned(),
+            host: None,
+            observer,
+            logs: Arc::new(LogStore::new(chassis.clock.clone())),
+            last_lines: Arc::default(),
+            ended: Mutex::new(None),
+        }
+    }
+
+    /// It runs.
+    pub(crate) fn started(&self, pid: Option<u32>) {
+        self.logs.begin(&self.name, self.incarnation, pid);
+        (self.observer)(&BootEvent::Started {
+            chassis: self.name.clone(),
+            pid,
+            host: self.host.clone(),
+        });
+    }
+
+    /// Whether it, or one before it, can be talked to.
+    pub(crate) fn is_linked(&self) -> bool {
+        self.chassis.is_linked(self.index)
+    }
+
+    /// It has written a line to its log.
+    pub(crate) fn line(&self, line: String) {
+        lock(&self.last_lines).push(line.clone());
+        self.logs.add(&self.name, self.incarnation, &line);
+        let chassis = self.name.clone();
+        (self.observer)(&BootEvent::Log { chassis, line });
+    }
+
+    /// It has ended. Only the first time counts.
+    pub(crate) fn ended(&self, ending: Ending) {
+        let Some(ended) = lock(&self.ended).take() else {
+            return;
+        };
+        // The service is told of the end of every process; of that of the app it has no use.
+        self.chassis.post_system(
+            system::BOOTSTRAP,
+            system::ProcessEnded {
+                chassis: self.index,
+                incarnation: self.incarnation,
+                how: ending.how.clone(),
+                code: ending.code,
+            },
+        );
+        // Nobody may be left to see it.
+        let _ = ended.send(Some(ending));
     }
 }
 
@@ -103,151 +158,68 @@ pub(super) struct Starter {
     pub(super) boot: Address,
     pub(super) token: Token,
     pub(super) logs: Arc<LogStore>,
+    pub(super) hosts: Hosts,
 }
 
 impl Starter {
-    /// Starts the process of chassis `index`; its log is shown line by line.
+    /// Starts the process of chassis `index`; its log is shown line by line. One on another host may
+    /// turn out later not to have started: it ends then.
     pub(super) fn start(&self, index: u8, incarnation: u32) -> Result<Process, BootError> {
         let name = self.chassis.name_of(index).to_owned();
-        let origin = self.chassis.clock.origin_ns().unwrap_or(0);
-        let mut child = Command::new(&self.launcher.program)
-            .args(&self.launcher.arguments)
-            .args(["--chassis", &name, "--boot", &self.boot.to_string()])
-            .args(["--origin", &origin.to_string()])
-            .env(TOKEN_VARIABLE, &self.token.0)
-            .env(INCARNATION_VARIABLE, incarnation.to_string())
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .process_group(0)
-            .kill_on_drop(true)
-            .spawn()
-            .map_err(super::io_error(format!("cannot start chassis `{name}`")))?;
-        let pid = child.id();
-        self.logs.begin(&name, incarnation, pid);
-        (self.observer)(&BootEvent::Started {
-            chassis: name.clone(),
-            pid,
-        });
-        let last_lines = Arc::new(Mutex::new(VecDeque::new()));
-        let log = child.stderr.take().map(|stderr| {
-            let log = Log {
-                chassis: name.clone(),
-                incarnation,
-                last_lines: last_lines.clone(),
-                observer: self.observer.clone(),
-                logs: self.logs.clone(),
-            };
-            tokio::spawn(log.read(stderr))
-        });
-        let kill = Arc::new(Notify::new());
+        let host = self.chassis.app.host_of(&name);
+        let last_lines = Arc::new(Mutex::new(LastLines::default()));
         let (ending, ended) = watch::channel(None);
-        let order = kill.clone();
-        let chassis = self.chassis.clone();
-        tokio::spawn(async move {
-            let status = wait(&mut child, &order).await;
-            if let Some(log) = log {
-                // A grandchild may hold the pipe open for ever.
-                let _ = tokio::time::timeout(FLUSH_LIMIT, log).await;
-            }
-            let end = Ending::of(status);
-            // The service is told of the end of every process; of that of the app it has no use.
-            chassis.post_system(
-                system::BOOTSTRAP,
-                system::ProcessEnded {
-                    chassis: index,
-                    incarnation,
-                    how: end.how.clone(),
-                    code: end.code,
-                },
-            );
-            // Nobody may be left to see it.
-            let _ = ending.send(Some(end));
+        let witness = Arc::new(Witness {
+            chassis: self.chassis.clone(),
+            index,
+            incarnation,
+            name: name.clone(),
+            host: host.map(|host| host.name.clone()),
+            observer: self.observer.clone(),
+            logs: self.logs.clone(),
+            last_lines: last_lines.clone(),
+            ended: Mutex::new(Some(ending)),
         });
+        let home = match host.and_then(|host| self.hosts.link(&host.name)) {
+            Some(link) => {
+                link.start(witness);
+                Home::There { link, index }
+            }
+            None => self.start_here(witness)?,
+        };
         Ok(Process {
             name,
             incarnation,
-            pid,
             last_lines,
-            kill,
+            home,
             ended,
         })
     }
-}
 
-async fn wait(child: &mut Child, kill: &Notify) -> std::io::Result<ExitStatus> {
-    tokio::select! {
-        status = child.wait() => return status,
-        () = kill.notified() => {}
+    fn start_here(&self, witness: Arc<Witness>) -> Result<Home, BootError> {
+        let origin = self.chassis.clock.origin_ns().unwrap_or(0);
+        let mut command = Command::new(&self.launcher.program);
+        command
+            .args(&self.launcher.arguments)
+            .args(["--chassis", &witness.name, "--boot", &self.boot.to_string()])
+            .args(["--origin", &origin.to_string()])
+            .env(TOKEN_VARIABLE, &self.token.0)
+            .env(INCARNATION_VARIABLE, witness.incarnation.to_string());
+        // Its lines are read by this thread, which has then told that it runs.
+        let (heard, at_end) = (witness.clone(), witness.clone());
+        let spawned = spawn::spawn(
+            command,
+            Tether::No,
+            move |line| heard.line(line),
+            move |ending| at_end.ended(ending),
+        )
+        .map_err(super::io_error(format!(
+            "cannot start chassis `{}`",
+            witness.name
+        )))?;
+        witness.started(spawned.pid);
+        Ok(Home::Here(spawned.signals))
     }
-    // An error says that it has ended already.
-    let _ = child.start_kill();
-    child.wait().await
-}
-
-/// What a process writes to its standard error.
-struct Log {
-    chassis: String,
-    incarnation: u32,
-    last_lines: Arc<Mutex<VecDeque<String>>>,
-    observer: Observer,
-    logs: Arc<LogStore>,
-}
-
-impl Log {
-    async fn read(self, stderr: ChildStderr) {
-        let mut reader = BufReader::new(stderr);
-        let mut bytes = Vec::new();
-        loop {
-            let room = LINE_LIMIT.saturating_sub(bytes.len());
-            let whole = match next_part(&mut reader, &mut bytes, room).await {
-                Ok(Some(whole)) => whole,
-                Ok(None) | Err(_) => {
-                    if !bytes.is_empty() {
-                        self.line(&bytes);
-                    }
-                    return;
-                }
-            };
-            if whole {
-                self.line(&bytes);
-                bytes.clear();
-            }
-        }
-    }
-
-    fn line(&self, bytes: &[u8]) {
-        let line = String::from_utf8_lossy(bytes).into_owned();
-        {
-            let mut kept = lock(&self.last_lines);
-            if kept.len() == LAST_LINES {
-                kept.pop_front();
-            }
-            kept.push_back(line.clone());
-        }
-        self.logs.add(&self.chassis, self.incarnation, &line);
-        let chassis = self.chassis.clone();
-        (self.observer)(&BootEvent::Log { chassis, line });
-    }
-}
-
-/// Adds at most `room` bytes of the line to `bytes` and skips what is beyond. Whether the line is whole;
-/// `None` at the end.
-async fn next_part(
-    reader: &mut BufReader<ChildStderr>,
-    bytes: &mut Vec<u8>,
-    room: usize,
-) -> std::io::Result<Option<bool>> {
-    let buffer = reader.fill_buf().await?;
-    if buffer.is_empty() {
-        return Ok(None);
-    }
-    let end = buffer.iter().position(|byte| *byte == b'\n');
-    let part = end.map_or(buffer, |end| buffer.get(..end).unwrap_or(buffer));
-    bytes.extend(part.iter().take(room));
-    let used = end.map_or(buffer.len(), |end| end + 1);
-    reader.consume(used);
-    Ok(Some(end.is_some()))
 }
 
 enum Order {
@@ -356,18 +328,5 @@ impl Keeper {
 impl std::fmt::Debug for Process {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Process(`{}` {})", self.name, self.incarnation)
-    }
-}
-
-fn describe(status: &ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("ended with exit code {code}"),
-        (None, Some(9)) => "was killed by signal 9 (SIGKILL)".to_owned(),
-        (None, Some(15)) => "was ended by signal 15 (SIGTERM)".to_owned(),
-        (None, Some(11)) => "crashed with signal 11 (SIGSEGV)".to_owned(),
-        (None, Some(6)) => "aborted with signal 6 (SIGABRT)".to_owned(),
-        (None, Some(number)) => format!("was ended by signal {number}"),
-        (None, None) => "ended".to_owned(),
     }
 }

@@ -33,6 +33,12 @@ pub struct App {
     pub record: Option<RecordConfig>,
     /// Where `/metrics` is served, if anywhere.
     pub metrics: Option<SocketAddr>,
+    /// Where the boot listens for chassis of other hosts.
+    pub listen: Option<SocketAddr>,
+    /// Where tools of other hosts reach the app, if anywhere.
+    pub control: Option<SocketAddr>,
+    /// The other hosts, in declared order.
+    pub hosts: Vec<HostConfig>,
     /// The chassis, in declared order.
     pub chassis: Vec<ChassisConfig>,
     /// The tasks, in declared order, those made by expanders after them.
@@ -81,11 +87,26 @@ pub struct RecordConfig {
     pub buffer_bytes: usize,
 }
 
+/// Another host, on which an agent waits for boots.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HostConfig {
+    /// Its symbolic name.
+    pub name: String,
+    /// Where its agent listens.
+    pub agent: SocketAddr,
+    /// Where `agent` stands.
+    pub agent_place: Place,
+    /// Where its name stands.
+    pub place: Place,
+}
+
 /// One process of an app.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChassisConfig {
     /// Its symbolic name.
     pub name: String,
+    /// The host it lives on; `None` = that of the boot.
+    pub host: Option<String>,
     /// The address at which the other chassis reach it; `None` = any free port of this host.
     pub listen: Option<SocketAddr>,
     /// Whether it is stopped before the others (hardware that must come to rest first).
@@ -160,6 +181,8 @@ pub struct ProcessorConfig {
     pub priority: Option<u8>,
     /// The CPU it is pinned to, counted from 0.
     pub cpu: Option<usize>,
+    /// How long it looks for messages before it sleeps; `None` = the runtime chooses by placement.
+    pub poll: Option<Duration>,
     /// The base period of its synchronous functions; `None` = they bring their own.
     pub period: Option<Duration>,
     /// What it does with ticks that it comes too late for.

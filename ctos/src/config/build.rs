@@ -2,14 +2,15 @@
 //! with it by itself.
 //!
 //! Knows the tables `[app]`, `[time]`, `[chassis]` and `[task]`; `observe` those of recording and
-//! metrics. Knows no handler: whether a
+//! metrics, `hosts` those of other hosts. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
 use super::app::{
-    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, OnTaskFailure,
-    ProcessorConfig, SemaphoreConfig, TaskConfig, TimeMode,
+    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, HostConfig,
+    OnTaskFailure, ProcessorConfig, SemaphoreConfig, TaskConfig, TimeMode,
 };
 use super::fields::{Fields, FlagOr, check_name};
+use super::hosts;
 use super::links;
 use super::node::{Entry, Node};
 use super::observe;
@@ -35,6 +36,7 @@ pub(super) const APP_KEYS: &[&str] = &[
     links::KEYS[1],
     links::KEYS[2],
     links::KEYS[3],
+    "listen",
 ];
 const TOP_KEYS: &[&str] = &[
     "include",
@@ -49,15 +51,18 @@ const TOP_KEYS: &[&str] = &[
     "zenoh",
     "record",
     "metrics",
+    "host",
+    "control",
     "profile",
 ];
 const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
 const BARRIER_KEYS: &[&str] = &["scope", "parties"];
 const PARTIES_MOST: u32 = 1_000_000;
 const PROCESSOR_KEYS: &[&str] = &[
-    "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
+    "realtime", "priority", "cpu", "poll_us", "period_s", "overrun", "spin_us",
 ];
 const CHASSIS_KEYS: &[&str] = &[
+    "host",
     "listen",
     "stop_first",
     "restart",
@@ -128,6 +133,8 @@ pub(super) fn build(
     let barriers = builder.barriers(&root);
     let record = observe::record(builder.fields(&root, "record", observe::RECORD_KEYS));
     let metrics = observe::metrics(builder.fields(&root, "metrics", observe::METRICS_KEYS));
+    let control = hosts::control(builder.fields(&root, "control", hosts::CONTROL_KEYS));
+    let hosts = builder.hosts(&root);
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
@@ -140,10 +147,21 @@ pub(super) fn build(
     let phase_timeout = fields.seconds("phase_timeout_s", 3600.0);
     let stop_timeout = fields.seconds("stop_timeout_s", 3600.0);
     let until = fields.text("until");
+    let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"192.168.1.10:0\"");
+    let listen = listen.map(|listen| (listen, fields.place("listen")));
     let mut links = links::links(&mut fields);
     links.injury = links::injury(&root, &chassis, builder.findings);
     links.zenoh = zenoh::zenoh(&root, links.same_host, builder.findings);
     let security = links::security(&root, &chassis, builder.findings);
+    let together = hosts::Together {
+        root: &root,
+        hosts: &hosts,
+        chassis: &chassis,
+        boot: &listen,
+        control: &control,
+        has_keys: security.is_some(),
+    };
+    together.check(builder.findings);
     let until = until.map(|(task, place)| {
         builder.check_until(task, place, &root, &tasks);
         task.to_owned()
@@ -164,6 +182,9 @@ pub(super) fn build(
         security,
         record,
         metrics,
+        listen: listen.map(|(listen, _)| listen),
+        control: control.map(|(listen, _)| listen),
+        hosts,
         chassis,
         tasks,
         semaphores,
@@ -257,6 +278,15 @@ impl Builder<'_> {
         entry.value.entries()
     }
 
+    fn hosts(&mut self, root: &Node) -> Vec<HostConfig> {
+        let entries = self.named(root, "host").iter();
+        let read = entries.filter_map(|entry| {
+            let place = self.place_of(entry);
+            hosts::host(entry, place, self.findings)
+        });
+        read.collect()
+    }
+
     fn all_chassis(&mut self, root: &Node) -> Vec<ChassisConfig> {
         let entries = self.named(root, "chassis");
         self.too_many(entries, MOST_CHASSIS, "an app", "chassis");
@@ -301,6 +331,7 @@ impl Builder<'_> {
         let place = self.place_of(entry);
         let what = format!("chassis `{}`", entry.key);
         let mut fields = Fields::new(Some(&entry.value), what, CHASSIS_KEYS, self.findings);
+        let host = fields.text("host").map(|(host, _)| host.to_owned());
         let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:0\"");
         let stop_first = fields.flag("stop_first").unwrap_or(false);
         let supervision = supervision(&mut fields);
@@ -318,6 +349,7 @@ impl Builder<'_> {
                 required: false,
                 priority: None,
                 cpu: None,
+                poll: None,
                 period: None,
                 overrun: Overrun::default(),
                 spin: Duration::ZERO,
@@ -326,6 +358,7 @@ impl Builder<'_> {
         }
         ChassisConfig {
             name: entry.key.clone(),
+            host,
             listen,
             stop_first,
             supervision,
@@ -344,6 +377,7 @@ impl Builder<'_> {
         let realtime = required || realtime == Some(FlagOr::Flag(true));
         let priority = fields.integer("priority", 1..=99_u8);
         let cpu = fields.integer("cpu", 0..=1023_usize);
+        let poll_us = fields.integer("poll_us", 0..=10_000_u64);
         if let (Some(_), false, Some(at)) = (priority, realtime, fields.place("priority")) {
             let finding = Finding::warning(
                 "ctos::config::no_effect",
@@ -377,6 +411,7 @@ impl Builder<'_> {
             required,
             priority,
             cpu,
+            poll: poll_us.map(Duration::from_micros),
             period,
             overrun,
             spin: Duration::from_micros(spin_us),

@@ -79,6 +79,8 @@ const BARRIER: &str = "barrier.NAME";
 const SCOPE_DOC: &str = "Shared by the tasks of each chassis, or of the whole app. Default: of the app when the name begins with `app/`, else of the chassis.";
 const INJURE: &str = "injure";
 const SECURITY: &str = "security";
+const HOST: &str = "host.NAME";
+const CONTROL: &str = "control";
 const ZENOH: &str = "zenoh";
 
 /// All tables, outer ones first.
@@ -138,6 +140,18 @@ pub(super) const TABLES: &[Table] = &[
                 "What is written down of it.",
             ),
             key("metrics", Kind::One(METRICS), None, "Where it is watched."),
+            key(
+                "host",
+                Kind::Named(HOST),
+                None,
+                "Other hosts, by name, each with an agent that waits for boots.",
+            ),
+            key(
+                "control",
+                Kind::One(CONTROL),
+                None,
+                "Where tools of other hosts reach it.",
+            ),
             key(
                 "profile",
                 Kind::Profiles,
@@ -209,6 +223,12 @@ pub(super) const TABLES: &[Table] = &[
                 Some("64"),
                 "How much may be under way to another chassis and not acknowledged, MiB.",
             ),
+            key(
+                "listen",
+                Kind::Text,
+                None,
+                "Address at which the boot is reached from other hosts, \"IP:PORT\"; port 0 is a free one. Default: nowhere.",
+            ),
         ],
     },
     Table {
@@ -268,10 +288,16 @@ pub(super) const TABLES: &[Table] = &[
         path: CHASSIS,
         keys: &[
             key(
+                "host",
+                Kind::Text,
+                None,
+                "The host it lives on, a name of [host]. Default: that of the boot.",
+            ),
+            key(
                 "listen",
                 Kind::Text,
                 None,
-                "Address at which the other chassis reach it, \"IP:PORT\". Default: a free port of this host.",
+                "Address at which the other chassis reach it, \"IP:PORT\". Default: a free port of its host.",
             ),
             key(
                 "stop_first",
@@ -337,6 +363,12 @@ pub(super) const TABLES: &[Table] = &[
                 Kind::Integer(0, 1023),
                 None,
                 "The CPU it is pinned to, counted from 0. Default: none.",
+            ),
+            key(
+                "poll_us",
+                Kind::Integer(0, 10_000),
+                None,
+                "How long it looks for messages before it sleeps, us. Default: 20 on a CPU of its own, else 0.",
             ),
             key(
                 "period_s",
@@ -492,6 +524,24 @@ pub(super) const TABLES: &[Table] = &[
                 "The certificate of the authority that signs all keys.",
             ),
         ],
+    },
+    Table {
+        path: HOST,
+        keys: &[key(
+            "agent",
+            Kind::Text,
+            None,
+            "Where `ctos agent` listens on that host, \"IP:PORT\". Needed.",
+        )],
+    },
+    Table {
+        path: CONTROL,
+        keys: &[key(
+            "listen",
+            Kind::Text,
+            None,
+            "Address at which tools reach the app with `--at`, \"IP:PORT\". Default: nowhere.",
+        )],
     },
     Table {
         path: ZENOH,

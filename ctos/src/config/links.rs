@@ -313,6 +313,7 @@ fn open_to_strangers(chassis: &ChassisConfig, root: &Node, findings: &mut Findin
     findings.push(finding.at(place.unwrap_or_else(|| chassis.place.clone())));
 }
 
+/// Whether only this host can call it.
 pub(super) fn is_loopback(address: IpAddr) -> bool {
     address.to_canonical().is_loopback()
 }

@@ -1,14 +1,20 @@
 //! The client's end of the control socket: plain blocking calls, for programs that do nothing else.
 
 use std::{
-    io::{self, BufRead, BufReader, Write},
+    fmt,
+    io::{self, BufRead, BufReader, Read, Write},
+    net::{SocketAddr, TcpStream, ToSocketAddrs},
     os::unix::net::UnixStream,
+    path::PathBuf,
     time::Duration,
 };
 
-use crate::control::{
-    Socket, place,
-    protocol::{Answer, Ask, ErrorCode, ErrorView, Request, VERSION},
+use crate::{
+    control::{
+        Socket, place,
+        protocol::{Answer, Ask, ErrorCode, ErrorView, Request, VERSION},
+    },
+    security::{BlockingStream, KeyError, Keys, Role},
 };
 
 /// Why an app could not be asked, or said no.
@@ -31,22 +37,38 @@ pub enum ClientError {
         /// Their names and processes, as `--app` takes them.
         known: Vec<String>,
     },
+    /// The key of this tool cannot be used, or the app does not prove who it is.
+    #[error("{at}: {error}")]
+    Key {
+        /// Where the app should be.
+        at: String,
+        /// What is wrong.
+        error: KeyError,
+    },
+    /// What answers there has a key, and not that of an app.
+    #[error("{at}: what answers there has a key with the role `{role}`, and an app has `boot`")]
+    Impostor {
+        /// Where the app should be.
+        at: String,
+        /// The role.
+        role: Role,
+    },
     /// It does not answer.
-    #[error("cannot reach app `{app}` (pid {pid}): {error}")]
+    #[error("cannot reach app `{app}`{}: {error}", of(*.pid))]
     Unreachable {
         /// The app.
         app: String,
-        /// Its process.
+        /// Its process; 0 for one on another host.
         pid: u32,
         /// What the system said.
         error: io::Error,
     },
     /// It took too long.
-    #[error("app `{app}` (pid {pid}) did not answer within {} s", .limit.as_secs_f64())]
+    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .limit.as_secs_f64())]
     TimedOut {
         /// The app.
         app: String,
-        /// Its process.
+        /// Its process; 0 for one on another host.
         pid: u32,
         /// The limit.
         limit: Duration,
@@ -62,6 +84,14 @@ pub enum ClientError {
     /// It said no.
     #[error("{}", .0.message)]
     Refused(ErrorView),
+}
+
+/// The process of an app, in brackets.
+fn of(pid: u32) -> String {
+    match pid {
+        0 => String::new(),
+        pid => format!(" (pid {pid})"),
+    }
 }
 
 impl ClientError {
@@ -81,6 +111,16 @@ impl ClientError {
         match self {
             Self::TimedOut { .. } => true,
             Self::Refused(error) => error.code == ErrorCode::TimedOut,
+            _ => false,
+        }
+    }
+
+    /// Whether a key, or its role, is not enough.
+    #[must_use]
+    pub fn is_not_allowed(&self) -> bool {
+        match self {
+            Self::Key { .. } | Self::Impostor { .. } => true,
+            Self::Refused(error) => error.code == ErrorCode::NotAllowed,
             _ => false,
         }
     }
@@ -125,13 +165,49 @@ fn choose(apps: Vec<Socket>, name: Option<&str>) -> Result<Socket, ClientError> 
     }
 }
 
+/// What an app is spoken to over.
+trait Wire: Read + Write + Send {
+    /// How long each reading may take.
+    fn read_within(&self, limit: Option<Duration>) -> io::Result<()>;
+    /// How long each writing may take.
+    fn write_within(&self, limit: Option<Duration>) -> io::Result<()>;
+}
+
+macro_rules! wire {
+    ($stream:ty, $socket:ident => $of:expr) => {
+        impl Wire for $stream {
+            fn read_within(&self, limit: Option<Duration>) -> io::Result<()> {
+                let $socket = self;
+                $of.set_read_timeout(limit)
+            }
+
+            fn write_within(&self, limit: Option<Duration>) -> io::Result<()> {
+                let $socket = self;
+                $of.set_write_timeout(limit)
+            }
+        }
+    };
+}
+
+wire!(UnixStream, stream => stream);
+wire!(TcpStream, stream => stream);
+wire!(BlockingStream, stream => stream.sock);
+
 /// A connection to an app.
-#[derive(Debug)]
 pub struct Client {
     app: Socket,
     limit: Duration,
-    reader: BufReader<UnixStream>,
-    writer: UnixStream,
+    stream: BufReader<Box<dyn Wire>>,
+    /// What it may mean when the other end hangs up.
+    hung_up: Option<&'static str>,
+    /// It has answered anything.
+    heard: bool,
+}
+
+impl fmt::Debug for Client {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Client({:?})", self.app)
+    }
 }
 
 impl Client {
@@ -140,17 +216,68 @@ impl Client {
     /// # Errors
     /// [`ClientError::Unreachable`].
     pub fn connect(app: Socket, limit: Duration) -> Result<Self, ClientError> {
-        let connected = UnixStream::connect(&app.path).and_then(|writer| {
-            writer.set_read_timeout(Some(limit))?;
-            writer.set_write_timeout(Some(limit))?;
-            Ok((BufReader::new(writer.try_clone()?), writer))
-        });
-        match connected {
-            Ok((reader, writer)) => Ok(Self {
+        match UnixStream::connect(&app.path) {
+            Ok(stream) => Self::over(Box::new(stream), app, limit, None),
+            Err(error) => Err(ClientError::Unreachable {
+                app: app.app,
+                pid: app.pid,
+                error,
+            }),
+        }
+    }
+
+    /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`; with
+    /// keys where that is not this host. Its answers are waited for `limit` long.
+    ///
+    /// # Errors
+    /// [`ClientError::Unreachable`], and [`ClientError::Key`] when the app does not prove who it is.
+    pub fn connect_at(at: &str, keys: Option<&Keys>, limit: Duration) -> Result<Self, ClientError> {
+        let app = Socket {
+            app: at.to_owned(),
+            pid: 0,
+            path: PathBuf::new(),
+        };
+        let unreachable = |error| ClientError::Unreachable {
+            app: at.to_owned(),
+            pid: 0,
+            error,
+        };
+        let stream = called(at, limit).map_err(unreachable)?;
+        let Some(keys) = keys else {
+            let hint = "it hung up; does it want a key (--key), or belong to another user?";
+            return Self::over(Box::new(stream), app, limit, Some(hint));
+        };
+        let key = |error| ClientError::Key {
+            at: at.to_owned(),
+            error,
+        };
+        let (stream, identity) = keys.call_blocking(stream).map_err(key)?;
+        if !identity.may(Role::Boot) {
+            return Err(ClientError::Impostor {
+                at: at.to_owned(),
+                role: identity.role,
+            });
+        }
+        let hint = "it hung up; is this key of its authority?";
+        Self::over(Box::new(stream), app, limit, Some(hint))
+    }
+
+    fn over(
+        stream: Box<dyn Wire>,
+        app: Socket,
+        limit: Duration,
+        hung_up: Option<&'static str>,
+    ) -> Result<Self, ClientError> {
+        let limited = stream
+            .read_within(Some(limit))
+            .and_then(|()| stream.write_within(Some(limit)));
+        match limited {
+            Ok(()) => Ok(Self {
                 app,
                 limit,
-                reader,
-                writer,
+                stream: BufReader::new(stream),
+                hung_up,
+                heard: false,
             }),
             Err(error) => Err(ClientError::Unreachable {
                 app: app.app,
@@ -160,7 +287,8 @@ impl Client {
         }
     }
 
-    /// The app.
+    /// The app. Of one on another host its address is known, in the place of its name, and no process
+    /// (0).
     #[must_use]
     pub fn app(&self) -> &Socket {
         &self.app
@@ -171,7 +299,7 @@ impl Client {
     /// # Errors
     /// [`ClientError::Unreachable`].
     pub fn wait_for_ever(&mut self) -> Result<(), ClientError> {
-        let set = self.reader.get_ref().set_read_timeout(None);
+        let set = self.stream.get_ref().read_within(None);
         set.map_err(|error| self.failed(error))
     }
 
@@ -188,7 +316,10 @@ impl Client {
             app: self.app.app.clone(),
             reason: error.to_string(),
         })?;
-        let written = writeln!(self.writer, "{line}");
+        let stream = self.stream.get_mut();
+        let written = stream
+            .write_all(format!("{line}\n").as_bytes())
+            .and_then(|()| stream.flush());
         written.map_err(|error| self.failed(error))
     }
 
@@ -198,14 +329,24 @@ impl Client {
     /// [`ClientError`], also [`ClientError::Refused`] when the answer is an error.
     pub fn read(&mut self) -> Result<Option<Answer>, ClientError> {
         let mut line = String::new();
-        match self.reader.read_line(&mut line) {
+        match self.stream.read_line(&mut line) {
+            Ok(0) if self.hung_up.is_some() && !self.heard => {
+                return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
+            }
             Ok(0) => return Ok(None),
             Ok(_) => {}
             Err(error) => return Err(self.failed(error)),
         }
-        match serde_json::from_str(&line) {
+        let answer = serde_json::from_str(&line);
+        // What is no line of an app at all is the end of an attempt to speak TLS.
+        let is_line = line.starts_with('{');
+        self.heard |= is_line;
+        match answer {
             Ok(Answer::Error(error)) => Err(ClientError::Refused(error)),
             Ok(answer) => Ok(Some(answer)),
+            Err(_) if !is_line && self.hung_up.is_some() => {
+                Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
+            }
             Err(error) => Err(ClientError::Garbled {
                 app: self.app.app.clone(),
                 reason: error.to_string(),
@@ -233,9 +374,38 @@ impl Client {
                 pid,
                 limit: self.limit,
             },
+            // What a refusal looks like from here.
+            io::ErrorKind::UnexpectedEof
+            | io::ErrorKind::ConnectionReset
+            | io::ErrorKind::BrokenPipe
+            | io::ErrorKind::InvalidData
+                if !self.heard && self.hung_up.is_some() =>
+            {
+                let hint = self.hung_up.unwrap_or_default();
+                let error = io::Error::new(error.kind(), format!("{hint} ({error})"));
+                ClientError::Unreachable { app, pid, error }
+            }
             _ => ClientError::Unreachable { app, pid, error },
         }
     }
+}
+
+/// Calls the first address of `at` that answers.
+fn called(at: &str, limit: Duration) -> io::Result<TcpStream> {
+    let addresses: Vec<SocketAddr> = at.to_socket_addrs()?.collect();
+    let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name leads to no address");
+    for address in addresses {
+        match TcpStream::connect_timeout(&address, limit) {
+            Ok(stream) => {
+                stream.set_nodelay(true)?;
+                stream.set_read_timeout(Some(limit))?;
+                stream.set_write_timeout(Some(limit))?;
+                return Ok(stream);
+            }
+            Err(error) => failed = error,
+        }
+    }
+    Err(failed)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use crate::{
     boot::{BootEvent, BootState, ChassisState},
     control::{Level, LogLine},
     record::RecordReport,
+    security::Role,
     task::Phase,
 };
 
@@ -55,7 +56,7 @@ pub enum Request {
     /// app's hosts, which needs the role `control`.
     Record(RecordRequest),
     /// Ends a record: [`Answer::Done`], and [`Answer::Recorded`] to the client that began it. Needs the
-    /// role `watch`.
+    /// role `control` from a client of another host.
     RecordStop {
         /// Its key, from [`RecordView`].
         key: u64,
@@ -81,6 +82,24 @@ pub struct RecordRequest {
     pub channels: Vec<String>,
     /// For how long, s; without it, until it is stopped.
     pub for_s: Option<f64>,
+}
+
+impl Request {
+    /// The role that a tool of another host needs for it.
+    #[must_use]
+    pub fn role(&self) -> Role {
+        match self {
+            Self::Ps {} | Self::Status { .. } | Self::Logs(_) => Role::Watch,
+            // Whatever does more than look.
+            _ => Role::Control,
+        }
+    }
+
+    /// Its word on the wire.
+    pub(crate) fn word(&self) -> String {
+        let value = serde_json::to_value(self).unwrap_or_default();
+        value["kind"].as_str().unwrap_or_default().to_owned()
+    }
 }
 
 /// Which log lines.
@@ -162,6 +181,8 @@ pub enum ErrorCode {
     TimedOut,
     /// Too many ask at once.
     Busy,
+    /// The client's key does not permit it.
+    NotAllowed,
     #[serde(other)]
     /// One that this version does not know.
     Other,
@@ -184,6 +205,9 @@ pub struct AppView {
     pub chassis: Vec<ChassisView>,
     /// Its tasks, chassis by chassis.
     pub tasks: Vec<TaskView>,
+    /// How many callers, and requests of tools, it has refused.
+    #[serde(default)]
+    pub refused: u64,
 }
 
 /// A chassis.
@@ -191,6 +215,9 @@ pub struct AppView {
 pub struct ChassisView {
     /// Its name.
     pub name: String,
+    /// Its host, if that is not the boot's.
+    #[serde(default)]
+    pub host: Option<String>,
     /// Its process, if it has one.
     pub pid: Option<u32>,
     /// Where it is in its life.

@@ -1,13 +1,16 @@
 //! The boot's end of the control socket.
 
-use std::{io, os::unix::fs::PermissionsExt, path::PathBuf, sync::Arc, time::Duration};
+use std::{
+    io,
+    os::unix::fs::PermissionsExt,
+    path::PathBuf,
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 
 use tokio::{
-    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
-    net::{
-        UnixListener,
-        unix::{OwnedReadHalf, OwnedWriteHalf},
-    },
+    io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
+    net::UnixListener,
     sync::{Semaphore, broadcast},
     task::{JoinHandle, JoinSet},
 };
@@ -17,7 +20,7 @@ use crate::{
     call::Fault,
     chassis::Chassis,
     control::{
-        LogStore,
+        LogStore, gate,
         logs::LogLine,
         moves::Moving,
         place,
@@ -28,8 +31,20 @@ use crate::{
         recording::{Recording, Recordings},
         view,
     },
+    link::transport::Listener,
+    security::Role,
     system::{self, Interrupt, RestartChassis, RestartTask},
 };
+
+/// Where a client is read, and where it is answered.
+pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
+pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
+
+/// A client, as far as it has proved who it is.
+pub(super) struct Client {
+    pub(super) who: String,
+    pub(super) role: Role,
+}
 
 /// How many clients are served at a time.
 const CLIENTS: usize = 64;
@@ -70,22 +85,53 @@ impl Ticker {
 
 /// Serves clients until it is told how the app ended. Dropped without that, it takes its socket away.
 pub(crate) struct Server {
-    path: PathBuf,
+    path: Option<PathBuf>,
     ticker: Ticker,
-    serving: JoinHandle<()>,
+    serving: Vec<JoinHandle<()>>,
     clients: Arc<Semaphore>,
 }
 
 impl Server {
-    /// Serves in the user's folder of sockets.
-    ///
-    /// # Errors
-    /// When there can be no such socket; the app needs none to run.
+    /// Serves in the user's folder of sockets, and tools of other hosts at `listener`. An app that can
+    /// have no socket there runs without.
     pub(crate) fn start(
         chassis: &Arc<Chassis>,
         logs: &Arc<LogStore>,
         ticker: Ticker,
-    ) -> io::Result<Self> {
+        listener: Option<Listener>,
+    ) -> Self {
+        let clients = Arc::new(Semaphore::new(CLIENTS));
+        let desk = Arc::new(Desk {
+            chassis: chassis.clone(),
+            logs: logs.clone(),
+            ticker: ticker.clone(),
+            recordings: Arc::default(),
+        });
+        let mut serving = Vec::new();
+        if let Some(listener) = listener {
+            let served = gate::serve(listener, desk.clone(), clients.clone());
+            serving.push(tokio::spawn(served));
+        }
+        let path = match Self::socket(chassis) {
+            Ok((listener, path)) => {
+                serving.push(tokio::spawn(serve(listener, desk, clients.clone())));
+                Some(path)
+            }
+            Err(error) => {
+                tracing::warn!(error = %error, "no control socket: `ctos ps` and the like do not see this app");
+                None
+            }
+        };
+        Self {
+            path,
+            ticker,
+            serving,
+            clients,
+        }
+    }
+
+    /// A socket in the user's folder.
+    fn socket(chassis: &Arc<Chassis>) -> io::Result<(UnixListener, PathBuf)> {
         let folder = place::folder();
         place::prepare(&folder)?;
         // Removes those of apps that were killed.
@@ -95,19 +141,7 @@ impl Server {
         let _ = std::fs::remove_file(&socket.path);
         let listener = UnixListener::bind(&socket.path)?;
         std::fs::set_permissions(&socket.path, std::fs::Permissions::from_mode(0o600))?;
-        let clients = Arc::new(Semaphore::new(CLIENTS));
-        let desk = Arc::new(Desk {
-            chassis: chassis.clone(),
-            logs: logs.clone(),
-            ticker: ticker.clone(),
-            recordings: Arc::default(),
-        });
-        Ok(Self {
-            path: socket.path,
-            ticker,
-            serving: tokio::spawn(serve(listener, desk, clients.clone())),
-            clients,
-        })
+        Ok((listener, socket.path))
     }
 
     /// Tells the clients how the app ended, and goes.
@@ -131,9 +165,13 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.serving.abort();
-        // Nobody else removes it but for good reasons.
-        let _ = std::fs::remove_file(&self.path);
+        for serving in &self.serving {
+            serving.abort();
+        }
+        if let Some(path) = &self.path {
+            // Nobody else removes it but for good reasons.
+            let _ = std::fs::remove_file(path);
+        }
     }
 }
 
@@ -147,19 +185,21 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
                         peer.uid() == place::uid() || peer.uid() == 0
                     });
                     if !own {
-                        tracing::warn!("a client of another user was refused");
+                        desk.refuse("a client of another user", "the socket is its user's own");
                         continue;
                     }
                     let place = clients.clone().try_acquire_owned();
                     let desk = desk.clone();
                     serving.spawn(async move {
-                        let (reader, mut writer) = stream.into_split();
+                        let (reader, writer) = stream.into_split();
+                        let mut writer: Writer = Box::new(writer);
                         match place {
-                            Ok(_place) => desk.client(reader, writer).await,
-                            Err(_) => {
-                                let busy = error(ErrorCode::Busy, "too many clients at once");
-                                tell(&mut writer, &busy).await
+                            Ok(_place) => {
+                                // The user may do what he likes with what is his.
+                                let client = Client { who: "its user".to_owned(), role: Role::Boot };
+                                desk.client(&client, Box::new(reader), writer).await
                             }
+                            Err(_) => tell(&mut writer, &busy()).await,
                         }
                     });
                 }
@@ -173,7 +213,12 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
     }
 }
 
-fn error(code: ErrorCode, message: impl Into<String>) -> Answer {
+/// There are too many clients.
+pub(super) fn busy() -> Answer {
+    error(ErrorCode::Busy, "too many clients at once")
+}
+
+pub(super) fn error(code: ErrorCode, message: impl Into<String>) -> Answer {
     Answer::Error(ErrorView {
         code,
         message: message.into(),
@@ -195,14 +240,15 @@ fn failed(fault: &Fault) -> Answer {
     }
 }
 
-async fn tell(writer: &mut OwnedWriteHalf, answer: &Answer) -> io::Result<()> {
+pub(super) async fn tell(writer: &mut Writer, answer: &Answer) -> io::Result<()> {
     let mut line = serde_json::to_vec(answer)?;
     line.push(b'\n');
-    writer.write_all(&line).await
+    writer.write_all(&line).await?;
+    writer.flush().await
 }
 
 /// What clients are served from.
-struct Desk {
+pub(super) struct Desk {
     chassis: Arc<Chassis>,
     logs: Arc<LogStore>,
     ticker: Ticker,
@@ -210,8 +256,34 @@ struct Desk {
 }
 
 impl Desk {
+    /// Logs and counts that somebody was refused.
+    pub(super) fn refuse(&self, who: &str, reason: &str) {
+        let refused = self.chassis.refused.fetch_add(1, Ordering::Relaxed) + 1;
+        tracing::warn!(who, reason, refused, "a client was refused");
+    }
+
+    /// What a client may not have, if it may not have it.
+    fn not_allowed(&self, client: &Client, request: &Request) -> Option<Answer> {
+        let needed = request.role();
+        if client.role >= needed {
+            return None;
+        }
+        let reason = format!("`{}` takes the role `{needed}`", request.word());
+        self.refuse(&client.who, &reason);
+        let text = format!(
+            "{} has the role `{}`, and {reason}",
+            client.who, client.role
+        );
+        Some(error(ErrorCode::NotAllowed, text))
+    }
+
     /// Serves one client until it goes.
-    async fn client(&self, reader: OwnedReadHalf, mut writer: OwnedWriteHalf) -> io::Result<()> {
+    pub(super) async fn client(
+        &self,
+        client: &Client,
+        reader: Reader,
+        mut writer: Writer,
+    ) -> io::Result<()> {
         let mut reader = BufReader::new(reader);
         let mut news = self.ticker.0.subscribe();
         loop {
@@ -241,6 +313,9 @@ impl Desk {
                     );
                     tell(&mut writer, &error(ErrorCode::BadRequest, text)).await?;
                 }
+                Ok(ask) if let Some(refused) = self.not_allowed(client, &ask.request) => {
+                    tell(&mut writer, &refused).await?;
+                }
                 Ok(ask) => {
                     let answered = std::pin::pin!(self.answer(ask.request, &mut writer));
                     tokio::select! {
@@ -257,7 +332,7 @@ impl Desk {
         }
     }
 
-    async fn answer(&self, request: Request, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+    async fn answer(&self, request: Request, writer: &mut Writer) -> io::Result<()> {
         match request {
             Request::Ps {} => {
                 let answer = view::app(&self.chassis, &self.logs).await;
@@ -362,7 +437,7 @@ impl Desk {
         logs
     }
 
-    async fn logs(&self, request: &LogRequest, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+    async fn logs(&self, request: &LogRequest, writer: &mut Writer) -> io::Result<()> {
         let app = &self.chassis.app;
         if let Some(name) = &request.name {
             let chassis = app.chassis.iter().any(|chassis| chassis.name == *name);
@@ -417,7 +492,7 @@ impl Desk {
         level && since && name
     }
 
-    async fn stop(&self, now: bool, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+    async fn stop(&self, now: bool, writer: &mut Writer) -> io::Result<()> {
         let mut news = self.ticker.0.subscribe();
         self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
         loop {
@@ -436,7 +511,7 @@ impl Desk {
         }
     }
 
-    async fn record(&self, request: RecordRequest, writer: &mut OwnedWriteHalf) -> io::Result<()> {
+    async fn record(&self, request: RecordRequest, writer: &mut Writer) -> io::Result<()> {
         let mut news = self.ticker.0.subscribe();
         let begun = Recording::begin(&self.chassis, &self.recordings, request).await;
         let mut recording = match begun {
@@ -506,7 +581,7 @@ async fn ended(news: &mut broadcast::Receiver<News>) {
 }
 
 /// Ends when the client has closed its end, also while it is being answered.
-async fn closed(reader: &mut BufReader<OwnedReadHalf>) {
+async fn closed(reader: &mut BufReader<Reader>) {
     match reader.fill_buf().await {
         Ok([]) | Err(_) => {}
         // Its next request, which is read in its turn.

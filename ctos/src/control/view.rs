@@ -1,7 +1,10 @@
 //! Puts together what a client sees of an app: the bootstrap service's view of the chassis, and each
 //! agent's view of its tasks. A chassis that does not answer delays nobody for long.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 
 use futures_util::future::join_all;
 
@@ -78,11 +81,15 @@ fn put_together(
         up_s: overview.now.since_start().as_secs_f64(),
         chassis: Vec::new(),
         tasks: Vec::new(),
+        refused: chassis.refused.load(Ordering::Relaxed),
     };
     for (member, survey) in overview.chassis.iter().zip(surveys) {
         let survey = survey.as_ref();
-        view.chassis
-            .push(chassis_view(member, survey, overview.now, logs));
+        view.refused += survey.map_or(0, |survey| survey.refused);
+        let host = app.host_of(&member.name).map(|host| host.name.clone());
+        let mut shown = chassis_view(member, survey, overview.now, logs);
+        shown.host = host;
+        view.chassis.push(shown);
         view.tasks.extend(task_views(chassis, member, survey, logs));
     }
     view
@@ -96,6 +103,7 @@ fn chassis_view(
 ) -> ChassisView {
     ChassisView {
         name: member.name.clone(),
+        host: None,
         pid: survey
             .map(|survey| survey.pid)
             .or_else(|| logs.pid(&member.name)),

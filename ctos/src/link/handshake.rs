@@ -12,7 +12,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use crate::link::transport::Address;
 
 /// The first bytes of a caller: the protocol, and its version.
-const GREETING: [u8; 8] = *b"ctos\0\0\0\x02";
+const GREETING: [u8; 8] = *b"ctos\0\0\0\x03";
 
 /// The most that is read before both ends know each other, bytes.
 pub(crate) const HANDSHAKE_LIMIT: usize = 16 * 1024;
@@ -63,18 +63,31 @@ impl Process {
     /// This one.
     pub(crate) fn this() -> Self {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-        // Process numbers mean something within their name space only.
-        let space = std::fs::read_link("/proc/self/ns/pid").unwrap_or_default();
+        // Process numbers mean something within their name space only, paths of sockets within that of
+        // files; and a socket's folder is its user's.
+        let space = |of: &str| {
+            let link = std::fs::read_link(format!("/proc/self/ns/{of}"));
+            link.map_or_else(|_| String::new(), |link| link.display().to_string())
+        };
+        let user = rustix::process::geteuid().as_raw();
         Self {
-            host: format!("{}/{}", boot.trim(), space.display()),
+            host: format!("{}/{}/{}/{user}", boot.trim(), space("pid"), space("mnt")),
             pid: std::process::id(),
+        }
+    }
+
+    /// One that nobody sees.
+    pub(crate) fn unseen() -> Self {
+        Self {
+            host: String::new(),
+            pid: 0,
         }
     }
 
     /// Whether `other` runs where this one can see it.
     pub(crate) fn sees(&self, other: &Self) -> bool {
         // Without a name for the host nobody sees anybody.
-        self.host.len() > 1 && self.host == other.host
+        !self.host.starts_with('/') && !self.host.is_empty() && self.host == other.host
     }
 }
 

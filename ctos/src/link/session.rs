@@ -8,14 +8,18 @@
 //! Knows streams only as something that takes bytes ([`Writer`]); who connects to whom is decided
 //! elsewhere.
 
+mod arrive;
+mod direct;
 pub(crate) mod drive;
+mod line;
 pub(crate) mod packet;
+mod post;
 pub(crate) mod state;
 mod window;
+mod writer;
 
 use std::{
     fmt, io,
-    pin::Pin,
     sync::{
         Arc, Mutex,
         atomic::{AtomicU64, Ordering},
@@ -24,21 +28,20 @@ use std::{
     time::Duration,
 };
 
-use tokio::{
-    io::AsyncWrite,
-    net::{tcp, unix},
-    sync::watch,
-};
+use tokio::sync::watch;
 
+#[cfg(feature = "zenoh")]
+pub(crate) use self::writer::DirectWrite;
+pub(crate) use self::writer::Writer;
 use self::{
-    packet::{Content, Kind, Packet, PacketError},
+    line::Line,
+    packet::{Kind, PacketError},
     state::{Event, State},
-    window::{Arrival, Incoming, Lane, NoRoom, Outgoing, Pumped},
+    window::{Incoming, Outgoing, Pumped},
 };
 use crate::{
-    call::{Fault, lock},
-    link::{Counts, Frame, Full, Link, injure::Injury, shm},
-    message::{Flags, SYSTEM_COMMANDS},
+    call::lock,
+    link::{Counts, Frame, injure::Injury},
     time::{Clock, Instant},
 };
 
@@ -47,70 +50,6 @@ const PULSES: u32 = 4;
 
 /// How often an injured session looks after what was lost.
 const INJURED_PULSE: Duration = Duration::from_millis(20);
-
-/// Faults are let through when there is no room for answers; they are small.
-const SMALL: usize = 4 * 1024;
-
-/// A stream that takes what it has room for from whatever thread.
-pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
-    /// Takes what there is room for.
-    ///
-    /// # Errors
-    /// `WouldBlock` when there is none.
-    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize>;
-}
-
-/// Where a session writes.
-pub(crate) enum Writer {
-    Tcp(tcp::OwnedWriteHalf),
-    Unix(unix::OwnedWriteHalf),
-    Shared(shm::Sender),
-    #[cfg_attr(
-        not(feature = "zenoh"),
-        allow(dead_code, reason = "only streams over zenoh are such")
-    )]
-    Direct(Box<dyn DirectWrite>),
-    /// Written to by its driver only.
-    Other(Box<dyn AsyncWrite + Send + Unpin>),
-}
-
-impl Writer {
-    /// Writes from any thread what can be written at once.
-    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
-        match self {
-            Self::Tcp(stream) => stream.try_write_vectored(slices),
-            Self::Unix(stream) => stream.try_write_vectored(slices),
-            Self::Shared(sender) => sender.try_write(slices),
-            Self::Direct(stream) => stream.try_write(slices),
-            Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
-        }
-    }
-
-    /// Writes from the driver, which is woken when more can be written.
-    fn poll_write(
-        &mut self,
-        cx: &mut PollContext<'_>,
-        slices: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        match self {
-            Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Direct(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Shared(sender) => match sender.try_write(slices) {
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
-                written => Poll::Ready(written),
-            },
-        }
-    }
-
-    fn poll_flush(&mut self, cx: &mut PollContext<'_>) -> Poll<io::Result<()>> {
-        match self {
-            Self::Other(stream) => Pin::new(stream).poll_flush(cx),
-            Self::Tcp(_) | Self::Unix(_) | Self::Shared(_) | Self::Direct(_) => Poll::Ready(Ok(())),
-        }
-    }
-}
 
 /// Why a session is down.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -172,6 +111,8 @@ pub(crate) struct Limits {
 struct Core {
     state: State,
     outgoing: Outgoing,
+    /// Requests that wait for room.
+    line: Line,
     incoming: Incoming,
     writer: Option<Writer>,
     /// Which stream: what is left of an earlier one is not listened to.
@@ -231,6 +172,7 @@ impl Session {
         let core = Core {
             state: State::Waiting,
             outgoing: Outgoing::new(limits.room, injury),
+            line: Line::new(limits.room),
             incoming: Incoming::default(),
             writer: None,
             stream: 0,
@@ -315,6 +257,8 @@ impl Session {
                 core.state = next.ok_or(AttachError::State(core.state))?;
             }
             core.outgoing.restart(received)?;
+            let core = &mut *core;
+            core.line.advance(&mut core.outgoing, now);
             core.writer = Some(writer);
             core.stream += 1;
             core.heard = now;
@@ -419,14 +363,43 @@ impl Session {
                 return;
             }
             put(&mut core, now);
-            // A stream that fails is found by its driver.
-            match Self::pump_now(&mut core, now) {
-                Ok(Pumped::Idle) if !self.injured => None,
-                Ok(_) | Err(_) => core.driver.take(),
+            let pumped = Self::pump_now(&mut core, now);
+            if self.needs_driver(&core, &pumped) {
+                core.driver.take()
+            } else {
+                None
             }
         };
         if let Some(driver) = driver {
             driver.wake();
+        }
+    }
+
+    /// Whether the driver must go on: a stream that fails is found by it, and of room that comes only it
+    /// may be told.
+    fn needs_driver(&self, core: &Core, pumped: &io::Result<Pumped>) -> bool {
+        match pumped {
+            Ok(Pumped::Idle) => self.injured,
+            Ok(Pumped::Blocked) => !core.writer.as_ref().is_some_and(Writer::is_watched),
+            Err(_) => true,
+        }
+    }
+
+    /// Goes on writing to `stream`, which may have room again.
+    pub(crate) fn pump(&self, stream: u64) {
+        let now = self.clock.now();
+        let mut core = lock(&self.core);
+        if core.stream == stream {
+            self.pump_or_wake(&mut core, now);
+        }
+    }
+
+    /// Something came over `stream` that is no whole packet yet.
+    pub(crate) fn heard_of(&self, stream: u64) {
+        let now = self.clock.now();
+        let mut core = lock(&self.core);
+        if core.stream == stream {
+            core.heard = now;
         }
     }
 
@@ -462,106 +435,6 @@ impl Session {
     /// A message to the peer's mesh.
     pub(crate) fn notify(&self, bytes: Vec<u8>) {
         self.put(|core, now| core.outgoing.put_control(Kind::Notice, bytes, now));
-    }
-
-    /// Something came over `stream`. False when nothing more may come over it.
-    pub(crate) fn receive(&self, stream: u64, packet: Packet) -> bool {
-        let _handing = lock(&self.handing);
-        let now = self.clock.now();
-        let mut core = lock(&self.core);
-        if core.stream != stream || core.state == State::Down {
-            return false;
-        }
-        core.heard = now;
-        let (take, event) = match self.accept(&mut core, &packet, now) {
-            Ok(accepted) => accepted,
-            Err(error) => (
-                false,
-                Some((Event::Rubbish, DownReason::Rubbish(error.to_string()))),
-            ),
-        };
-        let state = core.state;
-        drop(core);
-        if take {
-            self.hand_over(packet.content);
-        }
-        if let Some((event, reason)) = event {
-            self.event(event, reason);
-        } else if state == State::Closing && lock(&self.core).outgoing.is_empty() {
-            self.event(Event::Flushed, DownReason::Closed);
-        }
-        self.state() != State::Down
-    }
-
-    /// What a packet means: whether its content is to be handed over, and what has happened.
-    fn accept(
-        &self,
-        core: &mut Core,
-        packet: &Packet,
-        now: Instant,
-    ) -> Result<(bool, Option<(Event, DownReason)>), PacketError> {
-        core.outgoing.acknowledge(packet.received)?;
-        if packet.kind == Kind::GivenUp {
-            return Ok((false, Some((Event::GivenUp, DownReason::GivenUp))));
-        }
-        if packet.kind == Kind::Again {
-            core.outgoing.again();
-        }
-        if !packet.kind.is_numbered() {
-            if packet.number > core.incoming.received() {
-                core.outgoing.pulse(Kind::Again);
-            }
-            self.pump_or_wake(core, now);
-            return Ok((false, None));
-        }
-        match core.incoming.take(packet.number, packet.content.size()) {
-            Arrival::Old => Ok((false, None)),
-            Arrival::Early => {
-                if core.incoming.must_ask() {
-                    core.outgoing.pulse(Kind::Again);
-                    self.pump_or_wake(core, now);
-                }
-                Ok((false, None))
-            }
-            Arrival::Next => {
-                let bye = packet.kind == Kind::Bye;
-                if core.incoming.must_acknowledge(self.limits.room / 16) || bye {
-                    core.outgoing.pulse(Kind::Pulse);
-                    self.pump_or_wake(core, now);
-                }
-                Ok((!bye, bye.then_some((Event::Bye, DownReason::Bye))))
-            }
-        }
-    }
-
-    /// As [`Self::put`], for one that holds the lock and is the driver.
-    fn pump_or_wake(&self, core: &mut Core, now: Instant) {
-        let pumped = Self::pump_now(core, now);
-        if (!matches!(pumped, Ok(Pumped::Idle)) || self.injured)
-            && let Some(driver) = &core.driver
-        {
-            driver.wake_by_ref();
-        }
-    }
-
-    fn hand_over(&self, content: Content) {
-        match content {
-            Content::Frame(frame) => {
-                self.count(FRAMES_IN, 1);
-                self.count(BYTES_IN, frame.body.len() as u64);
-                tracing::trace!(
-                    target: "ctos::link",
-                    from = %frame.header.from,
-                    to = %frame.header.to,
-                    command = frame.header.command,
-                    bytes = frame.body.len(),
-                    "in"
-                );
-                self.receiver.frame(frame);
-            }
-            Content::Notice(bytes) => self.receiver.notice(bytes),
-            Content::Nothing => {}
-        }
     }
 
     /// How often [`Self::keep`] is to be called.
@@ -620,78 +493,6 @@ impl Session {
             bytes_under_way: lock(&self.core).outgoing.bytes() as u64,
         }
     }
-}
-
-impl Content {
-    fn size(&self) -> usize {
-        match self {
-            Self::Nothing => 0,
-            Self::Frame(frame) => frame.body.len(),
-            Self::Notice(bytes) => bytes.len(),
-        }
-    }
-}
-
-impl Link for Session {
-    fn post(&self, frame: Frame) -> Result<(), Full> {
-        let lane = lane_of(&frame);
-        let size = frame.body.len();
-        tracing::trace!(
-            target: "ctos::link",
-            from = %frame.header.from,
-            to = %frame.header.to,
-            command = frame.header.command,
-            bytes = size,
-            "out"
-        );
-        let mut result = Ok(());
-        self.put(|core, now| match core.outgoing.has_room(lane, size) {
-            Ok(()) => core.outgoing.put_frame(frame, lane, now),
-            Err(NoRoom { held }) => {
-                self.count(REFUSED, 1);
-                result = Err(Full { bytes: held });
-                if lane == Lane::Control {
-                    core.outgoing
-                        .put_frame(without_body(frame, held), lane, now);
-                    result = Ok(());
-                }
-            }
-        });
-        if result.is_ok() {
-            self.count(FRAMES_OUT, 1);
-            self.count(BYTES_OUT, size as u64);
-        }
-        result
-    }
-
-    fn counts(&self) -> Counts {
-        self.counts()
-    }
-}
-
-/// Answers and the runtime's own messages are never kept out by requests.
-fn lane_of(frame: &Frame) -> Lane {
-    let flags = frame.header.flags;
-    let answers = flags.contains(Flags::REPLY) || flags.contains(Flags::ABANDONED);
-    if answers || frame.header.command >= SYSTEM_COMMANDS {
-        Lane::Control
-    } else {
-        Lane::Data
-    }
-}
-
-/// A control frame for which there is no room: what is small goes anyway, a large answer becomes the
-/// fault that says so.
-fn without_body(mut frame: Frame, held: usize) -> Frame {
-    if frame.body.len() <= SMALL || !frame.header.flags.contains(Flags::REPLY) {
-        return frame;
-    }
-    let fault = Fault::LinkFull { bytes: held };
-    // A fault is plain data; should it fail to encode, the empty body is read as one.
-    frame.body = postcard::to_stdvec(&fault).unwrap_or_default();
-    frame.header.flags = frame.header.flags.with(Flags::FAULT);
-    frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
-    frame
 }
 
 impl fmt::Debug for Session {

@@ -16,15 +16,12 @@ use std::{
         Arc,
         atomic::{AtomicU32, AtomicU64, Ordering, fence},
     },
-    time::Duration,
 };
 
-use rustix::{
-    fs::{MemfdFlags, SealFlags},
-    thread::futex,
-};
+use rustix::fs::{MemfdFlags, OFlags, SealFlags};
 
 use self::memory::Memory;
+use crate::link::lookout;
 
 /// Bytes of one ring's data; a power of two.
 const RING: usize = 1 << 20;
@@ -40,11 +37,8 @@ const WANTS_ROOM: usize = 2;
 /// Lines of a ring before its data.
 const RING_LINES: usize = 3;
 
-/// Where the fields of a bell stand: how often it rang, whether anybody sleeps beside it.
-const RINGS: usize = 0;
-const SLEEPS: usize = 1;
-/// Lines of a bell.
-const BELL_LINES: usize = 2;
+/// Lines of a bell: whether anybody sleeps beside it.
+const BELL_LINES: usize = 1;
 
 /// Bytes of the whole: two bells, then two rings.
 const SIZE: usize = 2 * BELL_LINES * LINE + 2 * (RING_LINES * LINE + RING);
@@ -87,58 +81,82 @@ pub(crate) struct Corrupt {
 pub(crate) struct Shared {
     memory: Arc<Memory>,
     side: Side,
+    /// What wakes the maker, and the guest.
+    bells: [OwnedFd; 2],
 }
 
 impl Shared {
-    /// Makes the memory, to be passed to the other side.
+    /// Makes the memory and the bells, to be passed to the other side.
     ///
     /// # Errors
     /// What the system says.
-    pub(crate) fn make() -> io::Result<(Self, OwnedFd)> {
+    pub(crate) fn make() -> io::Result<(Self, [OwnedFd; 3])> {
         let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
         let file = rustix::fs::memfd_create("ctos-link", flags)?;
         rustix::fs::ftruncate(&file, SIZE as u64)?;
         rustix::fs::fcntl_add_seals(&file, SEALS)?;
-        let shared = Self::map(file.as_fd(), Side::Maker)?;
-        Ok((shared, file))
+        let bells = [lookout::bell()?, lookout::bell()?];
+        let [maker, guest] = &bells;
+        let passed = [file.try_clone()?, maker.try_clone()?, guest.try_clone()?];
+        let shared = Self::map(file.as_fd(), bells, Side::Maker)?;
+        Ok((shared, passed))
     }
 
-    /// Takes memory that the other side made.
+    /// Takes memory and bells that the other side made.
     ///
     /// # Errors
-    /// When it is not what it should be, or could be made smaller later.
-    pub(crate) fn take(file: BorrowedFd<'_>) -> io::Result<Self> {
-        let size = rustix::fs::fstat(file)?.st_size;
-        let seals = rustix::fs::fcntl_get_seals(file)?;
+    /// When they are not what they should be, or the memory could be made smaller later.
+    pub(crate) fn take([file, maker, guest]: [OwnedFd; 3]) -> io::Result<Self> {
+        let size = rustix::fs::fstat(&file)?.st_size;
+        let seals = rustix::fs::fcntl_get_seals(&file)?;
         if u64::try_from(size) != Ok(SIZE as u64) || !seals.contains(SEALS) {
             let text = "the memory that was passed has another size, or is not sealed";
             return Err(io::Error::new(io::ErrorKind::InvalidData, text));
         }
-        Self::map(file, Side::Guest)
+        // Whatever they are, ringing them must not keep anybody.
+        for bell in [&maker, &guest] {
+            rustix::fs::fcntl_setfl(bell, OFlags::NONBLOCK)?;
+        }
+        Self::map(file.as_fd(), [maker, guest], Side::Guest)
     }
 
-    fn map(file: BorrowedFd<'_>, side: Side) -> io::Result<Self> {
+    fn map(file: BorrowedFd<'_>, bells: [OwnedFd; 2], side: Side) -> io::Result<Self> {
         let memory = Arc::new(Memory::of_file(file, SIZE)?);
-        Ok(Self { memory, side })
+        Ok(Self {
+            memory,
+            side,
+            bells,
+        })
     }
 
     /// Both sides in one process, without a file.
     #[cfg(test)]
     fn pair() -> (Self, Self) {
         let memory = Arc::new(Memory::private(SIZE));
+        let bells = [lookout::bell().unwrap(), lookout::bell().unwrap()];
         let side = |side| Self {
             memory: memory.clone(),
             side,
+            bells: bells.each_ref().map(|bell| bell.try_clone().unwrap()),
         };
         (side(Side::Maker), side(Side::Guest))
     }
 
-    /// The three things that this side needs of it.
-    pub(crate) fn split(self) -> (Sender, Receiver, Bell) {
-        let Self { memory, side } = self;
-        let bell = |side: Side| Bell {
-            memory: memory.clone(),
-            start: side.index() * BELL_LINES * LINE,
+    /// The three things that this side needs of it; the last one says when something has come, or
+    /// room has, while this side sleeps.
+    pub(crate) fn split(self) -> (Sender, Receiver, OwnedFd) {
+        let Self {
+            memory,
+            side,
+            bells,
+        } = self;
+        let (own, theirs) = match (side, bells) {
+            (Side::Maker, [maker, guest]) => (maker, guest),
+            (Side::Guest, [maker, guest]) => (guest, maker),
+        };
+        let theirs = Bell {
+            sleeper: Sleeper::of(&memory, side.other()),
+            fd: Arc::new(theirs),
         };
         // A side writes into the ring of its own number.
         let ring = |side: Side| Ring {
@@ -147,66 +165,62 @@ impl Shared {
         };
         let sender = Sender {
             ring: ring(side),
-            bell: bell(side.other()),
+            bell: theirs.clone(),
             written: AtomicU64::new(0),
         };
         let receiver = Receiver {
             ring: ring(side.other()),
             // To see whether room has come for what could not be written.
             own: ring(side),
-            bell: bell(side),
-            theirs: bell(side.other()),
-            read: 0,
+            sleeper: Sleeper::of(&memory, side),
+            theirs,
+            read: AtomicU64::new(0),
         };
-        (sender, receiver, bell(side))
+        (sender, receiver, own)
     }
 }
 
 /// Neither side can make the memory smaller under the other one.
 const SEALS: SealFlags = SealFlags::SHRINK.union(SealFlags::GROW);
 
-/// Wakes one side when it sleeps.
+/// Says whether one side sleeps.
 #[derive(Clone)]
-pub(crate) struct Bell {
+struct Sleeper {
     memory: Arc<Memory>,
     start: usize,
 }
 
-impl Bell {
-    fn rings(&self) -> &AtomicU32 {
-        self.memory.word(self.start + RINGS * LINE)
+impl Sleeper {
+    fn of(memory: &Arc<Memory>, side: Side) -> Self {
+        Self {
+            memory: memory.clone(),
+            start: side.index() * BELL_LINES * LINE,
+        }
     }
 
     fn sleeps(&self) -> &AtomicU32 {
-        self.memory.word(self.start + SLEEPS * LINE)
+        self.memory.word(self.start)
     }
+}
 
+/// Wakes the other side when it sleeps.
+#[derive(Clone)]
+struct Bell {
+    sleeper: Sleeper,
+    fd: Arc<OwnedFd>,
+}
+
+impl Bell {
     /// Wakes whoever sleeps beside it; costs nothing when nobody does.
     fn ring(&self) {
-        // Pairs with the fence in `sleep`: either this sees the sleeper, or the sleeper sees what was
-        // written before this.
+        // Pairs with the fence of the one who goes to sleep: either this sees the sleeper, or the
+        // sleeper sees what was written before this.
         fence(Ordering::SeqCst);
-        if self.sleeps().load(Ordering::Relaxed) != 0 {
-            self.ring_here();
+        let sleeps = self.sleeper.sleeps();
+        if sleeps.load(Ordering::Relaxed) != 0 && sleeps.swap(0, Ordering::SeqCst) != 0 {
+            // It can only fail when it was rung 2^64 times.
+            let _ = rustix::io::write(&*self.fd, &1_u64.to_ne_bytes());
         }
-    }
-
-    /// Wakes whoever sleeps beside it, or the next who wants to.
-    pub(crate) fn ring_here(&self) {
-        self.rings().fetch_add(1, Ordering::SeqCst);
-        // An error would say that the address is not one.
-        let _ = futex::wake(self.rings(), futex::Flags::empty(), u32::MAX >> 1);
-    }
-
-    /// Sleeps until it rings, unless there is `work` already, or it rang since `heard`.
-    fn sleep(&self, heard: u32, work: impl Fn() -> bool) {
-        self.sleeps().store(1, Ordering::SeqCst);
-        fence(Ordering::SeqCst);
-        if !work() {
-            // Ends at once when it rang since; an interruption is seen by the caller as no work.
-            let _ = futex::wait(self.rings(), futex::Flags::empty(), heard, None);
-        }
-        self.sleeps().store(0, Ordering::Relaxed);
     }
 }
 
@@ -308,10 +322,11 @@ impl Sender {
 pub(crate) struct Receiver {
     ring: Ring,
     own: Ring,
-    bell: Bell,
+    sleeper: Sleeper,
     theirs: Bell,
-    /// Bytes ever read: what the memory says of it, the other side may have changed.
-    read: u64,
+    /// Bytes ever read: what the memory says of it, the other side may have changed. Written by one
+    /// thread at a time, which holds the lock of the stream.
+    read: AtomicU64,
 }
 
 impl Receiver {
@@ -319,68 +334,77 @@ impl Receiver {
     ///
     /// # Errors
     /// [`Corrupt`] when the other side's position cannot be.
-    pub(crate) fn read(&mut self, into: &mut [u8]) -> Result<usize, Corrupt> {
+    pub(crate) fn read(&self, into: &mut [u8]) -> Result<usize, Corrupt> {
+        let mut rest = into;
+        self.take(rest.len(), |memory, place, size| {
+            let (part, later) = std::mem::take(&mut rest).split_at_mut(size);
+            memory.copy_out(place, part);
+            rest = later;
+        })
+    }
+
+    /// Copies what has come into the free place of `into`, and no more than that.
+    ///
+    /// # Errors
+    /// [`Corrupt`] when the other side's position cannot be.
+    pub(crate) fn read_into(&self, into: &mut Vec<u8>) -> Result<usize, Corrupt> {
+        self.take(into.capacity() - into.len(), |memory, place, size| {
+            memory.append_to(place, size, into);
+        })
+    }
+
+    /// Takes at most `most` bytes out, in one or two parts.
+    fn take(
+        &self,
+        most: usize,
+        mut copy: impl FnMut(&Memory, usize, usize),
+    ) -> Result<usize, Corrupt> {
+        let mut read = self.read.load(Ordering::Relaxed);
         let written = self.ring.field(WRITTEN).load(Ordering::Acquire);
-        let count = Ring::filled(written, self.read)?.min(into.len());
-        let (mut into, _) = into.split_at_mut(count);
-        while !into.is_empty() {
-            let (place, until_wrap) = self.ring.place(self.read);
-            let (part, later) = into.split_at_mut(until_wrap.min(into.len()));
-            self.ring.memory.copy_out(place, part);
-            self.read += part.len() as u64;
-            into = later;
+        let count = Ring::filled(written, read)?.min(most);
+        let mut left = count;
+        while left > 0 {
+            let (place, until_wrap) = self.ring.place(read);
+            let part = left.min(until_wrap);
+            copy(&self.ring.memory, place, part);
+            read += part as u64;
+            left -= part;
         }
         if count > 0 {
-            self.ring.field(READ).store(self.read, Ordering::Release);
+            self.read.store(read, Ordering::Relaxed);
+            self.ring.field(READ).store(read, Ordering::Release);
             fence(Ordering::SeqCst);
-            let wants = self.ring.field(WANTS_ROOM);
-            if wants.load(Ordering::Relaxed) != 0 {
-                wants.store(0, Ordering::SeqCst);
-                self.theirs.ring_here();
+            if self.ring.field(WANTS_ROOM).load(Ordering::Relaxed) != 0 {
+                self.theirs.ring();
             }
         }
         Ok(count)
     }
 
-    /// How often the bell of this side has rung: asked for before looking for work, so that no ring
-    /// is missed between that and [`Self::wait`].
-    pub(crate) fn heard(&self) -> u32 {
-        self.bell.rings().load(Ordering::SeqCst)
+    /// Whether something has come, or room has for what waits for it.
+    pub(crate) fn has_work(&self) -> bool {
+        let has_data =
+            self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read.load(Ordering::Relaxed);
+        has_data || (self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0 && self.has_room())
     }
 
-    fn has_data(&self) -> bool {
-        self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read
+    fn has_room(&self) -> bool {
+        let written = self.own.field(WRITTEN).load(Ordering::Acquire);
+        let read = self.own.field(READ).load(Ordering::Acquire);
+        written.wrapping_sub(read) < RING as u64
     }
 
-    /// Waits until something has come, room has come, or the bell of this side rang since `heard`:
-    /// looks for `spin`, then sleeps.
-    pub(crate) fn wait(&self, spin: Duration, heard: u32) {
-        // Room that came is told by the bell, which rang before this if the wish is gone already.
-        let work = || self.has_data();
-        if !spin.is_zero() {
-            let clock = crate::time::Clock::real();
-            let end = clock.now() + spin;
-            while clock.now() < end {
-                for _ in 0..SPINS {
-                    if work() {
-                        return;
-                    }
-                    std::hint::spin_loop();
-                }
-            }
-        }
-        let waits = self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0;
-        let has_room = || {
-            let written = self.own.field(WRITTEN).load(Ordering::Acquire);
-            let read = self.own.field(READ).load(Ordering::Acquire);
-            written.wrapping_sub(read) < RING as u64
+    /// This side's bell must ring from now on, or need no longer. Whoever goes to sleep looks for work
+    /// once more, behind a fence.
+    pub(crate) fn set_asleep(&self, asleep: bool) {
+        let order = if asleep {
+            Ordering::SeqCst
+        } else {
+            Ordering::Relaxed
         };
-        self.bell.sleep(heard, || work() || (waits && has_room()));
+        self.sleeper.sleeps().store(u32::from(asleep), order);
     }
 }
-
-/// How often the ring is looked at before the clock is.
-const SPINS: usize = 32;
 
 #[cfg(test)]
 mod tests;

@@ -241,6 +241,9 @@ pub(crate) async fn connect_over(
     }
 }
 
+/// After how long without a word it is asked whether the other end is there.
+const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
+
 /// A caller who has not said anything yet.
 pub(crate) enum Call {
     Tcp(TcpStream, Option<Arc<Keys>>),
@@ -249,6 +252,25 @@ pub(crate) enum Call {
 }
 
 impl Call {
+    /// Where it comes from, and where it arrived, if it came over a network.
+    pub(crate) fn ends(&self) -> Option<(SocketAddr, SocketAddr)> {
+        match self {
+            Self::Tcp(stream, _) => Some((stream.peer_addr().ok()?, stream.local_addr().ok()?)),
+            Self::Unix(_) | Self::Zenoh(..) => None,
+        }
+    }
+
+    /// Lets the system notice when the other end is gone without a word.
+    pub(crate) fn keep_alive(&self) {
+        use rustix::net::sockopt::{set_socket_keepalive, set_tcp_keepidle, set_tcp_keepintvl};
+        if let Self::Tcp(stream, _) = self {
+            // One that is not watched is noticed when it is written to.
+            let _ = set_socket_keepalive(stream, true);
+            let _ = set_tcp_keepidle(stream, KEEP_ALIVE);
+            let _ = set_tcp_keepintvl(stream, KEEP_ALIVE);
+        }
+    }
+
     /// Lets the caller prove who it is, where that is asked for.
     ///
     /// # Errors

@@ -213,7 +213,7 @@ pub fn replay(
             reason: "its chassis has no processor".to_owned(),
         })?;
     let stage = Stage {
-        task: task_record(task, script.tid, Some(&config)),
+        task: task_record(task, script.tid, Some(&config), &processor.handle),
         config,
         chassis,
         processor,
@@ -287,7 +287,7 @@ impl Stage {
         let spec = TaskSpec {
             record: self.task.clone(),
             config: Some(self.config.clone()),
-            commands: kind.commands().to_vec(),
+            commands: kind.commands_shared(),
             build: kind.builder(),
         };
         start_task(&self.chassis, &self.processor, spec)

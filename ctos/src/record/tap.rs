@@ -13,7 +13,7 @@ use super::{
     report::RecordReport,
 };
 use crate::{
-    call::{Answer, Fault},
+    call::Fault,
     chassis::{Envelope, WaitFor},
     message::{CommandInfo, Data, Flags, Header, Message, Tid},
     task::Phase,
@@ -50,6 +50,11 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
+    /// The asked task.
+    pub(crate) fn to(&self) -> Tid {
+        self.to
+    }
+
     pub(crate) fn of(envelope: &Envelope) -> Self {
         Self {
             by: envelope.from,
@@ -159,6 +164,11 @@ impl Tap {
         let recorders = self.recorders();
         let all = recorders.iter().map(|recorder| recorder.dropped()).sum();
         (!recorders.is_empty()).then_some(all)
+    }
+
+    /// Whether anything looks on.
+    pub(crate) fn is_on(&self) -> bool {
+        self.first.get().is_some() || self.visited.load(Ordering::Relaxed)
     }
 
     /// Whether anything is recorded.
@@ -309,13 +319,13 @@ impl Tap {
     }
 
     /// A sender has what it waited for.
-    pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: &Answer) {
+    pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>) {
         let side = if asked.to.chassis() == self.index {
             Side::Here
         } else {
             Side::Sender
         };
-        self.note_answer(id, asked, side, answer.as_ref());
+        self.note_answer(id, asked, side, answer);
     }
 
     /// A task of this chassis answers a message from another one.

@@ -3,7 +3,7 @@
 use std::{io, path::Path, sync::Arc};
 
 use rustls::{
-    ClientConfig, RootCertStore, ServerConfig,
+    ClientConfig, ClientConnection, RootCertStore, ServerConfig, StreamOwned,
     pki_types::{CertificateDer, ServerName},
     server::WebPkiClientVerifier,
 };
@@ -15,11 +15,15 @@ use super::{Identity, KeyError, files};
 /// Every key has this name beside its holder's: which host answers does not matter, only its key.
 pub(super) const SERVER_NAME: &str = "chassis.ctos";
 
+/// What [`Keys::call_blocking`] makes of a connection.
+pub type BlockingStream = StreamOwned<ClientConnection, std::net::TcpStream>;
+
 /// A key, ready to prove who this process is, and the authority by which others prove it.
 pub struct Keys {
     identity: Identity,
     acceptor: TlsAcceptor,
     connector: TlsConnector,
+    client: Arc<ClientConfig>,
 }
 
 impl std::fmt::Debug for Keys {
@@ -60,10 +64,12 @@ impl Keys {
             .with_root_certificates(roots)
             .with_client_auth_cert(chain, private()?)
             .map_err(unusable)?;
+        let client = Arc::new(client);
         Ok(Self {
             identity,
             acceptor: TlsAcceptor::from(Arc::new(server)),
-            connector: TlsConnector::from(Arc::new(client)),
+            connector: TlsConnector::from(client.clone()),
+            client,
         })
     }
 
@@ -85,6 +91,23 @@ impl Keys {
         let stream = self.connector.connect(name, stream).await?;
         let identity = first_identity(stream.get_ref().1.peer_certificates())?;
         Ok((stream, identity))
+    }
+
+    /// [`Self::call`] for programs that do nothing else meanwhile.
+    ///
+    /// # Errors
+    /// As [`Self::call`].
+    pub fn call_blocking(
+        &self,
+        mut stream: std::net::TcpStream,
+    ) -> Result<(BlockingStream, Identity), KeyError> {
+        let name = ServerName::try_from(SERVER_NAME).map_err(unusable)?;
+        let mut connection = ClientConnection::new(self.client.clone(), name).map_err(unusable)?;
+        while connection.is_handshaking() {
+            connection.complete_io(&mut stream)?;
+        }
+        let identity = first_identity(connection.peer_certificates())?;
+        Ok((StreamOwned::new(connection, stream), identity))
     }
 
     /// Proves who this is to a caller, and learns who that is.

@@ -32,7 +32,10 @@ impl Simulation {
                 }
             }
         }
-        self.happened.push(mishap);
+        // Whoever makes the run again has the configuration anyway.
+        if !self.injuries.contains(&mishap) {
+            self.happened.push(mishap);
+        }
     }
 
     fn happen_to(&mut self, index: usize, mishap: &Mishap) {
@@ -58,7 +61,7 @@ impl Simulation {
         }
     }
 
-    fn happen_between(&self, one: usize, other: usize, mishap: &Mishap) {
+    pub(super) fn happen_between(&self, one: usize, other: usize, mishap: &Mishap) {
         let (Some(first), Some(second)) = (self.machines.get(one), self.machines.get(other)) else {
             return;
         };

@@ -9,7 +9,7 @@ use std::{
 
 use rand::RngExt;
 
-use super::{Simulation, machine::Machine};
+use super::{Simulation, injured, machine::Machine};
 use crate::{
     boot::{self, BootEvent},
     bootstrap::Processes,
@@ -165,6 +165,11 @@ impl Simulation {
             peer.link_down(index);
             peer.link_up(index, self.network.link(peer.index(), index));
             new.link_up(peer.index(), self.network.link(index, peer.index()));
+            let ends = (usize::from(index), usize::from(peer.index()));
+            let injury = &peer.app.links.injury;
+            for mishap in injured::lasting(injury, new.name(), peer.name()) {
+                self.happen_between(ends.0, ends.1, &mishap);
+            }
         }
         watch_exit(&new, incarnation, &self.exits);
         if let Some(recording) = &self.recording {

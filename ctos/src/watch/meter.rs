@@ -1,18 +1,13 @@
 //! What is counted of a task for whoever watches: cheap to count, readable from any thread.
 
-use std::{
-    future::Future,
-    pin::Pin,
-    sync::{
-        OnceLock,
-        atomic::{AtomicU64, Ordering},
-    },
-    task::{Context as PollContext, Poll},
+use std::sync::{
+    OnceLock,
+    atomic::{AtomicU64, Ordering},
 };
 
 use serde::{Deserialize, Serialize};
 
-use crate::message::CommandInfo;
+use crate::{message::CommandInfo, statistics::add};
 
 /// Upper bounds of the buckets of handler times, ns: powers of four of a microsecond.
 const BUCKETS: usize = 12;
@@ -75,7 +70,7 @@ impl TaskMeter {
         // 0 for up to 1 us, then one more for every factor of four.
         let bucket = (u64::BITS - micros.leading_zeros()).div_ceil(2) as usize;
         if let Some(bucket) = self.durations.get(bucket.min(BUCKETS)) {
-            bucket.fetch_add(1, Ordering::Relaxed);
+            add(bucket, 1);
         }
         let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
         let known = commands.iter().find(|known| known.info.code == command);
@@ -85,7 +80,7 @@ impl TaskMeter {
             (None, true) => &self.other_ok,
             (None, false) => &self.other_failed,
         };
-        counter.fetch_add(1, Ordering::Relaxed);
+        add(counter, 1);
     }
 
     /// How many messages took at most the bound of each bucket, and longer than all.
@@ -116,29 +111,13 @@ impl TaskMeter {
         (turn % 2 == 1).then_some(turn)
     }
 
-    /// Counts the turns that `future` has on its processor.
-    pub(crate) fn in_turns<F: Future + Unpin>(&self, future: F) -> InTurns<'_, F> {
-        InTurns {
-            turns: &self.turns,
-            future,
-        }
-    }
-}
-
-/// See [`TaskMeter::in_turns`].
-pub(crate) struct InTurns<'a, F> {
-    turns: &'a AtomicU64,
-    future: F,
-}
-
-impl<F: Future + Unpin> Future for InTurns<'_, F> {
-    type Output = F::Output;
-
-    fn poll(mut self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<F::Output> {
-        self.turns.fetch_add(1, Ordering::AcqRel);
-        let polled = Pin::new(&mut self.future).poll(cx);
-        self.turns.fetch_add(1, Ordering::AcqRel);
-        polled
+    /// Runs code of the handler: a turn that it has on its processor. The code does not panic.
+    pub(crate) fn in_turn<T>(&self, code: impl FnOnce() -> T) -> T {
+        let before = self.turns.load(Ordering::Relaxed);
+        self.turns.store(before.wrapping_add(1), Ordering::Release);
+        let result = code();
+        self.turns.store(before.wrapping_add(2), Ordering::Release);
+        result
     }
 }
 
@@ -174,15 +153,7 @@ mod tests {
     fn a_turn_is_seen_while_it_lasts() {
         let meter = TaskMeter::default();
         assert_eq!(meter.turn(), None);
-        let seen = std::cell::Cell::new(None);
-        let future = std::future::poll_fn(|_| {
-            seen.set(meter.turn());
-            Poll::Ready(())
-        });
-        let mut turns = std::pin::pin!(meter.in_turns(future));
-        let mut cx = PollContext::from_waker(std::task::Waker::noop());
-        assert!(turns.as_mut().poll(&mut cx).is_ready());
-        assert!(seen.get().is_some());
+        assert!(meter.in_turn(|| meter.turn()).is_some());
         assert_eq!(meter.turn(), None);
     }
 }

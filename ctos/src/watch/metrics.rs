@@ -20,6 +20,8 @@ pub(crate) struct ChassisMetrics {
     pub(crate) lints: Vec<Lint>,
     /// Events that the record lacks; `None` when nothing is recorded.
     pub(crate) unrecorded: Option<u64>,
+    /// Callers and requests that were refused.
+    pub(crate) refused: u64,
 }
 
 /// What is counted of one task.
@@ -113,6 +115,7 @@ pub(crate) fn gather_here(chassis: &Chassis) -> ChassisMetrics {
         cyclics: cyclics.collect(),
         links: links.collect(),
         lints: chassis.lints(),
+        refused: chassis.refused.load(std::sync::atomic::Ordering::Relaxed),
         unrecorded: chassis.tap.dropped(),
     }
 }

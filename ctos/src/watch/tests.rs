@@ -53,6 +53,7 @@ fn metrics() -> ChassisMetrics {
             text: "words".to_owned(),
         }],
         unrecorded: Some(5),
+        refused: 11,
     }
 }
 
@@ -152,11 +153,16 @@ mod real {
         let build = registry.kind("stuck").unwrap().builder();
         let chassis = Chassis::new(1, Arc::new(app), Arc::new(registry), Clock::real());
         let _threads = boot::start_processors(&chassis).unwrap();
-        let task = record("arm", Tid::new(1, 1, 0), Some(&config));
+        let task = record(
+            "arm",
+            Tid::new(1, 1, 0),
+            Some(&config),
+            &chassis.processors[1].1,
+        );
         let spec = TaskSpec {
             record: task.clone(),
             config: Some(config),
-            commands: vec![Block::INFO],
+            commands: Arc::new([Block::INFO]),
             build,
         };
         let home = chassis.clone();

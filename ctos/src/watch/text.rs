@@ -186,6 +186,15 @@ pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
         let code = lint.code.to_string();
         page.line("ctos_lint", &[("code", &code), ("task", &lint.task)], 1);
     }
+    let name = "ctos_refused_total";
+    page.metric(
+        name,
+        "counter",
+        "Callers, and requests of tools, that were refused.",
+    );
+    for chassis in up() {
+        page.line(name, &[("chassis", &chassis.chassis)], chassis.refused);
+    }
     let name = "ctos_record_dropped_total";
     page.metric(name, "counter", "Events that could not be recorded.");
     for chassis in up() {

@@ -144,7 +144,7 @@ impl Suite {
 
     fn note(&self, number: u32) -> LocalBoxFuture<'static, Result<(), CallError>> {
         let note = Note { sender: 0, number };
-        self.cx.call(&self.peer, note).into_future()
+        Box::pin(self.cx.call(&self.peer, note).into_future())
     }
 
     fn sent(&self, number: u32) -> LocalBoxFuture<'static, Result<(), CallError>> {
@@ -159,7 +159,7 @@ impl Suite {
         while self.cx.call(&self.gate, Waiting {}).await? == 0 {
             self.cx.sleep(Duration::from_micros(200)).await;
         }
-        Ok(blocked)
+        Ok(Box::pin(blocked))
     }
 
     async fn open(&self) -> Result<(), CallError> {

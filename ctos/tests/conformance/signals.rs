@@ -67,7 +67,9 @@ fn run(placement: &str, timeout: &'static str, deed: Deed) -> Result<Ran, Failed
     let observer: Observer = Arc::new(move |event| {
         let mut victim = victim.lock().unwrap();
         match (event, deed) {
-            (BootEvent::Started { chassis, pid }, _) if chassis == "b" => *victim = pid.unwrap(),
+            (BootEvent::Started { chassis, pid, .. }, _) if chassis == "b" => {
+                *victim = pid.unwrap()
+            }
             (
                 BootEvent::PhaseDone {
                     phase: Phase::Connect,

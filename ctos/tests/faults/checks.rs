@@ -132,7 +132,9 @@ impl Check<'_> {
             let chassis = self.chassis_of(&sent.to);
             let died = self.is_lost(chassis) || self.has_failed(chassis, sent.began_true);
             // An app that finishes has waited until all was handled.
-            let stopped = !finished && self.book.stops.contains_key(&sent.to);
+            // Between two handlers there is none to be told of the stop, nor to handle anything.
+            let told = self.book.stops.contains_key(&sent.to);
+            let stopped = !finished && (told || self.book.broken.contains(&sent.to));
             if !died && !stopped || sent.is_call {
                 wrong.push(format!("taken and never handled: {sent:?}"));
             }

@@ -4,6 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use super::{Inner, Member, door::may_be_chassis};
 use crate::{
@@ -135,16 +136,15 @@ impl Inner {
         if chassis == 0 && session.was_never_up() && self.process.sees(&process) {
             // Of the boot only its address was known.
             self.runtime
-                .spawn(super::watch(session.clone(), process.pid));
+                .spawn(super::peer::watch(session.clone(), process.pid));
         }
         let carried = match (shared, stream) {
             (true, Stream::Unix(socket)) => {
                 let made = shm::pass::send(&socket).await;
                 let shared = made.map_err(HandshakeError::from)?;
-                self.carry_shared(session, socket, shared, received, chassis)
-                    .await
+                drive::drive_shared(session, socket, shared, received, &self.lookout).await
             }
-            (_, stream) => drive::drive(session, stream, received).await,
+            (_, stream) => drive::drive(session, stream, received, &self.lookout).await,
         };
         if let Err(error) = carried {
             tracing::debug!(error = %error, "a stream was not wanted");
@@ -210,7 +210,13 @@ pub(super) async fn unable(
             chassis: chassis.index(),
             reason: reason.to_owned(),
         };
-        greet(&mut stream, &greeting).await.ok()
+        greet(&mut stream, &greeting).await.ok()?;
+        stream.shutdown().await.ok()?;
+        // What the other end has said and nobody reads would take the greeting with it when the stream
+        // is closed.
+        let mut rest = [0; 1024];
+        while stream.read(&mut rest).await.ok()? > 0 {}
+        Some(())
     };
     let _ = tokio::time::timeout(ANSWER_LIMIT, tell).await;
 }

@@ -14,7 +14,7 @@ use super::{Inner, Member, MeshEvent};
 use crate::{
     link::{
         handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
-        session::{AttachError, Session, drive},
+        session::{AttachError, drive},
         shm,
         transport::{Call, Listener, Stream},
     },
@@ -64,7 +64,7 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
             }
         };
         let Ok(place) = strangers.clone().try_acquire_owned() else {
-            mesh.refused.fetch_add(1, Ordering::Relaxed);
+            mesh.chassis.refused.fetch_add(1, Ordering::Relaxed);
             tracing::warn!(
                 most = STRANGERS,
                 "too many callers at once; one was turned away"
@@ -84,11 +84,11 @@ pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
             match served {
                 Ok(()) | Err(RefusedError::Attach(AttachError::Cut)) => {}
                 Err(error) => {
-                    mesh.refused.fetch_add(1, Ordering::Relaxed);
                     if error.hung_up() {
                         // As one does that looks whether anybody listens here at all.
                         tracing::debug!("a caller hung up");
                     } else {
+                        mesh.chassis.refused.fetch_add(1, Ordering::Relaxed);
                         tracing::warn!(reason = %error, "a caller was refused");
                     }
                 }
@@ -168,15 +168,13 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         .await
         .map_err(|_| HandshakeError::Late)??;
     if !shared {
-        return Ok(drive::drive(&session, stream, received).await?);
+        return Ok(drive::drive(&session, stream, received, &mesh.lookout).await?);
     }
     let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;
-    mesh.carry_shared(&session, socket, shared, received, chassis)
-        .await?;
-    Ok(())
+    Ok(drive::drive_shared(&session, socket, shared, received, &mesh.lookout).await?)
 }
 
 impl Inner {
@@ -186,19 +184,5 @@ impl Inner {
         if let Some(peer) = state.peers.get_mut(&member.chassis) {
             peer.member = Some(member);
         }
-    }
-
-    /// Carries a session through shared memory.
-    pub(super) async fn carry_shared(
-        &self,
-        session: &Arc<Session>,
-        socket: tokio::net::UnixStream,
-        shared: shm::Shared,
-        received: u64,
-        peer: u8,
-    ) -> Result<(), AttachError> {
-        let name = format!("{}<{}", self.chassis.name(), self.chassis.name_of(peer));
-        let spin = self.chassis.app.links.spin;
-        drive::drive_shared(session, socket, shared, received, spin, &name).await
     }
 }

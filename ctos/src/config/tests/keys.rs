@@ -81,7 +81,7 @@ fn the_defaults_file_has_the_listed_keys_with_their_defaults() {
         let mut found: Vec<_> = keys
             .iter()
             .map(|(key, value, live)| {
-                let needed = ["handler", "on"].contains(&key.as_str());
+                let needed = ["handler", "on", "agent"].contains(&key.as_str());
                 (key.as_str(), (*live && !needed).then_some(value.as_str()))
             })
             .collect();

@@ -213,7 +213,7 @@ fn a_wrong_set_is_an_error_that_points_into_the_set_text() {
         ),
         (
             "seeed=3",
-            "--set:1:1: error: unknown key `seeed` at the top level (known here: app, barrier, chassis, include, injure, metrics, profile, record, security, semaphore, task, time, zenoh)",
+            "--set:1:1: error: unknown key `seeed` at the top level (known here: app, barrier, chassis, control, host, include, injure, metrics, profile, record, security, semaphore, task, time, zenoh)",
         ),
         (
             "task.msc.queue=3",

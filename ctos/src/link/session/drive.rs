@@ -3,31 +3,27 @@
 use std::{
     future::poll_fn,
     io,
+    os::fd::OwnedFd,
     pin::pin,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    task::{Context as PollContext, Poll, Wake, Waker},
+    sync::{Arc, atomic::Ordering},
+    task::Poll,
     time::Duration,
 };
 
-use bytes::BufMut;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
     net::UnixStream,
+    sync::oneshot,
 };
 
 use super::{
     AttachError, Session, Writer,
-    packet::{Decoder, PacketError},
+    direct::{Carrier, DirectStream},
+    packet::Decoder,
     state::Event,
+    writer::Socket,
 };
-use crate::link::{
-    session::DownReason,
-    shm::{self, Bell},
-    transport::Stream,
-};
+use crate::link::{lookout::Lookout, session::DownReason, shm, transport::Stream};
 
 /// How many bytes are read at a time.
 const CHUNK: usize = 64 * 1024;
@@ -38,7 +34,8 @@ const INJURED_TICK: Duration = Duration::from_millis(1);
 /// How long what the other end said last is waited for when it takes no more.
 const LAST_WORDS_LIMIT: Duration = Duration::from_millis(500);
 
-/// Carries `session` over `stream` until that ends; `received` is what the other end has.
+/// Carries `session` over `stream` until that ends; `received` is what the other end has. Plain sockets are
+/// read by `lookout`.
 ///
 /// # Errors
 /// When the session does not want the stream.
@@ -46,7 +43,22 @@ pub(crate) async fn drive(
     session: &Arc<Session>,
     stream: Stream,
     received: u64,
+    lookout: &Arc<Lookout>,
 ) -> Result<(), AttachError> {
+    let stream = match stream {
+        // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
+        Stream::Tls(_) | Stream::Other(_) => stream,
+        _ if session.is_injured() => stream,
+        Stream::Tcp(_) | Stream::Unix(_) => {
+            return match fd_of(stream) {
+                Ok(fd) => drive_socket(session, fd, received, lookout).await,
+                Err(error) => {
+                    broke(&error);
+                    Ok(())
+                }
+            };
+        }
+    };
     let (mut reader, writer) = stream.split();
     let number = session.attach(writer, received)?;
     let mut read = pin!(read_all(session, number, &mut reader));
@@ -60,17 +72,31 @@ pub(crate) async fn drive(
     let ended = tokio::select! {
         ended = &mut read => ended,
         error = write => {
-            // The other end has closed; what it said last may not have been read yet.
-            let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
-            rest.unwrap_or(Ok(())).and(Err(error))
+            if session.is_injured() {
+                // A stream that is broken on purpose is broken at once.
+                Err(error)
+            } else {
+                // The other end has closed; what it said last may not have been read yet.
+                let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
+                rest.unwrap_or(Ok(())).and(Err(error))
+            }
         }
         () = late, if session.is_injured() => Ok(()),
     };
     if let Err(error) = ended {
-        tracing::debug!(error = %error, "a stream broke");
+        broke(&error);
     }
     session.lost(number);
     Ok(())
+}
+
+/// The file descriptor of a plain socket; it stays non-blocking.
+fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
+    match stream {
+        Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
+        Stream::Unix(stream) => Ok(stream.into_std()?.into()),
+        Stream::Tls(_) | Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
+    }
 }
 
 async fn read_all(
@@ -81,8 +107,12 @@ async fn read_all(
     let mut chunk = vec![0; CHUNK];
     let mut decoder = Decoder::default();
     loop {
-        if let Some(mut space) = decoder.large_body() {
-            if reader.read_buf(&mut space).await? == 0 {
+        if let Some(body) = decoder.large_body() {
+            if reader.read_buf(body).await? == 0 {
+                return Ok(());
+            }
+            session.heard_of(number);
+            if !take(session, number, &mut decoder, &[]) {
                 return Ok(());
             }
             continue;
@@ -116,73 +146,87 @@ fn take(session: &Session, number: u64, decoder: &mut Decoder, mut bytes: &[u8])
     }
 }
 
-fn rubbish(session: &Session, error: &PacketError) {
+pub(super) fn rubbish(session: &Session, error: &impl std::fmt::Display) {
     session.event(Event::Rubbish, DownReason::Rubbish(error.to_string()));
 }
 
-/// Wakes the thread that drives a session through shared memory.
-struct BellWaker {
-    bell: Bell,
-}
-
-impl Wake for BellWaker {
-    fn wake(self: Arc<Self>) {
-        self.bell.ring_here();
-    }
-}
-
 /// Carries `session` through shared memory until the socket by which it came is closed: that is how the
-/// end of the other process shows. `spin` is how long the reader looks before it sleeps.
+/// end of the other process shows.
 ///
 /// # Errors
-/// When the session does not want the stream, or there is no thread for it.
+/// When the session does not want the stream.
 pub(crate) async fn drive_shared(
     session: &Arc<Session>,
     socket: UnixStream,
     shared: shm::Shared,
     received: u64,
-    spin: Duration,
-    name: &str,
+    lookout: &Arc<Lookout>,
 ) -> Result<(), AttachError> {
     let (sender, receiver, bell) = shared.split();
     let number = session.attach(Writer::Shared(sender), received)?;
-    let closed = Arc::new(AtomicBool::new(false));
-    let (ending, ended) = tokio::sync::oneshot::channel::<()>();
-    let thread = {
-        let (session, closed) = (session.clone(), closed.clone());
-        let waker = Waker::from(Arc::new(BellWaker { bell: bell.clone() }));
-        std::thread::Builder::new()
-            .name(name.to_owned())
-            .spawn(move || {
-                let _ending = ending;
-                let shared = SharedDriver {
-                    session: &session,
-                    number,
-                    receiver,
-                    waker,
-                    closed: &closed,
-                    spin,
-                };
-                shared.run();
-                session.lost(number);
-            })
-    };
-    if let Err(error) = thread {
-        tracing::error!(error = %error, "no thread for shared memory");
-        session.lost(number);
-        return Ok(());
-    }
-    let mut ended = ended;
-    tokio::select! {
-        _ = &mut ended => {}
-        () = hung_up(&socket) => {
-            closed.store(true, Ordering::Release);
-            bell.ring_here();
-            // It reads what is still there and ends.
-            let _ = ended.await;
+    let carrier = Carrier::Shared { receiver, bell };
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
+    let stream = Arc::new(stream);
+    let source = stream.clone();
+    let watched = lookout.add(move |_| source);
+    match watched {
+        Ok(watched) => {
+            tokio::select! {
+                _ = &mut ended => {}
+                error = poll_fn(|cx| session.poll_pump(cx, number)) => {
+                    last_words(&error, ended).await;
+                }
+                () = hung_up(&socket) => {
+                    // What is still there is read.
+                    stream.closed.store(true, Ordering::Release);
+                    watched.serve();
+                }
+            }
         }
+        Err(error) => broke(&error),
     }
+    session.lost(number);
     Ok(())
+}
+
+/// Carries `session` over a plain socket that the lookout reads.
+async fn drive_socket(
+    session: &Arc<Session>,
+    fd: OwnedFd,
+    received: u64,
+    lookout: &Arc<Lookout>,
+) -> Result<(), AttachError> {
+    let socket = Arc::new(Socket::new(fd, Arc::downgrade(lookout)));
+    let number = session.attach(Writer::Socket(socket.clone()), received)?;
+    let carrier = Carrier::Socket(socket.clone());
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
+    let watched = lookout.add(move |id| {
+        socket.set_id(id);
+        Arc::new(stream)
+    });
+    match watched {
+        Ok(_watched) => {
+            tokio::select! {
+                _ = &mut ended => {}
+                error = poll_fn(|cx| session.poll_pump(cx, number)) => {
+                    last_words(&error, ended).await;
+                }
+            }
+        }
+        Err(error) => broke(&error),
+    }
+    session.lost(number);
+    Ok(())
+}
+
+/// The other end has closed; what it said last may not have been read yet.
+async fn last_words(error: &io::Error, ended: oneshot::Receiver<()>) {
+    broke(error);
+    let _ = tokio::time::timeout(LAST_WORDS_LIMIT, ended).await;
+}
+
+fn broke(error: &io::Error) {
+    tracing::debug!(error = %error, "a stream broke");
 }
 
 /// Ends when the other end of the socket is closed. Nothing is said there any more.
@@ -198,63 +242,5 @@ async fn hung_up(socket: &UnixStream) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(_) => return,
         }
-    }
-}
-
-/// The thread of a session through shared memory.
-struct SharedDriver<'a> {
-    session: &'a Session,
-    number: u64,
-    receiver: shm::Receiver,
-    waker: Waker,
-    closed: &'a AtomicBool,
-    spin: Duration,
-}
-
-impl SharedDriver<'_> {
-    fn run(mut self) {
-        let mut chunk = vec![0; CHUNK];
-        let mut decoder = Decoder::default();
-        loop {
-            let heard = self.receiver.heard();
-            // Seen before the ring is: what was written before the end is still read.
-            let closed = self.closed.load(Ordering::Acquire);
-            match self.read(&mut decoder, &mut chunk) {
-                Ok(true) => continue,
-                Ok(false) if closed => return,
-                Ok(false) => {}
-                Err(()) => return,
-            }
-            let mut cx = PollContext::from_waker(&self.waker);
-            if self.session.poll_pump(&mut cx, self.number).is_ready() {
-                return;
-            }
-            self.receiver.wait(self.spin, heard);
-        }
-    }
-
-    /// Reads once; whether there was anything.
-    fn read(&mut self, decoder: &mut Decoder, chunk: &mut [u8]) -> Result<bool, ()> {
-        if let Some(mut space) = decoder.large_body() {
-            let most = space.remaining_mut().min(chunk.len());
-            let part = chunk.get_mut(..most).unwrap_or_default();
-            let count = self.copy(part)?;
-            space.put_slice(part.get(..count).unwrap_or_default());
-            return Ok(count > 0);
-        }
-        let count = self.copy(chunk)?;
-        let read = chunk.get(..count).unwrap_or_default();
-        if take(self.session, self.number, decoder, read) {
-            Ok(count > 0)
-        } else {
-            Err(())
-        }
-    }
-
-    fn copy(&mut self, into: &mut [u8]) -> Result<usize, ()> {
-        self.receiver.read(into).map_err(|error| {
-            let reason = DownReason::Rubbish(error.to_string());
-            self.session.event(Event::Rubbish, reason);
-        })
     }
 }

@@ -1,16 +1,22 @@
 //! Two sessions joined by streams that lose, break and are had anew: first as pure state machines
 //! through memory, then over real sockets.
 
-use std::{collections::VecDeque, io::IoSlice};
+use std::{collections::VecDeque, io::IoSlice, pin::Pin};
+
+use tokio::io::AsyncWrite;
 
 use proptest::prelude::*;
 
 use super::{
-    packet::Decoder,
-    window::{Arrival, Incoming, Outgoing},
+    packet::{Content, Decoder, PACKET_HEAD, Packet},
+    window::{Arrival, Incoming, Lane, Outgoing},
     *,
 };
-use crate::{config::InjuryConfig, link::FRAME_FIXED};
+use crate::{
+    config::InjuryConfig,
+    link::{FRAME_FIXED, Link as _, lookout::Lookout},
+    message::{Flags, SYSTEM_COMMANDS},
+};
 
 const MANY: usize = 1 << 30;
 
@@ -117,7 +123,8 @@ impl End {
                 let Content::Frame(frame) = packet.content else {
                     panic!("no frame")
                 };
-                assert!(frame.body.iter().all(|byte| *byte == frame.call as u8));
+                let body = frame.body.into_vec();
+                assert!(body.iter().all(|byte| *byte == frame.call as u8));
                 self.heard.push(frame.call);
             }
             Arrival::Early if self.incoming.must_ask() => self.outgoing.pulse(Kind::Again),
@@ -415,7 +422,31 @@ fn a_frame_larger_than_the_room_passes_when_nothing_else_is_under_way() {
     let (session, _) = session(&clock);
     session.attach(frozen(), 0).unwrap();
     session.post(Frame::of_body(vec![0; 2 * ROOM])).unwrap();
-    assert!(session.post(Frame::of_body(Vec::new())).is_err());
+    let held = session.counts().bytes_under_way;
+    session.post(Frame::of_body(vec![0; 10])).unwrap();
+    assert_eq!(session.counts().bytes_under_way, held);
+}
+
+#[test]
+fn a_request_that_waits_for_room_leaves_when_there_is_some_unless_its_sender_gave_up() {
+    let clock = Clock::virtual_clock();
+    let (session, _) = session(&clock);
+    let stream = session.attach(frozen(), 0).unwrap();
+    session.post(Frame::of_body(vec![0; ROOM])).unwrap();
+    for call in [7, 8] {
+        let mut waits = Frame::of_body(vec![0; 100]);
+        waits.call = call;
+        session.post(waits).unwrap();
+    }
+    let mut gives_up = Frame::of_body(Vec::new());
+    gives_up.call = 7;
+    gives_up.header.flags = Flags::ABANDONED;
+    session.post(gives_up).unwrap();
+    let mut acknowledges = packet(Kind::Pulse, 0, Content::Nothing);
+    acknowledges.received = 1;
+    assert!(session.receive(stream, acknowledges));
+    let one = (PACKET_HEAD + FRAME_FIXED + 100) as u64;
+    assert_eq!(session.counts().bytes_under_way, one);
 }
 
 #[test]
@@ -490,15 +521,19 @@ fn joined(test: impl AsyncFnOnce([(Arc<Session>, Arc<Mutex<Told>>); 2])) {
         let clock = Clock::real();
         let pair = [session(&clock), session(&clock)];
         let (one, other) = tokio::net::UnixStream::pair().unwrap();
+        let lookout = Lookout::new("test", clock.clone(), Duration::ZERO).unwrap();
         for ((session, _), stream) in pair.clone().into_iter().zip([one, other]) {
+            let lookout = lookout.clone();
             tokio::spawn(async move {
                 let stream = crate::link::transport::Stream::Unix(stream);
-                drive::drive(&session, stream, 0).await.unwrap();
+                let driven = drive::drive(&session, stream, 0, &lookout);
+                driven.await.unwrap();
             });
         }
         tokio::time::timeout(Duration::from_secs(60), test(pair))
             .await
             .unwrap();
+        lookout.close();
     });
 }
 

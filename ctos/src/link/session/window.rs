@@ -36,14 +36,22 @@ struct Kept {
     /// The fixed part of a frame; empty for others.
     head: Bytes,
     body: Bytes,
+    /// What follows the body: blobs that were not copied, and what is between them.
+    more: Vec<Bytes>,
     lane: Lane,
     /// Not to be sent before (injured links only).
     ready: Instant,
 }
 
 impl Kept {
+    /// What follows the packet's head.
+    fn rest(&self) -> usize {
+        let more = self.more.iter().map(Bytes::len);
+        self.head.len() + self.body.len() + more.sum::<usize>()
+    }
+
     fn size(&self) -> usize {
-        PACKET_HEAD + self.head.len() + self.body.len()
+        PACKET_HEAD + self.rest()
     }
 }
 
@@ -118,15 +126,23 @@ impl Outgoing {
     /// Takes a frame; the caller has asked for room.
     pub(crate) fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
         let head = Bytes::copy_from_slice(&frame.head());
-        self.put(Kind::Frame, head, Bytes::from(frame.body), lane, now);
+        self.put(Kind::Frame, head, frame.body.into_parts(), lane, now);
     }
 
     /// Takes a message of the mesh, or the last packet of all.
     pub(crate) fn put_control(&mut self, kind: Kind, body: Vec<u8>, now: Instant) {
-        self.put(kind, Bytes::new(), Bytes::from(body), Lane::Control, now);
+        let parts = (Bytes::from(body), Vec::new());
+        self.put(kind, Bytes::new(), parts, Lane::Control, now);
     }
 
-    fn put(&mut self, kind: Kind, head: Bytes, body: Bytes, lane: Lane, now: Instant) {
+    fn put(
+        &mut self,
+        kind: Kind,
+        head: Bytes,
+        (body, more): (Bytes, Vec<Bytes>),
+        lane: Lane,
+        now: Instant,
+    ) {
         let earliest = self.kept.back().map_or(Instant::START, |last| last.ready);
         let ready = match &mut self.injury {
             Some(injury) => injury.delayed(now).max(earliest),
@@ -136,6 +152,7 @@ impl Outgoing {
             kind,
             head,
             body,
+            more,
             lane,
             ready,
         };
@@ -307,14 +324,17 @@ impl Outgoing {
             if self.injury.as_mut().is_some_and(Injury::loses) {
                 continue;
             }
-            let rest = kept.head.len() + kept.body.len();
-            put_head(&mut small, kept.kind, [number, received], rest);
+            put_head(&mut small, kept.kind, [number, received], kept.rest());
             small.put_slice(&kept.head);
-            if kept.body.len() <= COPIED {
-                small.put_slice(&kept.body);
-            } else {
-                self.staged.push_back(small.split().freeze());
-                self.staged.push_back(kept.body.clone());
+            for part in std::iter::once(&kept.body).chain(&kept.more) {
+                if part.len() <= COPIED {
+                    small.put_slice(part);
+                } else {
+                    if !small.is_empty() {
+                        self.staged.push_back(small.split().freeze());
+                    }
+                    self.staged.push_back(part.clone());
+                }
             }
         }
         if !small.is_empty() {

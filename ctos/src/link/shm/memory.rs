@@ -110,6 +110,20 @@ impl Memory {
             );
         }
     }
+
+    /// Appends the `size` bytes at `place` to `bytes`.
+    pub(super) fn append_to(&self, place: usize, size: usize, bytes: &mut Vec<u8>) {
+        assert!(place <= self.size && self.size - place >= size);
+        bytes.reserve(size);
+        let length = bytes.len();
+        // SAFETY: in bounds on both sides, as there is place for `size` more bytes; an ordinary vector
+        // does not overlap the mapping. The bytes up to the new length are written before it is set.
+        unsafe {
+            let end = bytes.as_mut_ptr().add(length);
+            ptr::copy_nonoverlapping(self.start.add(place).as_ptr(), end, size);
+            bytes.set_len(length + size);
+        }
+    }
 }
 
 impl Drop for Memory {

@@ -1,4 +1,4 @@
-//! Passing shared memory over the Unix socket that joins two chassis.
+//! Passing shared memory and its bells over the Unix socket that joins two chassis.
 
 use std::{
     io::{self, IoSlice, IoSliceMut},
@@ -26,11 +26,11 @@ const BYTE: u8 = b'm';
 /// # Errors
 /// What the system says, or when the other side does not take it.
 pub(crate) async fn send(socket: &UnixStream) -> io::Result<Shared> {
-    let (shared, file) = Shared::make()?;
-    let fds = [file.as_fd()];
+    let (shared, passed) = Shared::make()?;
+    let fds = passed.each_ref().map(AsFd::as_fd);
     socket
         .async_io(Interest::WRITABLE, || {
-            let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
+            let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(3))];
             let mut control = SendAncillaryBuffer::new(&mut space);
             control.push(SendAncillaryMessage::ScmRights(&fds));
             sendmsg(
@@ -62,21 +62,21 @@ pub(crate) async fn receive(stream: Stream) -> io::Result<(UnixStream, Shared)> 
     let Stream::Unix(mut socket) = stream else {
         return Err(io::ErrorKind::Unsupported.into());
     };
-    let file: OwnedFd = socket
+    let passed: [OwnedFd; 3] = socket
         .async_io(Interest::READABLE, || {
-            let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
+            let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(3))];
             let mut control = RecvAncillaryBuffer::new(&mut space);
             let mut byte = [0];
             let into = &mut [IoSliceMut::new(&mut byte)];
             recvmsg(&socket, into, &mut control, RecvFlags::CMSG_CLOEXEC)?;
             let rights = control.drain().find_map(|message| match message {
-                RecvAncillaryMessage::ScmRights(mut files) => files.next(),
+                RecvAncillaryMessage::ScmRights(files) => files.collect::<Vec<_>>().try_into().ok(),
                 _ => None,
             });
             rights.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, "no memory was passed"))
         })
         .await?;
-    let shared = Shared::take(file.as_fd())?;
+    let shared = Shared::take(passed)?;
     socket.write_all(&[BYTE]).await?;
     socket.flush().await?;
     Ok((socket, shared))

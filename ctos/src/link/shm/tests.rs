@@ -1,6 +1,7 @@
 //! The rings in one process, where Miri can watch, and through a passed file.
 
 use proptest::prelude::*;
+use rustix::event::{PollFd, PollFlags};
 
 use super::*;
 
@@ -8,11 +9,23 @@ fn write(sender: &Sender, bytes: &[u8]) -> io::Result<usize> {
     sender.try_write(&[IoSlice::new(bytes)])
 }
 
+/// Sleeps at the bell until there is work, as the lookout does.
+fn wait(receiver: &Receiver, bell: &OwnedFd) {
+    receiver.set_asleep(true);
+    fence(Ordering::SeqCst);
+    if !receiver.has_work() {
+        let mut fds = [PollFd::new(bell, PollFlags::IN)];
+        rustix::event::poll(&mut fds, None).unwrap();
+    }
+    receiver.set_asleep(false);
+    let _ = rustix::io::read(bell, &mut [0; 8]);
+}
+
 #[test]
 fn bytes_arrive_in_order_however_they_are_cut_and_wrapped() {
     let (maker, guest) = Shared::pair();
     let (sender, _room, _) = maker.split();
-    let (_back, mut receiver, _) = guest.split();
+    let (_back, receiver, _) = guest.split();
     let total = if cfg!(miri) { RING / 8 } else { 3 * RING + 17 };
     let mut sent = 0;
     let mut read = 0;
@@ -39,7 +52,7 @@ fn bytes_arrive_in_order_however_they_are_cut_and_wrapped() {
 fn a_full_ring_takes_no_more_until_something_was_read() {
     let (maker, guest) = Shared::pair();
     let (sender, _receiver, _) = maker.split();
-    let (_sender, mut receiver, _) = guest.split();
+    let (_sender, receiver, _) = guest.split();
     let all = vec![1; RING + 1];
     assert_eq!(write(&sender, &all).unwrap(), RING);
     let full = write(&sender, &all).unwrap_err();
@@ -55,7 +68,7 @@ fn two_threads_that_sleep_never_miss_each_other() {
     let rounds: u32 = if cfg!(miri) { 20 } else { 20_000 };
     let (maker, guest) = Shared::pair();
     let play = move |shared: Shared, begins: bool| {
-        let (sender, mut receiver, _) = shared.split();
+        let (sender, receiver, bell) = shared.split();
         let mut number = 0_u32;
         if begins {
             write(&sender, &number.to_le_bytes()).unwrap();
@@ -63,11 +76,10 @@ fn two_threads_that_sleep_never_miss_each_other() {
         let mut bytes = [0; 4];
         let mut filled = 0;
         while number < rounds {
-            let heard = receiver.heard();
             let count = receiver.read(&mut bytes[filled..]).unwrap();
             filled += count;
             if count == 0 {
-                receiver.wait(Duration::ZERO, heard);
+                wait(&receiver, &bell);
             }
             if filled == 4 {
                 filled = 0;
@@ -86,24 +98,22 @@ fn a_writer_that_waits_for_room_is_woken_by_it() {
     let total = if cfg!(miri) { 2 * RING } else { 64 * RING };
     let (maker, guest) = Shared::pair();
     let writer = std::thread::spawn(move || {
-        let (sender, room, _) = maker.split();
+        let (sender, room, bell) = maker.split();
         let bytes = vec![7; 100_000];
         let mut left = total;
         while left > 0 {
-            let heard = room.heard();
             match write(&sender, &bytes[..left.min(bytes.len())]) {
                 Ok(count) => left -= count,
-                Err(_) => room.wait(Duration::ZERO, heard),
+                Err(_) => wait(&room, &bell),
             }
         }
     });
-    let (_sender, mut receiver, _) = guest.split();
+    let (_sender, receiver, bell) = guest.split();
     let mut chunk = vec![0; 70_000];
     let mut read = 0;
     while read < total {
-        let heard = receiver.heard();
         match receiver.read(&mut chunk).unwrap() {
-            0 => receiver.wait(Duration::ZERO, heard),
+            0 => wait(&receiver, &bell),
             count => read += count,
         }
     }
@@ -115,7 +125,7 @@ proptest! {
     fn positions_that_cannot_be_are_found_and_no_byte_is_read(written: u64, read: u64) {
         let (maker, guest) = Shared::pair();
         let (sender, _, _) = maker.split();
-        let (_, mut receiver, _) = guest.split();
+        let (_, receiver, _) = guest.split();
         sender.ring.field(WRITTEN).store(written, Ordering::SeqCst);
         sender.ring.field(READ).store(read, Ordering::SeqCst);
         let mut chunk = [0; 16];
@@ -130,19 +140,22 @@ proptest! {
 #[cfg(not(miri))]
 #[test]
 fn memory_that_was_passed_is_the_same_and_memory_that_could_shrink_is_refused() {
-    let (maker, file) = Shared::make().unwrap();
-    let guest = Shared::take(file.as_fd()).unwrap();
+    let (maker, passed) = Shared::make().unwrap();
+    let [file, ..] = &passed;
+    let file = file.try_clone().unwrap();
+    let guest = Shared::take(passed).unwrap();
     let (sender, _, _) = maker.split();
-    let (_, mut receiver, _) = guest.split();
+    let (_, receiver, _) = guest.split();
     write(&sender, b"hello").unwrap();
     let mut chunk = [0; 16];
     assert_eq!(receiver.read(&mut chunk).unwrap(), 5);
     assert_eq!(&chunk[..5], b"hello");
     assert!(rustix::fs::ftruncate(&file, 0).is_err());
+    let with = |file: OwnedFd| [file, lookout::bell().unwrap(), lookout::bell().unwrap()];
     let loose = rustix::fs::memfd_create("loose", MemfdFlags::ALLOW_SEALING).unwrap();
     rustix::fs::ftruncate(&loose, SIZE as u64).unwrap();
-    assert!(Shared::take(loose.as_fd()).is_err());
+    assert!(Shared::take(with(loose)).is_err());
     let small = rustix::fs::memfd_create("small", MemfdFlags::ALLOW_SEALING).unwrap();
     rustix::fs::fcntl_add_seals(&small, SEALS).unwrap();
-    assert!(Shared::take(small.as_fd()).is_err());
+    assert!(Shared::take(with(small)).is_err());
 }

@@ -16,7 +16,7 @@ use super::{
     script::{Output, Recorded},
 };
 use crate::{
-    call::{Answer, Fault, Promise, Waiting, lock},
+    call::{Answer, Fault, ReplySlot, lock},
     chassis::{Envelope, WaitFor},
     message::{Command, Data, Flags, Tid, ToJson},
     system::{self, QueryTid},
@@ -37,9 +37,9 @@ enum Fate {
 struct State {
     fates: Vec<Fate>,
     /// Who waits for the answer to an output that was made.
-    promises: BTreeMap<Number, Arc<Promise>>,
+    promises: BTreeMap<Number, ReplySlot>,
     /// Of calls that the record does not know: kept, so that they end by their deadlines.
-    unanswered: Vec<Arc<Promise>>,
+    unanswered: Vec<ReplySlot>,
     ends: VecDeque<(u16, Ending)>,
     used: BTreeSet<String>,
     report: ReplayReport,
@@ -75,30 +75,29 @@ impl Desk {
         }
     }
 
-    /// Takes a message that the replayed chassis sends.
-    pub(crate) fn dispatch(&self, envelope: &Envelope, wait: WaitFor, now: Instant) -> Waiting {
-        let promise = Arc::new(Promise::default());
+    /// Takes a message that the replayed chassis sends; `slot` waits for what `wait` names.
+    pub(crate) fn dispatch(
+        &self,
+        envelope: &Envelope,
+        wait: WaitFor,
+        now: Instant,
+        slot: ReplySlot,
+    ) {
         let accepted = || Ok(Data::Bytes(Vec::new()));
         // What the runtime says in the task's name (progress, results) is not compared.
         if envelope.from != self.task {
-            promise.fulfil(accepted());
-            return Waiting::here(promise);
+            return slot.answer(accepted());
         }
         match self.output(envelope, now) {
             Some(id) => {
-                lock(&self.state).promises.insert(id, promise.clone());
+                lock(&self.state).promises.insert(id, slot);
             }
             None => match self.name_of_another(envelope) {
-                Some(answer) => promise.fulfil(answer),
-                None => {
-                    if wait == WaitFor::Acceptance {
-                        promise.fulfil(accepted());
-                    }
-                    lock(&self.state).unanswered.push(promise.clone());
-                }
+                Some(answer) => slot.answer(answer),
+                None if wait == WaitFor::Acceptance => slot.answer(accepted()),
+                None => lock(&self.state).unanswered.push(slot),
             },
         }
-        Waiting::here(promise)
     }
 
     /// Takes a message whose sender does not wait.
@@ -203,7 +202,7 @@ impl Desk {
     pub(super) fn answer(&self, id: Number, answer: Answer) {
         let promise = lock(&self.state).promises.remove(&id);
         if let Some(promise) = promise {
-            promise.fulfil(answer);
+            promise.answer(answer);
         }
     }
 

@@ -1,0 +1,129 @@
+//! A chassis without a boot, for benchmarks: tasks on processors of this process, and work that runs
+//! among them. Not part of the interface.
+
+use std::{future::Future, sync::Arc, sync::mpsc};
+
+use crate::{
+    boot::{ProcessorThread, start_processors},
+    chassis::Chassis,
+    config::App,
+    context::{Context, TaskRef},
+    message::Tid,
+    registry::Registry,
+    runner::{TaskSpec, record, start_task},
+    task::HandlerError,
+    time::Clock,
+};
+
+/// The slot that work runs as; tasks take those below.
+const WORK: u16 = u16::MAX;
+
+/// The first chassis of an app, running.
+pub struct Bench {
+    chassis: Arc<Chassis>,
+    threads: Vec<ProcessorThread>,
+}
+
+impl Bench {
+    /// Starts the processors of the first chassis of `app`. Its tasks are started one by one.
+    ///
+    /// # Errors
+    /// When the system refuses a thread.
+    pub fn start(app: App, registry: Registry) -> std::io::Result<Self> {
+        let chassis = Chassis::new(1, Arc::new(app), Arc::new(registry), Clock::real());
+        let threads = start_processors(&chassis)?;
+        Ok(Self { chassis, threads })
+    }
+
+    /// Starts `count` tasks of a registered kind in the slots from `first` of configured processor
+    /// number `processor`, counted from 1.
+    ///
+    /// # Errors
+    /// Why one could not be built.
+    pub fn tasks(
+        &self,
+        kind: &str,
+        processor: u8,
+        first: u16,
+        count: u16,
+    ) -> Result<Vec<TaskRef>, HandlerError> {
+        let (sender, started) = mpsc::channel();
+        let home = self.chassis.clone();
+        let kind = kind.to_owned();
+        self.inject(processor, move |here| {
+            let result = (first..first + count).map(|slot| {
+                let registered = home.registry.kind(&kind).ok_or("no such kind of handler")?;
+                let tid = Tid::new(home.index(), processor, slot);
+                let record = record(&kind, tid, None, &here.handle);
+                let task = TaskRef::new(record.name.clone(), tid);
+                let spec = TaskSpec {
+                    record,
+                    config: None,
+                    commands: registered.commands_shared(),
+                    build: registered.builder(),
+                };
+                start_task(&home, here, spec).map(|()| task)
+            });
+            let _ = sender.send(result.collect());
+        })?;
+        started.recv()?
+    }
+
+    /// Runs `work` as a task of processor number `processor`, and waits for its end.
+    ///
+    /// # Errors
+    /// When there is no such processor, or the work panicked.
+    pub fn run<T: Send + 'static, F: Future<Output = T> + 'static>(
+        &self,
+        processor: u8,
+        work: impl FnOnce(Context) -> F + Send + 'static,
+    ) -> Result<T, HandlerError> {
+        Ok(self.begin(processor, work)?.recv()?)
+    }
+
+    /// [`Self::run`] without waiting: the end comes through the channel.
+    ///
+    /// # Errors
+    /// When there is no such processor.
+    pub fn begin<T: Send + 'static, F: Future<Output = T> + 'static>(
+        &self,
+        processor: u8,
+        work: impl FnOnce(Context) -> F + Send + 'static,
+    ) -> Result<mpsc::Receiver<T>, HandlerError> {
+        let (sender, done) = mpsc::channel();
+        let home = self.chassis.clone();
+        self.inject(processor, move |here| {
+            let tid = Tid::new(home.index(), processor, WORK);
+            let record = record("work", tid, None, &here.handle);
+            let cx = Context::new(record, home, here.clone(), None, Arc::default());
+            let work = work(cx);
+            let result = async move {
+                let _ = sender.send(work.await);
+            };
+            here.spawn(result, None);
+        })?;
+        Ok(done)
+    }
+
+    fn inject(
+        &self,
+        processor: u8,
+        job: impl FnOnce(&std::rc::Rc<crate::processor::Processor>) + Send + 'static,
+    ) -> Result<(), HandlerError> {
+        let found = self.chassis.processors.get(usize::from(processor));
+        let (_, handle) = found.ok_or("no such processor")?;
+        handle.inject(job);
+        Ok(())
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        self.chassis.stop_processors();
+        for thread in self.threads.drain(..) {
+            // Ends when the thread has dropped everything it ran, in whatever way.
+            let _ = thread.ended.blocking_recv();
+        }
+        self.chassis.close();
+    }
+}

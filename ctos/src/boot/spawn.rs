@@ -1,0 +1,209 @@
+//! A child process of this one: started, its log read line by line, signalled, seen to end.
+//!
+//! The boot starts chassis with it, and so does the agent of another host. Knows nothing of either.
+
+use std::{
+    collections::VecDeque,
+    process::{ExitStatus, Stdio},
+    time::Duration,
+};
+
+use rustix::process::{Pid, Signal, kill_process, kill_process_group};
+use serde::{Deserialize, Serialize};
+use tokio::{
+    io::{AsyncBufReadExt, BufReader},
+    process::{Child, ChildStderr, ChildStdin, Command},
+    sync::mpsc,
+};
+
+/// A longer line of a log is cut: a chassis that writes no line ends must not fill the memory of who
+/// reads it, bytes.
+pub(crate) const LINE_LIMIT: usize = 16 * 1024;
+
+/// How long the last lines of a process may take to be read when it has ended.
+pub(crate) const LAST_WORDS: Duration = Duration::from_secs(1);
+
+/// How a process ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Ending {
+    /// Completes "the chassis ...".
+    pub(crate) how: String,
+    /// Its exit code, if it ended by itself.
+    pub(crate) code: Option<i32>,
+}
+
+impl Ending {
+    fn of(status: std::io::Result<ExitStatus>) -> Self {
+        match status {
+            Ok(status) => Self {
+                how: describe(&status),
+                code: status.code(),
+            },
+            Err(error) => Self {
+                how: format!("ended, and nobody can tell how: {error}"),
+                code: None,
+            },
+        }
+    }
+}
+
+/// Whether the process has a hold on the one that started it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Tether {
+    /// None.
+    No,
+    /// Its standard input ends when the one that started it is gone, or lets go.
+    Stdin,
+}
+
+/// A process that was started.
+pub(crate) struct Spawned {
+    pub(crate) pid: Option<u32>,
+    /// Takes signals for it; those for one that has ended go nowhere.
+    pub(crate) signals: mpsc::UnboundedSender<Signal>,
+    /// Dropped to let it go, where it has a [`Tether`].
+    pub(crate) tether: Option<ChildStdin>,
+}
+
+/// Starts `command` in a process group of its own. `line` is told each line of its standard error,
+/// `ended` how it ended, after its last line.
+///
+/// # Errors
+/// What the system says.
+pub(crate) fn spawn(
+    mut command: Command,
+    tether: Tether,
+    line: impl FnMut(String) + Send + 'static,
+    ended: impl FnOnce(Ending) + Send + 'static,
+) -> std::io::Result<Spawned> {
+    let stdin = match tether {
+        Tether::No => Stdio::null(),
+        Tether::Stdin => Stdio::piped(),
+    };
+    let mut child = command
+        .stdin(stdin)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .process_group(0)
+        .kill_on_drop(true)
+        .spawn()?;
+    let pid = child.id();
+    let log = child.stderr.take().map(|stderr| {
+        let log = read(stderr, line);
+        tokio::spawn(log)
+    });
+    let tether = child.stdin.take();
+    let (signals, orders) = mpsc::unbounded_channel();
+    tokio::spawn(async move {
+        let status = wait(&mut child, orders).await;
+        if let Some(log) = log {
+            // A grandchild may hold the pipe open for ever.
+            let _ = tokio::time::timeout(LAST_WORDS, log).await;
+        }
+        ended(Ending::of(status));
+    });
+    Ok(Spawned {
+        pid,
+        signals,
+        tether,
+    })
+}
+
+/// Waits for the end, and passes signals on until then.
+async fn wait(
+    child: &mut Child,
+    mut orders: mpsc::UnboundedReceiver<Signal>,
+) -> std::io::Result<ExitStatus> {
+    loop {
+        let signal = tokio::select! {
+            status = child.wait() => return status,
+            Some(signal) = orders.recv() => signal,
+        };
+        // It has not been waited for, so its number is still its own.
+        let pid = child.id().and_then(|pid| i32::try_from(pid).ok());
+        if let Some(pid) = pid.and_then(Pid::from_raw) {
+            // It may have ended just now; whoever waits for it sees that.
+            let _ = match signal {
+                // What it has started itself goes with it.
+                Signal::KILL => kill_process_group(pid, signal),
+                signal => kill_process(pid, signal),
+            };
+        }
+    }
+}
+
+/// Tells what a process writes to its standard error.
+async fn read(stderr: ChildStderr, mut line: impl FnMut(String)) {
+    let mut reader = BufReader::new(stderr);
+    let mut bytes = Vec::new();
+    let mut tell = |bytes: &[u8]| line(String::from_utf8_lossy(bytes).into_owned());
+    loop {
+        let room = LINE_LIMIT.saturating_sub(bytes.len());
+        let whole = match next_part(&mut reader, &mut bytes, room).await {
+            Ok(Some(whole)) => whole,
+            Ok(None) | Err(_) => {
+                if !bytes.is_empty() {
+                    tell(&bytes);
+                }
+                return;
+            }
+        };
+        if whole {
+            tell(&bytes);
+            bytes.clear();
+        }
+    }
+}
+
+/// Adds at most `room` bytes of the line to `bytes` and skips what is beyond. Whether the line is whole;
+/// `None` at the end.
+async fn next_part(
+    reader: &mut BufReader<ChildStderr>,
+    bytes: &mut Vec<u8>,
+    room: usize,
+) -> std::io::Result<Option<bool>> {
+    let buffer = reader.fill_buf().await?;
+    if buffer.is_empty() {
+        return Ok(None);
+    }
+    let end = buffer.iter().position(|byte| *byte == b'\n');
+    let part = end.map_or(buffer, |end| buffer.get(..end).unwrap_or(buffer));
+    bytes.extend(part.iter().take(room));
+    let used = end.map_or(buffer.len(), |end| end + 1);
+    reader.consume(used);
+    Ok(Some(end.is_some()))
+}
+
+/// The last lines of a log.
+#[derive(Debug, Default)]
+pub(crate) struct LastLines(VecDeque<String>);
+
+impl LastLines {
+    /// How many are kept, for the error that the end of a process causes.
+    const COUNT: usize = 5;
+
+    pub(crate) fn push(&mut self, line: String) {
+        if self.0.len() == Self::COUNT {
+            self.0.pop_front();
+        }
+        self.0.push_back(line);
+    }
+
+    /// All of them, one below the other.
+    pub(crate) fn text(&self) -> String {
+        self.0.iter().cloned().collect::<Vec<_>>().join("\n")
+    }
+}
+
+fn describe(status: &ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("ended with exit code {code}"),
+        (None, Some(9)) => "was killed by signal 9 (SIGKILL)".to_owned(),
+        (None, Some(15)) => "was ended by signal 15 (SIGTERM)".to_owned(),
+        (None, Some(11)) => "crashed with signal 11 (SIGSEGV)".to_owned(),
+        (None, Some(6)) => "aborted with signal 6 (SIGABRT)".to_owned(),
+        (None, Some(number)) => format!("was ended by signal {number}"),
+        (None, None) => "ended".to_owned(),
+    }
+}

@@ -1,0 +1,358 @@
+//! The one delivery call: a task of this chassis gets a value, a task of another one gets a frame over the
+//! link. The sender waits the same way for both.
+
+use std::{sync::Arc, time::Duration};
+
+use super::{Chassis, Outbound};
+use crate::{
+    call::{Answer, Fault, Promise, ReplyKey, ReplySlot, Waiting},
+    exchange::CallKey,
+    mailbox::{Acceptance, Offered},
+    message::{Command, Data, Flags, Header, Message, Tid},
+    processor::Processor,
+    record::Asked,
+    system,
+    time::Instant,
+};
+
+/// What the sender of a message waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum WaitFor {
+    /// The reply.
+    Reply,
+    /// That the receiver's queue has taken the message.
+    Acceptance,
+}
+
+/// Who sends what to whom.
+pub(crate) struct Envelope {
+    pub(crate) to: Tid,
+    pub(crate) from: Tid,
+    pub(crate) command: u16,
+    pub(crate) flags: Flags,
+    pub(crate) data: Data,
+    /// 0 when nothing led to it: it then begins a trace of its own.
+    pub(crate) trace: u64,
+    /// When the sender stops waiting.
+    pub(crate) deadline: Option<Instant>,
+}
+
+impl Envelope {
+    pub(super) fn header(&self, flags: Flags, size: usize) -> Header {
+        Header {
+            to: self.to,
+            from: self.from,
+            command: self.command,
+            flags: self.flags.with(flags).with(Flags::OWNED),
+            size: u32::try_from(size).unwrap_or(u32::MAX),
+        }
+    }
+}
+
+/// What became of a one-way message.
+pub(crate) enum Sent {
+    /// The receiver's queue has taken it, or never will.
+    Ended(Result<(), Fault>),
+    /// It waits for room.
+    Waits(Question),
+}
+
+/// A call, or a send, that waits at its processor; with the way to take it back when it went over a
+/// link.
+pub(crate) struct Question {
+    pub(crate) key: CallKey,
+    pub(crate) outbound: Option<Outbound>,
+    /// The message's number in the record.
+    pub(crate) recorded: u64,
+    pub(crate) asked: Asked,
+}
+
+impl Question {
+    fn new(key: CallKey, asked: Asked) -> Self {
+        Self {
+            key,
+            outbound: None,
+            recorded: 0,
+            asked,
+        }
+    }
+}
+
+/// What came of offering a message.
+enum Offer {
+    Done(Offered),
+    /// No task has the id.
+    Nobody(Message),
+}
+
+impl Chassis {
+    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there.
+    pub(crate) fn call(
+        self: &Arc<Self>,
+        processor: &Processor,
+        mut envelope: Envelope,
+        limit: Duration,
+    ) -> Question {
+        let asked = self.address(Some(processor), &mut envelope);
+        let to = envelope.to;
+        let here = to.chassis() == self.index;
+        // What stays on the processor is told when the caller gives up once that is known there.
+        if !here || self.tap.is_on() || !self.is_on(to, processor) {
+            envelope.deadline = Some(processor.now() + limit);
+        }
+        let ticket = processor.begin_call(limit);
+        let key = ticket.key();
+        let slot = ReplySlot::call(ticket);
+        if let Some(replay) = self.tap.replay() {
+            replay.dispatch(&envelope, WaitFor::Reply, self.clock.now(), slot);
+            return Question::new(key, asked);
+        }
+        let recorded = self.tap.sent(&envelope, Some(WaitFor::Reply));
+        let outbound = if here {
+            let message = self.message(envelope, Flags::REPLY_WAIT, recorded, Some(slot));
+            match self.offer(processor, to, message) {
+                Offer::Done(Offered::Taken) => {}
+                Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
+                    Some(task) => task.mailbox.line_up(message, Acceptance::Silent),
+                    None => refuse(message, Fault::UnknownTask),
+                },
+                Offer::Done(Offered::Closed(message)) => refuse(message, Fault::Stopping),
+                Offer::Nobody(message) => refuse(message, Fault::UnknownTask),
+            }
+            None
+        } else {
+            self.post(envelope, WaitFor::Reply, Some(slot))
+        };
+        Question {
+            outbound,
+            recorded,
+            ..Question::new(key, asked)
+        }
+    }
+
+    /// Sends a message that needs no reply, and waits for room at `processor`, at most for `limit`, if
+    /// there is none.
+    pub(crate) fn send(
+        self: &Arc<Self>,
+        processor: &Processor,
+        mut envelope: Envelope,
+        limit: Duration,
+    ) -> Sent {
+        let asked = self.address(Some(processor), &mut envelope);
+        let to = envelope.to;
+        let here = to.chassis() == self.index;
+        if !here || self.tap.is_on() {
+            envelope.deadline = Some(processor.now() + limit);
+        }
+        let wait = || {
+            let ticket = processor.begin_call(limit);
+            let question = Question::new(ticket.key(), asked);
+            (question, ReplySlot::call(ticket))
+        };
+        if let Some(replay) = self.tap.replay() {
+            let (question, slot) = wait();
+            replay.dispatch(&envelope, WaitFor::Acceptance, self.clock.now(), slot);
+            return Sent::Waits(question);
+        }
+        let recorded = self.tap.sent(&envelope, Some(WaitFor::Acceptance));
+        if !here {
+            let (mut question, slot) = wait();
+            question.recorded = recorded;
+            question.outbound = self.post(envelope, WaitFor::Acceptance, Some(slot));
+            return Sent::Waits(question);
+        }
+        let message = self.message(envelope, Flags::ACCEPT_WAIT, recorded, None);
+        let result = match self.offer(processor, to, message) {
+            Offer::Done(Offered::Taken) => Ok(()),
+            Offer::Done(Offered::Closed(_)) => Err(Fault::Stopping),
+            Offer::Nobody(_) => Err(Fault::UnknownTask),
+            Offer::Done(Offered::NoRoom(message)) => {
+                if let Some(task) = self.task(to) {
+                    let (mut question, slot) = wait();
+                    question.recorded = recorded;
+                    task.mailbox.line_up(message, Acceptance::Told(slot));
+                    return Sent::Waits(question);
+                }
+                Err(Fault::UnknownTask)
+            }
+        };
+        match &result {
+            Ok(()) => {
+                let nothing = Data::Bytes(Vec::new());
+                self.tap.answered(recorded, &asked, Ok(&nothing));
+            }
+            Err(fault) => self.tap.answered(recorded, &asked, Err(fault)),
+        }
+        Sent::Ended(result)
+    }
+
+    /// Sends only if the receiver is on this chassis and has room now.
+    pub(crate) fn try_send(
+        &self,
+        processor: &Processor,
+        mut envelope: Envelope,
+    ) -> Result<(), Fault> {
+        let asked = self.address(Some(processor), &mut envelope);
+        let to = envelope.to;
+        if to.chassis() != self.index {
+            let chassis = self.name_of(to.chassis()).to_owned();
+            return Err(Fault::Elsewhere { chassis });
+        }
+        if let Some(replay) = self.tap.replay() {
+            return replay.try_dispatch(&envelope, self.clock.now());
+        }
+        let recorded = self.tap.sent(&envelope, None);
+        let message = self.message(envelope, Flags::NONE, recorded, None);
+        let put = match self.offer(processor, to, message) {
+            Offer::Done(Offered::Taken) => Ok(()),
+            Offer::Done(Offered::Closed(_)) => Err(Fault::Stopping),
+            Offer::Done(Offered::NoRoom(_)) => Err(self
+                .task(to)
+                .map_or(Fault::UnknownTask, |task| task.mailbox.full())),
+            Offer::Nobody(_) => Err(Fault::UnknownTask),
+        };
+        if let Err(fault) = &put {
+            self.tap.answered(recorded, &asked, Err(fault));
+        }
+        put
+    }
+
+    /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
+    pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
+        self.address(None, &mut envelope);
+        let promise = Arc::new(Promise::default());
+        let slot = ReplySlot::local(promise.clone());
+        if let Some(replay) = self.tap.replay() {
+            replay.dispatch(&envelope, wait, self.clock.now(), slot);
+            return Waiting::here(promise);
+        }
+        let recorded = self.tap.sent(&envelope, Some(wait));
+        if envelope.to.chassis() != self.index {
+            let outbound = self.post(envelope, wait, Some(slot));
+            return Waiting::for_call(promise, outbound);
+        }
+        let Some(task) = self.task(envelope.to) else {
+            slot.answer(Err(Fault::UnknownTask));
+            return Waiting::here(promise);
+        };
+        let (flags, reply, acceptance) = match wait {
+            WaitFor::Reply => (Flags::REPLY_WAIT, Some(slot), Acceptance::Silent),
+            WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Told(slot)),
+        };
+        let message = self.message(envelope, flags, recorded, reply);
+        task.mailbox.put(message, acceptance);
+        Waiting::here(promise)
+    }
+
+    /// Sends a message of the runtime without waiting for anything. It is lost only with its
+    /// receiver.
+    pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
+        let mut envelope = Envelope {
+            to,
+            from: system::agent_tid(self.index),
+            command: C::CODE,
+            flags: Flags::HIGH_PRIORITY,
+            data: Data::of(request),
+            trace: 0,
+            deadline: None,
+        };
+        self.address(None, &mut envelope);
+        let to = envelope.to;
+        if let Some(replay) = self.tap.replay() {
+            let slot = ReplySlot::local(Arc::default());
+            let now = self.clock.now();
+            return replay.dispatch(&envelope, WaitFor::Acceptance, now, slot);
+        }
+        let recorded = self.tap.sent(&envelope, Some(WaitFor::Acceptance));
+        if to.chassis() != self.index {
+            self.post(envelope, WaitFor::Acceptance, None);
+        } else if let Some(task) = self.task(to) {
+            let message = self.message(envelope, Flags::ACCEPT_WAIT, recorded, None);
+            task.mailbox.put(message, Acceptance::Silent);
+        }
+    }
+
+    /// Turns `envelope` to where the receiver is now, and begins a trace if it belongs to none.
+    #[inline]
+    fn address(&self, processor: Option<&Processor>, envelope: &mut Envelope) -> Asked {
+        if envelope.trace == 0 {
+            envelope.trace = match processor {
+                Some(processor) => processor.fresh_trace(|count| self.fresh_traces(count)),
+                None => self.fresh_trace(),
+            };
+        }
+        // A fence goes to the old place itself.
+        if envelope.command != system::Fence::CODE {
+            envelope.to = self.directory.current(envelope.to);
+        }
+        Asked::of(envelope)
+    }
+
+    /// Whether task `to` of this chassis runs on `processor`.
+    #[inline]
+    fn is_on(&self, to: Tid, processor: &Processor) -> bool {
+        self.processors
+            .get(usize::from(to.processor()))
+            .is_some_and(|(_, handle)| Arc::ptr_eq(handle, &processor.handle))
+    }
+
+    /// The message that `envelope` becomes inside this chassis. This is the one place that every
+    /// message from a task to another one of the same chassis passes on its way out.
+    #[inline]
+    fn message(
+        &self,
+        envelope: Envelope,
+        flags: Flags,
+        recorded: u64,
+        reply: Option<ReplySlot>,
+    ) -> Message {
+        Message {
+            header: envelope.header(flags, 0),
+            trace: envelope.trace,
+            deadline: envelope.deadline,
+            recorded,
+            data: envelope.data,
+            reply,
+        }
+    }
+
+    /// Offers a message of a task of `processor` to task `to` of this chassis.
+    #[inline]
+    fn offer(&self, processor: &Processor, to: Tid, message: Message) -> Offer {
+        if self.is_on(to, processor) {
+            return match processor.queue(to.slot()) {
+                Some(queue) => Offer::Done(queue.offer(processor, message)),
+                None => Offer::Nobody(message),
+            };
+        }
+        let find = || self.task(to).map(|task| task.mailbox.clone());
+        match processor.route(to, find) {
+            Some(mailbox) => Offer::Done(mailbox.offer_from_afar(message)),
+            None => Offer::Nobody(message),
+        }
+    }
+
+    /// Answers in place of whoever has the right to; nothing comes of it when that was done already.
+    pub(crate) fn answer_by_key(&self, key: ReplyKey, answer: Answer) {
+        match key {
+            ReplyKey::Remote(request) => self.post_reply(&request, answer),
+            ReplyKey::Outside(promise) => promise.fulfil(answer),
+            ReplyKey::Local(processor, call) => {
+                let Some((_, handle)) = self.processors.get(usize::from(processor)) else {
+                    return;
+                };
+                match Processor::here_if(handle) {
+                    Some(here) => here.take_answer_by_key(call, answer),
+                    None => handle.bring_answer_by_key(call, answer),
+                }
+            }
+        }
+    }
+}
+
+/// Ends the call that `message` is.
+fn refuse(message: Message, fault: Fault) {
+    if let Some(slot) = message.reply {
+        slot.answer(Err(fault));
+    }
+}

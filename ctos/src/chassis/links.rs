@@ -1,0 +1,390 @@
+//! What goes over the links of a chassis and comes from them: requests, answers, and that nobody waits for
+//! one any more.
+
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use super::{Chassis, Envelope, WaitFor};
+use crate::{
+    blob::Body,
+    call::{Answer, Fault, ReplySlot, lock},
+    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
+    mailbox::Acceptance,
+    message::{Data, Flags, Header, Message},
+    processor::Processor,
+    system,
+    time::Instant,
+};
+
+pub(super) struct Pending {
+    /// Who waits for the answer; `None` when nobody does.
+    reply: Option<ReplySlot>,
+    pub(super) peer: u8,
+}
+
+impl Pending {
+    pub(super) fn answer(self, answer: Answer) {
+        if let Some(reply) = self.reply {
+            reply.answer(answer);
+        }
+    }
+}
+
+#[derive(Default)]
+pub(super) struct Links {
+    up: BTreeMap<u8, Arc<dyn Link>>,
+    /// What this chassis asked others and has no answer to yet.
+    pub(super) pending: BTreeMap<u64, Pending>,
+    next_call: u64,
+    /// What others asked this chassis, by chassis and its number for the call: the flag is set when
+    /// nobody waits for the answer any more.
+    inbound: BTreeMap<(u8, u64), Arc<AtomicBool>>,
+}
+
+/// A request that came over a link and waits for its answer.
+#[derive(Clone)]
+pub(crate) struct Inbound {
+    header: Header,
+    call: u64,
+    trace: u64,
+    recorded: u64,
+    abandoned: Arc<AtomicBool>,
+}
+
+impl Inbound {
+    /// Whether the caller, or its chassis, is gone.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Acquire)
+    }
+}
+
+/// A request that went over a link and waits for its answer.
+pub(crate) struct Outbound {
+    chassis: Arc<Chassis>,
+    header: Header,
+    call: u64,
+    trace: u64,
+}
+
+impl Outbound {
+    /// The sender waits no longer: the receiver need not begin, if it has not.
+    pub(crate) fn abandon(self) {
+        let peer = self.header.to.chassis();
+        let (pending, link) = {
+            let mut links = lock(&self.chassis.links);
+            let pending = links.pending.remove(&self.call);
+            (pending, links.up.get(&peer).cloned())
+        };
+        if pending.is_some()
+            && let Some(link) = link
+        {
+            // What is not a request is never refused.
+            let _ = link.post(Frame {
+                header: Header {
+                    flags: Flags::ABANDONED,
+                    size: 0,
+                    ..self.header
+                },
+                call: self.call,
+                trace: self.trace,
+                left_ns: NO_DEADLINE,
+                body: Body::default(),
+            });
+        }
+    }
+}
+
+impl Chassis {
+    /// Sends a message to another chassis; `reply` is told what `wait` names. This is the one place
+    /// that every message to another chassis passes on its way out.
+    pub(super) fn post(
+        self: &Arc<Self>,
+        mut envelope: Envelope,
+        wait: WaitFor,
+        reply: Option<ReplySlot>,
+    ) -> Option<Outbound> {
+        let failed = |reply: Option<ReplySlot>, fault| {
+            if let Some(reply) = reply {
+                reply.answer(Err(fault));
+            }
+            None
+        };
+        let flag = match wait {
+            WaitFor::Reply => Flags::REPLY_WAIT,
+            WaitFor::Acceptance => Flags::ACCEPT_WAIT,
+        };
+        let data = std::mem::replace(&mut envelope.data, Data::Bytes(Vec::new()));
+        let body = match body_of(data) {
+            Ok(body) => body,
+            Err(fault) => return failed(reply, fault),
+        };
+        let header = envelope.header(flag, body.len());
+        let peer = envelope.to.chassis();
+        let mut links = lock(&self.links);
+        let Some(link) = links.up.get(&peer).cloned() else {
+            drop(links);
+            return failed(reply, self.peer_down_fault(peer));
+        };
+        links.next_call += 1;
+        let call = links.next_call;
+        links.pending.insert(call, Pending { reply, peer });
+        drop(links);
+        let posted = link.post(Frame {
+            header,
+            call,
+            trace: envelope.trace,
+            left_ns: self.left_ns(envelope.deadline),
+            body,
+        });
+        if let Err(Full { bytes }) = posted {
+            let pending = lock(&self.links).pending.remove(&call);
+            let reply = pending.and_then(|pending| pending.reply);
+            return failed(reply, Fault::LinkFull { bytes });
+        }
+        Some(Outbound {
+            chassis: self.clone(),
+            header,
+            call,
+            trace: envelope.trace,
+        })
+    }
+
+    /// How long it is until `deadline`, for the wire.
+    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
+        deadline.map_or(NO_DEADLINE, |deadline| {
+            let left = deadline.since(self.clock.now()).as_nanos();
+            u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
+        })
+    }
+
+    /// Sends an answer back over the link that the request came by, if anybody waits for it.
+    pub(crate) fn post_reply(&self, inbound: &Inbound, answer: Answer) {
+        let Inbound {
+            header: request,
+            call,
+            trace,
+            ..
+        } = inbound;
+        let peer = request.from.chassis();
+        let link = {
+            let mut links = lock(&self.links);
+            if links.inbound.remove(&(peer, *call)).is_none() {
+                return;
+            }
+            links.up.get(&peer).cloned()
+        };
+        let Some(link) = link else {
+            return;
+        };
+        self.tap
+            .replied(inbound.recorded, request, *trace, answer.as_ref());
+        let (flags, body) = match answer.and_then(body_of) {
+            Ok(body) => (Flags::REPLY, body),
+            Err(fault) => (
+                Flags::REPLY.with(Flags::FAULT),
+                // A fault is plain data; should it fail to encode, the empty body is read as one.
+                postcard::to_stdvec(&fault).unwrap_or_default().into(),
+            ),
+        };
+        // What is not a request is never refused.
+        let _ = link.post(Frame {
+            header: Header {
+                to: request.from,
+                from: request.to,
+                command: request.command,
+                flags,
+                size: u32::try_from(body.len()).unwrap_or(u32::MAX),
+            },
+            call: *call,
+            trace: *trace,
+            left_ns: NO_DEADLINE,
+            body,
+        });
+    }
+
+    /// Takes a frame that came from chassis `peer`.
+    pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
+        let Frame {
+            header,
+            call,
+            trace,
+            left_ns,
+            body,
+        } = frame;
+        if let Some(processor) = Processor::here() {
+            // Its thread slept at the links: its last look at the clock may be an old one.
+            processor.look_at_clock();
+        }
+        let body = body.into_vec();
+        if header.flags.contains(Flags::REPLY) {
+            return self.receive_reply(peer, call, header.flags, body);
+        }
+        if header.from.chassis() != peer || header.to.chassis() != self.index {
+            tracing::error!(
+                peer = self.name_of(peer),
+                from = %header.from,
+                to = %header.to,
+                "a frame on the wrong link"
+            );
+            return;
+        }
+        if header.flags.contains(Flags::ABANDONED) {
+            let abandoned = lock(&self.links).inbound.remove(&(peer, call));
+            if let Some(abandoned) = abandoned {
+                abandoned.store(true, Ordering::Release);
+            }
+            return;
+        }
+        let deadline =
+            (left_ns != NO_DEADLINE).then(|| self.clock.now() + Duration::from_nanos(left_ns));
+        let recorded = self.tap.arrived(&header, trace, deadline, &body);
+        let request = Inbound {
+            header,
+            call,
+            trace,
+            recorded,
+            abandoned: Arc::default(),
+        };
+        lock(&self.links)
+            .inbound
+            .insert((peer, call), request.abandoned.clone());
+        let Some(task) = self.task(header.to) else {
+            return self.post_reply(&request, Err(Fault::UnknownTask));
+        };
+        // Every request between chassis waits for one or the other, so that none is lost unseen.
+        let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
+            let slot = ReplySlot::remote(self.clone(), request);
+            (Some(slot), Acceptance::Silent)
+        } else {
+            let slot = ReplySlot::remote(self.clone(), request);
+            (None, Acceptance::Told(slot))
+        };
+        let message = Message {
+            header,
+            trace,
+            deadline,
+            recorded,
+            data: Data::Bytes(body),
+            reply,
+        };
+        task.mailbox.put(message, acceptance);
+    }
+
+    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Vec<u8>) {
+        let pending = {
+            let mut links = lock(&self.links);
+            // A reply counts only when it comes from the chassis that was asked.
+            match links.pending.get(&call) {
+                Some(pending) if pending.peer == peer => links.pending.remove(&call),
+                _ => None,
+            }
+        };
+        let Some(pending) = pending else {
+            return;
+        };
+        pending.answer(if flags.contains(Flags::FAULT) {
+            Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
+        } else {
+            Ok(Data::Bytes(body))
+        });
+    }
+
+    /// Connects chassis `peer`.
+    pub(crate) fn link_up(&self, peer: u8, link: Arc<dyn Link>) {
+        lock(&self.links).up.insert(peer, link);
+    }
+
+    /// Gives up all links without telling anybody, so that their writers end.
+    pub(crate) fn drop_links(&self) {
+        lock(&self.links).up.clear();
+    }
+
+    /// Whether chassis `peer` is connected.
+    pub(crate) fn is_linked(&self, peer: u8) -> bool {
+        lock(&self.links).up.contains_key(&peer)
+    }
+
+    /// What went over its links so far, by the name of the chassis at the other end.
+    #[must_use]
+    pub fn link_counts(&self) -> Vec<(String, Counts)> {
+        let up: Vec<_> = {
+            let links = lock(&self.links);
+            let up = links.up.iter();
+            up.map(|(peer, link)| (*peer, link.clone())).collect()
+        };
+        up.into_iter()
+            .map(|(peer, link)| (self.name_of(peer).to_owned(), link.counts()))
+            .collect()
+    }
+
+    /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
+    /// dropped, and every task here is told.
+    pub(crate) fn link_down(self: &Arc<Self>, peer: u8) {
+        let ended: Vec<Pending> = {
+            let mut links = lock(&self.links);
+            if links.up.remove(&peer).is_none() {
+                return;
+            }
+            links.inbound.retain(|(from, _), abandoned| {
+                if *from == peer {
+                    abandoned.store(true, Ordering::Release);
+                }
+                *from != peer
+            });
+            let of_peer: Vec<u64> = links
+                .pending
+                .iter()
+                .filter(|(_, pending)| pending.peer == peer)
+                .map(|(call, _)| *call)
+                .collect();
+            of_peer
+                .into_iter()
+                .filter_map(|call| links.pending.remove(&call))
+                .collect()
+        };
+        for pending in ended {
+            pending.answer(Err(self.peer_down_fault(peer)));
+        }
+        self.directory.forget_chassis(peer);
+        if self.stopping.load(Ordering::Acquire) && peer != 0 {
+            return;
+        }
+        let chassis = self.name_of(peer).to_owned();
+        tracing::debug!(chassis = %chassis, "link down");
+        for task in self.tasks() {
+            self.post_system(
+                task.tid,
+                system::ChassisDown {
+                    chassis: chassis.clone(),
+                },
+            );
+        }
+    }
+
+    pub(super) fn peer_down_fault(&self, peer: u8) -> Fault {
+        Fault::PeerDown {
+            chassis: self.name_of(peer).to_owned(),
+        }
+    }
+}
+
+/// The data of a frame.
+fn body_of(data: Data) -> Result<Body, Fault> {
+    let body = data.into_body().map_err(|error| Fault::BadPayload {
+        text: error.to_string(),
+    })?;
+    if body.len() > BODY_LIMIT {
+        let text = format!(
+            "{} bytes of data; a message between chassis holds at most {BODY_LIMIT}",
+            body.len()
+        );
+        return Err(Fault::BadPayload { text });
+    }
+    Ok(body)
+}

@@ -1,0 +1,518 @@
+//! The calls that the tasks of one processor wait for. Each waits in a slot of the processor, which is
+//! used again for the next one; whoever answers holds a [`Ticket`] to it.
+//!
+//! A ticket comes home with the answer, so a call allocates nothing once as many slots exist as there
+//! are calls at once. Generations keep a late answer from reaching the slot's next call. This file
+//! knows nothing of messages: an answer is what [`crate::call`] says it is.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use crate::{
+    call::{Answer, Fault},
+    circle,
+    context::Note,
+    message::Data,
+    processor::{LocalWake, Processor, ProcessorHandle},
+    time::Instant,
+    timers::{TimerKey, Timers},
+};
+
+/// One slot, as those who answer see it.
+struct Shared {
+    home: Arc<ProcessorHandle>,
+    slot: u32,
+    /// The generation of the call that waits in the slot; [`NOBODY`] when none does.
+    live: AtomicU64,
+}
+
+/// No call has this generation.
+const NOBODY: u64 = 0;
+
+/// The right to answer one call, from any thread. Whoever holds one must use it: a ticket that is
+/// merely dropped leaves its caller to its deadline.
+pub(crate) struct Ticket {
+    shared: Arc<Shared>,
+    generation: u64,
+}
+
+impl Ticket {
+    /// Gives the answer. When the caller waits no longer, nothing comes of it.
+    #[inline]
+    pub(crate) fn answer(self, answer: Answer) {
+        match Processor::here_if(&self.shared.home) {
+            Some(processor) => processor.take_answer(self, answer),
+            None => {
+                let home = self.shared.home.clone();
+                home.bring_answer(self, answer);
+            }
+        }
+    }
+
+    /// Whether the caller waits no longer.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.shared.live.load(Ordering::Acquire) != self.generation
+    }
+
+    /// Names the call that the ticket is for.
+    pub(crate) fn key(&self) -> CallKey {
+        CallKey {
+            slot: self.shared.slot,
+            generation: self.generation,
+        }
+    }
+
+    /// The processor that waits for the answer.
+    pub(crate) fn home(&self) -> &Arc<ProcessorHandle> {
+        &self.shared.home
+    }
+}
+
+/// Names one call among all that one processor has ever waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct CallKey {
+    slot: u32,
+    generation: u64,
+}
+
+#[derive(Default)]
+enum State {
+    #[default]
+    Free,
+    Waiting(Option<LocalWake>),
+    Answered(Answer),
+    /// The deadline has passed.
+    Late,
+}
+
+struct Slot {
+    shared: Arc<Shared>,
+    generation: u64,
+    state: State,
+    /// Whether the ticket of the last call has come home. Then its next one needs no new owner.
+    ticket: Option<Ticket>,
+    limit: Duration,
+    /// Since when it waits, once that is known.
+    since: Option<Instant>,
+    /// Whether it is among those that are looked after when there is time.
+    listed: bool,
+    timer: Option<TimerKey>,
+    note: Option<Note>,
+    /// Its caller is told that it has waited long.
+    long: Long,
+}
+
+/// A call with less time than this has its timer from the beginning. Most of the others end before
+/// anybody looks after them, and never need one.
+pub(crate) const SOON: Duration = Duration::from_millis(2);
+
+/// What is to be done for a call whose clock has started.
+pub(crate) enum Started {
+    /// Nothing.
+    Done,
+    /// Its slot is to be looked after within half of [`SOON`].
+    List(u32),
+    /// It is to be looked after now.
+    Urgent,
+}
+
+/// Whether a call has waited long, as its caller knows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Long {
+    NotYet,
+    ToBeTold,
+    Told,
+}
+
+/// What comes of a timer of a call.
+pub(crate) struct Fired {
+    pub(crate) wake: Option<LocalWake>,
+    /// When to look again.
+    pub(crate) again: Option<Instant>,
+}
+
+/// What a look at a call brings.
+pub(crate) enum Looked {
+    /// Nothing yet.
+    Waiting,
+    /// Nothing yet, for so long that it may be for ever. Told once.
+    Long,
+    /// The reply; the call is over.
+    Answered(Data),
+    /// It came to nothing; the call is over.
+    Failed(Fault),
+    /// None within this time; the call is over.
+    Late(Duration),
+}
+
+/// What must be dropped or undone where no cell is borrowed: it may run code of others.
+#[must_use]
+#[derive(Default)]
+pub(crate) struct Rest {
+    pub(crate) timer: Option<TimerKey>,
+    _wake: Option<LocalWake>,
+    _answer: Option<Answer>,
+    _note: Option<Note>,
+}
+
+/// What came of an answer.
+#[must_use]
+pub(crate) enum Given {
+    /// It waits for its caller, who may be woken.
+    Taken(Option<LocalWake>),
+    /// Nobody waits for it: to be dropped where no cell is borrowed.
+    Unwanted {
+        _ticket: Option<Ticket>,
+        _answer: Answer,
+    },
+}
+
+/// All calls of one processor.
+#[derive(Default)]
+pub(crate) struct Calls {
+    slots: Vec<Slot>,
+    free: Vec<u32>,
+}
+
+impl Calls {
+    /// A new call, which may take `limit` from the moment that [`Self::arm`] is told.
+    #[inline]
+    pub(crate) fn begin(&mut self, home: &Arc<ProcessorHandle>, limit: Duration) -> Ticket {
+        let index = self.free.pop().unwrap_or_else(|| {
+            let index = self.slots.len() as u32;
+            self.slots.push(Slot {
+                shared: Arc::new(Shared {
+                    home: home.clone(),
+                    slot: index,
+                    live: AtomicU64::new(NOBODY),
+                }),
+                generation: NOBODY,
+                state: State::Free,
+                ticket: None,
+                limit,
+                since: None,
+                listed: false,
+                timer: None,
+                note: None,
+                long: Long::NotYet,
+            });
+            index
+        });
+        // The index was free or has just been made.
+        #[allow(clippy::indexing_slicing, reason = "see above")]
+        let slot = &mut self.slots[index as usize];
+        slot.generation += 1;
+        slot.state = State::Waiting(None);
+        slot.limit = limit;
+        slot.since = None;
+        slot.long = Long::NotYet;
+        slot.shared.live.store(slot.generation, Ordering::Release);
+        let mut ticket = slot.ticket.take().unwrap_or_else(|| Ticket {
+            shared: slot.shared.clone(),
+            generation: NOBODY,
+        });
+        ticket.generation = slot.generation;
+        ticket
+    }
+
+    #[inline]
+    fn slot(&mut self, key: CallKey) -> Option<&mut Slot> {
+        let slot = self.slots.get_mut(key.slot as usize)?;
+        let is_it = slot.generation == key.generation && !matches!(slot.state, State::Free);
+        is_it.then_some(slot)
+    }
+
+    /// The clock of a call starts.
+    #[inline]
+    pub(crate) fn start(&mut self, key: CallKey, now: Instant) -> Started {
+        let Some(slot) = self.slot(key) else {
+            return Started::Done;
+        };
+        if slot.since.is_some() || !matches!(slot.state, State::Waiting(_)) {
+            return Started::Done;
+        }
+        slot.since = Some(now);
+        if slot.limit < SOON {
+            return Started::Urgent;
+        }
+        if std::mem::replace(&mut slot.listed, true) {
+            Started::Done
+        } else {
+            Started::List(key.slot)
+        }
+    }
+
+    /// Looks after the call in a slot that was listed: shows it to whoever wants to know what its task
+    /// waits for. If it still waits and has no timer, it needs one for this moment.
+    pub(crate) fn settle(&mut self, slot: u32) -> Option<(CallKey, Instant)> {
+        let place = self.slots.get_mut(slot as usize)?;
+        place.listed = false;
+        let key = CallKey {
+            slot,
+            generation: place.generation,
+        };
+        self.settle_call(key)
+    }
+
+    /// [`Self::settle`] for one call.
+    pub(crate) fn settle_call(&mut self, key: CallKey) -> Option<(CallKey, Instant)> {
+        let slot = self.slot(key)?;
+        let (State::Waiting(_), Some(since)) = (&slot.state, slot.since) else {
+            return None;
+        };
+        if let Some(note) = &mut slot.note {
+            note.show(since);
+        }
+        let at = since + slot.limit.min(circle::LONG);
+        slot.timer.is_none().then_some((key, at))
+    }
+
+    /// Notes who asked whom for what.
+    pub(crate) fn set_note(&mut self, key: CallKey, note: Note) {
+        if let Some(slot) = self.slot(key) {
+            slot.note = Some(note);
+        }
+    }
+
+    /// Notes the timer of a call.
+    pub(crate) fn set_timer(&mut self, key: CallKey, timer: TimerKey) {
+        if let Some(slot) = self.slot(key) {
+            slot.timer = Some(timer);
+        }
+    }
+
+    /// When the caller gives up.
+    pub(crate) fn deadline(&mut self, key: CallKey) -> Option<Instant> {
+        let slot = self.slot(key)?;
+        Some(slot.since? + slot.limit)
+    }
+
+    /// Takes the answer to a call.
+    #[inline]
+    pub(crate) fn answer(&mut self, key: CallKey, ticket: Option<Ticket>, answer: Answer) -> Given {
+        let slot = self.slots.get_mut(key.slot as usize);
+        let Some(slot) = slot.filter(|slot| slot.generation == key.generation) else {
+            return Given::Unwanted {
+                _ticket: ticket,
+                _answer: answer,
+            };
+        };
+        let spare = match ticket {
+            Some(_) if slot.ticket.is_none() => {
+                slot.ticket = ticket;
+                None
+            }
+            ticket => ticket,
+        };
+        if !matches!(slot.state, State::Waiting(_) | State::Late) {
+            return Given::Unwanted {
+                _ticket: spare,
+                _answer: answer,
+            };
+        }
+        match std::mem::replace(&mut slot.state, State::Answered(answer)) {
+            State::Waiting(wake) => Given::Taken(wake),
+            State::Free | State::Answered(_) | State::Late => Given::Taken(None),
+        }
+    }
+
+    /// The timer of a call fires: it has waited long, or its deadline has passed, and whoever has not
+    /// begun with it need not any more.
+    pub(crate) fn fired(&mut self, key: CallKey) -> Fired {
+        let mut fired = Fired {
+            wake: None,
+            again: None,
+        };
+        let Some(slot) = self.slot(key) else {
+            return fired;
+        };
+        let State::Waiting(wake) = &mut slot.state else {
+            return fired;
+        };
+        fired.wake = wake.take();
+        slot.timer = None;
+        if slot.long == Long::NotYet && slot.limit > circle::LONG {
+            slot.long = Long::ToBeTold;
+            fired.again = slot.since.map(|since| since + slot.limit);
+        } else {
+            slot.shared.live.store(NOBODY, Ordering::Release);
+            slot.state = State::Late;
+        }
+        fired
+    }
+
+    /// Looks for the answer; with it comes the `note` of the call. While there is none, what `waits` makes
+    /// is woken when there is; what was to be woken before is given back, to be dropped where no cell is
+    /// borrowed.
+    #[inline]
+    pub(crate) fn look<T>(
+        &mut self,
+        key: CallKey,
+        note: &mut Option<Note>,
+        timers: &mut Timers<T>,
+        waits: impl FnOnce() -> LocalWake,
+    ) -> (Looked, Option<LocalWake>) {
+        let Some(slot) = self.slot(key) else {
+            // A future looks at its own call only until that is over.
+            return (Looked::Failed(Fault::NoReply), None);
+        };
+        if let State::Waiting(before) = &mut slot.state {
+            let before = before.replace(waits());
+            if slot.long == Long::ToBeTold {
+                slot.long = Long::Told;
+                return (Looked::Long, before);
+            }
+            return (Looked::Waiting, before);
+        }
+        if let Some(timer) = slot.timer.take() {
+            timers.remove(timer);
+        }
+        let limit = slot.limit;
+        *note = slot.note.take();
+        let looked = match std::mem::take(&mut slot.state) {
+            State::Answered(Ok(data)) => Looked::Answered(data),
+            State::Answered(Err(fault)) => Looked::Failed(fault),
+            State::Late | State::Free | State::Waiting(_) => Looked::Late(limit),
+        };
+        self.free.push(key.slot);
+        (looked, None)
+    }
+
+    /// Nobody waits for the answer any more.
+    pub(crate) fn give_up(&mut self, key: CallKey) -> Rest {
+        let mut rest = Rest::default();
+        let Some(slot) = self.slot(key) else {
+            return rest;
+        };
+        slot.shared.live.store(NOBODY, Ordering::Release);
+        rest.timer = slot.timer.take();
+        rest._note = slot.note.take();
+        match std::mem::take(&mut slot.state) {
+            State::Answered(answer) => rest._answer = Some(answer),
+            State::Waiting(wake) => rest._wake = wake,
+            State::Late | State::Free => {}
+        }
+        self.free.push(key.slot);
+        rest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::task::Waker;
+
+    use super::*;
+    use crate::time::Clock;
+
+    const LIMIT: Duration = Duration::from_secs(5);
+
+    fn look(calls: &mut Calls, key: CallKey) -> Looked {
+        let mut timers = Timers::<()>::default();
+        let waits = || LocalWake::Waker(Waker::noop().clone());
+        calls.look(key, &mut None, &mut timers, waits).0
+    }
+
+    fn number(looked: Looked) -> Option<u8> {
+        match looked {
+            Looked::Answered(data) => data.take().ok(),
+            _ => None,
+        }
+    }
+
+    fn at(millis: u64) -> Instant {
+        Instant::START + Duration::from_millis(millis)
+    }
+
+    #[test]
+    fn one_slot_serves_call_after_call_and_keeps_late_answers_from_the_next() {
+        let (mut calls, home) = (Calls::default(), Arc::default());
+        let first = calls.begin(&home, LIMIT);
+        let (gone, copy) = (first.key(), first.shared.clone());
+        drop(calls.give_up(gone));
+        assert!(first.is_abandoned());
+        let second = calls.begin(&home, LIMIT);
+        let key = second.key();
+        assert!(
+            Arc::ptr_eq(&copy, &second.shared),
+            "a free slot was not used"
+        );
+        let late = calls.answer(gone, Some(first), Ok(Data::of(1_u8)));
+        assert!(matches!(late, Given::Unwanted { .. }));
+        drop(late);
+        assert!(matches!(look(&mut calls, key), Looked::Waiting));
+        let given = calls.answer(key, Some(second), Ok(Data::of(2_u8)));
+        assert!(matches!(given, Given::Taken(Some(_))));
+        assert_eq!(number(look(&mut calls, key)), Some(2));
+        // The ticket came home with its answer, and is used again.
+        assert_eq!(Arc::strong_count(&copy), 3);
+    }
+
+    #[test]
+    fn a_call_that_ends_soon_never_needs_a_timer_and_one_that_lasts_gets_one() {
+        let (mut calls, home) = (Calls::default(), Arc::default());
+        let ticket = calls.begin(&home, LIMIT);
+        let key = ticket.key();
+        let Started::List(slot) = calls.start(key, at(1)) else {
+            panic!("nobody would look after it");
+        };
+        // Its answer comes, and its slot waits again, before anybody has looked.
+        drop(calls.answer(key, Some(ticket), Ok(Data::of(1_u8))));
+        assert_eq!(number(look(&mut calls, key)), Some(1));
+        assert_eq!(calls.settle(slot), None);
+        let ticket = calls.begin(&home, LIMIT);
+        assert!(matches!(calls.start(ticket.key(), at(7)), Started::List(_)));
+        assert!(matches!(calls.start(ticket.key(), at(8)), Started::Done));
+        let due = at(7) + circle::LONG;
+        assert_eq!(calls.settle(slot), Some((ticket.key(), due)));
+        drop(calls.answer(ticket.key(), Some(ticket), Ok(Data::of(1_u8))));
+    }
+
+    #[test]
+    fn a_call_with_little_time_has_its_timer_at_once() {
+        let (mut calls, home) = (Calls::default(), Arc::default());
+        let ticket = calls.begin(&home, SOON / 2);
+        let key = ticket.key();
+        assert!(matches!(calls.start(key, at(1)), Started::Urgent));
+        assert_eq!(calls.settle_call(key), Some((key, at(1) + SOON / 2)));
+        assert_eq!(calls.deadline(key), Some(at(1) + SOON / 2));
+        drop(calls.fired(key));
+        assert!(ticket.is_abandoned());
+        assert!(matches!(look(&mut calls, key), Looked::Late(limit) if limit == SOON / 2));
+    }
+
+    #[test]
+    fn a_long_wait_is_told_once_before_the_deadline() {
+        let (mut calls, home) = (Calls::default(), Arc::default());
+        let ticket = calls.begin(&home, LIMIT);
+        let key = ticket.key();
+        let _ = calls.start(key, at(0));
+        let fired = calls.fired(key);
+        assert_eq!(fired.again, Some(at(0) + LIMIT));
+        assert!(matches!(look(&mut calls, key), Looked::Long));
+        assert!(matches!(look(&mut calls, key), Looked::Waiting));
+        assert!(!ticket.is_abandoned());
+        assert_eq!(calls.fired(key).again, None);
+        assert!(matches!(look(&mut calls, key), Looked::Late(LIMIT)));
+        let late = calls.answer(key, Some(ticket), Ok(Data::of(1_u8)));
+        assert!(matches!(late, Given::Taken(None) | Given::Unwanted { .. }));
+    }
+
+    #[test]
+    fn calls_made_while_a_processor_is_busy_are_looked_after_within_a_millisecond() {
+        let clock = Clock::virtual_clock();
+        let processor = Processor::new(Arc::default(), clock.clone());
+        let ticket = processor.begin_call(LIMIT);
+        processor.spawn(async {}, None);
+        assert!(processor.poll_ready(0));
+        assert_eq!(
+            processor.next_deadline(),
+            Some(Instant::START + circle::LONG)
+        );
+        processor.take_answer(ticket, Ok(Data::of(1_u8)));
+    }
+}

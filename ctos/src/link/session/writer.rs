@@ -1,0 +1,143 @@
+//! Where a session writes: the ends of streams that are written to.
+
+use std::{
+    io,
+    os::fd::{AsFd, BorrowedFd, OwnedFd},
+    pin::Pin,
+    sync::{
+        Weak,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    task::{Context as PollContext, Poll},
+};
+
+use rustix::net::{SendAncillaryBuffer, SendFlags, send, sendmsg};
+use tokio::{
+    io::AsyncWrite,
+    net::{tcp, unix},
+};
+
+use crate::link::{lookout::Lookout, shm};
+
+/// A stream that takes what it has room for from whatever thread.
+pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
+    /// Takes what there is room for.
+    ///
+    /// # Errors
+    /// `WouldBlock` when there is none.
+    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize>;
+}
+
+/// Where a session writes.
+pub(crate) enum Writer {
+    Tcp(tcp::OwnedWriteHalf),
+    Unix(unix::OwnedWriteHalf),
+    /// A socket at which the chassis's own lookout waits.
+    Socket(std::sync::Arc<Socket>),
+    Shared(shm::Sender),
+    #[cfg_attr(
+        not(feature = "zenoh"),
+        allow(dead_code, reason = "only streams over zenoh are such")
+    )]
+    Direct(Box<dyn DirectWrite>),
+    /// Written to by its driver only.
+    Other(Box<dyn AsyncWrite + Send + Unpin>),
+}
+
+impl Writer {
+    /// Writes from any thread what can be written at once.
+    pub(super) fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => stream.try_write_vectored(slices),
+            Self::Unix(stream) => stream.try_write_vectored(slices),
+            Self::Socket(socket) => socket.try_write(slices),
+            Self::Shared(sender) => sender.try_write(slices),
+            Self::Direct(stream) => stream.try_write(slices),
+            Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
+        }
+    }
+
+    /// Whether room that comes is told to the lookout, so that the driver need not ask for it.
+    pub(super) fn is_watched(&self) -> bool {
+        matches!(self, Self::Socket(_) | Self::Shared(_))
+    }
+
+    /// Writes from the driver, which is woken when more can be written.
+    pub(super) fn poll_write(
+        &mut self,
+        cx: &mut PollContext<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        match self {
+            Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Direct(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
+            Self::Socket(_) | Self::Shared(_) => match self.try_write(slices) {
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
+                written => Poll::Ready(written),
+            },
+        }
+    }
+
+    pub(super) fn poll_flush(&mut self, cx: &mut PollContext<'_>) -> Poll<io::Result<()>> {
+        match self {
+            Self::Other(stream) => Pin::new(stream).poll_flush(cx),
+            _ => Poll::Ready(Ok(())),
+        }
+    }
+}
+
+/// A plain socket that is read and written without a driver of its own, by whoever is at the links.
+pub(crate) struct Socket {
+    fd: OwnedFd,
+    lookout: Weak<Lookout>,
+    /// Its number at the lookout; 0 until it has one.
+    id: AtomicU64,
+    /// The lookout waits for room.
+    wants_room: AtomicBool,
+}
+
+impl Socket {
+    /// A socket that does not block.
+    pub(super) fn new(fd: OwnedFd, lookout: Weak<Lookout>) -> Self {
+        Self {
+            fd,
+            lookout,
+            id: AtomicU64::new(0),
+            // The lookout begins with it.
+            wants_room: AtomicBool::new(true),
+        }
+    }
+
+    pub(super) fn set_id(&self, id: u64) {
+        self.id.store(id, Ordering::Release);
+    }
+
+    pub(super) fn fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+
+    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
+        let flags = SendFlags::NOSIGNAL | SendFlags::DONTWAIT;
+        let written = match slices {
+            [only] => send(&self.fd, only, flags),
+            slices => sendmsg(&self.fd, slices, &mut SendAncillaryBuffer::default(), flags),
+        };
+        let written = written.map_err(io::Error::from);
+        let full = |error: &io::Error| error.kind() == io::ErrorKind::WouldBlock;
+        if written.as_ref().is_err_and(full) {
+            self.set_wants_room(true);
+        }
+        written
+    }
+
+    /// There is room, or there shall be some.
+    pub(super) fn set_wants_room(&self, wants: bool) {
+        if self.wants_room.swap(wants, Ordering::SeqCst) != wants
+            && let Some(lookout) = self.lookout.upgrade()
+        {
+            lookout.wants_room(self.fd(), self.id.load(Ordering::Acquire), wants);
+        }
+    }
+}

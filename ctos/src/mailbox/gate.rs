@@ -1,0 +1,214 @@
+//! What happens to a queue otherwise than message by message: its task leaves for another place or comes
+//! from one, or gets a new handler.
+
+use std::{
+    collections::{BTreeSet, VecDeque},
+    future::poll_fn,
+    task::Poll,
+};
+
+use super::{
+    Acceptance, TaskQueue, is_urgent,
+    queue::{Lanes, WaitsFor},
+};
+use crate::{
+    message::{Command, Flags, Message, SYSTEM_COMMANDS},
+    processor::Processor,
+    system::{Broke, interrupts},
+};
+
+/// What a queue is told from elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Order {
+    /// See [`Mailbox::open_gate`].
+    OpenGate(u8),
+    /// See [`Mailbox::forget_gate`].
+    ForgetGate(u8),
+}
+
+/// Messages that came straight to a task's new place before everything that their chassis had sent to
+/// the old one.
+pub(super) struct Gate {
+    pub(super) closed: BTreeSet<u8>,
+    pub(super) held: Vec<(Message, Acceptance)>,
+}
+
+impl Gate {
+    pub(super) fn keeps(&self, message: &Message) -> bool {
+        let header = message.header();
+        header.command < SYSTEM_COMMANDS
+            && !header.flags.contains(Flags::FORWARDED)
+            && self.closed.contains(&header.from.chassis())
+    }
+
+    /// Takes out what came from `chassis`, whose gate is open now.
+    fn take_out(&mut self, chassis: u8) -> Vec<(Message, Acceptance)> {
+        self.closed.remove(&chassis);
+        let of_chassis =
+            |(message, _): &(Message, Acceptance)| message.header.from.chassis() == chassis;
+        let (out, held) = std::mem::take(&mut self.held)
+            .into_iter()
+            .partition(of_chassis);
+        self.held = held;
+        out
+    }
+}
+
+impl TaskQueue {
+    /// Drops the news that parts of the handler broke: it is gone altogether.
+    pub(crate) fn forget_broken(&self) {
+        let mut lanes = self.lanes.borrow_mut();
+        let queue = std::mem::take(&mut lanes.urgent.queue);
+        let is_news = |message: &Message| message.command() == Broke::CODE;
+        let (news, kept): (VecDeque<_>, VecDeque<_>) = queue.into_iter().partition(is_news);
+        lanes.urgent.queue = kept;
+        self.recount(&lanes);
+        drop(lanes);
+        drop(news);
+    }
+
+    /// The lanes were changed otherwise than by putting in or taking out one message.
+    fn recount(&self, lanes: &Lanes) {
+        let interrupting = lanes.urgent.queue.iter().map(Message::command);
+        let interrupting = interrupting.filter(|command| interrupts(*command));
+        self.interruptions.set(interrupting.count());
+        self.mailbox.urgent.set_held(lanes.urgent.queue.len());
+        self.mailbox.normal.set_held(lanes.normal.queue.len());
+    }
+
+    /// From now on messages of tasks wait and are not taken; those of the runtime are.
+    pub(crate) fn hold(&self) {
+        self.mailbox.shut(true);
+        self.lanes.borrow_mut().held = true;
+    }
+
+    /// Takes messages again: first `before`, which were taken out of the queue, then those that waited.
+    pub(crate) fn release(&self, before: Vec<Message>) {
+        let mut lanes = self.lanes.borrow_mut();
+        lanes.held = false;
+        for message in before.into_iter().rev() {
+            let (urgent, _) = is_urgent(&message);
+            lanes.lane(urgent).queue.push_front(message);
+        }
+        let mut admitted = Vec::new();
+        let mut given_up = Vec::new();
+        for urgent in [true, false] {
+            let room = self.mailbox.room(urgent);
+            let lane = lanes.lane(urgent);
+            while lane.queue.len() < self.mailbox.capacity
+                && let Some((message, acceptance)) = lane.waiting.pop_front()
+            {
+                room.leave_line();
+                if acceptance.is_abandoned() {
+                    given_up.push((message, acceptance));
+                    continue;
+                }
+                lane.queue.push_back(message);
+                admitted.push(acceptance);
+            }
+        }
+        self.recount(&lanes);
+        drop(lanes);
+        self.mailbox.shut(false);
+        drop(given_up);
+        for acceptance in admitted {
+            acceptance.tell(Ok(()));
+        }
+    }
+
+    /// Takes out of the queue what tasks sent: the messages that have been accepted.
+    pub(crate) fn take_accepted(&self) -> Vec<Message> {
+        let mut lanes = self.lanes.borrow_mut();
+        let of_runtime = |message: &Message| message.header.command >= SYSTEM_COMMANDS;
+        let urgent = std::mem::take(&mut lanes.urgent.queue);
+        let (kept, taken): (VecDeque<_>, VecDeque<_>) = urgent.into_iter().partition(of_runtime);
+        lanes.urgent.queue = kept;
+        let mut taken = Vec::from(taken);
+        taken.extend(std::mem::take(&mut lanes.normal.queue));
+        self.recount(&lanes);
+        taken
+    }
+
+    /// Everything that came while the queue was held: `None` once the queue is closed. For the loop of the
+    /// task, and awaited by nobody else.
+    pub(crate) async fn next_held(&self) -> Option<Vec<(Message, Acceptance)>> {
+        poll_fn(|_| {
+            if self.mailbox.is_closed() {
+                return Poll::Ready(None);
+            }
+            let mut lanes = self.lanes.borrow_mut();
+            let mut all = Vec::new();
+            for urgent in [true, false] {
+                let room = self.mailbox.room(urgent);
+                let lane = lanes.lane(urgent);
+                let queued = lane.queue.drain(..);
+                all.extend(queued.map(|message| (message, Acceptance::Silent)));
+                for waiting in lane.waiting.drain(..) {
+                    room.leave_line();
+                    all.push(waiting);
+                }
+            }
+            self.recount(&lanes);
+            if all.is_empty() {
+                self.waits_for.set(WaitsFor::Message);
+                return Poll::Pending;
+            }
+            Poll::Ready(Some(all))
+        })
+        .await
+    }
+
+    /// Does what it is told from elsewhere.
+    pub(crate) fn obey(&self, processor: &Processor, order: Order) {
+        match order {
+            Order::OpenGate(chassis) => self.open_gate(processor, chassis),
+            Order::ForgetGate(chassis) => {
+                let mut lanes = self.lanes.borrow_mut();
+                let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
+                drop(lanes);
+                drop(gone);
+            }
+        }
+    }
+
+    fn open_gate(&self, processor: &Processor, chassis: u8) {
+        let mut lanes = self.lanes.borrow_mut();
+        let Some(gate) = lanes.gate.as_mut() else {
+            return;
+        };
+        let free = gate.take_out(chassis);
+        let all_open = gate.closed.is_empty();
+        if all_open {
+            lanes.gate = None;
+        }
+        let mut admitted = Vec::new();
+        let mut given_up = Vec::new();
+        for (message, acceptance) in free {
+            if acceptance.is_abandoned() {
+                given_up.push((message, acceptance));
+                continue;
+            }
+            let (urgent, _) = is_urgent(&message);
+            let lane = lanes.lane(urgent);
+            // Those beyond the room wait. They are bounded already: the gate holds no more than may wait.
+            if lane.queue.len() < self.mailbox.capacity {
+                lane.queue.push_back(message);
+                admitted.push(acceptance);
+            } else {
+                self.mailbox.room(urgent).join_line();
+                lane.waiting.push_back((message, acceptance));
+            }
+        }
+        self.recount(&lanes);
+        let held = lanes.held;
+        drop(lanes);
+        if all_open && !held {
+            self.mailbox.shut(false);
+        }
+        drop(given_up);
+        for acceptance in admitted {
+            acceptance.tell(Ok(()));
+        }
+        self.wake_idle(processor);
+    }
+}

@@ -1,0 +1,368 @@
+//! The queue of one task, on its processor. It needs no lock.
+
+use std::{
+    cell::{Cell, RefCell},
+    collections::VecDeque,
+    future::poll_fn,
+    rc::Rc,
+    sync::{Arc, atomic::Ordering},
+    task::Poll,
+};
+
+use super::{Acceptance, Delivery, Mailbox, Offered, Place, gate::Gate, is_urgent, refuse};
+use crate::{
+    call::{Fault, lock},
+    message::{Command, Message},
+    processor::{FutureId, Processor},
+    room::{Room, most_waiting},
+    system::{Broke, StopTask, interrupts},
+};
+
+#[derive(Default)]
+pub(super) struct Lane {
+    pub(super) queue: VecDeque<Message>,
+    /// Never holds anybody while the queue has room.
+    pub(super) waiting: VecDeque<(Message, Acceptance)>,
+    /// Messages in the queue that still count as being on their way.
+    arrived: usize,
+}
+
+/// Who is told when a message has been taken.
+struct Admitted {
+    /// Has its message in the queue now.
+    admitted: Acceptance,
+    /// Gave up before there was room.
+    given_up: Vec<(Message, Acceptance)>,
+}
+
+impl Lane {
+    /// Moves the first sender that still waits into the room of a message that was taken.
+    fn admit(&mut self, capacity: usize, room: &Room) -> Admitted {
+        let mut result = Admitted {
+            admitted: Acceptance::Silent,
+            given_up: Vec::new(),
+        };
+        while self.queue.len() < capacity {
+            let Some((message, acceptance)) = self.waiting.pop_front() else {
+                break;
+            };
+            room.leave_line();
+            if acceptance.is_abandoned() {
+                result.given_up.push((message, acceptance));
+                continue;
+            }
+            self.queue.push_back(message);
+            result.admitted = acceptance;
+            break;
+        }
+        result
+    }
+
+    #[inline]
+    fn push(&mut self, message: Message, room: &Room) {
+        self.queue.push_back(message);
+        room.set_held(self.queue.len() - self.arrived);
+    }
+
+    /// Counts what has arrived as being in the queue.
+    fn tell_arrived(&mut self, room: &Room) {
+        if self.arrived > 0 {
+            // In this order, so that nothing is missed by who claims a place meanwhile.
+            room.set_held(self.queue.len());
+            room.arrived(std::mem::take(&mut self.arrived));
+        }
+    }
+}
+
+/// What the task's loop wants to be woken for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum WaitsFor {
+    /// Nothing: it runs, or has not begun.
+    Nothing,
+    /// The next message.
+    Message,
+    /// A message that interrupts its handler, which is at work.
+    Interruption,
+}
+
+#[derive(Default)]
+pub(super) struct Lanes {
+    pub(super) urgent: Lane,
+    pub(super) normal: Lane,
+    /// Nothing more is taken into the queues: the task is about to leave, or has left.
+    pub(super) held: bool,
+    pub(super) gate: Option<Gate>,
+}
+
+impl Lanes {
+    pub(super) fn lane(&mut self, urgent: bool) -> &mut Lane {
+        if urgent {
+            &mut self.urgent
+        } else {
+            &mut self.normal
+        }
+    }
+}
+
+/// The queue of one task, on its processor.
+pub(crate) struct TaskQueue {
+    pub(super) lanes: RefCell<Lanes>,
+    pub(super) mailbox: Arc<Mailbox>,
+    /// The future that is the task's loop.
+    runner: Cell<Option<FutureId>>,
+    pub(super) waits_for: Cell<WaitsFor>,
+    /// Messages in the queue that interrupt a handler at work.
+    pub(super) interruptions: Cell<usize>,
+}
+
+impl TaskQueue {
+    /// The queue behind `mailbox`.
+    pub(crate) fn new(mailbox: Arc<Mailbox>) -> Rc<Self> {
+        let closed = std::mem::take(&mut *lock(&mailbox.gates));
+        let gate = (!closed.is_empty()).then(|| Gate {
+            closed,
+            held: Vec::new(),
+        });
+        Rc::new(Self {
+            lanes: RefCell::new(Lanes {
+                gate,
+                ..Lanes::default()
+            }),
+            mailbox,
+            runner: Cell::new(None),
+            waits_for: Cell::new(WaitsFor::Nothing),
+            interruptions: Cell::new(0),
+        })
+    }
+
+    /// Names the future that takes the messages: it is woken when there are some.
+    pub(crate) fn set_runner(&self, runner: FutureId) {
+        self.runner.set(Some(runner));
+    }
+
+    /// Puts a message in if there is room now.
+    #[inline]
+    pub(crate) fn offer(&self, processor: &Processor, message: Message) -> Offered {
+        if self.mailbox.is_closed() {
+            return Offered::Closed(message);
+        }
+        let (urgent, system) = is_urgent(&message);
+        let room = self.mailbox.room(urgent);
+        let command = message.header.command;
+        {
+            let mut lanes = self.lanes.borrow_mut();
+            let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
+            let kept = gated || (lanes.held && !system);
+            let lane = lanes.lane(urgent);
+            if kept || (!system && lane.queue.len() >= self.mailbox.capacity) {
+                return Offered::NoRoom(message);
+            }
+            lane.push(message, room);
+        }
+        self.has_come(processor, command);
+        Offered::Taken
+    }
+
+    /// Takes in a message from another thread, or one that waits for room.
+    pub(crate) fn take_in(&self, processor: &Processor, delivery: Delivery) {
+        if self.mailbox.is_closed() {
+            return delivery.refuse();
+        }
+        let Delivery { message, place } = delivery;
+        let (urgent, _) = is_urgent(&message);
+        let room = self.mailbox.room(urgent);
+        let command = message.header.command;
+        let mut lanes = self.lanes.borrow_mut();
+        let Lanes { held, gate, .. } = &mut *lanes;
+        let held = *held;
+        if let Some(gate) = gate.as_mut().filter(|gate| gate.keeps(&message)) {
+            let acceptance = match place {
+                Place::Claimed => {
+                    room.arrived(1);
+                    Acceptance::Silent
+                }
+                Place::Always => Acceptance::Silent,
+                Place::Waits(acceptance) => {
+                    room.leave_line();
+                    acceptance
+                }
+            };
+            if gate.held.len() < most_waiting(self.mailbox.capacity) {
+                return gate.held.push((message, acceptance));
+            }
+            drop(lanes);
+            return refuse(message, acceptance, &self.mailbox.full());
+        }
+        let lane = lanes.lane(urgent);
+        match place {
+            Place::Waits(acceptance) if held || lane.queue.len() >= self.mailbox.capacity => {
+                lane.waiting.push_back((message, acceptance));
+                drop(lanes);
+                if held {
+                    self.wake_idle(processor);
+                }
+            }
+            Place::Waits(acceptance) => {
+                // Out of the line before it is in the queue, and no claim comes between.
+                lane.push(message, room);
+                drop(lanes);
+                room.leave_line();
+                acceptance.tell(Ok(()));
+                self.has_come(processor, command);
+            }
+            Place::Always => {
+                lane.push(message, room);
+                drop(lanes);
+                self.has_come(processor, command);
+            }
+            Place::Claimed => {
+                lane.queue.push_back(message);
+                lane.arrived += 1;
+                drop(lanes);
+                self.has_come(processor, command);
+            }
+        }
+    }
+
+    /// All messages of one batch have been taken in.
+    pub(crate) fn end_batch(&self) {
+        let mut lanes = self.lanes.borrow_mut();
+        for urgent in [true, false] {
+            lanes.lane(urgent).tell_arrived(self.mailbox.room(urgent));
+        }
+    }
+
+    /// Something is there that the loop of the task looks for, though not in the queue.
+    pub(super) fn wake_idle(&self, processor: &Processor) {
+        if self.waits_for.get() == WaitsFor::Message
+            && let Some(runner) = self.runner.get()
+        {
+            self.waits_for.set(WaitsFor::Nothing);
+            processor.wake(runner);
+        }
+    }
+
+    /// A message of `command` is in the queue now: wakes whom it concerns.
+    #[inline]
+    fn has_come(&self, processor: &Processor, command: u16) {
+        let interruption = interrupts(command);
+        if interruption {
+            self.interruptions.set(self.interruptions.get() + 1);
+        }
+        let wakes = match self.waits_for.get() {
+            WaitsFor::Nothing => false,
+            WaitsFor::Message => true,
+            WaitsFor::Interruption => interruption,
+        };
+        if wakes && let Some(runner) = self.runner.get() {
+            self.waits_for.set(WaitsFor::Nothing);
+            processor.wake(runner);
+        }
+    }
+
+    /// The next message, high priority first.
+    #[inline(always)]
+    pub(crate) fn take(&self) -> Option<Message> {
+        let mut lanes = self.lanes.borrow_mut();
+        let urgent = !lanes.urgent.queue.is_empty();
+        let room = self.mailbox.room(urgent);
+        let lane = lanes.lane(urgent);
+        let message = lane.queue.pop_front()?;
+        let admitted = (!lane.waiting.is_empty()).then(|| lane.admit(self.mailbox.capacity, room));
+        room.took(
+            lane.queue.len().saturating_sub(lane.arrived),
+            self.mailbox.capacity,
+        );
+        drop(lanes);
+        if interrupts(message.header.command) {
+            self.interruptions
+                .set(self.interruptions.get().saturating_sub(1));
+        }
+        if let Some(Admitted { admitted, given_up }) = admitted {
+            // Outside the borrow: what is dropped and told here may run code of others.
+            drop(given_up);
+            admitted.tell(Ok(()));
+        }
+        Some(message)
+    }
+
+    /// Puts the next message, high priority first, into `next`; none once the queue is closed. For the loop
+    /// of the task, which is woken when there is one, and polled by nobody else.
+    #[inline(always)]
+    pub(crate) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+        if self.mailbox.is_closed() {
+            return Poll::Ready(());
+        }
+        *next = self.take();
+        if next.is_some() {
+            return Poll::Ready(());
+        }
+        self.waits_for.set(WaitsFor::Message);
+        Poll::Pending
+    }
+
+    /// The first message in the queue whose command is `wanted`, among those that interrupt a handler. If
+    /// there is none, the task's loop is woken when there is one of those. `Err` when the queue is closed.
+    #[inline]
+    fn look_for(&self, wanted: fn(u16) -> bool) -> Result<Option<u16>, ()> {
+        if self.mailbox.is_closed() {
+            return Err(());
+        }
+        if self.interruptions.get() > 0 {
+            let lanes = self.lanes.borrow();
+            let mut commands = lanes.urgent.queue.iter().map(Message::command);
+            if let Some(found) = commands.find(|command| wanted(*command)) {
+                return Ok(Some(found));
+            }
+        }
+        self.waits_for.set(WaitsFor::Interruption);
+        Ok(None)
+    }
+
+    /// Whether the handler at work is to make way; then, whether that is because a part of it broke, and
+    /// no order. If not, the task's loop is woken when it is.
+    #[inline]
+    pub(crate) fn interruption(&self) -> Option<bool> {
+        match self.look_for(interrupts) {
+            Ok(None) => None,
+            Ok(Some(command)) => Some(command == Broke::CODE),
+            Err(()) => Some(false),
+        }
+    }
+
+    /// Ends when a [`StopTask`] waits in the queue. For the loop of the task, and awaited by nobody else.
+    pub(crate) async fn stop_waits(&self) {
+        poll_fn(
+            |_| match self.look_for(|command| command == StopTask::CODE) {
+                Ok(None) => Poll::Pending,
+                Ok(Some(_)) | Err(()) => Poll::Ready(()),
+            },
+        )
+        .await;
+    }
+
+    /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
+    pub(crate) fn close(&self, processor: &Processor) {
+        self.mailbox.closed.store(true, Ordering::Release);
+        let Lanes {
+            urgent,
+            normal,
+            gate,
+            ..
+        } = std::mem::take(&mut *self.lanes.borrow_mut());
+        for (message, acceptance) in gate.into_iter().flat_map(|gate| gate.held) {
+            refuse(message, acceptance, &Fault::Stopping);
+        }
+        for lane in [urgent, normal] {
+            for message in lane.queue {
+                refuse(message, Acceptance::Silent, &Fault::Stopping);
+            }
+            for (message, acceptance) in lane.waiting {
+                refuse(message, acceptance, &Fault::Stopping);
+            }
+        }
+        if let Some(runner) = self.runner.get() {
+            processor.wake(runner);
+        }
+    }
+}

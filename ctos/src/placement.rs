@@ -1,0 +1,56 @@
+//! How long a processor looks for messages before it sleeps, chosen by where it and the others run.
+//!
+//! To wake a thread on another core that sleeps costs tens of microseconds on a virtual machine, to
+//! hand over to one that looks costs a fraction of one. On a core that the partner shares, looking
+//! keeps the partner from answering: there it is never worth it.
+
+use std::time::Duration;
+
+use crate::config::{App, ProcessorConfig};
+
+/// Looked for on a CPU of its own, unless the configuration says otherwise.
+const POLL: Duration = Duration::from_micros(20);
+
+/// How long `processor` of `app` looks for messages, on a machine with `cpus` CPUs that it may use.
+pub(crate) fn poll(app: &App, processor: &ProcessorConfig, cpus: usize) -> Duration {
+    let sharing = app
+        .chassis
+        .iter()
+        .flat_map(|chassis| &chassis.processors)
+        .filter(|other| processor.cpu.is_some() && other.cpu == processor.cpu)
+        .count();
+    if cpus < 2 || sharing > 1 {
+        return Duration::ZERO;
+    }
+    processor.poll.unwrap_or(match processor.cpu {
+        Some(_) => POLL,
+        None => Duration::ZERO,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_texts;
+
+    fn polls(processors: &str, cpus: usize) -> Vec<u128> {
+        let text =
+            format!("[chassis.a]\n{processors}\n[task.one]\nhandler = \"none\"\non = \"a/x\"");
+        let app = load_texts(&[("poll.toml", &text)], &[], &[]).unwrap();
+        let processors = app.chassis.iter().flat_map(|chassis| &chassis.processors);
+        let polls = processors.map(|processor| poll(&app, processor, cpus).as_micros());
+        polls.collect()
+    }
+
+    #[test]
+    fn a_processor_looks_for_messages_only_where_its_partner_runs_meanwhile() {
+        let own = "processors.x = { cpu = 0 }\nprocessors.y = { cpu = 1 }";
+        assert_eq!(polls(own, 2), [20, 20]);
+        assert_eq!(polls(own, 1), [0, 0]);
+        let shared = "processors.x = { cpu = 1, poll_us = 50 }\nprocessors.y = { cpu = 1 }";
+        assert_eq!(polls(shared, 2), [0, 0]);
+        let loose = "processors.x = {}\nprocessors.y = { poll_us = 5 }";
+        assert_eq!(polls(loose, 2), [0, 5]);
+        assert_eq!(polls(loose, 1), [0, 0]);
+    }
+}

@@ -1,0 +1,168 @@
+//! The calls that the tasks of a processor wait for, and the answers that its handlers owe.
+
+use std::{cell::Cell, task::Context as PollContext, time::Duration};
+
+use super::{Processor, Timed};
+use crate::{
+    call::{Answer, ReplySlot},
+    context::Note,
+    exchange::{CallKey, Given, Looked, SOON, Started, Ticket},
+    time::Instant,
+};
+
+impl Processor {
+    /// Looks at the clock after a poll; the time of the calls that were made in it runs from now.
+    #[inline]
+    pub(super) fn start_calls(&self) {
+        let now = self.moment();
+        let mut begun = self.begun.borrow_mut();
+        if begun.is_empty() {
+            return;
+        }
+        for key in begun.drain(..) {
+            let started = self.calls.borrow_mut().start(key, now);
+            match started {
+                Started::Done => {}
+                Started::List(slot) => {
+                    let mut young = self.young.borrow_mut();
+                    if young.is_empty() {
+                        self.young_until.set(now + SOON / 2);
+                    }
+                    young.push(slot);
+                }
+                Started::Urgent => {
+                    let call = self.calls.borrow_mut().settle_call(key);
+                    self.set_timer(call);
+                }
+            }
+        }
+    }
+
+    pub(super) fn set_timer(&self, call: Option<(CallKey, Instant)>) {
+        if let Some((key, at)) = call {
+            let timer = self.timers.borrow_mut().insert(at, Timed::Call(key));
+            self.calls.borrow_mut().set_timer(key, timer);
+        }
+    }
+
+    /// Looks after the calls that still wait: sets their timers and shows them to whoever wants to know
+    /// what their tasks wait for. Done when there is time for it, because most calls end before.
+    pub(crate) fn settle_calls(&self) {
+        let mut young = self.young.borrow_mut();
+        for slot in young.drain(..) {
+            let call = self.calls.borrow_mut().settle(slot);
+            self.set_timer(call);
+        }
+        self.young_until.set(Instant::LAST);
+    }
+
+    /// Begins a call that a future of this processor makes; its time runs from the end of the
+    /// present poll.
+    #[inline]
+    pub(crate) fn begin_call(&self, limit: Duration) -> Ticket {
+        let ticket = self.calls.borrow_mut().begin(&self.handle, limit);
+        self.begun.borrow_mut().push(ticket.key());
+        ticket
+    }
+
+    /// Notes who asked whom for what in a call.
+    #[inline]
+    pub(crate) fn note_call(&self, key: CallKey, note: Note) {
+        self.calls.borrow_mut().set_note(key, note);
+    }
+
+    /// Looks for the answer to a call; with it comes the `note` of the call.
+    #[inline]
+    pub(crate) fn poll_call(
+        &self,
+        key: CallKey,
+        note: &mut Option<Note>,
+        cx: &PollContext<'_>,
+    ) -> Looked {
+        let (looked, before) = {
+            let mut calls = self.calls.borrow_mut();
+            let mut timers = self.timers.borrow_mut();
+            calls.look(key, note, &mut timers, || self.waits(cx))
+        };
+        drop(before);
+        looked
+    }
+
+    /// Nobody waits for the answer to a call any more.
+    pub(crate) fn give_up_call(&self, key: CallKey) {
+        let mut rest = self.calls.borrow_mut().give_up(key);
+        if let Some(timer) = rest.timer.take() {
+            self.timers.borrow_mut().remove(timer);
+        }
+        drop(rest);
+    }
+
+    /// Takes the answer to a call of this processor.
+    #[inline]
+    pub(crate) fn take_answer(&self, ticket: Ticket, answer: Answer) {
+        let key = ticket.key();
+        let given = self.calls.borrow_mut().answer(key, Some(ticket), answer);
+        self.settle(given);
+    }
+
+    /// [`Self::take_answer`] from somebody who no longer has the ticket.
+    pub(crate) fn take_answer_by_key(&self, key: CallKey, answer: Answer) {
+        let given = self.calls.borrow_mut().answer(key, None, answer);
+        self.settle(given);
+    }
+
+    #[inline]
+    fn settle(&self, given: Given) {
+        if let Given::Taken(Some(wake)) = given {
+            self.wake_local(wake);
+        }
+    }
+
+    /// When the caller of a call of this processor gives up.
+    pub(crate) fn call_deadline(&self, key: CallKey) -> Option<Instant> {
+        self.calls.borrow_mut().deadline(key)
+    }
+
+    /// A number for a message that is about to be handled.
+    #[inline]
+    pub(crate) fn next_serial(&self) -> u64 {
+        let serial = self.next_serial.get();
+        self.next_serial.set(serial + 1);
+        serial
+    }
+
+    /// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
+    /// until it is known how the handler ended.
+    #[inline]
+    pub(crate) fn handling<T>(&self, serial: u64, code: impl FnOnce() -> T) -> T {
+        struct Restore<'a>(&'a Cell<u64>, u64);
+        impl Drop for Restore<'_> {
+            fn drop(&mut self) {
+                self.0.set(self.1);
+            }
+        }
+        let _restore = Restore(&self.handling, self.handling.replace(serial));
+        code()
+    }
+
+    /// Keeps a right to answer that the handler at work has dropped, or gives it back.
+    pub(crate) fn keep_orphan(&self, slot: ReplySlot) -> Result<(), ReplySlot> {
+        if slot.serial() == 0 || slot.serial() != self.handling.get() {
+            return Err(slot);
+        }
+        // One message has one slot, so nothing is there before.
+        *self.orphan.borrow_mut() = Some(slot);
+        Ok(())
+    }
+
+    /// The right to answer message `serial`, if its handler dropped it.
+    #[inline]
+    pub(crate) fn take_orphan(&self, serial: u64) -> Option<ReplySlot> {
+        let mut orphan = self.orphan.borrow_mut();
+        if orphan.as_ref()?.serial() == serial {
+            orphan.take()
+        } else {
+            None
+        }
+    }
+}

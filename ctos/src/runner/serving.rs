@@ -1,0 +1,244 @@
+//! The messages of a task, one after the other: which are begun, who is told how each ended.
+
+use std::{
+    cell::Cell,
+    future::{Future, poll_fn},
+    panic::{AssertUnwindSafe, catch_unwind},
+    pin::{Pin, pin},
+    rc::Rc,
+    sync::Arc,
+    task::{Context as PollContext, Poll},
+};
+
+use crate::{
+    call::{Fault, ReplyKey, ReplySlot},
+    chassis::TaskRecord,
+    context::Context,
+    mailbox::TaskQueue,
+    message::{Command, Message, SYSTEM_COMMANDS},
+    processor::panic_text,
+    record::{self, Ending as HandlerEnding},
+    system::StopTask,
+    task::{EventHandler, Handled},
+};
+
+/// What the loop of a task needs besides its handler.
+pub(crate) struct Serving {
+    pub(super) cx: Context,
+    pub(super) record: Arc<TaskRecord>,
+    pub(super) queue: Rc<TaskQueue>,
+    /// It was told to stop: nothing more is begun, or hardware at rest would move again.
+    pub(super) stopped: Cell<bool>,
+}
+
+/// Why the handling of a task's messages was interrupted.
+pub(crate) enum Served {
+    /// By a message that is not for the handler, or not for it alone.
+    Next(Message),
+    /// By a panic that said so.
+    Panicked(String),
+    /// By the end of the queue.
+    Closed,
+}
+
+/// How the handling of one message ended.
+pub(super) enum Ended {
+    Done(Handled),
+    Panicked(String),
+    /// By a message that ends whatever it does; whether because a part of it broke.
+    Interrupted(bool),
+}
+
+/// A message that is about to be handled, or is.
+pub(super) struct AtHand {
+    command: u16,
+    pub(super) serial: u64,
+    owed: Option<ReplyKey>,
+    /// The message, for the record.
+    noted: record::AtHand,
+}
+
+impl Serving {
+    /// Puts the next message that is to be handled into `next`; none once the queue is closed.
+    #[inline(always)]
+    fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+        loop {
+            if self.queue.poll_next(next).is_pending() {
+                return Poll::Pending;
+            }
+            if next.as_mut().is_none_or(|message| self.is_wanted(message)) {
+                return Poll::Ready(());
+            }
+            if let Some(message) = next.take() {
+                self.pass_over(message);
+            }
+        }
+    }
+
+    /// The next message that is to be handled; `None` once the queue is closed.
+    pub(super) async fn next(&self) -> Option<Message> {
+        let mut next = None;
+        poll_fn(|_| self.poll_next(&mut next)).await;
+        next
+    }
+
+    /// Whether a message is still to be begun.
+    #[inline]
+    fn is_wanted(&self, message: &mut Message) -> bool {
+        if self.refuses(message) {
+            return false;
+        }
+        let Some(slot) = &message.reply else {
+            return true;
+        };
+        // A stop is carried out even when whoever ordered it had to go on.
+        if slot.is_abandoned() && message.command() != StopTask::CODE {
+            return false;
+        }
+        if message.deadline.is_none() {
+            message.deadline = slot.deadline_on(self.cx.processor());
+        }
+        true
+    }
+
+    /// Ends a message that is not begun.
+    #[cold]
+    fn pass_over(&self, message: Message) {
+        let command = message.command();
+        tracing::debug!(task = %self.cx.name(), command, "caller gave up, or the task is stopping");
+        if let Some(slot) = message.reply {
+            slot.answer(Err(Fault::Stopping));
+        }
+    }
+
+    fn refuses(&self, message: &Message) -> bool {
+        self.stopped.get() && message.command() < SYSTEM_COMMANDS
+    }
+
+    /// The handler is called with `message`. This is the one place that every message passes on its
+    /// way to a handler.
+    #[inline]
+    pub(super) fn begin(&self, message: &mut Message) -> AtHand {
+        let processor = self.cx.processor();
+        let chassis = self.cx.chassis();
+        let began = processor.recent();
+        let at_hand = AtHand {
+            command: message.command(),
+            noted: record::AtHand::of(self.record.tid, message, began),
+            serial: processor.next_serial(),
+            owed: message.reply.as_ref().and_then(ReplySlot::key),
+        };
+        if let Some(slot) = &mut message.reply {
+            slot.set_serial(at_hand.serial);
+        }
+        chassis.delivered(&self.record, message);
+        self.record.statistics.begin(at_hand.command, began);
+        chassis.tap.began(&at_hand.noted);
+        at_hand
+    }
+
+    /// The handler has ended, in whatever way: what it owes is answered. What its panic said, if it
+    /// panicked.
+    pub(super) fn end(&self, at_hand: AtHand, ended: Ended) -> Option<String> {
+        let AtHand {
+            command,
+            serial,
+            owed,
+            noted,
+            ..
+        } = at_hand;
+        let processor = self.cx.processor();
+        let ok = matches!(ended, Ended::Done(Ok(())));
+        let now = processor.look_at_clock();
+        self.record.statistics.end(ok, now);
+        self.cx.chassis().tap.ended(&noted, now, || match &ended {
+            Ended::Done(Ok(())) => HandlerEnding::Done,
+            Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
+            Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
+            Ended::Interrupted(_) => HandlerEnding::Stopped,
+        });
+        let (fault, panic) = match ended {
+            Ended::Done(Ok(())) => {
+                // A right to answer that it kept is still good; one that it dropped is not.
+                drop(processor.take_orphan(serial).map(|mut slot| {
+                    slot.set_serial(0);
+                    slot
+                }));
+                return None;
+            }
+            Ended::Done(Err(error)) => {
+                tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
+                let text = error.to_string();
+                (Fault::Refused { text }, None)
+            }
+            Ended::Interrupted(true) => {
+                let text = "a part of it did, while it was handled".to_owned();
+                (Fault::Panicked { text }, None)
+            }
+            Ended::Interrupted(false) => (Fault::Stopping, None),
+            Ended::Panicked(text) => {
+                tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
+                let fault = Fault::Panicked { text: text.clone() };
+                (fault, Some(text))
+            }
+        };
+        match (processor.take_orphan(serial), owed) {
+            (Some(slot), _) => slot.answer(Err(fault)),
+            (None, Some(key)) => self.cx.chassis().answer_by_key(key, Err(fault)),
+            (None, None) => {}
+        }
+        panic
+    }
+
+    /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop.
+    #[inline]
+    pub(super) fn poll<F: Future<Output = Handled>>(
+        &self,
+        at_hand: &AtHand,
+        handling: Pin<&mut Option<F>>,
+        interruptible: bool,
+        cx: &mut PollContext<'_>,
+    ) -> Poll<Ended> {
+        let Some(handling) = handling.as_pin_mut() else {
+            return Poll::Pending;
+        };
+        let processor = self.cx.processor();
+        processor.leave();
+        let polled = self.record.statistics.meter.in_turn(|| {
+            catch_unwind(AssertUnwindSafe(|| {
+                processor.handling(at_hand.serial, || handling.poll(cx))
+            }))
+        });
+        match polled {
+            Ok(Poll::Ready(handled)) => Poll::Ready(Ended::Done(handled)),
+            Err(panic) => Poll::Ready(Ended::Panicked(panic_text(panic.as_ref()))),
+            // A handler that waits for others must not delay an orderly stop: it is dropped there.
+            Ok(Poll::Pending) if interruptible => match self.queue.interruption() {
+                Some(broke) => Poll::Ready(Ended::Interrupted(broke)),
+                None => Poll::Pending,
+            },
+            Ok(Poll::Pending) => Poll::Pending,
+        }
+    }
+
+    /// See [`DynHandler::serve`].
+    pub(crate) async fn serve<H: EventHandler>(&self, handler: &mut H, first: Message) -> Served {
+        let mut next = Some(first);
+        while let Some(mut message) = next.take() {
+            let at_hand = self.begin(&mut message);
+            let cx = self.cx.within(message.trace());
+            let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
+            let ended = poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await;
+            let processor = self.cx.processor();
+            processor.handling(at_hand.serial, || handling.set(None));
+            if let Some(panic) = self.end(at_hand, ended) {
+                return Served::Panicked(panic);
+            }
+            poll_fn(|_| self.poll_next(&mut next)).await;
+            if let Some(of_runtime) = next.take_if(|next| next.command() >= SYSTEM_COMMANDS) {
+                return Served::Next(of_runtime);
+            }
+        }
+        Served::Closed
+    }
+}

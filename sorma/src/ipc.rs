@@ -1,0 +1,195 @@
+//! The IPC service classes: snapshot buffers in shared memory (`shmem_w`, `shmem_r`, `flight`), and queues,
+//! counting semaphores and blackboards (SORMA technical report, sections 1.7.1 and 1.7.2).
+//!
+//! None of them waits in EXEC: a call that cannot be done now says `not yet` at once and is asked again, so
+//! that whoever waits keeps no other caller of the object, or of its manager, from it. `docs/snapshots.md`
+//! and `docs/ipc.md` say what each understands.
+
+pub mod blackboard;
+pub mod flight;
+pub mod queue;
+pub mod semaphore;
+mod shmem_r;
+mod shmem_w;
+mod tickets;
+
+use crate::class::Class;
+use crate::name::ObjectName;
+use crate::object::ServiceObject;
+use crate::report::Report;
+use crate::snapshot::{Place, SnapshotError};
+use crate::sorm::Sorm;
+use crate::transport::Transport;
+use crate::words::{self, Word};
+use ctos::time::{Clock, Instant};
+use std::path::PathBuf;
+use std::time::Duration;
+
+crate::prototypes! {
+    /// The codes of the reports of these classes.
+    pub mod code {
+        BUFFER = 100, Error, "a snapshot buffer cannot be made, opened, written or read",
+            "the text says which and why; `shmem_r.NAME EXEC status` tells about a buffer";
+        SUCCEEDED = 101, Warning, "another writer has taken over a buffer, or it was made anew",
+            "go on; the numbers of the records begin again only when it was made anew";
+        LOST = 102, Warning, "records were overwritten before they were read",
+            "read more often, or give the buffer more slots";
+        FILE = 103, Error, "a file of a flight recorder cannot be written",
+            "choose another -file, or make room";
+        FULL = 104, Error, "a queue, a blackboard or a line of those who wait is full",
+            "try again later, or set -capacity";
+        UNKNOWN = 105, Error, "no such key or hold", "see EXEC keys, EXEC holders";
+        LATE = 106, Error, "the time for which one wanted to wait is over", "ask anew, for longer";
+        CONFLICT = 107, Error, "a value has another version than the one that was to be replaced",
+            "get it again, and decide anew";
+    }
+}
+
+/// What EXEC answers, as text, when the caller is to ask again.
+pub const NOT_YET: &str = "not yet";
+
+/// What the objects of these classes need to know.
+#[derive(Debug, Clone)]
+pub struct Host {
+    /// The app, in whose folder the segments lie.
+    pub app: String,
+    /// The app's clock.
+    pub clock: Clock,
+    /// Under which folder; the usual one in shared memory when `None`.
+    pub root: Option<PathBuf>,
+}
+
+impl Host {
+    /// The app of that name, with its segments at the usual place.
+    #[must_use]
+    pub fn new(app: impl Into<String>, clock: Clock) -> Self {
+        Self {
+            app: app.into(),
+            clock,
+            root: None,
+        }
+    }
+
+    /// The folder of the app's segments.
+    ///
+    /// # Errors
+    /// It is not this user's alone, or cannot be made.
+    pub fn place(&self) -> Result<Place, SnapshotError> {
+        match &self.root {
+            Some(root) => Place::under(root, &self.app),
+            None => Place::of_app(&self.app),
+        }
+    }
+
+    fn now(&self) -> Instant {
+        self.clock.now()
+    }
+}
+
+/// Registers all the classes of this module.
+pub fn register(sorm: &Sorm, host: &Host) {
+    add(sorm, host, "shmem_w", |host, name| {
+        Box::new(shmem_w::ShmemW::new(host, name.flavor()))
+    });
+    add(sorm, host, "shmem_r", |host, name| {
+        Box::new(shmem_r::ShmemR::new(host, name.flavor()))
+    });
+    add(sorm, host, "flight", |host, name| {
+        Box::new(flight::Flight::new(host, name.flavor()))
+    });
+    add(sorm, host, "queue", |host, _| {
+        Box::new(queue::QueueObject::new(host))
+    });
+    add(sorm, host, "semaphore", |host, _| {
+        Box::new(semaphore::SemaphoreObject::new(host))
+    });
+    add(sorm, host, "blackboard", |host, _| {
+        Box::new(blackboard::BlackboardObject::new(host))
+    });
+}
+
+fn add(
+    sorm: &Sorm,
+    host: &Host,
+    class: &'static str,
+    make: fn(Host, &ObjectName) -> Box<dyn ServiceObject>,
+) {
+    let host = host.clone();
+    let class = Class::new(class, env!("CARGO_PKG_VERSION"), move |name, _| {
+        Ok(make(host.clone(), name))
+    });
+    sorm.register(class.codes(code::PROTOTYPES));
+}
+
+#[track_caller]
+fn buffer_error(error: &SnapshotError) -> Report {
+    Report::error(code::BUFFER, error.to_string())
+}
+
+#[track_caller]
+fn wrong(text: impl Into<String>) -> Report {
+    Report::error(crate::report::code::VALUE, text)
+}
+
+/// The words of an EXEC text.
+fn split(text: &str) -> Result<Vec<String>, Report> {
+    let words = words::split(text)
+        .map_err(|error| Report::error(crate::report::code::SYNTAX, error.to_string()))?;
+    Ok(words.into_iter().map(|Word { text, .. }| text).collect())
+}
+
+/// A whole number that a word of EXEC says.
+fn number(what: &str, word: &str) -> Result<u64, Report> {
+    word.parse()
+        .map_err(|_| wrong(format!("{what} is a whole number from 0 on, not `{word}`")))
+}
+
+/// The longest anybody may say to wait: a day.
+const MOST_WAIT_S: f64 = 86_400.0;
+
+/// A time that a word of EXEC says, in seconds; none is 0.
+fn seconds(word: Option<&String>) -> Result<Duration, Report> {
+    let Some(word) = word else {
+        return Ok(Duration::ZERO);
+    };
+    word.parse()
+        .ok()
+        .filter(|seconds| (0.0..=MOST_WAIT_S).contains(seconds))
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| {
+            wrong(format!(
+                "the time to wait is 0 to {MOST_WAIT_S} s, not `{word}`"
+            ))
+        })
+}
+
+/// What stands after the first `count` words of a text, as it stands; without its quotes if it is one word.
+fn after(text: &str, count: usize) -> Result<String, Report> {
+    let found = words::split(text)
+        .map_err(|error| Report::error(crate::report::code::SYNTAX, error.to_string()))?;
+    Ok(match found.get(count..) {
+        Some([only]) => only.text.clone(),
+        Some([first, ..]) => text
+            .get(first.span.start..)
+            .unwrap_or_default()
+            .trim_end()
+            .to_owned(),
+        _ => String::new(),
+    })
+}
+
+/// Makes room for the answer; reports stay.
+fn empty(io: &mut Transport) {
+    io.text.clear();
+    io.floats.clear();
+    io.ints.clear();
+    io.opaque.clear();
+}
+
+/// An `i64` as IMSG carries it.
+fn int(number: u64) -> i64 {
+    i64::try_from(number).unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,212 @@
+//! The class `queue`: messages that wait for whoever takes them, first in, first out (SORMA technical report,
+//! section 1.7, "queuing requests and results").
+
+use super::tickets::{Tickets, Turn};
+use super::{Host, NOT_YET, after, code, empty, int, number, seconds, split, wrong};
+use crate::object::{Context, Outcome, ServiceObject};
+use crate::options::OptionTable;
+use crate::report::Report;
+use crate::transport::Transport;
+use ctos::time::Instant;
+use std::collections::VecDeque;
+use std::sync::LazyLock;
+use std::time::Duration;
+
+/// What a queue holds: the data of a transport without what belongs to the call.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Item {
+    text: String,
+    floats: Vec<f64>,
+    ints: Vec<i64>,
+    opaque: Vec<u8>,
+}
+
+/// A bounded queue with a line of those who wait for items.
+#[derive(Debug, Clone)]
+struct Queue {
+    capacity: i64,
+    items: VecDeque<Item>,
+    takers: Tickets<()>,
+    put: u64,
+    taken: u64,
+}
+
+impl Default for Queue {
+    fn default() -> Self {
+        Self {
+            capacity: 100,
+            items: VecDeque::new(),
+            takers: Tickets::default(),
+            put: 0,
+            taken: 0,
+        }
+    }
+}
+
+impl Queue {
+    fn put(&mut self, item: Item) -> Result<(), Report> {
+        if self.items.len() >= usize::try_from(self.capacity).unwrap_or(0) {
+            let text = format!(
+                "the queue is full with {} items; put it again later, or set -capacity",
+                self.items.len()
+            );
+            return Err(Report::error(code::FULL, text));
+        }
+        self.items.push_back(item);
+        self.put += 1;
+        Ok(())
+    }
+
+    /// An item for somebody without a ticket: only when there are more than those who wait will take.
+    fn take(&mut self) -> Option<Item> {
+        if self.items.len() <= self.takers.len() {
+            return None;
+        }
+        self.pop()
+    }
+
+    fn pop(&mut self) -> Option<Item> {
+        let item = self.items.pop_front();
+        self.taken += u64::from(item.is_some());
+        item
+    }
+
+    fn wait(&mut self, now: Instant, limit: Duration) -> Result<u64, Report> {
+        self.takers.draw((), now + limit).ok_or_else(|| {
+            let text = format!("{} wait already; that is the most", self.takers.len());
+            Report::error(code::FULL, text)
+        })
+    }
+
+    fn claim(&mut self, ticket: u64) -> Result<Option<Item>, Report> {
+        match self.takers.ask(ticket, self.items.len()) {
+            Turn::Now(()) => Ok(self.pop()),
+            Turn::NotYet => Ok(None),
+            Turn::None => {
+                let text = format!("ticket {ticket} was used, given up, or not asked for in time");
+                Err(Report::error(code::LATE, text))
+            }
+        }
+    }
+}
+
+static OPTIONS: LazyLock<OptionTable<Queue>> = LazyLock::new(|| {
+    OptionTable::new(
+        "a queue. EXEC put [TEXT] with FMSG, IMSG, opaque: adds an item; take [SECONDS]: the oldest item, or \
+         `not yet`, with IMSG 1 TICKET when there is a time to wait, with which claim TICKET asks again, in turn; \
+         drop TICKET: waits no more; length: IMSG 2, items and those who wait",
+    )
+    .int(
+        "capacity",
+        1..=1_000_000,
+        "",
+        "the most items",
+        |queue: &mut Queue| &mut queue.capacity,
+    )
+    .action("clear", &[], "throws all items away", |queue, _| {
+        let count = queue.items.len();
+        queue.items.clear();
+        Ok(format!("{count} items thrown away"))
+    })
+});
+
+pub(super) struct QueueObject {
+    host: Host,
+    queue: Queue,
+}
+
+impl QueueObject {
+    pub(super) fn new(host: Host) -> Self {
+        Self {
+            host,
+            queue: Queue::default(),
+        }
+    }
+}
+
+/// Puts an item into the answer, or that there is none yet.
+fn answer(io: &mut Transport, item: Option<Item>) {
+    empty(io);
+    match item {
+        Some(item) => {
+            io.text = item.text;
+            io.floats = item.floats;
+            io.ints = item.ints;
+            io.opaque = item.opaque;
+        }
+        None => NOT_YET.clone_into(&mut io.text),
+    }
+}
+
+impl ServiceObject for QueueObject {
+    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let now = self.host.now();
+        self.queue.takers.lapse(now, |()| false);
+        let text = io.text.clone();
+        let words = split(&text)?;
+        match words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+            ["put", ..] => {
+                let item = Item {
+                    text: after(&text, 1)?,
+                    floats: io.floats.clone(),
+                    ints: io.ints.clone(),
+                    opaque: io.opaque.clone(),
+                };
+                self.queue.put(item)?;
+                empty(io);
+            }
+            ["take"] => {
+                let item = self.queue.take();
+                answer(io, item);
+            }
+            ["take", _] => {
+                let limit = seconds(words.get(1))?;
+                let item = self.queue.take();
+                let ticket = match item {
+                    None if !limit.is_zero() => Some(self.queue.wait(now, limit)?),
+                    _ => None,
+                };
+                answer(io, item);
+                io.ints.extend(ticket.map(int));
+            }
+            ["claim", ticket] => {
+                let item = self.queue.claim(number("a ticket", ticket)?)?;
+                answer(io, item);
+            }
+            ["drop", ticket] => {
+                let ticket = number("a ticket", ticket)?;
+                // It is taken out of the line, whoever's turn it is.
+                let _ = self.queue.takers.ask(ticket, usize::MAX);
+                empty(io);
+            }
+            ["length"] => {
+                empty(io);
+                io.ints.push(int(self.queue.items.len() as u64));
+                io.ints.push(int(self.queue.takers.len() as u64));
+            }
+            _ => {
+                return Err(wrong(format!(
+                    "EXEC takes put [TEXT], take [SECONDS], claim TICKET, drop TICKET or length, not `{text}`"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        OPTIONS.ctrl(&mut self.queue, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        let queue = &self.queue;
+        format!(
+            "{}\n{} items, {} put, {} taken, {} wait",
+            OPTIONS.dump(queue),
+            queue.items.len(),
+            queue.put,
+            queue.taken,
+            queue.takers.len()
+        )
+    }
+}
