@@ -228,9 +228,9 @@ impl Expectation {
         }
         let far = |(expected, found): &(&f64, &f64)| {
             let same = expected == found || expected.is_nan() && found.is_nan();
-            // A NaN is within nothing.
+            // Of a NaN nothing is near.
             let near = (*expected - *found).abs() <= self.within;
-            !(same || near)
+            !same && !near
         };
         let pairs = expected.iter().zip(found);
         let (index, (expected, found)) = pairs.enumerate().find(|(_, pair)| far(pair))?;

@@ -5,22 +5,10 @@
 //! `cargo run --release -p peers --features peers [-- PART ...]`, parts: `local`, `core`, `cores`,
 //! `oneway`, `idle`.
 
-#[cfg(feature = "peers")]
 mod contenders;
-#[cfg(feature = "peers")]
 mod ctos_side;
-#[cfg(feature = "peers")]
 mod measure;
 
-#[cfg(feature = "peers")]
 fn main() {
     measure::all();
-}
-
-#[cfg(not(feature = "peers"))]
-fn main() {
-    eprintln!(
-        "build it with `--features peers`: the libraries to compare with are built only then"
-    );
-    std::process::exit(2);
 }

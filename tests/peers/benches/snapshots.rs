@@ -2,7 +2,12 @@
 //! scheduler has a say: publish-subscribe with a history of the same depth that overwrites, and the
 //! blackboard, which holds the latest value only.
 //!
-//! `cargo bench` in this folder.
+//! `cargo bench -p peers --features iceoryx2`.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "a benchmark may end when the machine refuses something"
+)]
 
 use ctos::time::Clock;
 use divan::{Bencher, black_box};

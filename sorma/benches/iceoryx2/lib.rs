@@ -1,1 +1,0 @@
-//! Holds nothing; see `benches/beside.rs`.
