@@ -329,7 +329,7 @@ fn unknown_names_and_options_are_answered_with_the_nearest() {
             "dyn CTRL -rotr on",
             "unknown option `-rotr`; did you mean `rotor`?",
         ),
-        ("resect CTRL -model k1k", "did you mean `k1k2`?"),
+        ("resect CTRL -model brwn5", "did you mean `brown5`?"),
         (
             "dyn EXEC TMSG graviti FMSG 6 0 0 0 0 0 0",
             "did you mean `gravity`?",

@@ -124,7 +124,8 @@ impl Session {
                 Ok(Some(Ok(text))) => text,
                 Ok(None) => break,
                 Ok(Some(Err(why))) => {
-                    if self.fail(&place, &why, exit::CONFIG) == Flow::Stop {
+                    let told = self.settle() == Flow::On;
+                    if !told || self.fail(&place, &why, exit::CONFIG) == Flow::Stop {
                         return Flow::Stop;
                     }
                     continue;
@@ -165,7 +166,13 @@ impl Session {
         let statement = match statement {
             Ok(Statement::Nothing) => return Flow::On,
             Ok(statement) => statement,
-            Err(why) => return self.fail(place, &why, place.wrong),
+            Err(why) => {
+                // What came before is told first.
+                return match self.settle() {
+                    Flow::On => self.fail(place, &why, place.wrong),
+                    Flow::Stop => Flow::Stop,
+                };
+            }
         };
         if !matches!(statement, Statement::Expect(_)) && self.settle() == Flow::Stop {
             return Flow::Stop;
@@ -195,7 +202,6 @@ impl Session {
     }
 
     fn fail(&mut self, place: &dyn fmt::Display, why: &str, code: u8) -> Flow {
-        self.pending = None;
         show::say(&format!("{place}: {why}"));
         if self.failed == exit::OK {
             self.failed = code;
@@ -217,6 +223,7 @@ impl Session {
         };
         let unmet = expected.unmet(last);
         if !unmet.is_empty() {
+            self.pending = None;
             return self.fail(place, &unmet.join("; "), exit::FAILED);
         }
         if expected.code.is_some() {
