@@ -1,11 +1,13 @@
 //! What configurations can name: every event handler, channel driver, frame source and expander.
 
+use crate::scott::services;
 use ctos::{
     config::{App, Expander, Selection},
     diagnostic::Findings,
     registry::Registry,
 };
 use mcs::driver::DriverRegistry;
+use sorma::{daemon, ipc::Host};
 use vss::{catalog::VssExpander, source::FrameSources};
 
 /// Every event handler of the workspace.
@@ -18,6 +20,12 @@ pub fn registry() -> Registry {
     mcs::register(&mut registry, drivers);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
+    // It cannot be wrong: a test reads it.
+    let shipped = services::shipped().unwrap_or_default();
+    daemon::register(&mut registry, shipped, |cx, sorm| {
+        let host = Host::new(cx.app().name.as_str(), cx.chassis().clock().clone());
+        services::register(sorm, &host);
+    });
     registry
 }
 

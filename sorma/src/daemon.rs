@@ -66,22 +66,27 @@ pub struct Daemon {
     sorm: Sorm,
 }
 
-/// Registers the handler. `classes` registers the classes that it serves.
-pub fn register(registry: &mut Registry, classes: impl Fn(&Sorm) + Send + Sync + 'static) {
+/// Registers the handler. `shipped` is the dictionary that comes with the program, under those that a
+/// task's arguments name; `classes` registers the classes that a daemon serves.
+pub fn register(
+    registry: &mut Registry,
+    shipped: Dictionary,
+    classes: impl Fn(&Context, &Sorm) + Send + Sync + 'static,
+) {
     registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
-        let sorm = manager(cx)?;
-        classes(&sorm);
+        let sorm = manager(cx, shipped.clone())?;
+        classes(cx, &sorm);
         Ok(Daemon { sorm })
     });
 }
 
-/// The manager of a task's chassis, with the dictionary that its arguments name.
+/// The manager of a task's chassis, with the dictionary that its arguments name, over a shipped one.
 ///
 /// # Errors
 /// Wrong arguments, or a dictionary that cannot be read, with its places.
-pub fn manager(cx: &Context) -> Result<Sorm, HandlerError> {
+pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> {
     let arguments: Arguments = cx.args()?;
-    let mut dictionary = Dictionary::new();
+    let mut dictionary = shipped;
     for file in &arguments.dictionary {
         let path = cx.path(file);
         load(&mut dictionary, &path)?;

@@ -207,7 +207,7 @@ fn run(scenario: Scenario, here: &'static str, mishaps: &[Mishap]) -> Result<Str
     );
     let app = load_texts(&[("app.toml", &app)], &[], &[]).unwrap();
     let mut registry = Registry::new();
-    daemon::register(&mut registry, classes);
+    daemon::register(&mut registry, Dictionary::new(), |_, sorm| classes(sorm));
     registry.handler("client", &Client::COMMANDS, move |cx| {
         let mut dictionary = Dictionary::new();
         let texts = [COOKBOOK, here];

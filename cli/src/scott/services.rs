@@ -2,13 +2,18 @@
 
 use std::{path::PathBuf, sync::LazyLock};
 
-use ctos::diagnostic::{Finding, Findings, Source};
+use ctos::{
+    diagnostic::{Finding, Findings, Source},
+    time::Clock,
+};
+use sorma::ipc::{self, Host};
 use sorma::{ClassInfo, Dictionary, Sorm, demo, describe};
 
 /// What a program may know about all classes, by name.
 pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     let mut classes = describe::own_classes();
     classes.extend(demo::classes());
+    classes.extend(ipc::classes());
     classes.extend(mcs::services::classes());
     classes.extend(vss::services::classes());
     classes.sort_by(|a, b| a.name.cmp(&b.name));
@@ -26,19 +31,34 @@ const SHIPPED: [(&str, &str); 2] = [
 /// # Errors
 /// What is wrong with the files.
 pub fn manager(files: &[PathBuf]) -> Result<Sorm, Findings> {
-    let mut dictionary = Dictionary::new();
-    for (name, text) in SHIPPED {
-        dictionary.load(&Source::new(name, text))?;
-    }
+    let mut dictionary = shipped()?;
     for file in files {
         let source = Source::read(file).map_err(of_one)?;
         dictionary.load(&source)?;
     }
     let sorm = Sorm::new(dictionary);
-    demo::register(&sorm);
-    mcs::services::register(&sorm);
-    vss::services::register(&sorm);
+    register(&sorm, &Host::new("scott", Clock::real()));
     Ok(sorm)
+}
+
+/// The dictionary that is shipped with the classes.
+///
+/// # Errors
+/// None; a test reads it.
+pub fn shipped() -> Result<Dictionary, Findings> {
+    let mut dictionary = Dictionary::new();
+    for (name, text) in SHIPPED {
+        dictionary.load(&Source::new(name, text))?;
+    }
+    Ok(dictionary)
+}
+
+/// Registers all classes of the workspace with a manager, for the app of `host`.
+pub fn register(sorm: &Sorm, host: &Host) {
+    demo::register(sorm);
+    ipc::register(sorm, host);
+    mcs::services::register(sorm);
+    vss::services::register(sorm);
 }
 
 fn of_one(finding: Finding) -> Findings {
