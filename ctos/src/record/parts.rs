@@ -28,8 +28,8 @@ use super::{
 };
 use crate::call::lock;
 
-/// A chunk is closed at this size, bytes.
-const CHUNK: u64 = 1024 * 1024;
+/// A chunk is closed at this size at the latest, bytes: no more is lost when a disk is full.
+const CHUNK: u64 = 128 * 1024;
 /// After a disk has failed, the next file is tried this much later, ns.
 const RETRY_NS: u64 = 5_000_000_000;
 /// What a line costs in a file besides its JSON, bytes: record and index.
@@ -105,9 +105,10 @@ struct Part {
     channels: BTreeMap<String, Channel>,
     schemas: BTreeMap<&'static str, u16>,
     bytes: u64,
-    /// The length of the file when all of it was whole, and how many lines came since.
+    /// The length of the file when all of it was whole, and how many lines and bytes came since.
     whole: u64,
     unsafe_lines: u64,
+    unsafe_bytes: u64,
     /// Lines that it was given.
     lines: u64,
 }
@@ -398,7 +399,8 @@ impl Part {
             .compression(None)
             .profile("ctos")
             .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
-            .chunk_size(Some(CHUNK))
+            // A chunk ends when it is flushed, so that it is known where the file is whole.
+            .chunk_size(None)
             // A chunk is written when it is whole: a process that is killed leaves whole ones.
             .disable_seeking(true)
             .create(BufWriter::new(sink))
@@ -412,6 +414,7 @@ impl Part {
             bytes: 0,
             whole: 0,
             unsafe_lines: 0,
+            unsafe_bytes: 0,
             lines: 0,
         };
         let mut run = run.clone();
@@ -429,9 +432,14 @@ impl Part {
     fn write(&mut self, line: &Line<'_>) -> mcap::McapResult<()> {
         let header = self.header(line)?;
         self.writer.write_to_known_channel(&header, line.json)?;
-        self.bytes += OVERHEAD + u64::try_from(line.json.len()).unwrap_or(u64::MAX / 2);
+        let bytes = OVERHEAD + u64::try_from(line.json.len()).unwrap_or(u64::MAX / 4);
+        self.bytes += bytes;
+        self.unsafe_bytes += bytes;
         self.unsafe_lines += 1;
         self.lines += 1;
+        if self.unsafe_bytes >= CHUNK {
+            self.flush();
+        }
         Ok(())
     }
 
@@ -486,6 +494,7 @@ impl Part {
         if self.error().is_none() {
             self.whole = self.sink.written.load(Ordering::Relaxed);
             self.unsafe_lines = 0;
+            self.unsafe_bytes = 0;
         }
     }
 
