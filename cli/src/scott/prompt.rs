@@ -1,5 +1,5 @@
 //! The prompt: a line editor around a session. Everything that it offers comes from
-//! [`complete`](super::complete).
+//! [`complete`].
 
 use std::{
     env, fs,
