@@ -52,6 +52,7 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
         DefaultPromptSegment::Basic("scott".to_owned()),
         DefaultPromptSegment::Empty,
     );
+    session.show_to_people();
     show::say("Tab completes, `NAME CTRL -help` tells what an object can do, Ctrl-D leaves.");
     loop {
         refresh(&names, session);

@@ -26,6 +26,8 @@ pub struct Session {
     pending: Option<Failure>,
     /// Replies as JSON.
     json: bool,
+    /// Replies as a person reads them, and not as they can be read back.
+    for_people: bool,
     /// Goes on after a failure.
     keep_going: bool,
     /// The exit code of the first failure.
@@ -90,9 +92,15 @@ impl Session {
             last: None,
             pending: None,
             json,
+            for_people: false,
             keep_going,
             failed: exit::OK,
         }
+    }
+
+    /// From now on replies are shown as a person reads them, unless they are wanted as JSON.
+    pub fn show_to_people(&mut self) {
+        self.for_people = true;
     }
 
     /// The manager.
@@ -265,8 +273,17 @@ impl Session {
         let written = if self.json {
             show::data(&as_json(&reply, times).to_string())
         } else {
-            let timed = times.map(|times| format!("\n{}", times.text()));
-            show::data(&format!("{text}{}", timed.unwrap_or_default()))
+            let text = if self.for_people {
+                for_people(&reply)
+            } else {
+                text.to_owned()
+            };
+            let timed = times.map(Times::text);
+            let lines: Vec<String> = [Some(text), timed].into_iter().flatten().collect();
+            match lines.iter().all(String::is_empty) {
+                true => Ok(()),
+                false => show::data(&lines.join("\n")),
+            }
         };
         if written.is_err() {
             // Whoever read this has what they wanted.
@@ -317,6 +334,36 @@ impl Session {
             show::say(&failure.text);
         }
     }
+}
+
+/// A reply for people: its text as it stands, its numbers, and what was reported. Of an error nothing,
+/// which is shown as such.
+fn for_people(reply: &Reply) -> String {
+    let body = &reply.body;
+    if !body.is_ok() {
+        return String::new();
+    }
+    let mut lines = Vec::new();
+    if !body.text.is_empty() {
+        lines.push(body.text.clone());
+    }
+    if !body.floats.is_empty() {
+        let floats: Vec<String> = body
+            .floats
+            .iter()
+            .map(|float| format!("{float:?}"))
+            .collect();
+        lines.push(format!("FMSG {} {}", floats.len(), floats.join(" ")));
+    }
+    if !body.ints.is_empty() {
+        let ints: Vec<String> = body.ints.iter().map(ToString::to_string).collect();
+        lines.push(format!("IMSG {} {}", ints.len(), ints.join(" ")));
+    }
+    if lines.is_empty() {
+        lines.push("done".to_owned());
+    }
+    lines.extend(body.reports.iter().map(told));
+    lines.join("\n")
 }
 
 /// A report for people, its text not indented deeper than needed.
