@@ -209,7 +209,7 @@ impl Asked<'_, '_> {
         let mut listen = endpoints(self.listen);
         if listen.is_empty() {
             listen.push(ZenohEndpoint {
-                tls: self.keys,
+                tls: false,
                 host: Ipv4Addr::LOCALHOST.to_string(),
                 port: 0,
             });
@@ -249,7 +249,7 @@ impl Asked<'_, '_> {
             self.error(text, NOBODY_HELP, &place);
         }
         if self.keys {
-            self.plain_doors();
+            self.with_keys();
         } else {
             self.without_keys();
         }
@@ -311,13 +311,30 @@ impl Asked<'_, '_> {
         }
     }
 
-    /// With keys: nobody without one is let into the network from another host.
-    fn plain_doors(&mut self) {
+    /// With keys: what the chassis say to each other is closed to everybody, the network itself is not.
+    fn with_keys(&mut self) {
         for (endpoint, place) in self.listen.clone() {
             if !endpoint.tls && !endpoint.is_loopback() {
-                let text = format!("{endpoint} lets in everybody who can reach it");
-                self.error(text, "write tls/ in place of tcp/", &place);
+                let text = format!(
+                    "{endpoint} lets in everybody who can reach it: they can disturb, not read or pose as a chassis"
+                );
+                let finding = Finding::warning("ctos::config::open_zenoh", text);
+                let help = "listen only where those are whom you trust";
+                self.findings.push(finding.help(help).at(place));
             }
+        }
+        let endpoints = self.connect.iter().chain(&self.listen);
+        let unsound: Vec<_> = endpoints
+            .filter(|(endpoint, _)| endpoint.tls)
+            .cloned()
+            .collect();
+        for (endpoint, place) in unsound {
+            let text = format!(
+                "{endpoint}: zenoh's own TLS connections can end the process when they break (eclipse-zenoh/zenoh#2557)"
+            );
+            let finding = Finding::warning("ctos::config::zenoh_tls", text);
+            let help = "write tcp/: with [security], chassis speak TLS with each other through it";
+            self.findings.push(finding.help(help).at(place));
         }
     }
 

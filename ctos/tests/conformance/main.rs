@@ -18,6 +18,7 @@ mod signals;
 
 use std::{
     ffi::OsString,
+    io::Write as _,
     panic::AssertUnwindSafe,
     path::Path,
     process::ExitCode,
@@ -154,7 +155,10 @@ fn run(placement: &Placement, case: &Case) -> Result<(), Failed> {
             End::Finished(result) => {
                 return Err(format!("seed {seed}: {}\n{log}", result.text).into());
             }
-            end => return Err(format!("seed {seed}: the app ended with {end:?}\n{log}").into()),
+            end => {
+                let casualties = outcome.casualties;
+                return Err(format!("seed {seed}: {end:?}, {casualties:?}\n{log}").into());
+            }
         }
         if !outcome.casualties.is_empty() {
             return Err(format!("seed {seed}: {:?}\n{log}", outcome.casualties).into());
@@ -179,6 +183,10 @@ fn chassis(arguments: &[String]) -> ExitCode {
     let app = placement.app(1, case, &sets);
     match run_chassis(app, app::registry(), name, &address, origin) {
         Ok(code) => ExitCode::from(u8::try_from(code).unwrap_or(255)),
-        Err(_) => ExitCode::from(4),
+        Err(error) => {
+            // The boot shows what a chassis writes there.
+            let _ = writeln!(std::io::stderr(), "{error}");
+            ExitCode::from(4)
+        }
     }
 }

@@ -65,7 +65,7 @@ fn networks_are_read_and_listen_at_the_loopback_unless_told() {
     let keys = read(&text).unwrap();
     assert_eq!(keys.mode, ZenohMode::Client);
     assert_eq!(shown(&keys.connect), ["tls/router.lab:7447", "tcp/[::1]:1"]);
-    assert_eq!(shown(&keys.listen), ["tls/127.0.0.1:0"]);
+    assert_eq!(shown(&keys.listen), ["tcp/127.0.0.1:0"]);
 }
 
 #[test]
@@ -93,6 +93,23 @@ fn whatever_others_can_reach_needs_keys() {
         );
         let none = found(&format!("{SECURITY}[zenoh]\n{near}\n"));
         assert_eq!(none, Vec::<String>::new());
+    }
+}
+
+#[test]
+fn zenohs_own_tls_is_warned_of_and_open_doors_too() {
+    for (text, says) in [
+        ("connect = [\"tls/10.0.0.5:7447\"]", "can end the process"),
+        (
+            "mode = \"router\"\nlisten = [\"tcp/10.0.0.5:7447\"]",
+            "lets in everybody",
+        ),
+    ] {
+        let lines = found(&format!("{SECURITY}[zenoh]\n{text}\n"));
+        assert!(
+            lines.len() == 1 && lines[0].contains("warning") && lines[0].contains(says),
+            "{text}: {lines:?}"
+        );
     }
 }
 
