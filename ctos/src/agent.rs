@@ -48,8 +48,6 @@ pub(crate) struct Agent {
     tasks: Vec<TaskName>,
     arrivals: Arrivals,
     records: Attached,
-    /// The boot ordered the process to end, and need not see it do so.
-    exiting: bool,
 }
 
 impl EventHandler for Agent {
@@ -68,8 +66,8 @@ impl EventHandler for Agent {
             }
             Exit::CODE => {
                 let (Exit { code }, reply) = message.open::<Exit>()?;
-                self.exiting = true;
-                cx.chassis().set_stopping();
+                // Before the answer, after which the boot may be gone at any moment.
+                cx.chassis().set_leaving();
                 reply.ok(())?;
                 cx.chassis().exit(code);
                 Ok(())
@@ -137,7 +135,7 @@ impl EventHandler for Agent {
                 task.mailbox.forget_gate(peer);
             }
         }
-        if chassis == BOOT_CHASSIS && !self.exiting {
+        if chassis == BOOT_CHASSIS {
             tracing::error!("the boot is gone: stopping");
             self.stop_all(cx).await;
             cx.chassis().exit(EXIT_ORPHAN);

@@ -65,6 +65,7 @@ pub struct Chassis {
     on_delivery: OnceLock<OnDelivery>,
     /// Set by the first order to stop: from then on a chassis that goes is no news.
     stopping: AtomicBool,
+    leaving: AtomicBool,
     next_trace: AtomicU64,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
@@ -119,6 +120,7 @@ impl Chassis {
             on_exit: Mutex::default(),
             on_delivery: OnceLock::new(),
             stopping: AtomicBool::new(false),
+            leaving: AtomicBool::new(false),
             next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
@@ -295,6 +297,12 @@ impl Chassis {
     /// The app is being taken down.
     pub(crate) fn set_stopping(&self) {
         self.stopping.store(true, Ordering::Release);
+    }
+
+    /// This chassis has been told to end: that another is gone is no news from here on, not even of the boot.
+    pub(crate) fn set_leaving(&self) {
+        self.set_stopping();
+        self.leaving.store(true, Ordering::Release);
     }
 
     /// Whether the app is being taken down.

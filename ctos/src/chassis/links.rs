@@ -352,7 +352,8 @@ impl Chassis {
             pending.answer(Err(self.peer_down_fault(peer)));
         }
         self.directory.forget_chassis(peer);
-        if self.stopping.load(Ordering::Acquire) && peer != 0 {
+        let leaving = self.leaving.load(Ordering::Acquire);
+        if leaving || (self.is_stopping() && peer != 0) {
             return;
         }
         let chassis = self.name_of(peer).to_owned();
