@@ -403,12 +403,8 @@ mod tests {
 
     #[test]
     fn tasks_are_told_that_a_chassis_is_gone_until_their_own_was_told_to_end() {
-        let app = load_texts(
-            &[("app.toml", "[chassis.cell]\n[chassis.desk]\n")],
-            &[],
-            &[],
-        )
-        .unwrap();
+        let text = "[chassis.cell]\n[task.arm]\nhandler = \"arm\"\non = \"cell\"\n";
+        let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
         let registry = Arc::new(Registry::new());
         let chassis = Chassis::new(1, Arc::new(app), registry, Clock::real());
         let told = || [0, 2].map(|peer| chassis.tells_of(peer));
