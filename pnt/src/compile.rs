@@ -26,12 +26,28 @@ use structures::Expanded;
 /// All findings of the parser, or else all of the compiler.
 pub fn net(source: &Source) -> Result<Net, Findings> {
     let net = compile(&text::parse(source)?)?;
-    let findings = endless(&net);
+    let mut findings = endless(&net);
+    findings.extend(without_transitions(&net));
     if findings.has_errors() {
         Err(findings)
     } else {
         Ok(net)
     }
+}
+
+/// A finding when the net has no transitions: it does nothing, and was hardly meant so.
+#[must_use]
+pub fn without_transitions(net: &Net) -> Findings {
+    let mut findings = Findings::new();
+    if net.transitions().is_empty() {
+        let text = format!("net `{}` has no transition", net.name());
+        findings.push(
+            Finding::error("pnt::net::no_transitions", text)
+                .at(net.at().clone())
+                .help("a net without transitions does nothing; was the file cut off?"),
+        );
+    }
+    findings
 }
 
 /// Transitions that would fire for ever. A net to be analysed may have them; it is then unbounded.
