@@ -12,6 +12,7 @@ use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 
 use crate::{
     draft::{Draft, DraftAction, DraftArc, DraftCoordinator, Word},
+    format::enough,
     net::{
         Action, Arc, Command, CommandId, Net, Outputs, Part, Partner, Place, PlaceId, RemoteArc,
         Role, Servers, Transition, When,
@@ -90,7 +91,7 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
     let transitions = expanded
         .transitions
         .iter()
-        .map(|part| compiler.transition(part))
+        .map_while(|part| (!enough(&compiler.findings)).then(|| compiler.transition(part)))
         .collect();
     let safe = draft.safe.iter().map(|arcs| compiler.arcs(arcs)).collect();
     if compiler.findings.has_errors() {
@@ -155,7 +156,9 @@ fn partner(net: &Word, requests: &[Word]) -> Partner {
 fn duplicates<'a>(what: &str, words: impl IntoIterator<Item = &'a Word>, findings: &mut Findings) {
     let mut seen: BTreeMap<&str, &At> = BTreeMap::new();
     for word in words {
-        if let Some(first) = seen.insert(&word.text, &word.at) {
+        if let Some(first) = seen.insert(&word.text, &word.at)
+            && !enough(findings)
+        {
             findings.push(
                 Finding::error(
                     "pnt::net::duplicate",

@@ -76,6 +76,16 @@ impl NetFile {
     }
 }
 
+/// The net of a file of any form, ready to be analysed, and what should be known about it.
+///
+/// # Errors
+/// All findings about the file and the net.
+pub fn load(path: &Path) -> Result<(Net, Findings), Findings> {
+    let file = read(path)?;
+    let net = file.compile()?;
+    Ok((net, file.warnings))
+}
+
 /// Reads a file.
 ///
 /// # Errors
@@ -154,6 +164,15 @@ pub fn sniff(text: &str) -> Format {
         }
     }
     Format::Text
+}
+
+/// So many findings about one file are enough: nobody reads more, and each costs as much as it has
+/// before it.
+const MOST_FINDINGS: usize = 200;
+
+/// Whether reading on is of no use to anybody.
+pub(crate) fn enough(findings: &Findings) -> bool {
+    findings.iter().nth(MOST_FINDINGS).is_some()
 }
 
 fn endless_line(source: &Source) -> Option<Finding> {

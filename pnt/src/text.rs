@@ -9,9 +9,12 @@ pub(crate) mod tests;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::draft::{
-    Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes, DraftTransition,
-    DraftWhen, Word,
+use crate::{
+    draft::{
+        Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
+        DraftTransition, DraftWhen, Word,
+    },
+    format::enough,
 };
 pub(crate) use words::MOST_TOKENS;
 use words::Words;
@@ -153,6 +156,9 @@ impl<'a> Parser<'a> {
     fn lines(&mut self, text: &str, start: usize) {
         let mut start = start;
         for with_end in text.split_inclusive('\n') {
+            if enough(&self.findings) {
+                return;
+            }
             self.line(with_end.trim_end_matches(['\n', '\r']), start);
             start += with_end.len();
         }

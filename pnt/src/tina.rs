@@ -8,6 +8,7 @@ use ctos::diagnostic::{Finding, Findings, Source};
 
 use crate::{
     draft::{Draft, DraftArc, DraftPlace, DraftTransition, Word},
+    format::enough,
     text::MOST_TOKENS,
     timing::Timing,
 };
@@ -34,6 +35,9 @@ pub fn read(source: &Source) -> Result<Draft, Findings> {
     let mut start = 0;
     for with_end in source.text().split_inclusive('\n') {
         let line = with_end.trim_end_matches(['\n', '\r']);
+        if enough(&reader.findings) {
+            break;
+        }
         let result = reader.line(line, start);
         reader.findings.keep(result);
         start += with_end.len();

@@ -6,6 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use ctos::diagnostic::{Finding, Findings, Source};
 use roxmltree::Node;
 
+use crate::format::enough;
+
 use super::{
     label::{is_ours, kept, short},
     xml::{attribute, attribute_range, elements, name, opening},
@@ -90,6 +92,9 @@ impl<'a, 'i> Elements<'a, 'i> {
         };
         elements.walk(source, net, findings);
         for reference in elements.references.clone() {
+            if enough(findings) {
+                break;
+            }
             // Also those that no arc uses.
             let end = elements.follow(source, reference, findings);
             let wanted_place = name(reference) == "referencePlace";
@@ -110,6 +115,9 @@ impl<'a, 'i> Elements<'a, 'i> {
     /// Pages lie at most as deep in each other as XML elements may.
     fn walk(&mut self, source: &Source, container: Node<'a, 'i>, findings: &mut Findings) {
         for node in elements(container) {
+            if enough(findings) {
+                return;
+            }
             let kind = name(node);
             match kind {
                 "place" => {

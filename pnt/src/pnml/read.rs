@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     draft::{Draft, DraftArc, DraftPlace, DraftTransition, Word},
-    format::{Format, NetFile, Positions},
+    format::{Format, NetFile, Positions, enough},
     text::{self as net_text, MOST_TOKENS},
     timing::{Servers, Timing},
 };
@@ -164,15 +164,24 @@ impl<'a, 'i> Reader<'_, 'a, 'i> {
         self.transition_names = self.names(&transitions);
         let mut draft = self.head(net);
         for (index, node) in places.into_iter().enumerate() {
+            if enough(&self.findings) {
+                return Err(self.findings);
+            }
             let place = self.place(index, node);
             draft.places.push(place);
         }
         for (index, node) in transitions.into_iter().enumerate() {
+            if enough(&self.findings) {
+                return Err(self.findings);
+            }
             let transition = self.transition(index, node);
             draft.transitions.push(transition);
         }
         let mut parallel = BTreeMap::new();
         for node in self.elements.arcs.clone() {
+            if enough(&self.findings) {
+                return Err(self.findings);
+            }
             if let Err(finding) = self.arc(node, &mut draft, &mut parallel) {
                 self.findings.push(finding);
             }

@@ -192,6 +192,15 @@ fn all_mistakes_of_a_file_are_found_at_once() {
 }
 
 #[test]
+fn a_file_with_very_many_mistakes_is_given_up_soon() {
+    let arcs: String = (0..50_000)
+        .map(|n| format!("<arc id=\"{n}\" source=\"no\" target=\"t\"/>"))
+        .collect();
+    let count = findings(&format!("{NODES}{arcs}")).len();
+    assert!((100..1000).contains(&count), "{count}");
+}
+
+#[test]
 fn numbers_that_cannot_be_counted_are_refused_and_never_wrap() {
     for bad in [
         "-2",
@@ -475,7 +484,7 @@ fn in_pnml(mut draft: Draft) -> Draft {
     fn distinct<'a>(words: impl Iterator<Item = &'a mut Word>) -> BTreeSet<String> {
         let mut seen = BTreeSet::new();
         for (index, word) in words.enumerate() {
-            let plain: String = word.text.chars().filter(|c| !c.is_control()).collect();
+            let plain: String = word.text.chars().filter(|c| kept(*c)).collect();
             word.text = plain.trim().to_owned();
             if word.text.is_empty() || !seen.insert(word.text.clone()) {
                 word.text = format!("{} {index}", word.text).trim().to_owned();
@@ -483,6 +492,9 @@ fn in_pnml(mut draft: Draft) -> Draft {
             }
         }
         seen
+    }
+    fn kept(c: char) -> bool {
+        !c.is_control() && !['\u{fffe}', '\u{ffff}'].contains(&c)
     }
     fn arranged(arcs: &mut Vec<DraftArc>, here: &BTreeSet<String>) {
         let mut seen = BTreeSet::new();
@@ -518,7 +530,7 @@ fn in_pnml(mut draft: Draft) -> Draft {
     }
     draft.title = draft
         .title
-        .map(|title| title.chars().filter(|c| !c.is_control()).collect());
+        .map(|title| title.chars().filter(|c| kept(*c)).collect());
     draft
 }
 
@@ -529,6 +541,17 @@ fn file_of(draft: Draft) -> NetFile {
         positions: format::Positions::default(),
         kept: Kept::default(),
         warnings: ctos::diagnostic::Findings::new(),
+    }
+}
+
+#[test]
+fn names_that_xml_would_change_are_refused() {
+    for name in ["a\nb", " a", "a\u{1}", "\u{ffff}"] {
+        let mut draft = Draft::new(Word::from("n"));
+        draft
+            .places
+            .push(crate::draft::DraftPlace::new(Word::from(name)));
+        assert!(write(&file_of(draft)).is_err(), "{name:?}");
     }
 }
 

@@ -27,6 +27,11 @@ pub fn write(file: &NetFile) -> Result<String, Findings> {
     for word in places.chain(transitions).chain([&draft.name]) {
         check_name(word, &mut findings);
     }
+    if let Some(title) = &draft.title
+        && title.contains(unkept)
+    {
+        check_name(&draft.name.derived(title), &mut findings);
+    }
     if findings.has_errors() {
         return Err(findings);
     }
@@ -42,9 +47,13 @@ pub fn write(file: &NetFile) -> Result<String, Findings> {
     Ok(writer.out)
 }
 
+/// What XML cannot hold, or would give back as something else.
+fn unkept(c: char) -> bool {
+    c.is_control() || ['\u{fffe}', '\u{ffff}'].contains(&c)
+}
+
 fn check_name(word: &Word, findings: &mut Findings) {
-    let bad = |c: char| c.is_control() || ['\u{fffe}', '\u{ffff}'].contains(&c);
-    if word.text.chars().any(bad) || word.text.trim() != word.text {
+    if word.text.contains(unkept) || word.text.trim() != word.text {
         findings.push(
             Finding::error(
                 "pnt::pnml::name",
@@ -359,6 +368,7 @@ impl<'a> Writer<'a> {
         let [own, source, target] = [own.as_str(), source, target].map(escape);
         let tag = format!("arc id=\"{own}\" source=\"{source}\" target=\"{target}\"{of_type}");
         self.line(3, &format!("<{tag}>"));
+        let opened = self.out.len();
         let of_label = kept.map_or(&[][..], |kept| &kept.label);
         if arc.weight != 1 || !of_label.is_empty() {
             self.labelled(4, "inscription", &arc.weight.to_string(), of_label);
@@ -368,6 +378,11 @@ impl<'a> Writer<'a> {
         if kind == "read" {
             self.section(4, None, "read");
         }
-        self.line(3, "</arc>");
+        if self.out.len() > opened {
+            self.line(3, "</arc>");
+        } else {
+            self.out.truncate(opened - ">\n".len());
+            self.out.push_str("/>\n");
+        }
     }
 }
