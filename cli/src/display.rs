@@ -7,11 +7,14 @@
 
 mod args;
 pub(crate) mod assets;
+pub(crate) mod figure;
 pub(crate) mod hub;
 mod orders;
 pub(crate) mod overview;
+pub(crate) mod record;
 pub(crate) mod server;
 mod task;
+pub(crate) mod text;
 pub(crate) mod wire;
 
 pub use args::{DEFAULT_LISTEN, HANDLER};

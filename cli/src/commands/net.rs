@@ -2,6 +2,7 @@
 
 pub mod check;
 pub mod convert;
+pub mod draw;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -24,6 +25,11 @@ pub enum NetCommand {
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
     /// everything; what another form has no words for is told.
     Convert(convert::ConvertArgs),
+    /// Draw a net, or a moment of a recorded one
+    ///
+    /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
+    /// what these do not name is arranged by rule.
+    Draw(draw::DrawArgs),
 }
 
 /// Runs the command.
@@ -32,5 +38,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Draw(args) => draw::run(args),
     }
 }

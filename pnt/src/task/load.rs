@@ -148,6 +148,13 @@ fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
     })
 }
 
+/// The tasks of an app that run nets, in declared order.
+#[must_use]
+pub fn nets(app: &App, registry: &Registry) -> Vec<String> {
+    let tasks = app.tasks.iter().filter(|task| runs_net(task, registry));
+    tasks.map(|task| task.name.clone()).collect()
+}
+
 /// Checks all nets of an app together, whichever handlers run them. Nothing is said when one of the
 /// nets is wrong by itself ([`check_args`] tells), or when there is none.
 pub fn check_app(
