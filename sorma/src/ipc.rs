@@ -98,25 +98,31 @@ impl Host {
 
 /// Registers all the classes of this module.
 pub fn register(sorm: &Sorm, host: &Host) {
-    add(sorm, host, "shmem_w", |host, name| {
-        Box::new(shmem_w::ShmemW::new(host, name.flavor()))
-    });
-    add(sorm, host, "shmem_r", |host, name| {
-        Box::new(shmem_r::ShmemR::new(host, name.flavor()))
-    });
-    add(sorm, host, "flight", |host, name| {
-        Box::new(flight::Flight::new(host, name.flavor()))
-    });
-    add(sorm, host, "queue", |host, _| {
-        Box::new(queue::QueueObject::new(host))
-    });
-    add(sorm, host, "semaphore", |host, _| {
-        Box::new(semaphore::SemaphoreObject::new(host))
-    });
-    add(sorm, host, "blackboard", |host, _| {
-        Box::new(blackboard::BlackboardObject::new(host))
-    });
+    let make: [Make; 6] = [
+        |host, name| Box::new(shmem_w::ShmemW::new(host, name.flavor())),
+        |host, name| Box::new(shmem_r::ShmemR::new(host, name.flavor())),
+        |host, name| Box::new(flight::Flight::new(host, name.flavor())),
+        |host, _| Box::new(queue::QueueObject::new(host)),
+        |host, _| Box::new(semaphore::SemaphoreObject::new(host)),
+        |host, _| Box::new(blackboard::BlackboardObject::new(host)),
+    ];
+    for ((name, make), info) in NAMES.into_iter().zip(make).zip(classes()) {
+        add(sorm, host, name, make, info);
+    }
 }
+
+/// Makes an object of a class here.
+type Make = fn(Host, &ObjectName) -> Box<dyn ServiceObject>;
+
+/// The names of the classes, as [`classes`] has them.
+const NAMES: [&str; 6] = [
+    "shmem_w",
+    "shmem_r",
+    "flight",
+    "queue",
+    "semaphore",
+    "blackboard",
+];
 
 /// What a program may know about the classes.
 #[must_use]
@@ -131,15 +137,11 @@ pub fn classes() -> Vec<ClassInfo> {
     ]
 }
 
-fn add(
-    sorm: &Sorm,
-    host: &Host,
-    class: &'static str,
-    make: fn(Host, &ObjectName) -> Box<dyn ServiceObject>,
-) {
+fn add(sorm: &Sorm, host: &Host, class: &'static str, make: Make, info: ClassInfo) {
     let host = host.clone();
     let class = Class::new(class, VERSION, move |name, _| Ok(make(host.clone(), name)));
-    sorm.register(class.codes(code::PROTOTYPES));
+    let class = class.codes(code::PROTOTYPES).any_flavor();
+    sorm.register(class.described(info));
 }
 
 #[track_caller]
