@@ -9,11 +9,11 @@ use crate::arm::{ArmModel, Elbow, Joints};
 use crate::client::{PathKind, Target};
 use crate::trajectory::{CartesianLimits, PlanError, Planner};
 
-/// Where it begins, rad: the elbow up, the hand level.
+/// Where it begins, rad: the elbow bent, with room on all sides.
 const START: Joints = [
     0.0,
     std::f64::consts::FRAC_PI_4,
-    -std::f64::consts::FRAC_PI_2,
+    -std::f64::consts::PI,
     0.0,
     std::f64::consts::FRAC_PI_4,
     0.0,

@@ -327,6 +327,13 @@ fn place(numbers: &Joints) -> Isometry3<f64> {
 /// Joint positions that the dictionary has under the name in the request.
 fn named(cx: &Context<'_>, io: &mut Transport) -> Result<Joints, Report> {
     let name = io.text.clone();
+    if let Some(form) = FORMS.iter().find(|form| form.text == name) {
+        let text = format!(
+            "EXEC {name} takes {} floats ({}): write FMSG {} and the numbers",
+            form.floats, form.takes, form.floats
+        );
+        return Err(Report::error(sorma::report::code::VALUE, text));
+    }
     let wrong = |text: String| Report::error(code::NO_POSITION, text);
     let index = words::word(&format!("position.{name}"));
     let query = Transport::text(format!("-query {index}"));
