@@ -1,6 +1,7 @@
 //! The parser of net text (`docs/net-text.md`): goes on after a mistake and gives all findings at
 //! once, each with its place and what to do. Knows how text looks, not what a net means.
 
+mod format;
 mod line;
 mod subnet;
 mod words;
@@ -17,6 +18,7 @@ use crate::{
     },
     format::enough,
 };
+pub use format::formatted;
 pub use subnet::Include;
 use subnet::{Expansion, Line, Subnets};
 pub(crate) use words::MOST_TOKENS;

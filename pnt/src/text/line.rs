@@ -52,6 +52,21 @@ pub(super) struct BadSymbol {
 
 const MARKS: [&str; 10] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")"];
 
+/// The byte at which a line's comment begins; nothing if it has none.
+pub(super) fn comment(line: &str) -> Option<usize> {
+    let (mut quoted, mut escaped) = (false, false);
+    line.char_indices()
+        .find(|(_, character)| {
+            let begins = *character == '#' && !quoted;
+            if *character == '"' && !escaped {
+                quoted = !quoted;
+            }
+            escaped = quoted && *character == '\\' && !escaped;
+            begins
+        })
+        .map(|(at, _)| at)
+}
+
 /// Cuts a line (without its end) that starts at byte `start` of the source into tokens.
 pub(super) fn cut(source: &Source, line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
     let mut tokens = Vec::new();

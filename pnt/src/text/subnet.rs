@@ -357,9 +357,12 @@ impl<'s> Expansion<'s> {
             return Err(error(format!(
                 "subnet `{}` uses itself: {}",
                 subnet.name,
-                [self.open.as_slice(), &[subnet.name.text.clone()]]
-                    .concat()
-                    .join(" uses ")
+                [
+                    self.open.as_slice(),
+                    std::slice::from_ref(&subnet.name.text)
+                ]
+                .concat()
+                .join(" uses ")
             ))
             .at(wanted.subnet.at)
             .help("a subnet is a part, and cannot be a part of itself"));
