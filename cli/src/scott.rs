@@ -17,6 +17,7 @@ pub mod watch;
 use std::{
     fs::File,
     io::{self, IsTerminal},
+    net::SocketAddr,
     path::{Path, PathBuf},
     process::ExitCode,
     sync::Arc,
@@ -27,7 +28,7 @@ use signal_hook::consts::SIGINT;
 
 use crate::{
     commands::remote::{self, AtArgs},
-    exit,
+    exit, panel,
     show::{self, Colour},
 };
 use attach::{App, AttachError, Interrupt, Where};
@@ -41,7 +42,8 @@ const EXAMPLES: &str = "Examples:
   scott --local
   scott --local -c 'kin.puma560 EXEC TMSG fkine FMSG 6 0 0 0 0 0 0'
   scott --local -c 'resect CTRL -size 640 480 -model k1k2' -c 'resect EXEC lights.csv'
-  scott --local -f checks.sor --json";
+  scott --local -f checks.sor --json
+  scott --local --panel configs/panels/puma560.toml";
 
 /// Ask service objects by lines of text
 ///
@@ -82,6 +84,17 @@ pub struct Cli {
     /// Read recipes and addresses from a dictionary file, over those that are shipped (can be repeated)
     #[arg(long = "dict", value_name = "FILE", requires = "local")]
     pub dictionaries: Vec<PathBuf>,
+    /// Serve a panel as a web page: a file that describes it, or the name of an object whose options it shows
+    #[arg(long, value_name = "FILE|OBJECT", conflicts_with_all = ["commands", "file"])]
+    pub panel: Option<String>,
+    /// Where the panel is served
+    #[arg(
+        long,
+        value_name = "ADDRESS:PORT",
+        default_value = "127.0.0.1:0",
+        requires = "panel"
+    )]
+    pub listen: SocketAddr,
     /// Edit lines with the keys of vi
     #[arg(long)]
     pub vi: bool,
@@ -114,6 +127,9 @@ fn run(cli: &Cli) -> u8 {
         Ok(backend) => backend,
         Err(code) => return code,
     };
+    if let Some(what) = &cli.panel {
+        return panel::run(backend, what, cli.listen);
+    }
     let mut session = Session::new(backend, cli.json, cli.keep_going);
     for command in &cli.commands {
         let place = Place {

@@ -51,6 +51,18 @@ impl Backend {
         (names, classes)
     }
 
+    /// Another that asks the same, over a connection of its own; `None` when it cannot be had.
+    #[must_use]
+    pub fn again(&self) -> Option<Self> {
+        match self {
+            Self::Local(sorm) => Some(Self::Local(sorm.clone())),
+            Self::App(app) => {
+                let again = app.again(app.interrupt().clone()).ok()?;
+                Some(Self::App(Box::new(again)))
+            }
+        }
+    }
+
     /// The daemons that there are.
     #[must_use]
     pub fn daemons(&self) -> &[String] {

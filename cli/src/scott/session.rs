@@ -477,7 +477,7 @@ fn exit_of(ret: i32) -> u8 {
 }
 
 /// How long requests took.
-struct Times {
+pub(crate) struct Times {
     repeats: Option<usize>,
     least: Duration,
     median: Duration,
@@ -500,7 +500,7 @@ impl Times {
 }
 
 /// A reply as one JSON object; floats that JSON does not have are texts as in the textual form.
-fn as_json(reply: &Reply, times: Option<&Times>) -> Value {
+pub(crate) fn as_json(reply: &Reply, times: Option<&Times>) -> Value {
     let float = |float: &f64| match serde_json::Number::from_f64(*float) {
         Some(number) => Value::Number(number),
         None => json!(format!("{float:?}").to_lowercase()),
