@@ -8,6 +8,7 @@ pub mod commands;
 pub mod display;
 pub mod exit;
 pub mod log;
+pub mod panel;
 pub mod program;
 pub mod scott;
 pub mod show;

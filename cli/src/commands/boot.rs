@@ -146,7 +146,16 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         }
     }
     if let Some(listen) = args.display {
-        args.app.sets.extend(display_sets(listen, args.allow_control));
+        if args.allow_control
+            // What is wrong with the configuration is told below.
+            && let Ok(app) = program::app(&args.app.selection())
+        {
+            let nets = pnt::task::nets(&app, &registry).into_iter();
+            let allow = nets.map(|net| format!("task.{net}.args.allow_control=true"));
+            args.app.sets.extend(allow);
+        }
+        let display = display_sets(listen, args.allow_control);
+        args.app.sets.extend(display);
     }
     let args = &args;
     let mut selection = args.app.selection();

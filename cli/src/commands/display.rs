@@ -180,7 +180,9 @@ fn serve(hub: Hub, listen: SocketAddr) -> u8 {
     match served() {
         Ok(()) => exit::INTERRUPTED,
         Err(error) => {
-            show::say(&format!("error: nothing can be served at {listen}: {error}"));
+            show::say(&format!(
+                "error: nothing can be served at {listen}: {error}"
+            ));
             exit::FAILED
         }
     }

@@ -3,6 +3,7 @@
 pub mod check;
 pub mod convert;
 pub mod draw;
+pub mod fmt;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -30,6 +31,8 @@ pub enum NetCommand {
     /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
     /// what these do not name is arranged by rule.
     Draw(draw::DrawArgs),
+    /// Lay out net text in the one usual way
+    Fmt(fmt::FmtArgs),
 }
 
 /// Runs the command.
@@ -39,5 +42,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Draw(args) => draw::run(args),
+        NetCommand::Fmt(args) => fmt::run(args),
     }
 }

@@ -74,7 +74,10 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     for net in args.nets.iter().flatten() {
         if app.task(net).is_none() {
             let names = app.tasks.iter().map(|task| task.name.as_str());
-            let text = format!("display `{}` shows a net `{net}`, which is no task", task.name);
+            let text = format!(
+                "display `{}` shows a net `{net}`, which is no task",
+                task.name
+            );
             let finding = Finding::error("pnt::display::unknown_net", text);
             findings.push(at(finding, "nets").suggest(net, names));
         }

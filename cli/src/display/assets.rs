@@ -69,12 +69,18 @@ mod tests {
         }
         for (name, _, text) in SCRIPTS {
             for import in text.lines().filter(|line| line.starts_with("import ")) {
-                let from = import.split('"').nth(1).and_then(|from| from.strip_prefix("./"));
+                let from = import
+                    .split('"')
+                    .nth(1)
+                    .and_then(|from| from.strip_prefix("./"));
                 let from = from.and_then(asset);
                 assert!(from.is_some(), "{name}: {import}");
             }
             let namespace = text.replace("http://www.w3.org/2000/svg", "");
-            assert!(!namespace.contains("http://") && !namespace.contains("https://"), "{name}");
+            assert!(
+                !namespace.contains("http://") && !namespace.contains("https://"),
+                "{name}"
+            );
         }
         assert!(asset("../args.rs").is_none() && asset("nothing.js").is_none());
     }

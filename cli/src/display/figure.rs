@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 
 use pnt::{
-    layout::{DrawnArc, DrawnNode, Drawing, Kind, Point, Way},
+    layout::{Drawing, DrawnArc, DrawnNode, Kind, Point, Way},
     stream::{NetView, Side, Standing, State},
 };
 
@@ -40,8 +40,12 @@ impl Figure<'_> {
         if place.is_some_and(|tokens| *tokens > 0) {
             return Some(Standing::Running);
         }
-        let parts = parts.iter().filter_map(|part| self.view.transitions.get(*part as usize));
-        parts.map(|one| Standing::of(self.view, self.state, one).0).min()
+        let parts = parts
+            .iter()
+            .filter_map(|part| self.view.transitions.get(*part as usize));
+        parts
+            .map(|one| Standing::of(self.view, self.state, one).0)
+            .min()
     }
 
     /// As SVG 1.1 on white.
@@ -59,9 +63,19 @@ impl Figure<'_> {
             top - 12.0,
         );
         for (name, colour) in [("arrow", ARC), ("fail", RED)] {
-            put(&mut out, format_args!("<marker id=\"{name}\" viewBox=\"0 0 10 10\" refX=\"8.5\" refY=\"5\" markerWidth=\"8\" markerHeight=\"8\" markerUnits=\"userSpaceOnUse\" orient=\"auto\"><path d=\"M0 1.2 9 5 0 8.8z\" fill=\"{colour}\"/></marker>"));
+            put(
+                &mut out,
+                format_args!(
+                    "<marker id=\"{name}\" viewBox=\"0 0 10 10\" refX=\"8.5\" refY=\"5\" markerWidth=\"8\" markerHeight=\"8\" markerUnits=\"userSpaceOnUse\" orient=\"auto\"><path d=\"M0 1.2 9 5 0 8.8z\" fill=\"{colour}\"/></marker>"
+                ),
+            );
         }
-        put(&mut out, format_args!("<marker id=\"inhibit\" viewBox=\"0 0 10 10\" refX=\"9\" refY=\"5\" markerWidth=\"9\" markerHeight=\"9\" markerUnits=\"userSpaceOnUse\" orient=\"auto\"><circle cx=\"5\" cy=\"5\" r=\"3.6\" fill=\"#ffffff\" stroke=\"{ARC}\"/></marker>\n</defs>"));
+        put(
+            &mut out,
+            format_args!(
+                "<marker id=\"inhibit\" viewBox=\"0 0 10 10\" refX=\"9\" refY=\"5\" markerWidth=\"9\" markerHeight=\"9\" markerUnits=\"userSpaceOnUse\" orient=\"auto\"><circle cx=\"5\" cy=\"5\" r=\"3.6\" fill=\"#ffffff\" stroke=\"{ARC}\"/></marker>\n</defs>"
+            ),
+        );
         for arc in &self.drawing.arcs {
             self.arc(&mut out, arc);
         }
@@ -78,22 +92,46 @@ impl Figure<'_> {
     }
 
     fn arc(&self, out: &mut String, arc: &DrawnArc) {
-        let Some((from, to)) = self.ends(arc) else { return };
+        let Some((from, to)) = self.ends(arc) else {
+            return;
+        };
         let first = arc.via.first().copied().unwrap_or((to.x, to.y));
         let last = arc.via.last().copied().unwrap_or((from.x, from.y));
         let mut points = vec![edge(from, first)];
         points.extend(&arc.via);
         points.push(edge(to, last));
         let look = match arc.way {
-            Way::Fail => format!("stroke=\"{RED}\" stroke-dasharray=\"4 3\" marker-end=\"url(#fail)\""),
+            Way::Fail => {
+                format!("stroke=\"{RED}\" stroke-dasharray=\"4 3\" marker-end=\"url(#fail)\"")
+            }
             Way::Inhibit => format!("stroke=\"{ARC}\" marker-end=\"url(#inhibit)\""),
-            Way::Read => format!("stroke=\"{ARC}\" stroke-dasharray=\"1 3\" marker-end=\"url(#arrow)\""),
-            Way::Reset => format!("stroke=\"{ARC}\" stroke-dasharray=\"6 3\" marker-end=\"url(#arrow)\""),
+            Way::Read => {
+                format!("stroke=\"{ARC}\" stroke-dasharray=\"1 3\" marker-end=\"url(#arrow)\"")
+            }
+            Way::Reset => {
+                format!("stroke=\"{ARC}\" stroke-dasharray=\"6 3\" marker-end=\"url(#arrow)\"")
+            }
             Way::Input | Way::Output => format!("stroke=\"{ARC}\" marker-end=\"url(#arrow)\""),
         };
-        put(out, format_args!("<path d=\"{}\" fill=\"none\" stroke-width=\"1.25\" {look}/>", path(&points)));
-        if arc.weight > 1 && let [a, b, ..] = points.as_slice() {
-            put(out, format_args!("<text x=\"{:.1}\" y=\"{:.1}\" fill=\"{SOFT}\" text-anchor=\"middle\">{}</text>", f64::midpoint(a.0, b.0), f64::midpoint(a.1, b.1) - 4.0, arc.weight));
+        put(
+            out,
+            format_args!(
+                "<path d=\"{}\" fill=\"none\" stroke-width=\"1.25\" {look}/>",
+                path(&points)
+            ),
+        );
+        if arc.weight > 1
+            && let [a, b, ..] = points.as_slice()
+        {
+            put(
+                out,
+                format_args!(
+                    "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"{SOFT}\" text-anchor=\"middle\">{}</text>",
+                    f64::midpoint(a.0, b.0),
+                    f64::midpoint(a.1, b.1) - 4.0,
+                    arc.weight
+                ),
+            );
         }
     }
 
@@ -107,11 +145,29 @@ impl Figure<'_> {
                     Some(Standing::Enabled) => (GREEN, GREEN),
                     _ => (INK, INK),
                 };
-                put(out, format_args!("<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" rx=\"2\" fill=\"{fill}\" stroke=\"{stroke}\"/>", x - half_width, y - half_height, 2.0 * half_width, 2.0 * half_height));
+                put(
+                    out,
+                    format_args!(
+                        "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" rx=\"2\" fill=\"{fill}\" stroke=\"{stroke}\"/>",
+                        x - half_width,
+                        y - half_height,
+                        2.0 * half_width,
+                        2.0 * half_height
+                    ),
+                );
             }
             (kind, _) => {
-                let dash = if matches!(kind, Kind::Remote(..)) { " stroke-dasharray=\"3 3\"" } else { "" };
-                put(out, format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{RADIUS}\" fill=\"#ffffff\" stroke=\"{INK}\" stroke-width=\"1.5\"{dash}/>"));
+                let dash = if matches!(kind, Kind::Remote(..)) {
+                    " stroke-dasharray=\"3 3\""
+                } else {
+                    ""
+                };
+                put(
+                    out,
+                    format_args!(
+                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{RADIUS}\" fill=\"#ffffff\" stroke=\"{INK}\" stroke-width=\"1.5\"{dash}/>"
+                    ),
+                );
                 self.dots(out, node);
             }
         }
@@ -121,7 +177,15 @@ impl Figure<'_> {
             Side::Left => (-half_width - 8.0, 4.0, "end"),
             Side::Right => (half_width + 8.0, 4.0, "start"),
         };
-        put(out, format_args!("<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\" fill=\"{INK}\" paint-order=\"stroke\" stroke=\"#ffffff\" stroke-width=\"3.5\">{}</text>", x + dx, y + dy, escaped(&node.name)));
+        put(
+            out,
+            format_args!(
+                "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\" fill=\"{INK}\" paint-order=\"stroke\" stroke=\"#ffffff\" stroke-width=\"3.5\">{}</text>",
+                x + dx,
+                y + dy,
+                escaped(&node.name)
+            ),
+        );
     }
 
     fn dots(&self, out: &mut String, node: &DrawnNode) {
@@ -132,22 +196,43 @@ impl Figure<'_> {
             3 => (3.2, &[(0.0, -4.4), (-4.4, 3.4), (4.4, 3.4)]),
             4 => (3.0, &[(-4.2, -4.2), (4.2, -4.2), (-4.2, 4.2), (4.2, 4.2)]),
             many => {
-                put(out, format_args!("<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\" font-weight=\"bold\" fill=\"{INK}\">{many}</text>", node.x, node.y + 4.0));
+                put(
+                    out,
+                    format_args!(
+                        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\" font-weight=\"bold\" fill=\"{INK}\">{many}</text>",
+                        node.x,
+                        node.y + 4.0
+                    ),
+                );
                 return;
             }
         };
         for (dx, dy) in at {
-            put(out, format_args!("<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{r}\" fill=\"{INK}\"/>", node.x + dx, node.y + dy));
+            put(
+                out,
+                format_args!(
+                    "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"{r}\" fill=\"{INK}\"/>",
+                    node.x + dx,
+                    node.y + dy
+                ),
+            );
         }
     }
 
     /// As Graphviz reads it.
     pub(crate) fn dot(&self) -> String {
-        let mut out = format!("digraph {} {{\n  rankdir=LR\n  node [fontname=Helvetica, fontsize=11]\n", quoted(&self.view.name));
+        let mut out = format!(
+            "digraph {} {{\n  rankdir=LR\n  node [fontname=Helvetica, fontsize=11]\n",
+            quoted(&self.view.name)
+        );
         for (index, node) in self.drawing.nodes.iter().enumerate() {
             let look = match (&node.kind, self.standing(node)) {
-                (Kind::Transition(..), Some(Standing::Running)) => "shape=box, style=filled, fillcolor=orange".to_owned(),
-                (Kind::Transition(..), Some(Standing::Enabled)) => "shape=box, style=filled, fillcolor=palegreen".to_owned(),
+                (Kind::Transition(..), Some(Standing::Running)) => {
+                    "shape=box, style=filled, fillcolor=orange".to_owned()
+                }
+                (Kind::Transition(..), Some(Standing::Enabled)) => {
+                    "shape=box, style=filled, fillcolor=palegreen".to_owned()
+                }
                 (Kind::Transition(..), _) => "shape=box".to_owned(),
                 (Kind::Remote(..), _) => "shape=ellipse, style=dashed".to_owned(),
                 (Kind::Place(_), _) => match self.tokens(node) {
@@ -155,7 +240,10 @@ impl Figure<'_> {
                     tokens => format!("shape=ellipse, penwidth=2, xlabel=\"{tokens}\""),
                 },
             };
-            put(&mut out, format_args!("  n{index} [label={}, {look}]", quoted(&node.name)));
+            put(
+                &mut out,
+                format_args!("  n{index} [label={}, {look}]", quoted(&node.name)),
+            );
         }
         for arc in &self.drawing.arcs {
             let look = match arc.way {
@@ -165,8 +253,15 @@ impl Figure<'_> {
                 Way::Inhibit => ", arrowhead=odot",
                 Way::Reset => ", arrowhead=normalnormal",
             };
-            let weight = if arc.weight > 1 { arc.weight.to_string() } else { String::new() };
-            put(&mut out, format_args!("  n{} -> n{} [label=\"{weight}\"{look}]", arc.from, arc.to));
+            let weight = if arc.weight > 1 {
+                arc.weight.to_string()
+            } else {
+                String::new()
+            };
+            put(
+                &mut out,
+                format_args!("  n{} -> n{} [label=\"{weight}\"{look}]", arc.from, arc.to),
+            );
         }
         out.push_str("}\n");
         out
@@ -183,8 +278,14 @@ impl Figure<'_> {
                 (_, tokens) => put(&mut out, format_args!("  n{index}((\"{name}: {tokens}\"))")),
             }
             match self.standing(node) {
-                Some(Standing::Running) => put(&mut out, format_args!("  style n{index} fill:#fdebc8,stroke:{AMBER}")),
-                Some(Standing::Enabled) => put(&mut out, format_args!("  style n{index} fill:#d3ece6,stroke:{GREEN}")),
+                Some(Standing::Running) => put(
+                    &mut out,
+                    format_args!("  style n{index} fill:#fdebc8,stroke:{AMBER}"),
+                ),
+                Some(Standing::Enabled) => put(
+                    &mut out,
+                    format_args!("  style n{index} fill:#d3ece6,stroke:{GREEN}"),
+                ),
                 _ => {}
             }
         }
@@ -194,8 +295,15 @@ impl Figure<'_> {
                 Way::Inhibit => "--o",
                 Way::Fail | Way::Read | Way::Reset => "-.->",
             };
-            let weight = if arc.weight > 1 { format!("|{}|", arc.weight) } else { String::new() };
-            put(&mut out, format_args!("  n{} {line}{weight} n{}", arc.from, arc.to));
+            let weight = if arc.weight > 1 {
+                format!("|{}|", arc.weight)
+            } else {
+                String::new()
+            };
+            put(
+                &mut out,
+                format_args!("  n{} {line}{weight} n{}", arc.from, arc.to),
+            );
         }
         out
     }
@@ -217,7 +325,10 @@ fn half(node: &DrawnNode) -> (f64, f64) {
 fn towards(from: Point, to: Point, distance: f64) -> Point {
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let length = dx.hypot(dy).max(1e-9);
-    (from.0 + dx / length * distance, from.1 + dy / length * distance)
+    (
+        from.0 + dx / length * distance,
+        from.1 + dy / length * distance,
+    )
 }
 
 /// Where a line to `point` leaves a node.
@@ -228,7 +339,8 @@ fn edge(node: &DrawnNode, point: Point) -> Point {
         return towards(at, point, RADIUS + 1.5);
     }
     let (dx, dy) = (point.0 - at.0, point.1 - at.1);
-    let part = ((half_width + 2.0) / dx.abs().max(1e-9)).min((half_height + 2.0) / dy.abs().max(1e-9));
+    let part =
+        ((half_width + 2.0) / dx.abs().max(1e-9)).min((half_height + 2.0) / dy.abs().max(1e-9));
     (at.0 + dx * part, at.1 + dy * part)
 }
 
@@ -236,7 +348,10 @@ fn edge(node: &DrawnNode, point: Point) -> Point {
 fn path(points: &[Point]) -> String {
     let mut d = String::new();
     for (index, &(x, y)) in points.iter().enumerate() {
-        let around = index.checked_sub(1).and_then(|before| points.get(before)).zip(points.get(index + 1));
+        let around = index
+            .checked_sub(1)
+            .and_then(|before| points.get(before))
+            .zip(points.get(index + 1));
         let _ = match around {
             _ if index == 0 => write!(d, "M{x:.1} {y:.1}"),
             Some((&before, &after)) => {
@@ -252,7 +367,9 @@ fn path(points: &[Point]) -> String {
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
 }
 
 fn quoted(text: &str) -> String {

@@ -83,10 +83,7 @@ impl Overviews {
     }
 
     /// What displays name and no net has, as `DISPLAY: NET/NODE`.
-    pub(crate) fn unknown<'d>(
-        &self,
-        drawing: impl Fn(&str) -> Option<&'d Drawing>,
-    ) -> Vec<String> {
+    pub(crate) fn unknown<'d>(&self, drawing: impl Fn(&str) -> Option<&'d Drawing>) -> Vec<String> {
         let leads_nowhere = |wanted: &String| {
             let (net, node) = wanted.split_once('/').unwrap_or((wanted, ""));
             let nodes = drawing(net).map(|drawing| drawing.nodes.as_slice());
@@ -194,7 +191,14 @@ mod tests {
 
     #[test]
     fn a_star_stands_for_any_letters() {
-        let yes = [("a*", "abc"), ("*c", "abc"), ("a*c", "ac"), ("*", ""), ("*b*c*", "abcd"), ("abc", "abc")];
+        let yes = [
+            ("a*", "abc"),
+            ("*c", "abc"),
+            ("a*c", "ac"),
+            ("*", ""),
+            ("*b*c*", "abcd"),
+            ("abc", "abc"),
+        ];
         let no = [("a", "abc"), ("*b", "abc"), ("a*a", "a"), ("abc*d", "abc")];
         assert!(yes.iter().all(|(pattern, name)| matches(pattern, name)));
         assert!(!no.iter().any(|(pattern, name)| matches(pattern, name)));
@@ -216,16 +220,23 @@ mod tests {
         assert_eq!(drawn[0].parts[0].drawing.arcs.len(), 1);
         let moved = nodes.iter().find(|node| node.name == "move_robot").unwrap();
         assert_eq!((moved.x, moved.y), (5.0, 6.0));
-        assert_eq!(overviews.unknown(of), ["arm: nobody/x", "arm: dispatcher/typo"]);
+        assert_eq!(
+            overviews.unknown(of),
+            ["arm: nobody/x", "arm: dispatcher/typo"]
+        );
     }
 
     #[test]
     fn each_mistake_in_a_file_of_displays_is_told_and_the_rest_is_shown() {
-        let text = "[display.a]\nshow = [\"n/p\"]\n[display.b]\nshows = []\n[display.c]\nshow = 3\n";
+        let text =
+            "[display.a]\nshow = [\"n/p\"]\n[display.b]\nshows = []\n[display.c]\nshow = 3\n";
         let mut findings = Findings::new();
         let overviews = Overviews::read(&Source::new("d.toml", text), &mut findings);
         let told = findings.to_string();
-        assert!(told.contains("d.toml:4:1") && told.contains("d.toml:6:"), "{told}");
+        assert!(
+            told.contains("d.toml:4:1") && told.contains("d.toml:6:"),
+            "{told}"
+        );
         assert_eq!(overviews.displays.keys().collect::<Vec<_>>(), ["a"]);
     }
 }

@@ -1,10 +1,6 @@
 //! The server of the page: its files, and a websocket for each browser.
 
-use std::{
-    io,
-    net::SocketAddr,
-    sync::Arc,
-};
+use std::{io, net::SocketAddr, sync::Arc};
 
 use axum::{
     Router,
@@ -32,7 +28,7 @@ use super::{
 const LONGEST: usize = 16 * 1024;
 
 /// What a browser asks for, on its way to the task, and where the answer goes.
-pub(crate) type Order = (Asked, oneshot::Sender<String>);
+pub(crate) type Asking = (Asked, oneshot::Sender<String>);
 
 /// What all connections share.
 pub(crate) struct Desk {
@@ -43,7 +39,7 @@ pub(crate) struct Desk {
     pub(crate) token: Option<String>,
     pub(crate) viewers: usize,
     pub(crate) room: Arc<Semaphore>,
-    pub(crate) orders: mpsc::Sender<Order>,
+    pub(crate) orders: mpsc::Sender<Asking>,
 }
 
 /// Serves until `stop`.
@@ -144,7 +140,10 @@ fn meant(desk: &Desk, headers: &HeaderMap) -> Result<(), &'static str> {
 
 /// Compares in a time that does not tell where two texts begin to differ.
 fn same(a: &str, b: &str) -> bool {
-    let differ = a.bytes().zip(b.bytes()).fold(0, |all, (a, b)| all | (a ^ b));
+    let differ = a
+        .bytes()
+        .zip(b.bytes())
+        .fold(0, |all, (a, b)| all | (a ^ b));
     a.len() == b.len() && differ == 0
 }
 

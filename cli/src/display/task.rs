@@ -15,7 +15,7 @@ use super::{
     hub::Hub,
     orders,
     overview::Overviews,
-    server::{self, Desk, Order},
+    server::{self, Asking, Desk},
 };
 
 /// How long a net waits for something to happen before it answers.
@@ -34,7 +34,7 @@ pub(super) struct NetDisplay {
     args: DisplayArgs,
     hub: Arc<Hub>,
     stop: Option<oneshot::Sender<()>>,
-    orders: Option<mpsc::Receiver<Order>>,
+    orders: Option<mpsc::Receiver<Asking>>,
 }
 
 impl NetDisplay {
@@ -136,8 +136,8 @@ impl EventHandler for NetDisplay {
                     cx.spawn(async move { follow(&child, &net, &hub).await });
                 }
                 if let Some(received) = self.orders.take() {
-                    let child = cx.clone();
-                    cx.spawn(async move { orders::carry(&child, received).await });
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { orders::carry(&child, &hub, received).await });
                 }
             }
             Phase::Run => {}
@@ -182,6 +182,7 @@ async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
             && let (Some(view), Some(state)) = (view.take(), batch.state.take())
         {
             hub.describe(view, state)?;
+            hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
         }
         hub.take(net, batch)?;
     }

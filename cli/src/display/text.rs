@@ -30,7 +30,10 @@ pub(crate) fn standings<'v>(view: &'v NetView, state: &State) -> Vec<(&'v str, S
 }
 
 /// Marked places, wiring left out.
-pub(crate) fn marked<'v>(view: &'v NetView, state: &'v State) -> impl Iterator<Item = (&'v str, u32)> {
+pub(crate) fn marked<'v>(
+    view: &'v NetView,
+    state: &'v State,
+) -> impl Iterator<Item = (&'v str, u32)> {
     let places = view.places.iter().zip(&state.places).enumerate();
     places
         .filter(|(index, (_, tokens))| **tokens > 0 && !view.hidden(*index))
@@ -39,7 +42,12 @@ pub(crate) fn marked<'v>(view: &'v NetView, state: &'v State) -> impl Iterator<I
 
 /// A net in lines.
 pub(crate) fn plain(view: &NetView, state: &State, events: &[Event]) -> String {
-    let mut out = format!("net {}  {:.3} s  event {}\n", view.name, state.at_ns as f64 / 1e9, state.seq);
+    let mut out = format!(
+        "net {}  {:.3} s  event {}\n",
+        view.name,
+        state.at_ns as f64 / 1e9,
+        state.seq
+    );
     let mut line = |head: &str, text: &str| {
         // Writing to a string never fails.
         let _ = writeln!(out, "  {head:<9}{text}");
@@ -50,7 +58,13 @@ pub(crate) fn plain(view: &NetView, state: &State, events: &[Event]) -> String {
         }
     }
     let marked: Vec<String> = marked(view, state)
-        .map(|(place, tokens)| if tokens == 1 { place.to_owned() } else { format!("{place}*{tokens}") })
+        .map(|(place, tokens)| {
+            if tokens == 1 {
+                place.to_owned()
+            } else {
+                format!("{place}*{tokens}")
+            }
+        })
         .collect();
     line("marked", &marked.join(" "));
     if !view.commands.is_empty() {
@@ -81,7 +95,11 @@ pub(crate) fn event_line(event: &Event) -> String {
         };
         list.iter().map(named).collect::<Vec<_>>().join(" ")
     };
-    let mut text = format!("{:>10.3}  {:<10}", event.at_ns as f64 / 1e9, event.phase.word());
+    let mut text = format!(
+        "{:>10.3}  {:<10}",
+        event.at_ns as f64 / 1e9,
+        event.phase.word()
+    );
     let mut add = |part: &str| {
         if !part.is_empty() {
             text.push(' ');
@@ -90,7 +108,11 @@ pub(crate) fn event_line(event: &Event) -> String {
     };
     add(&event.transition);
     if !event.consumed.is_empty() || !event.produced.is_empty() {
-        add(&format!("({} -> {})", tokens(&event.consumed), tokens(&event.produced)));
+        add(&format!(
+            "({} -> {})",
+            tokens(&event.consumed),
+            tokens(&event.produced)
+        ));
     }
     match (&event.read, event.phase) {
         (Some(symbol), EventPhase::Asked) => add(&format!("tape + {symbol}")),

@@ -18,10 +18,17 @@ impl Standing {
     /// How a transition of a net in `state` stands, and why.
     #[must_use]
     pub fn of(view: &NetView, state: &State, one: &TransitionView) -> (Self, String) {
-        if state.running.iter().any(|running| running.transition == one.name) {
+        if state
+            .running
+            .iter()
+            .any(|running| running.transition == one.name)
+        {
             let at = one.task.as_ref();
             let at = at.map_or_else(String::new, |task| format!(" at task {task}"));
-            return (Self::Running, format!("action {} is pending{at}", one.target));
+            return (
+                Self::Running,
+                format!("action {} is pending{at}", one.target),
+            );
         }
         let lacks = lacks(view, state, one);
         if !lacks.is_empty() {

@@ -59,7 +59,11 @@ pub(crate) fn moment(text: &str) -> Result<u64, String> {
     let seconds: f64 = text.trim_end_matches('s').parse().map_err(|_| wrong())?;
     let nanos = (seconds * 1e9).round();
     if (0.0..1e18).contains(&nanos) {
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is within the range")]
+        #[allow(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "it is within the range"
+        )]
         Ok(nanos as u64)
     } else {
         Err(wrong())
@@ -69,7 +73,10 @@ pub(crate) fn moment(text: &str) -> Result<u64, String> {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &DrawArgs) -> u8 {
-    let record = args.file.extension().is_some_and(|extension| extension == "mcap");
+    let record = args
+        .file
+        .extension()
+        .is_some_and(|extension| extension == "mcap");
     let found = if record {
         recorded(args)
     } else {
@@ -82,7 +89,11 @@ pub fn run(args: &DrawArgs) -> u8 {
         Ok(found) => found,
         Err(code) => return code,
     };
-    let detail = if args.full { Detail::Full } else { Detail::Written };
+    let detail = if args.full {
+        Detail::Full
+    } else {
+        Detail::Written
+    };
     let drawing = Drawing::new(&view, detail);
     let figure = Figure {
         view: &view,
@@ -90,7 +101,9 @@ pub fn run(args: &DrawArgs) -> u8 {
         state: &state,
     };
     let text = match args.form {
-        _ if args.json => serde_json::json!({ "net": view.name, "drawing": drawing, "state": state }).to_string(),
+        _ if args.json => {
+            serde_json::json!({ "net": view.name, "drawing": drawing, "state": state }).to_string()
+        }
         Form::Svg => figure.svg(),
         Form::Dot => figure.dot(),
         Form::Mermaid => figure.mermaid(),
@@ -105,7 +118,11 @@ fn written(path: &Path) -> Result<(NetView, State), Findings> {
     let file = format::read(path)?;
     let net = file.compile()?;
     let mut view = NetView::new(&net);
-    let positions = file.positions.places.iter().chain(&file.positions.transitions);
+    let positions = file
+        .positions
+        .places
+        .iter()
+        .chain(&file.positions.transitions);
     let pins = positions.map(|(name, [x, y])| {
         let pin = PinView {
             x: x.clamp(-1e6, 1e6).round() as i32,
@@ -121,7 +138,10 @@ fn written(path: &Path) -> Result<(NetView, State), Findings> {
     show::findings(findings);
     if !layout.nodes.is_empty() {
         for name in layout.pin(&mut view) {
-            show::say(&format!("warning: the layout file draws `{name}`, which net `{}` does not have", view.name));
+            show::say(&format!(
+                "warning: the layout file draws `{name}`, which net `{}` does not have",
+                view.name
+            ));
         }
     }
     let state = State::initial(&view);
@@ -141,14 +161,22 @@ fn recorded(args: &DrawArgs) -> Result<(NetView, State), u8> {
     let net = match &args.net {
         Some(name) => recorded.nets.get(name),
         None if recorded.nets.len() > 1 => {
-            show::say(&format!("error: several nets are in {}: {}; choose one with `--net`", args.file.display(), names()));
+            show::say(&format!(
+                "error: several nets are in {}: {}; choose one with `--net`",
+                args.file.display(),
+                names()
+            ));
             return Err(exit::USAGE);
         }
         None => recorded.nets.values().next(),
     };
     let Some(net) = net else {
         let wanted = args.net.as_deref().unwrap_or_default();
-        show::say(&format!("error: no net `{wanted}` is in {}; there are: {}", args.file.display(), names()));
+        show::say(&format!(
+            "error: no net `{wanted}` is in {}; there are: {}",
+            args.file.display(),
+            names()
+        ));
         return Err(exit::NO_SUCH_NAME);
     };
     let Some((state, _)) = net.at(args.at, 0) else {

@@ -233,7 +233,7 @@ class App {
     if (this.shown !== null) values.set("net", this.shown);
     if (this.cursor !== null) values.set("t", (this.cursor.at_ns / 1e9).toFixed(6));
     if (this.chosen !== null) values.set("node", this.chosen);
-    history.replaceState(null, "", `#${values}`);
+    globalThis.history.replaceState(null, "", `#${values}`);
   }
 
   // -- what is shown --------------------------------------------------------------------

@@ -281,12 +281,12 @@ export class Picture {
   bounds(nodes) {
     let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
     for (const node of nodes) {
-      const half = 12 + node.name.length * 3.4;
-      const sideways = node.label === "left" || node.label === "right" ? 2 * half : half;
-      left = Math.min(left, node.x - sideways);
-      right = Math.max(right, node.x + sideways);
-      top = Math.min(top, node.y - 46);
-      bottom = Math.max(bottom, node.y + 46);
+      const letters = node.name.length * 6.6;
+      const reach = { left: [letters + 30, 24], right: [24, letters + 30] }[node.label] ?? [letters / 2 + 8, letters / 2 + 8];
+      left = Math.min(left, node.x - reach[0]);
+      right = Math.max(right, node.x + reach[1]);
+      top = Math.min(top, node.y - 40);
+      bottom = Math.max(bottom, node.y + 40);
     }
     return Number.isFinite(left) ? { x: left, y: top, width: right - left, height: bottom - top } : { x: 0, y: 0, width: 100, height: 100 };
   }

@@ -44,11 +44,11 @@ function placePart(net, node, app) {
   const facts = [["tokens", String(count)], ["at the start", String(place.tokens)]];
   if (place.capacity !== null) facts.push(["at most", String(place.capacity)]);
   if (place.data !== null) facts.push(["says whether valid", place.data]);
-  facts.push(["in the text", place.at]);
+  facts.push(inText(place.at));
   const takers = net.view.transitions.filter((one) => one.inputs.some((arc) => arc.place === node.kind.place));
   return make("section", {},
     make("h2", {}, place.name, make("small", {}, "place")),
-    history(net, place.name, app),
+    tokenHistory(net, place.name, app),
     factList(facts), notesOf(net, node),
     app.control ? make("div", { class: "actions" },
       make("button", { onclick: () => app.order("put", net, { place: place.name }) }, "Put a token"),
@@ -78,7 +78,7 @@ function transitionPart(net, node, app) {
   if (sum(state.busy_ns) > 0) facts.push(["on average", seconds(sum(state.busy_ns) / Math.max(1, sum(state.ended) + sum(state.failed)))]);
   if (transition.within_ms > 0) facts.push(["limit", seconds(transition.within_ms * 1e6)]);
   if (transition.priority > 0) facts.push(["priority", String(transition.priority)]);
-  facts.push(["in the text", transition.at]);
+  facts.push(inText(transition.at));
   return make("section", {},
     make("h2", {}, node.name, make("small", {}, request ? "request" : "transition")),
     make("p", { class: `words ${standing.state}` }, standing.words, elapsed(standing, app)),
@@ -113,7 +113,9 @@ function taskPart(name, app) {
     app.nets.has(name) ? link(`Show net ${name}`, () => app.open(name, null)) : null);
 }
 
-const factList = (facts) => make("dl", {}, ...facts.flatMap(([key, value]) => [make("dt", {}, key), make("dd", {}, value)]));
+/** A place in a file: its folder is told on request. */
+const inText = (at) => ["in the text", at.split("/").at(-1), at];
+const factList = (facts) => make("dl", {}, ...facts.flatMap(([key, value, whole]) => [make("dt", {}, key), make("dd", { title: whole }, value)]));
 const link = (text, go) => make("button", { class: "link", onclick: go }, text);
 const jump = (net, name, app) => link(name, () => app.choose(`${net.name}/${name}`));
 const between = (list) => list.flatMap((one, at) => (at === 0 ? [one] : [", ", one]));
@@ -124,7 +126,7 @@ function notesOf(net, node) {
 }
 
 /** How many tokens a place had, over time. */
-function history(net, place, app) {
+function tokenHistory(net, place, app) {
   const points = net.history(place);
   const [from, to] = app.span();
   const most = Math.max(1, ...points.map(([, count]) => count));
@@ -161,7 +163,8 @@ function netPart(net, app) {
   const symbols = (list) => list.map((one) => make("span", { class: "symbol" }, one));
   const answers = app.eventsOf(net).filter((event) => event.wrote !== null).slice(-3).map((event) => event.wrote);
   return make("section", {},
-    make("h2", {}, net.name, make("small", {}, net.view.title.length > 60 ? "" : net.view.title)),
+    make("h2", {}, net.name, make("small", {}, "net")),
+    net.view.title === "" ? null : make("p", { class: "soft" }, net.view.title),
     net.gone !== null ? make("p", { class: "words failed" }, net.gone) : null,
     state.stopped !== null ? make("p", { class: "words failed" }, `stopped: ${state.stopped}`) : null,
     state.paused !== null ? make("p", { class: "words" }, `paused: ${state.paused}`) : null,
