@@ -4,6 +4,7 @@ pub mod check;
 pub mod convert;
 pub mod draw;
 pub mod fmt;
+pub mod lsp;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -33,6 +34,11 @@ pub enum NetCommand {
     Draw(draw::DrawArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
+    /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
+    ///
+    /// Speaks the Language Server Protocol on standard input and output; an editor starts it. With `--app` the tasks
+    /// of an app and their commands are offered, too.
+    Lsp(lsp::LspArgs),
 }
 
 /// Runs the command.
@@ -43,5 +49,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Draw(args) => draw::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
+        NetCommand::Lsp(args) => lsp::run(args, registry),
     }
 }
