@@ -15,6 +15,7 @@
 //!
 //! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net.
 
+pub mod analysis;
 pub mod check;
 pub mod compile;
 pub mod compose;
