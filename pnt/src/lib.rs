@@ -7,9 +7,9 @@
 //! - [`timing`]: when a transition fires;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
-//! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
-//!   [`check`]: what they prove, as findings that point into the net texts;
-//! - [`invariants`]: what no firing can change.
+//! - [`compose`]: all nets of an app as one system; [`analysis`]: what can be proved about it;
+//!   [`check`]: that as findings that point into the net texts;
+//! - [`invariants`]: what no firing of a net by itself can change.
 //!
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
@@ -26,7 +26,6 @@ pub mod invariants;
 pub mod library;
 pub mod net;
 mod ready;
-pub mod space;
 pub mod task;
 pub mod text;
 pub mod timing;

@@ -39,11 +39,11 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// As many markings as fit into 4 GiB, on one thread.
+    /// One million markings and 1 GiB, on one thread.
     fn default() -> Self {
         Self {
-            markings: usize::MAX,
-            bytes: 4 << 30,
+            markings: 1_000_000,
+            bytes: 1 << 30,
             threads: 1,
         }
     }
@@ -226,9 +226,12 @@ impl<'a> Search<'a> {
     fn round(&mut self) -> Result<Option<Stopped>, TooWide> {
         if let [worker] = self.workers.as_mut_slice() {
             loop {
-                match worker.expand(&self.rules, CHUNK) {
+                match worker.expand(&self.rules, CHUNK, self.limits.markings) {
                     Ok(()) => return Ok(None),
-                    Err(TooWide { place, tokens: u32::MAX }) => {
+                    Err(TooWide {
+                        place,
+                        tokens: u32::MAX,
+                    }) => {
                         return Ok(Some(Stopped::Tokens(place)));
                     }
                     Err(TooWide { place, tokens }) => {
@@ -241,10 +244,10 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        let rules = &self.rules;
+        let (rules, most) = (&self.rules, self.limits.markings);
         let turn = |worker: &mut Worker| {
             worker.take_in(rules);
-            worker.expand(rules, CHUNK)
+            worker.expand(rules, CHUNK, most)
         };
         let left: usize = self.workers.iter().map(Worker::left).sum();
         let results = if left < CHUNK / 4 {
@@ -255,7 +258,10 @@ impl<'a> Search<'a> {
         self.exchange();
         for result in results {
             match result {
-                Err(TooWide { place, tokens: u32::MAX }) => {
+                Err(TooWide {
+                    place,
+                    tokens: u32::MAX,
+                }) => {
                     return Ok(Some(Stopped::Tokens(place)));
                 }
                 Err(wide) => return Err(wide),
@@ -287,8 +293,9 @@ impl<'a> Search<'a> {
     /// From one worker to as many as there are threads.
     fn split(&mut self) {
         let threads = self.limits.threads;
-        let mut workers: Vec<Worker> =
-            (0..threads).map(|_| Worker::new(&self.rules, threads)).collect();
+        let mut workers: Vec<Worker> = (0..threads)
+            .map(|_| Worker::new(&self.rules, threads))
+            .collect();
         for (number, worker) in workers.iter_mut().enumerate() {
             worker.number = number;
         }
@@ -301,8 +308,11 @@ impl<'a> Search<'a> {
 
     fn finish(mut self, stopped: Option<Stopped>) -> Explored<'a> {
         self.peak = self.peak.max(self.bytes_peak());
-        let mut dead: Vec<Reached> =
-            self.workers.iter_mut().flat_map(|w| std::mem::take(&mut w.dead)).collect();
+        let mut dead: Vec<Reached> = self
+            .workers
+            .iter_mut()
+            .flat_map(|w| std::mem::take(&mut w.dead))
+            .collect();
         dead.sort_unstable();
         dead.truncate(DEAD_KEPT);
         let mut seen = vec![false; self.model.transitions.len()];
@@ -323,7 +333,12 @@ impl<'a> Search<'a> {
             dead_count: self.workers.iter().map(|w| w.dead_count).sum(),
             seen,
             bounds,
-            most_tokens: self.workers.iter().map(|w| w.most_tokens).max().unwrap_or(0),
+            most_tokens: self
+                .workers
+                .iter()
+                .map(|w| w.most_tokens)
+                .max()
+                .unwrap_or(0),
             growth: self.growth,
             peak_bytes: self.peak,
             model: self.model,
@@ -356,8 +371,23 @@ impl Explored<'_> {
         self.stopped.is_none()
     }
 
+    /// What was explored.
+    #[must_use]
+    pub fn model(&self) -> &Model {
+        self.model
+    }
+
+    /// Bytes held now.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.workers.iter().map(Worker::bytes).sum()
+    }
+
     /// Transitions that are enabled nowhere.
     pub fn never(&self) -> impl Iterator<Item = TransitionNumber> {
-        (0..).zip(&self.seen).filter(|(_, seen)| !**seen).map(|(number, _)| number)
+        (0..)
+            .zip(&self.seen)
+            .filter(|(_, seen)| !**seen)
+            .map(|(number, _)| number)
     }
 }

@@ -87,8 +87,6 @@ pub(super) struct Packed {
     pub(super) gains: Vec<Weighted>,
     /// Places that lose, and by how much.
     pub(super) losses: Vec<Weighted>,
-    /// Change of the sum of tokens, without what resets empty.
-    pub(super) sum: i64,
     /// Word and what is added to it, wrapping.
     adds: Vec<(u32, u64)>,
     /// What the additions add to the sum that [`linear`] makes.
@@ -105,7 +103,11 @@ impl Packed {
         for (place, change) in &changes {
             let field = layout.fields[*place as usize];
             let amount = change.unsigned_abs() << field.shift;
-            let amount = if *change < 0 { amount.wrapping_neg() } else { amount };
+            let amount = if *change < 0 {
+                amount.wrapping_neg()
+            } else {
+                amount
+            };
             match adds.iter_mut().find(|(word, _)| *word == field.word) {
                 Some((_, sum)) => *sum = sum.wrapping_add(amount),
                 None => adds.push((field.word, amount)),
@@ -113,14 +115,26 @@ impl Packed {
         }
         let weighted = |(place, change): (PlaceNumber, i64)| {
             // A change is a difference of two 32-bit weights.
-            (place, u32::try_from(change.unsigned_abs()).unwrap_or(u32::MAX))
+            (
+                place,
+                u32::try_from(change.unsigned_abs()).unwrap_or(u32::MAX),
+            )
         };
         Self {
             needs: transition.needs(),
             forbids: transition.forbids(&model.places),
-            gains: changes.iter().filter(|c| c.1 > 0).copied().map(weighted).collect(),
-            losses: changes.iter().filter(|c| c.1 < 0).copied().map(weighted).collect(),
-            sum: changes.iter().map(|(_, change)| change).sum(),
+            gains: changes
+                .iter()
+                .filter(|c| c.1 > 0)
+                .copied()
+                .map(weighted)
+                .collect(),
+            losses: changes
+                .iter()
+                .filter(|c| c.1 < 0)
+                .copied()
+                .map(weighted)
+                .collect(),
             hash: adds.iter().fold(0, |sum, (word, add)| {
                 sum.wrapping_add(add.wrapping_mul(factor(*word)))
             }),
@@ -150,8 +164,13 @@ impl Packed {
     }
 
     pub(super) fn is_enabled(&self, marking: &[u32]) -> bool {
-        self.needs.iter().all(|(place, weight)| marking[*place as usize] >= *weight)
-            && self.forbids.iter().all(|(place, weight)| marking[*place as usize] < *weight)
+        self.needs
+            .iter()
+            .all(|(place, weight)| marking[*place as usize] >= *weight)
+            && self
+                .forbids
+                .iter()
+                .all(|(place, weight)| marking[*place as usize] < *weight)
     }
 }
 
@@ -163,7 +182,9 @@ fn factor(word: u32) -> u64 {
 /// A sum over the words that a firing changes by a constant: half of the hash of a marking.
 pub(super) fn linear(packed: &[u64]) -> u64 {
     let words = (0..).zip(packed);
-    words.fold(0, |sum, (word, value)| sum.wrapping_add(value.wrapping_mul(factor(word))))
+    words.fold(0, |sum, (word, value)| {
+        sum.wrapping_add(value.wrapping_mul(factor(word)))
+    })
 }
 
 /// The other half: spreads every bit over all.

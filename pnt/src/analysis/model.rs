@@ -2,7 +2,7 @@
 //! transition of its own. Knows how a firing changes a marking, not which markings are reachable.
 
 use crate::{
-    compose::System,
+    compose::{Phase, Step, System},
     net::{Net, PlaceId},
 };
 
@@ -48,6 +48,9 @@ pub struct Transition {
     pub priority: Option<u32>,
     /// Its group: the net that chooses.
     pub group: u32,
+    /// Number of the transition, as its author sees it, that begins to fire here. Several may share
+    /// one; none for the end of an action.
+    pub label: Option<u32>,
 }
 
 /// A net, or several composed ones.
@@ -136,18 +139,19 @@ impl Model {
     #[must_use]
     pub fn of_net(net: &Net) -> Self {
         let arcs = |arcs: &[crate::net::Arc]| -> Vec<Weighted> {
-            let mut list: Vec<Weighted> = arcs.iter().map(|arc| (arc.place.0, arc.weight)).collect();
+            let mut list: Vec<Weighted> =
+                arcs.iter().map(|arc| (arc.place.0, arc.weight)).collect();
             list.sort_unstable();
             list
         };
-        Self {
+        let mut model = Self {
             places: net
                 .places()
                 .iter()
                 .map(|place| Place {
                     name: place.name.clone(),
                     tokens: place.tokens,
-                    capacity: None,
+                    capacity: place.capacity,
                 })
                 .collect(),
             transitions: net
@@ -158,14 +162,19 @@ impl Model {
                     takes: arcs(&transition.inputs),
                     reads: arcs(&transition.reads),
                     inhibitors: arcs(&transition.inhibitors),
-                    resets: Vec::new(),
+                    resets: transition.resets.iter().map(|place| place.0).collect(),
                     puts: arcs(&transition.outputs.local),
                     when: None,
                     priority: Some(transition.priority),
                     group: 0,
+                    label: None,
                 })
                 .collect(),
+        };
+        for (label, transition) in (0..).zip(&mut model.transitions) {
+            transition.label = Some(label);
         }
+        model
     }
 
     /// Composed nets, a transition for each of their steps.
@@ -174,6 +183,22 @@ impl Model {
         let number = |place: usize| PlaceNumber::try_from(place).unwrap_or(PlaceNumber::MAX);
         let list = |arcs: &[(usize, u32)]| -> Vec<Weighted> {
             arcs.iter().map(|(place, w)| (number(*place), *w)).collect()
+        };
+        // The transitions of all nets, one net after the other.
+        let mut next = 0;
+        let firsts: Vec<usize> = system
+            .nets()
+            .iter()
+            .map(|net| {
+                let first = next;
+                next += net.transitions().len();
+                first
+            })
+            .collect();
+        let label = |step: &Step| {
+            let begins = matches!(step.phase, Phase::Fire | Phase::Start);
+            let id = step.transition.filter(|_| begins)?;
+            u32::try_from(firsts.get(step.net)? + id.index()).ok()
         };
         Self {
             places: system
@@ -200,6 +225,7 @@ impl Model {
                     }),
                     priority: step.priority,
                     group: u32::try_from(step.net).unwrap_or(u32::MAX),
+                    label: label(step),
                 })
                 .collect(),
         }
@@ -217,7 +243,9 @@ impl Model {
     pub fn is_enabled(&self, transition: TransitionNumber, marking: &[u32]) -> bool {
         let held = |place: PlaceNumber| marking.get(place as usize).copied().unwrap_or(0);
         self.transitions.get(transition as usize).is_some_and(|t| {
-            t.needs().iter().all(|(place, weight)| held(*place) >= *weight)
+            t.needs()
+                .iter()
+                .all(|(place, weight)| held(*place) >= *weight)
                 && t.forbids(&self.places)
                     .iter()
                     .all(|(place, weight)| held(*place) < *weight)
@@ -248,9 +276,16 @@ impl Model {
     #[must_use]
     pub fn replay(&self, sequence: &[TransitionNumber]) -> Option<Vec<u32>> {
         let start = self.initial();
-        sequence
-            .iter()
-            .try_fold(start, |marking, transition| self.fire(*transition, &marking))
+        sequence.iter().try_fold(start, |marking, transition| {
+            self.fire(*transition, &marking)
+        })
+    }
+
+    /// One more than the largest label.
+    #[must_use]
+    pub fn label_count(&self) -> usize {
+        let labels = self.transitions.iter().filter_map(|t| t.label);
+        labels.max().map_or(0, |label| label as usize + 1)
     }
 
     /// Whether any transition has a priority above another's.

@@ -20,7 +20,8 @@ pub struct Returns {
     /// Markings that can be reached from every reachable one; none unless there is one terminal
     /// component.
     pub home_states: usize,
-    /// Per transition, whether it can become enabled again from every reachable marking.
+    /// Per label of the model, whether one of its transitions can become enabled again from every
+    /// reachable marking.
     pub live: Vec<bool>,
     /// Bytes that this took at most.
     pub bytes: usize,
@@ -47,13 +48,41 @@ pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
             no_return: None,
             terminal: 1,
             home_states: explored.markings,
-            live: explored.seen.clone(),
+            live: {
+                let mut live = vec![false; explored.model.label_count()];
+                for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
+                    if let (Some(label), true) = (transition.label, seen) {
+                        live[label as usize] = true;
+                    }
+                }
+                live
+            },
             bytes,
         });
     }
-    // Index, lowest index, stack, call frames.
-    let needed = explored.markings.checked_mul(4 + 4 + 4 + 12)?;
-    (needed <= bytes).then(|| Components::new(explored).find(needed))
+    let needed = components_bytes(explored)?;
+    (needed <= bytes).then(|| Components::new(explored, &|_| true).find(needed))
+}
+
+/// Whether from every reachable marking one as wanted can be reached: if not, a marking from which none
+/// can. Nothing when the search was not complete, or more bytes than permitted would be needed.
+#[must_use]
+pub fn always_reachable(
+    explored: &Explored<'_>,
+    wanted: &dyn Fn(&[u32]) -> bool,
+    bytes: usize,
+) -> Option<Option<Vec<u32>>> {
+    if !explored.complete() || components_bytes(explored)? > bytes {
+        return None;
+    }
+    let mut components = Components::new(explored, wanted);
+    components.visit_all();
+    Some(components.without_wanted)
+}
+
+/// Index, lowest index, stack and call frame of every marking.
+fn components_bytes(explored: &Explored<'_>) -> Option<usize> {
+    explored.markings.checked_mul(4 + 4 + 4 + 12)
 }
 
 /// The markings of all workers numbered through, and the firings between them.
@@ -83,15 +112,22 @@ impl<'a> Graph<'a> {
     }
 
     fn packed(&self, node: usize) -> &'a [u64] {
-        let worker = self.offsets.partition_point(|first| *first <= node).saturating_sub(1);
+        let worker = self
+            .offsets
+            .partition_point(|first| *first <= node)
+            .saturating_sub(1);
         // A number within one worker has 32 bits.
-        self.explored.stores()[worker].store().get((node - self.offsets[worker]) as u32)
+        self.explored.stores()[worker]
+            .store()
+            .get((node - self.offsets[worker]) as u32)
     }
 
     /// Looks at a marking: its sure firings are then `self.scratch.enabled`.
     fn expand(&mut self, node: usize) {
         let rules = &self.explored.rules;
-        rules.layout.unpack(self.packed(node), &mut self.scratch.marking);
+        rules
+            .layout
+            .unpack(self.packed(node), &mut self.scratch.marking);
         rules.enabled(&mut self.scratch);
         let mut sure = self.scratch.sure.iter();
         self.scratch.enabled.retain(|_| sure.next() == Some(&true));
@@ -104,14 +140,19 @@ impl<'a> Graph<'a> {
         let packed = rules.packed.get(transition as usize)?;
         let sum = packed.fire(&rules.layout, from, linear(from), &mut self.target);
         let worker = self.explored.owner(sum);
-        let id = self.explored.stores()[worker].store().find(&self.target, sum)?;
+        let id = self.explored.stores()[worker]
+            .store()
+            .find(&self.target, sum)?;
         Some(self.offsets[worker] + id as usize)
     }
 
     /// The number of the initial marking.
     fn initial(&self) -> Option<usize> {
         let mut packed = Vec::new();
-        self.explored.rules.layout.pack(&self.explored.model.initial(), &mut packed);
+        self.explored
+            .rules
+            .layout
+            .pack(&self.explored.model.initial(), &mut packed);
         let sum = linear(&packed);
         let worker = self.explored.owner(sum);
         let id = self.explored.stores()[worker].store().find(&packed, sum)?;
@@ -188,6 +229,9 @@ struct Components<'a> {
     terminal: usize,
     home_states: usize,
     initial_component: Option<u32>,
+    wanted: &'a dyn Fn(&[u32]) -> bool,
+    /// A marking of a terminal component that has none as wanted.
+    without_wanted: Option<Vec<u32>>,
 }
 
 struct Frame {
@@ -203,7 +247,7 @@ const NEW: u32 = u32::MAX;
 const DONE: u32 = u32::MAX - 1;
 
 impl<'a> Components<'a> {
-    fn new(explored: &'a Explored<'a>) -> Self {
+    fn new(explored: &'a Explored<'a>, wanted: &'a dyn Fn(&[u32]) -> bool) -> Self {
         Self {
             graph: Graph::new(explored),
             index: vec![NEW; explored.markings],
@@ -211,14 +255,35 @@ impl<'a> Components<'a> {
             open: Vec::new(),
             frames: Vec::new(),
             next: 0,
-            live: vec![true; explored.seen.len()],
+            live: vec![true; explored.model.label_count()],
             terminal: 0,
             home_states: 0,
             initial_component: None,
+            wanted,
+            without_wanted: None,
         }
     }
 
     fn find(mut self, bytes: usize) -> Returns {
+        let initial = self.visit_all();
+        let reversible = self.initial_component.is_some() && self.reversible();
+        let no_return = (!reversible).then(|| self.no_return(initial)).flatten();
+        Returns {
+            reversible,
+            no_return,
+            terminal: self.terminal,
+            home_states: if self.terminal == 1 {
+                self.home_states
+            } else {
+                0
+            },
+            live: self.live,
+            bytes,
+        }
+    }
+
+    /// All components. The number of the initial marking.
+    fn visit_all(&mut self) -> usize {
         let initial = self.graph.initial().unwrap_or(0);
         self.visit(initial);
         while let Some(frame) = self.frames.last() {
@@ -231,16 +296,7 @@ impl<'a> Components<'a> {
             }
             self.graph.scratch.enabled = enabled;
         }
-        let reversible = self.initial_component.is_some() && self.reversible();
-        let no_return = (!reversible).then(|| self.no_return(initial)).flatten();
-        Returns {
-            reversible,
-            no_return,
-            terminal: self.terminal,
-            home_states: if self.terminal == 1 { self.home_states } else { 0 },
-            live: self.live,
-            bytes,
-        }
+        initial
     }
 
     /// Whether the initial marking's component is the only one.
@@ -261,7 +317,10 @@ impl<'a> Components<'a> {
                 // A number within one worker has 32 bits.
                 let id = id as u32;
                 let mut marking = Vec::new();
-                explored.rules.layout.unpack(worker.store().get(id), &mut marking);
+                explored
+                    .rules
+                    .layout
+                    .unpack(worker.store().get(id), &mut marking);
                 let found = (worker.level_of(id), marking);
                 best = Some(best.map_or(found.clone(), |best| best.min(found)));
             }
@@ -276,7 +335,11 @@ impl<'a> Components<'a> {
         // Fewer than 2^32 markings in all: their lists are in memory.
         let node = node as u32;
         self.open.push(node);
-        self.frames.push(Frame { node, position: 0, leaves: false });
+        self.frames.push(Frame {
+            node,
+            position: 0,
+            leaves: false,
+        });
     }
 
     /// Follows a firing of the top frame's marking. Whether that leads to a marking not yet visited.
@@ -305,7 +368,9 @@ impl<'a> Components<'a> {
 
     /// All successors of the top frame are looked at.
     fn leave(&mut self, initial: usize) {
-        let Some(frame) = self.frames.pop() else { return };
+        let Some(frame) = self.frames.pop() else {
+            return;
+        };
         let node = frame.node as usize;
         let low = self.low[node];
         let complete = low == self.index[node];
@@ -328,6 +393,7 @@ impl<'a> Components<'a> {
         let name = self.index[root as usize];
         let mut fires = (!leaves).then(|| vec![false; self.live.len()]);
         let mut size = 0;
+        let mut wanted = false;
         while let Some(node) = self.open.pop() {
             size += 1;
             self.index[node as usize] = DONE;
@@ -337,8 +403,12 @@ impl<'a> Components<'a> {
             }
             if let Some(fires) = &mut fires {
                 self.graph.expand(node as usize);
+                wanted |= (self.wanted)(&self.graph.scratch.marking);
+                let transitions = &self.graph.explored.model.transitions;
                 for transition in &self.graph.scratch.enabled {
-                    fires[*transition as usize] = true;
+                    if let Some(label) = transitions[*transition as usize].label {
+                        fires[label as usize] = true;
+                    }
                 }
             }
             if node == root {
@@ -346,6 +416,10 @@ impl<'a> Components<'a> {
             }
         }
         if let Some(fires) = fires {
+            if !wanted {
+                self.graph.expand(root as usize);
+                self.without_wanted = Some(self.graph.scratch.marking.clone());
+            }
             self.terminal += 1;
             self.home_states = size;
             for (live, fires) in self.live.iter_mut().zip(fires) {

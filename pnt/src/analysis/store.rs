@@ -22,10 +22,9 @@ pub(super) struct Store {
     peak: usize,
 }
 
-/// Where the search for a hash begins.
+/// The first look at the table for a hash.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Probe {
-    slot: usize,
     /// What the slot held when it was looked at.
     first: u32,
 }
@@ -77,7 +76,6 @@ impl Store {
         // The upper bits decide which thread owns a marking; the lower ones its slot.
         let slot = mix(sum) as usize & self.mask;
         Probe {
-            slot,
             first: self.table[slot],
         }
     }

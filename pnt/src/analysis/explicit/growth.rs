@@ -26,8 +26,11 @@ const ALL_PAIRS: usize = 400;
 impl Search<'_> {
     /// Looks along the ways to the markings that have doubled a bound since the last look.
     pub(super) fn look_for_growth(&mut self) -> bool {
-        let records: Vec<Vec<u32>> =
-            self.workers.iter_mut().flat_map(|worker| std::mem::take(&mut worker.records)).collect();
+        let records: Vec<Vec<u32>> = self
+            .workers
+            .iter_mut()
+            .flat_map(|worker| std::mem::take(&mut worker.records))
+            .collect();
         if self.rules.has_priorities {
             return false;
         }
@@ -52,7 +55,12 @@ fn growth_on(
     let first_end = if last > ALL_PAIRS { last } else { 1 };
     for end in (first_end..=last).rev() {
         for start in (0..end).rev() {
-            if let Some(place) = grown(rules, &sequence[start..end], &markings[start], &markings[end]) {
+            if let Some(place) = grown(
+                rules,
+                &sequence[start..end],
+                &markings[start],
+                &markings[end],
+            ) {
                 return Some(Growth {
                     place,
                     lead: sequence[..start].to_vec(),
@@ -71,13 +79,24 @@ fn grown(
     before: &[u32],
     after: &[u32],
 ) -> Option<PlaceNumber> {
-    if before.iter().zip(after).any(|(before, after)| before > after) {
+    if before
+        .iter()
+        .zip(after)
+        .any(|(before, after)| before > after)
+    {
         return None;
     }
-    let mut grown = (0..).zip(before.iter().zip(after)).filter(|(_, (b, a))| b < a).map(|(p, _)| p);
+    let mut grown = (0..)
+        .zip(before.iter().zip(after))
+        .filter(|(_, (b, a))| b < a)
+        .map(|(p, _)| p);
     let empties = |place: PlaceNumber| {
-        let transitions = round.iter().filter_map(|number| rules.packed.get(*number as usize));
-        transitions.flat_map(|t| &t.resets).any(|(other, _)| *other == place)
+        let transitions = round
+            .iter()
+            .filter_map(|number| rules.packed.get(*number as usize));
+        transitions
+            .flat_map(|t| &t.resets)
+            .any(|(other, _)| *other == place)
     };
     let looked_at = |place: PlaceNumber| rules.inhibiting[place as usize];
     let first = grown.next()?;

@@ -66,6 +66,9 @@ impl Lookup<'_> {
         scratch: &mut Scratch,
         packed: &mut Vec<u64>,
     ) -> Option<(TransitionNumber, Vec<u32>)> {
+        // Of several, the marking that was found first: the way is then the one that a search in the
+        // order of the transitions would take.
+        let mut best: Option<((usize, u32), TransitionNumber, Vec<u32>)> = None;
         for (number, transition) in (0..).zip(&self.rules.packed) {
             if !transition.resets.is_empty() {
                 continue;
@@ -79,20 +82,24 @@ impl Lookup<'_> {
             let Some(at) = self.find(&before, packed) else {
                 continue;
             };
-            if self.distance(at) != distance {
+            if self.distance(at) != distance || best.as_ref().is_some_and(|best| best.0 <= at) {
                 continue;
             }
             scratch.marking.clone_from(&before);
             self.rules.enabled(scratch);
             if scratch.enabled.contains(&number) {
-                return Some((number, before));
+                best = Some((at, number, before));
             }
         }
-        None
+        best.map(|(_, number, before)| (number, before))
     }
 
     /// The same for any transition, by looking at the whole level.
-    fn searched_before(&self, marking: &[u32], distance: usize) -> Option<(TransitionNumber, Vec<u32>)> {
+    fn searched_before(
+        &self,
+        marking: &[u32],
+        distance: usize,
+    ) -> Option<(TransitionNumber, Vec<u32>)> {
         let layout = &self.rules.layout;
         let (mut scratch, mut wanted) = (Scratch::default(), Vec::new());
         layout.pack(marking, &mut wanted);
@@ -118,7 +125,9 @@ impl Lookup<'_> {
 /// Whether the tokens fit into the fields.
 fn fits(layout: &Layout, marking: &[u32]) -> bool {
     let fields = layout.fields.iter();
-    fields.zip(marking).all(|(field, tokens)| *tokens <= field.most())
+    fields
+        .zip(marking)
+        .all(|(field, tokens)| *tokens <= field.most())
 }
 
 /// The marking before a firing of a transition that empties nothing.
@@ -163,7 +172,9 @@ impl Explored<'_> {
         for worker in &self.workers {
             for id in 0..u32::try_from(worker.len()).unwrap_or(u32::MAX) {
                 let distance = || worker.level_of(id);
-                self.rules.layout.unpack(worker.store().get(id), &mut marking);
+                self.rules
+                    .layout
+                    .unpack(worker.store().get(id), &mut marking);
                 if !wanted(&marking) {
                     continue;
                 }
@@ -172,7 +183,10 @@ impl Explored<'_> {
                     marking: marking.clone(),
                 };
                 // The levels follow each other: what comes after the nearest level is farther.
-                if best.as_ref().is_some_and(|best| best.distance < found.distance) {
+                if best
+                    .as_ref()
+                    .is_some_and(|best| best.distance < found.distance)
+                {
                     break;
                 }
                 best = Some(best.map_or(found.clone(), |best| best.min(found)));
@@ -194,12 +208,12 @@ impl Explored<'_> {
         })
     }
 
-    pub(in super::super) fn stores(&self) -> &[Worker] {
+    pub(in crate::analysis) fn stores(&self) -> &[Worker] {
         &self.workers
     }
 
     /// Which worker has the marking with this packed form and [`linear`] sum.
-    pub(in super::super) fn owner(&self, sum: u64) -> usize {
+    pub(in crate::analysis) fn owner(&self, sum: u64) -> usize {
         match self.workers.len() {
             1 => 0,
             count => (mix(sum) >> 40) as usize % count,

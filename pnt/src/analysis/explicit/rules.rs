@@ -7,32 +7,31 @@ use super::super::{
 
 /// The transitions against a layout, and where to look for enabled ones.
 pub struct Rules {
-    pub(in super::super) layout: Layout,
-    pub(in super::super) packed: Vec<Packed>,
+    pub(in crate::analysis) layout: Layout,
+    pub(in crate::analysis) packed: Vec<Packed>,
     /// Per place, the transitions that need it and of whose needs it is the one to look at first.
     triggers: Vec<Vec<TransitionNumber>>,
     /// Transitions that need nothing.
     free: Vec<TransitionNumber>,
     /// Group and priority of each transition.
     priorities: Vec<(u32, Option<u32>)>,
-    pub(in super::super) has_priorities: bool,
+    pub(in crate::analysis) has_priorities: bool,
     /// Enabling function of each transition.
     whens: Vec<Option<(u32, bool)>>,
     has_whens: bool,
     functions: usize,
     groups: usize,
     /// Places that some transition is inhibited by.
-    pub(in super::super) inhibiting: Vec<bool>,
-    pub(in super::super) has_resets: bool,
+    pub(in crate::analysis) inhibiting: Vec<bool>,
 }
 
 /// Memory of one thread for looking at one marking.
 #[derive(Default)]
 pub struct Scratch {
-    pub(in super::super) marking: Vec<u32>,
-    pub(in super::super) enabled: Vec<TransitionNumber>,
+    pub(in crate::analysis) marking: Vec<u32>,
+    pub(in crate::analysis) enabled: Vec<TransitionNumber>,
     /// Per enabled transition, whether nothing can keep it from firing.
-    pub(in super::super) sure: Vec<bool>,
+    pub(in crate::analysis) sure: Vec<bool>,
     most: Vec<u32>,
     polarities: Vec<[bool; 2]>,
 }
@@ -54,7 +53,12 @@ impl Rules {
                 let tokens = model.places[place as usize].tokens;
                 (tokens > 0, users[place as usize])
             };
-            match transition.needs.iter().map(|need| need.0).min_by_key(|p| rarity(*p)) {
+            match transition
+                .needs
+                .iter()
+                .map(|need| need.0)
+                .min_by_key(|p| rarity(*p))
+            {
                 Some(place) => triggers[place as usize].push(number),
                 None => free.push(number),
             }
@@ -64,19 +68,25 @@ impl Rules {
             inhibiting[*place as usize] = true;
         }
         let whens: Vec<_> = model.transitions.iter().map(|t| t.when).collect();
-        let functions = whens.iter().flatten().map(|(function, _)| *function as usize + 1);
+        let functions = whens
+            .iter()
+            .flatten()
+            .map(|(function, _)| *function as usize + 1);
         let groups = model.transitions.iter().map(|t| t.group as usize + 1);
         Self {
             triggers,
             free,
-            priorities: model.transitions.iter().map(|t| (t.group, t.priority)).collect(),
+            priorities: model
+                .transitions
+                .iter()
+                .map(|t| (t.group, t.priority))
+                .collect(),
             has_priorities: model.has_priorities(),
             has_whens: whens.iter().any(Option::is_some),
             functions: functions.max().unwrap_or(0),
             whens,
             groups: groups.max().unwrap_or(0),
             inhibiting,
-            has_resets: packed.iter().any(|t| !t.resets.is_empty()),
             packed,
             layout,
         }
@@ -85,7 +95,7 @@ impl Rules {
     /// The transitions that may fire at `scratch.marking`, and whether each is sure to stay possible: one
     /// with an enabling function is only sure when its negation is enabled as well, so that one of the
     /// two must be allowed.
-    pub(in super::super) fn enabled(&self, scratch: &mut Scratch) {
+    pub(in crate::analysis) fn enabled(&self, scratch: &mut Scratch) {
         scratch.enabled.clear();
         let all = self.triggers.iter().zip(&scratch.marking);
         for (transitions, tokens) in all {
@@ -140,7 +150,8 @@ impl Rules {
             scratch.polarities[function as usize][usize::from(negated)] = true;
         }
         for number in &scratch.enabled {
-            let both = |(function, _): (u32, bool)| scratch.polarities[function as usize] == [true; 2];
+            let both =
+                |(function, _): (u32, bool)| scratch.polarities[function as usize] == [true; 2];
             scratch.sure.push(when(number).is_none_or(both));
         }
     }

@@ -17,7 +17,7 @@ pub(super) struct TooWide {
     pub(super) tokens: u32,
 }
 
-pub(super) struct Worker {
+pub(in crate::analysis) struct Worker {
     pub(super) number: usize,
     workers: usize,
     store: Store,
@@ -76,7 +76,7 @@ impl Worker {
         }
     }
 
-    pub(super) fn len(&self) -> usize {
+    pub(in crate::analysis) fn len(&self) -> usize {
         self.store.len()
     }
 
@@ -107,13 +107,15 @@ impl Worker {
         self.store.len() + (1 << 20) > store::MOST
     }
 
-    pub(super) fn store(&self) -> &Store {
+    pub(in crate::analysis) fn store(&self) -> &Store {
         &self.store
     }
 
     /// Number of the level of a marking.
-    pub(super) fn level_of(&self, id: u32) -> usize {
-        self.levels.partition_point(|first| *first <= id).saturating_sub(1)
+    pub(in crate::analysis) fn level_of(&self, id: u32) -> usize {
+        self.levels
+            .partition_point(|first| *first <= id)
+            .saturating_sub(1)
     }
 
     /// The markings of a level.
@@ -161,10 +163,16 @@ impl Worker {
         }
     }
 
-    /// Expands up to so many markings of this level.
-    pub(super) fn expand(&mut self, rules: &Rules, most: usize) -> Result<(), TooWide> {
-        let until = self.end.min(self.next.saturating_add(u32::try_from(most).unwrap_or(u32::MAX)));
-        while self.next < until {
+    /// Expands up to `chunk` markings of this level; fewer when there are more than `most` in all.
+    pub(super) fn expand(
+        &mut self,
+        rules: &Rules,
+        chunk: usize,
+        most: usize,
+    ) -> Result<(), TooWide> {
+        let chunk = u32::try_from(chunk).unwrap_or(u32::MAX);
+        let until = self.end.min(self.next.saturating_add(chunk));
+        while self.next < until && self.store.len() <= most {
             self.expand_one(rules, self.next)?;
             self.next += 1;
         }
@@ -192,7 +200,11 @@ impl Worker {
             self.sums.push(sum);
             self.probes.push(self.store.probe(sum));
         }
-        let found = self.successors.chunks_exact(words).zip(&self.sums).zip(&self.probes);
+        let found = self
+            .successors
+            .chunks_exact(words)
+            .zip(&self.sums)
+            .zip(&self.probes);
         for ((marking, sum), probe) in found {
             if self.workers > 1 {
                 let owner = owner(*sum, self.workers);
@@ -210,10 +222,14 @@ impl Worker {
         for number in &self.scratch.enabled {
             let transition = &rules.packed[*number as usize];
             let gained = transition.gains.iter().map(|(place, gain)| {
-                (*place, self.scratch.marking[*place as usize].saturating_add(*gain))
+                (
+                    *place,
+                    self.scratch.marking[*place as usize].saturating_add(*gain),
+                )
             });
             for (place, tokens) in gained.chain(transition.resets.iter().copied()) {
-                if tokens > rules.layout.fields[place as usize].most() {
+                // A sum that saturates would fit, and be wrong.
+                if tokens > rules.layout.fields[place as usize].most() || tokens == u32::MAX {
                     return Err(TooWide { place, tokens });
                 }
             }
@@ -268,7 +284,9 @@ impl Worker {
         let count = workers.len();
         for level in 0..self.levels.len() {
             for worker in workers.iter_mut() {
-                worker.levels.push(u32::try_from(worker.store.len()).unwrap_or(u32::MAX));
+                worker
+                    .levels
+                    .push(u32::try_from(worker.store.len()).unwrap_or(u32::MAX));
             }
             for id in self.level(level) {
                 if level + 1 == self.levels.len() && id >= self.end {
