@@ -10,6 +10,7 @@ use indicatif::ProgressBar;
 use pnt::{
     analysis::{explicit::Progress, verdict::Engines},
     check::{self, Limits, Proof, Rule},
+    format,
     net::Net,
     task,
 };
@@ -97,10 +98,11 @@ fn bytes(text: &str) -> Result<usize, String> {
 /// Runs the command. The code is the worst of all systems.
 #[must_use]
 pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
-    let nets = match nets(args, registry) {
-        Ok(nets) => nets,
+    let (nets, warnings) = match nets(args, registry) {
+        Ok(read) => read,
         Err(findings) => return wrong(findings, args),
     };
+    shown(warnings, args);
     let systems = if args.app.is_some() {
         vec![nets]
     } else {
@@ -124,13 +126,16 @@ fn shown(findings: Findings, args: &CheckArgs) {
     show::findings_up_to(findings, most);
 }
 
-/// The nets of the files and of the app.
-fn nets(args: &CheckArgs, registry: &Registry) -> Result<Vec<Arc<Net>>, Findings> {
+/// The nets of the files and of the app, and warnings about them.
+fn nets(args: &CheckArgs, registry: &Registry) -> Result<(Vec<Arc<Net>>, Findings), Findings> {
     let mut findings = Findings::new();
     let mut nets: Vec<Arc<Net>> = Vec::new();
     for file in &args.files {
-        match task::load(file) {
-            Ok(net) => nets.push(Arc::new(net)),
+        match format::load(file) {
+            Ok((net, warnings)) => {
+                findings.extend(warnings);
+                nets.push(Arc::new(net));
+            }
             Err(found) => findings.extend(found),
         }
     }
@@ -151,7 +156,7 @@ fn nets(args: &CheckArgs, registry: &Registry) -> Result<Vec<Arc<Net>>, Findings
     if findings.has_errors() {
         Err(findings)
     } else {
-        Ok(nets)
+        Ok((nets, findings))
     }
 }
 
@@ -172,13 +177,13 @@ fn systems(nets: Vec<Arc<Net>>) -> Vec<Vec<Arc<Net>>> {
     groups
 }
 
-/// Whether one net names the other, or both have the same name, which is an error.
+/// Whether one net names the other.
 fn knows(net: &Net, other: &Net) -> bool {
     let partners = net.coordinators().iter().chain(net.serves());
     let mut names = partners
         .map(|partner| partner.net.as_str())
         .chain(net.remote_nets());
-    net.name() == other.name() || names.any(|name| name == other.name())
+    names.any(|name| name == other.name())
 }
 
 fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
