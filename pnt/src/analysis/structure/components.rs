@@ -281,7 +281,7 @@ mod tests {
     #[test]
     fn rework_in_a_kanban_cell_is_a_component_of_its_own() {
         assert_eq!(marked_graphs(&kanban(1), 1000).unwrap().len(), 5);
-        assert_eq!(state_machines(&kanban(1), 1000).unwrap().len(), 4);
+        assert_eq!(state_machines(&kanban(1), 1000).unwrap().len(), 6);
     }
 
     #[test]

@@ -216,7 +216,8 @@ mod tests {
     #[test]
     fn each_cell_of_a_kanban_system_is_an_invariant() {
         let found = place_invariants(&kanban(2), 1000).unwrap();
-        assert_eq!(found.len(), 4);
+        // Cells 2 and 3 begin and end together, so the free cards of one count for the other as well.
+        assert_eq!(found.len(), 6);
         assert!(found.iter().all(|weights| weights.iter().sum::<u64>() == 4));
     }
 
