@@ -19,7 +19,7 @@ use pnt::{
         symbolic,
         verdict::Engines,
     },
-    check::{Rule, prove},
+    check::{Options, Rule, prove},
     compile,
     compose::System,
     net::Net,
@@ -171,15 +171,11 @@ fn kanban_by_diagrams(bencher: Bencher, cards: usize) {
 #[divan::bench]
 fn whole_check_of_a_robots_net(bencher: Bencher) {
     let nets = [net(&philosophers(7))];
+    let options = Options {
+        engines: Engines::Both,
+        ..Options::new(Rule::Closed, Limits::default())
+    };
     bencher.bench_local(|| {
-        prove(
-            &nets,
-            Rule::Closed,
-            &Limits::default(),
-            Engines::Both,
-            &mut |_| {},
-        )
-        .unwrap()
-        .verdict
+        prove(&nets, &options, &mut |_| {}).unwrap().verdict
     });
 }

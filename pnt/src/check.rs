@@ -2,6 +2,8 @@
 //! of use, rest always within reach, every command answered by one of its output symbols. What they
 //! do not prove becomes findings that point into the net texts.
 
+pub mod commands;
+
 #[cfg(test)]
 mod tests;
 
@@ -9,10 +11,14 @@ use std::{collections::BTreeSet, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings, Place as At};
 
+use commands::Workflow;
+
 use crate::{
     analysis::{
+        cover::{Cover, cover},
         explicit::{Progress, Reached},
         model::{Model, TransitionNumber},
+        question::{Answer, Question},
         verdict::{Engines, Looked, Verdict, list, look},
     },
     compose::{Stands, Step, System, SystemPlace},
@@ -110,17 +116,79 @@ pub struct Proof {
     pub verdict: Verdict,
     /// Why they are not sound; and warnings.
     pub findings: Findings,
+    /// Of nets without bound, what they can cover, where that can be told.
+    pub cover: Option<Cover>,
+    /// Answers to the questions that were asked, in order.
+    pub answers: Vec<Answered>,
+    /// Each command by itself, if that was asked.
+    pub workflows: Vec<Workflow>,
 }
+
+/// What to prove, and how.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// What makes the nets sound.
+    pub rule: Rule,
+    /// How far to look.
+    pub limits: Limits,
+    /// What to look with; questions and tapes need the markings one by one.
+    pub engines: Engines,
+    /// Questions whether something can ever be.
+    pub can: Vec<String>,
+    /// Questions whether something always stays possible.
+    pub always: Vec<String>,
+    /// Whether to look at each command by itself as well.
+    pub workflows: bool,
+}
+
+impl Options {
+    /// The check that nets have before they run: nothing is asked, one marking comes after the other.
+    #[must_use]
+    pub fn new(rule: Rule, limits: Limits) -> Self {
+        Self {
+            rule,
+            limits,
+            engines: Engines::Explicit,
+            can: Vec::new(),
+            always: Vec::new(),
+            workflows: false,
+        }
+    }
+}
+
+/// A question and its answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Answered {
+    /// The question as it was asked.
+    pub question: String,
+    /// Whether it was asked if this always stays possible, not only if it can ever be.
+    pub always: bool,
+    /// The answer.
+    pub answer: Answer,
+}
+
+impl Answered {
+    /// Yes or no; nothing when a limit came first.
+    #[must_use]
+    pub fn yes(&self) -> Option<bool> {
+        match self.answer {
+            Answer::Unknown => None,
+            Answer::Witness(_) => Some(!self.always),
+            Answer::Proved(_) => Some(self.always),
+        }
+    }
+}
+
+/// States that a coverability graph may have; it serves only nets that are not sound anyway.
+const COVER_NODES: usize = 50_000;
 
 /// Composes nets and explores what can happen.
 ///
 /// # Errors
-/// All findings about nets that do not fit together; then nothing is explored.
+/// All findings about nets that do not fit together, and about questions; then nothing is explored.
 pub fn prove(
     nets: &[Arc<Net>],
-    rule: Rule,
-    limits: &Limits,
-    engines: Engines,
+    options: &Options,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Proof, Findings> {
     let (system, mut findings) = System::compose(nets);
@@ -128,11 +196,31 @@ pub fn prove(
         return Err(findings);
     }
     let model = Model::of_system(&system);
+    let mut questions = Vec::new();
+    let can = options.can.iter().map(|text| (text, false));
+    for (text, always) in can.chain(options.always.iter().map(|text| (text, true))) {
+        questions.extend(findings.keep(Question::parse(text, &model)).map(|q| (q, always)));
+    }
+    if findings.has_errors() {
+        return Err(findings);
+    }
+    let Options { rule, limits, .. } = *options;
     // What is told about nets with a tape needs the markings one by one.
-    let looked = match rule {
-        Rule::Rest => list(&model, limits, progress),
-        Rule::Closed => look(&model, limits, engines, progress),
+    let looked = if rule == Rule::Rest || !questions.is_empty() {
+        list(&model, &limits, progress)
+    } else {
+        look(&model, &limits, options.engines, progress)
     };
+    let answered = |(question, always): (Question, bool)| Answered {
+        answer: match always {
+            false => question.can_be(&looked.explored),
+            true => question.stays_possible(&looked.explored, limits.bytes),
+        },
+        question: question.to_string(),
+        always,
+    };
+    let answers = questions.into_iter().map(answered).collect();
+    let grows = looked.explored.growth.is_some();
     let judge = Judge {
         system: &system,
         model: &model,
@@ -142,6 +230,12 @@ pub fn prove(
     findings.extend(judge.findings());
     let verdict = looked.verdict;
     Ok(Proof {
+        cover: grows.then(|| cover(&model, COVER_NODES)).flatten(),
+        workflows: match options.workflows {
+            true => commands::workflows(&system, &limits),
+            false => Vec::new(),
+        },
+        answers,
         system,
         model,
         verdict,
@@ -153,7 +247,7 @@ pub fn prove(
 /// together.
 #[must_use]
 pub fn check(nets: &[Arc<Net>], limits: &Limits) -> (Report, Findings) {
-    match prove(nets, Rule::Rest, limits, Engines::Explicit, &mut |_| {}) {
+    match prove(nets, &Options::new(Rule::Rest, *limits), &mut |_| {}) {
         Ok(proof) => {
             let report = Report {
                 markings: proof.verdict.markings,

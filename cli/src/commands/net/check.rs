@@ -1,6 +1,7 @@
 //! `ctos net check`.
 
 mod report;
+mod structure;
 
 use std::{collections::BTreeSet, io::IsTerminal, path::PathBuf, sync::Arc};
 
@@ -9,7 +10,7 @@ use ctos::{config::Selection, diagnostic::Findings, registry::Registry, time::Cl
 use indicatif::ProgressBar;
 use pnt::{
     analysis::{explicit::Progress, verdict::Engines},
-    check::{self, Limits, Proof, Rule},
+    check::{self, Limits, Options, Proof, Rule},
     format,
     net::Net,
     task,
@@ -28,6 +29,7 @@ use crate::{exit, program, show};
 #[command(after_help = "Examples:
   ctos net check configs/nets/hello.net
   ctos net check cell.pnml --json
+  ctos net check configs/nets/hello.net --always idle --structure
   ctos net check --app configs/calibrate.toml
   ctos net check configs/nets/motion.net --app configs/calibrate.toml")]
 pub struct CheckArgs {
@@ -52,6 +54,15 @@ pub struct CheckArgs {
     /// How markings are found
     #[arg(long, value_enum, value_name = "ENGINE", default_value_t)]
     pub engine: EngineArg,
+    /// Ask whether a marking like this can be reached, for example `--can "gripper & parts >= 2"` (can be repeated)
+    #[arg(long, value_name = "QUESTION")]
+    pub can: Vec<String>,
+    /// Ask whether a marking like this can be reached from every reachable one (can be repeated)
+    #[arg(long, value_name = "QUESTION")]
+    pub always: Vec<String>,
+    /// Tell what follows from the arcs alone: invariants, siphons, components, cycle times
+    #[arg(long)]
+    pub structure: bool,
     /// Show every finding and not only the first 20
     #[arg(long)]
     pub all: bool,
@@ -192,39 +203,46 @@ fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
     } else {
         Rule::of(nets)
     };
-    let limits = Limits {
-        markings: args.max_markings,
-        bytes: args.max_memory,
-        threads: usize::from(args.threads),
+    let options = Options {
+        rule,
+        limits: Limits {
+            markings: args.max_markings,
+            bytes: args.max_memory,
+            threads: usize::from(args.threads),
+        },
+        engines: args.engine.into(),
+        can: args.can.clone(),
+        always: args.always.clone(),
+        workflows: rule == Rule::Rest,
     };
     let clock = Clock::real();
     let start = clock.now();
     let display = Display::new();
-    let proof = check::prove(nets, rule, &limits, args.engine.into(), &mut |progress| {
-        display.show(progress)
-    });
+    let proof = check::prove(nets, &options, &mut |progress| display.show(progress));
     let seconds = (clock.now() - start).as_secs_f64();
     display.clear();
-    let Proof {
-        verdict, findings, ..
-    } = match proof {
+    let mut proof = match proof {
         Ok(proof) => proof,
         Err(findings) => return wrong(findings, args),
     };
-    let answer = Answer::new(nets, &verdict, seconds, !findings.has_errors());
-    let code = match (verdict.complete, verdict.bounded, answer.sound) {
-        (false, None, _) => exit::TIMED_OUT,
-        (_, _, true) => exit::OK,
-        (_, _, false) => exit::FAILED,
-    };
-    shown(findings, args);
+    let answer = Answer::new(nets, &proof, seconds, args.structure);
+    let code = code(&proof, answer.sound);
+    shown(std::mem::take(&mut proof.findings), args);
     // A reader that went away has what it wanted.
-    let _ = show::data(&if args.json {
-        answer.json()
-    } else {
-        answer.text()
-    });
+    let _ = show::data(&if args.json { answer.json() } else { answer.text() });
     code
+}
+
+/// Not proved for want of room is no fault of the nets; a question may be answered all the same.
+fn code(proof: &Proof, sound: bool) -> u8 {
+    let unknown = proof.answers.iter().any(|answered| answered.yes().is_none());
+    let no = proof.answers.iter().any(|answered| answered.yes() == Some(false));
+    let decided = proof.verdict.complete || proof.verdict.bounded.is_some();
+    match (decided && !unknown, sound && !no) {
+        (false, _) => exit::TIMED_OUT,
+        (true, true) => exit::OK,
+        (true, false) => exit::FAILED,
+    }
 }
 
 /// How far a long search is, on a terminal.

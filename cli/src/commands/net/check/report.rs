@@ -1,12 +1,19 @@
 //! What a check of nets says: one JSON object, or a few lines.
 
-use std::{fmt::Write as _, sync::Arc};
+use std::{collections::BTreeMap, fmt::Write as _, sync::Arc};
 
 use pnt::{
-    analysis::verdict::{Engine, Verdict},
+    analysis::{
+        model::Model,
+        question::{self, Because},
+        verdict::Engine,
+    },
+    check::{Answered, Proof},
     net::Net,
 };
 use serde::Serialize;
+
+use super::structure::Structure;
 
 /// The answer about one system of nets. `None` is written as `null`: a limit came first.
 #[derive(Debug, Serialize)]
@@ -28,13 +35,108 @@ pub(super) struct Answer {
     home_states: Option<u128>,
     dead_transitions: Vec<String>,
     complete: bool,
+    unbounded_places: Vec<String>,
     engine: &'static str,
     seconds: f64,
     peak_bytes: usize,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    questions: Vec<Asked>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    commands: Vec<CommandAlone>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    structure: Option<Structure>,
+}
+
+/// A question, its answer, and what the answer rests on.
+#[derive(Debug, Serialize)]
+struct Asked {
+    question: String,
+    asks: &'static str,
+    answer: Option<bool>,
+    /// A firing sequence that shows it, and the marking it ends in.
+    sequence: Option<Vec<String>>,
+    marking: Option<BTreeMap<String, u32>>,
+    /// What proves it: an invariant with its weights, or the number of markings looked at.
+    invariant: Option<BTreeMap<String, u64>>,
+    exhausted: Option<usize>,
+}
+
+/// One command by itself.
+#[derive(Debug, Serialize)]
+struct CommandAlone {
+    net: String,
+    command: String,
+    sound: Option<bool>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    counterexample: Vec<String>,
+}
+
+impl Asked {
+    fn new(answered: &Answered, model: &Model) -> Self {
+        let place = |number: u32| {
+            let place = model.places.get(number as usize);
+            place.map(|place| place.name.clone()).unwrap_or_default()
+        };
+        let mut asked = Self {
+            question: answered.question.clone(),
+            asks: if answered.always { "always" } else { "can" },
+            answer: answered.yes(),
+            sequence: None,
+            marking: None,
+            invariant: None,
+            exhausted: None,
+        };
+        match &answered.answer {
+            question::Answer::Unknown => {}
+            question::Answer::Proved(Because::Exhausted(markings)) => {
+                asked.exhausted = Some(*markings);
+            }
+            question::Answer::Proved(Because::Invariant(weights)) => {
+                let named = weights.iter().map(|(number, weight)| (place(*number), *weight));
+                asked.invariant = Some(named.collect());
+            }
+            question::Answer::Witness(witness) => {
+                let name = |number: &u32| {
+                    let transition = model.transitions.get(*number as usize);
+                    transition.map(|t| t.name.clone()).unwrap_or_default()
+                };
+                asked.sequence = Some(witness.sequence.iter().map(name).collect());
+                let tokens = (0..).zip(&witness.marking).filter(|(_, tokens)| **tokens > 0);
+                asked.marking = Some(tokens.map(|(p, tokens)| (place(p), *tokens)).collect());
+            }
+        }
+        asked
+    }
+
+    fn text(&self) -> String {
+        let marked = |tokens: &BTreeMap<String, u32>| {
+            let named = tokens.iter().map(|(place, tokens)| format!("{place}*{tokens}"));
+            named.collect::<Vec<_>>().join(", ")
+        };
+        let answer = match self.answer {
+            Some(true) => "yes",
+            Some(false) => "no",
+            None => "not known within the limits",
+        };
+        let mut text = format!("  {} \"{}\": {answer}", self.asks, self.question);
+        if let (Some(sequence), Some(marking)) = (&self.sequence, &self.marking) {
+            let _ = write!(text, ": after {} the marking is {}", sequence.join(", "), marked(marking));
+        }
+        if let Some(invariant) = &self.invariant {
+            let sum = invariant.iter().map(|(place, weight)| format!("{weight}*{place}"));
+            let sum = sum.collect::<Vec<_>>().join(" + ");
+            let _ = write!(text, ": no firing changes {sum}");
+        }
+        if let Some(markings) = self.exhausted {
+            let _ = write!(text, ": all {markings} markings were looked at");
+        }
+        text
+    }
 }
 
 impl Answer {
-    pub(super) fn new(nets: &[Arc<Net>], verdict: &Verdict, seconds: f64, sound: bool) -> Self {
+    pub(super) fn new(nets: &[Arc<Net>], proof: &Proof, seconds: f64, structure: bool) -> Self {
+        let verdict = &proof.verdict;
         let alone = nets.len() == 1;
         let names = nets.iter().flat_map(|net| {
             let transitions = net.transitions().iter();
@@ -43,12 +145,21 @@ impl Answer {
                 false => format!("{}.{}", net.name(), transition.name),
             })
         });
-        let never = names
-            .zip(&verdict.seen)
-            .filter(|(_, seen)| verdict.complete && !**seen);
+        let seen = match &proof.cover {
+            // What cannot be covered cannot fire.
+            Some(cover) => by_label(&proof.model, &cover.seen),
+            None => verdict.seen.clone(),
+        };
+        let known = verdict.complete || proof.cover.is_some();
+        let never = names.zip(&seen).filter(|(_, seen)| known && !**seen);
+        let place = |number: u32| {
+            let place = proof.model.places.get(number as usize)?;
+            let short = place.name.split_once('.').filter(|_| alone);
+            Some(short.map_or(place.name.as_str(), |(_, name)| name).to_owned())
+        };
         Self {
             nets: nets.iter().map(|net| net.name().to_owned()).collect(),
-            sound,
+            sound: verdict.complete && !proof.findings.has_errors(),
             places: nets.iter().map(|net| net.places().len()).sum(),
             transitions: nets.iter().map(|net| net.transitions().len()).sum(),
             arcs: nets.iter().map(|net| arcs(net)).sum(),
@@ -70,6 +181,28 @@ impl Answer {
             },
             seconds,
             peak_bytes: verdict.peak_bytes,
+            unbounded_places: proof
+                .cover
+                .iter()
+                .flat_map(|cover| cover.unbounded())
+                .filter_map(place)
+                .collect(),
+            questions: proof
+                .answers
+                .iter()
+                .map(|answered| Asked::new(answered, &proof.model))
+                .collect(),
+            commands: proof
+                .workflows
+                .iter()
+                .map(|workflow| CommandAlone {
+                    net: workflow.net.clone(),
+                    command: workflow.command.clone(),
+                    sound: workflow.sound,
+                    counterexample: workflow.counterexample.clone(),
+                })
+                .collect(),
+            structure: structure.then(|| Structure::new(nets, &proof.model)),
         }
     }
 
@@ -116,8 +249,32 @@ impl Answer {
             known(self.live, "live", "not live"),
             known(self.reversible, "reversible", "not reversible"),
         );
+        if !self.unbounded_places.is_empty() {
+            let _ = write!(text, "\n  without bound: {}", self.unbounded_places.join(", "));
+        }
+        for asked in &self.questions {
+            let _ = write!(text, "\n{}", asked.text());
+        }
+        for alone in &self.commands {
+            let sound = known(alone.sound, "sound", "not sound");
+            let _ = write!(text, "\n  command {} to {}: {sound}", alone.command, alone.net);
+        }
+        if let Some(structure) = &self.structure {
+            text.push_str(&structure.text());
+        }
         text
     }
+}
+
+/// Per transition as its author sees it, whether one of its parts is enabled somewhere.
+fn by_label(model: &Model, enabled: &[bool]) -> Vec<bool> {
+    let mut seen = vec![false; model.label_count()];
+    for (transition, enabled) in model.transitions.iter().zip(enabled) {
+        if let (Some(label), true) = (transition.label, enabled) {
+            seen[label as usize] = true;
+        }
+    }
+    seen
 }
 
 /// Arcs of a net, to places of other nets too. Parallel ones have become one with their weights added
