@@ -4,6 +4,7 @@
 //! (architecture report, sections 6 and 7). From bottom to top:
 //!
 //! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
+//! - [`timing`]: when a transition fires;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
@@ -27,3 +28,4 @@ mod ready;
 pub mod space;
 pub mod task;
 pub mod text;
+pub mod timing;

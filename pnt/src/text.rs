@@ -16,19 +16,36 @@ use crate::draft::{
 use words::Words;
 
 /// Keywords that begin a line of the net itself.
-const DECLARATIONS: [&str; 6] = [
+const DECLARATIONS: [&str; 7] = [
     "net",
     "place",
     "command",
     "coordinator",
     "serves",
+    "safe",
     "transition",
 ];
 
 /// Keywords that begin a line of a transition.
-const CLAUSES: [&str; 13] = [
-    "in", "read", "inhibit", "tape", "when", "do", "ask", "send", "out", "fail", "write",
-    "priority", "within",
+const CLAUSES: [&str; 18] = [
+    "in",
+    "read",
+    "inhibit",
+    "reset",
+    "tape",
+    "when",
+    "do",
+    "ask",
+    "send",
+    "idempotent",
+    "out",
+    "fail",
+    "write",
+    "priority",
+    "weight",
+    "time",
+    "servers",
+    "within",
 ];
 
 /// Parses one net.
@@ -87,7 +104,7 @@ impl Parser<'_> {
             return;
         }
         let result = words
-            .name("a keyword")
+            .first()
             .and_then(|keyword| self.statement(&keyword, &mut words))
             .and_then(|()| words.end());
         self.findings.keep(result);
@@ -139,6 +156,11 @@ impl Parser<'_> {
                 Ok(())
             }
             "serves" => self.serves(words),
+            "safe" => {
+                let safe = words.arcs()?;
+                self.draft.safe.push(safe);
+                Ok(())
+            }
             _ => {
                 // The transition is opened even if its line is bad, so that its clauses are read.
                 let name = words.name("the transition's name");
@@ -173,12 +195,22 @@ impl Parser<'_> {
             } else {
                 0
             };
+            let capacity = if words.keyword("capacity") {
+                Some(words.whole("the capacity", 1)?)
+            } else {
+                None
+            };
             let data = if words.keyword("data") {
                 Some(words.name("the data object")?)
             } else {
                 None
             };
-            self.draft.places.push(DraftPlace { name, tokens, data });
+            self.draft.places.push(DraftPlace {
+                name,
+                tokens,
+                capacity,
+                data,
+            });
             if !words.take(",") {
                 return Ok(());
             }
@@ -222,6 +254,19 @@ fn clause(
         "tape" => once(&mut transition.tape, keyword, words.name("a symbol")?)?,
         "write" => once(&mut transition.write, keyword, words.name("a symbol")?)?,
         "within" => once(&mut transition.within, keyword, words.duration()?)?,
+        "reset" => transition.resets.extend(words.names("a place")?),
+        "idempotent" => transition.idempotent = true,
+        "time" => {
+            let timing = words.timing()?;
+            let before = std::mem::replace(&mut transition.timing, timing);
+            once(
+                &mut (!before.is_immediate()).then_some(before),
+                keyword,
+                timing,
+            )?;
+        }
+        "weight" => transition.weight = words.weight()?,
+        "servers" => once(&mut transition.servers, keyword, words.servers()?)?,
         "priority" => transition.priority = words.whole("the priority", 0)?,
         "when" => {
             let first = words.name("an enabling function")?;
@@ -256,23 +301,23 @@ fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding>
             let task = words.name("a task")?;
             words.mark(".")?;
             let command = words.name("a command")?;
-            let (mut input, mut output) = (None, None);
+            let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
             if words.take("(") && !words.take(")") {
                 if !words.take("->") {
-                    input = Some(words.name("a data object")?);
+                    inputs = words.names("a data object")?;
                     if words.take("->") {
-                        output = Some(words.name("a data object")?);
+                        outputs = words.names("a data object")?;
                     }
                 } else {
-                    output = Some(words.name("a data object")?);
+                    outputs = words.names("a data object")?;
                 }
                 words.mark(")")?;
             }
             Ok(DraftAction::Send {
                 task,
                 command,
-                input,
-                output,
+                inputs,
+                outputs,
             })
         }
     }
