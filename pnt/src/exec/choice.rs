@@ -27,9 +27,14 @@ impl Execution {
         mut asks: impl FnMut(&When) -> bool,
     ) -> Option<TransitionId> {
         let (net, wiring) = (&*self.net, &*self.wiring);
-        let mut allowed = |rank: usize| wiring.guards.get(rank) != Some(&true) || {
-            let when = wiring.at_rank.get(rank).and_then(|id| net[*id].when.as_ref());
-            when.is_none_or(|when| asks(when) != when.negated)
+        let mut allowed = |rank: usize| {
+            wiring.guards.get(rank) != Some(&true) || {
+                let when = wiring
+                    .at_rank
+                    .get(rank)
+                    .and_then(|id| net[*id].when.as_ref());
+                when.is_none_or(|when| asks(when) != when.negated)
+            }
         };
         let rank = match conflicts {
             Conflicts::Declared => by_order(&self.enabling, wiring, &mut allowed),
@@ -64,7 +69,10 @@ fn by_chance(
     let mut next = enabling.ready.first();
     while let Some(first) = next.filter(|rank| *rank < wiring.first_timed) {
         let class = wiring.class_from(first);
-        let alone = enabling.ready.next(first + 1).is_none_or(|rank| rank >= class.end);
+        let alone = enabling
+            .ready
+            .next(first + 1)
+            .is_none_or(|rank| rank >= class.end);
         let chosen = if alone {
             Some(first).filter(|rank| allowed(*rank))
         } else {
