@@ -9,7 +9,8 @@
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
 //!   [`check`]: what they prove, as findings that point into the net texts;
-//! - [`invariants`]: what no firing can change.
+//! - [`invariants`]: what no firing can change;
+//! - [`stochastic`]: how fast a net goes that says what its transitions take.
 //!
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
@@ -26,6 +27,7 @@ pub mod library;
 pub mod net;
 mod ready;
 pub mod space;
+pub mod stochastic;
 pub mod task;
 pub mod text;
 pub mod timing;
