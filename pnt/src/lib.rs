@@ -5,6 +5,7 @@
 //!
 //! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
 //! - [`timing`]: when a transition fires;
+//! - [`pnml`] and [`tina`]: nets of other tools; [`format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
@@ -22,12 +23,15 @@ pub mod compile;
 pub mod compose;
 pub mod draft;
 pub mod exec;
+pub mod format;
 pub mod invariants;
 pub mod library;
 pub mod net;
+pub mod pnml;
 mod ready;
 pub mod space;
 pub mod stochastic;
 pub mod task;
 pub mod text;
 pub mod timing;
+pub mod tina;
