@@ -44,6 +44,14 @@ use wiring::{Changes, Wiring};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FiringId(u64);
 
+impl FiringId {
+    /// The number.
+    #[must_use]
+    pub fn number(self) -> u64 {
+        self.0
+    }
+}
+
 /// What a transition wrote to the output tape.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Written {

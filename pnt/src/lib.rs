@@ -16,7 +16,9 @@
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
 //!
-//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net.
+//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net;
+//!   [`stream`]: what a net does, as numbered events for displays and records;
+//!   [`layout`]: where its nodes are drawn.
 
 pub mod check;
 pub mod compile;
@@ -25,12 +27,14 @@ pub mod draft;
 pub mod exec;
 pub mod format;
 pub mod invariants;
+pub mod layout;
 pub mod library;
 pub mod net;
 pub mod pnml;
 mod ready;
 pub mod space;
 pub mod stochastic;
+pub mod stream;
 pub mod task;
 pub mod text;
 pub mod timing;

@@ -8,11 +8,12 @@ use ctos::{
     task::{Context, HandlerError},
 };
 
-use super::engine::Engine;
+use super::{engine::Engine, journal::Phase};
 use crate::{
     exec::{FireError, FiringId},
     library::{Acted, Action},
     net::{self, TransitionId},
+    stream::EventPhase,
 };
 
 /// How often an action without failure branch is tried before the net gives up.
@@ -65,15 +66,21 @@ impl<S: 'static> Engine<S> {
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
         let (phase, text) = match &acted {
-            Ok(()) => ("completed", String::new()),
-            Err(error) => ("failed", error.to_string()),
+            Ok(()) => (EventPhase::Completed, String::new()),
+            Err(error) => (EventPhase::Failed, error.to_string()),
         };
         let effects = match acted {
             Ok(()) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
         };
         let (remote, written) = (effects.remote.to_vec(), effects.written);
-        self.log(&mut core, cx, id, phase, &text);
+        let phase = Phase {
+            transition: id,
+            firing: Some(firing),
+            phase,
+            text: &text,
+        };
+        self.log(&mut core, cx, &phase);
         drop(core);
         self.carry_out(cx, id, &remote, written);
         Ok(())
