@@ -2,6 +2,7 @@
 
 pub mod check;
 pub mod convert;
+pub mod fmt;
 pub mod perf;
 
 use clap::{Args, Subcommand};
@@ -25,6 +26,8 @@ pub enum NetCommand {
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
     /// everything; what another form has no words for is told.
     Convert(convert::ConvertArgs),
+    /// Lay out net text in the one usual way
+    Fmt(fmt::FmtArgs),
     /// Say how fast nets go whose transitions say what they take
     Perf(perf::PerfArgs),
 }
@@ -35,6 +38,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Perf(args) => perf::run(args),
     }
 }
