@@ -199,7 +199,11 @@ pub fn prove(
     let mut questions = Vec::new();
     let can = options.can.iter().map(|text| (text, false));
     for (text, always) in can.chain(options.always.iter().map(|text| (text, true))) {
-        questions.extend(findings.keep(Question::parse(text, &model)).map(|q| (q, always)));
+        questions.extend(
+            findings
+                .keep(Question::parse(text, &model))
+                .map(|q| (q, always)),
+        );
     }
     if findings.has_errors() {
         return Err(findings);

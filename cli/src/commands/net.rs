@@ -3,6 +3,7 @@
 pub mod check;
 pub mod convert;
 pub mod fmt;
+pub mod perf;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -27,6 +28,8 @@ pub enum NetCommand {
     Convert(convert::ConvertArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
+    /// Say how fast nets go whose transitions say what they take
+    Perf(perf::PerfArgs),
 }
 
 /// Runs the command.
@@ -36,5 +39,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
+        NetCommand::Perf(args) => perf::run(args),
     }
 }

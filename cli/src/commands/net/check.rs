@@ -229,14 +229,24 @@ fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
     let code = code(&proof, answer.sound);
     shown(std::mem::take(&mut proof.findings), args);
     // A reader that went away has what it wanted.
-    let _ = show::data(&if args.json { answer.json() } else { answer.text() });
+    let _ = show::data(&if args.json {
+        answer.json()
+    } else {
+        answer.text()
+    });
     code
 }
 
 /// Not proved for want of room is no fault of the nets; a question may be answered all the same.
 fn code(proof: &Proof, sound: bool) -> u8 {
-    let unknown = proof.answers.iter().any(|answered| answered.yes().is_none());
-    let no = proof.answers.iter().any(|answered| answered.yes() == Some(false));
+    let unknown = proof
+        .answers
+        .iter()
+        .any(|answered| answered.yes().is_none());
+    let no = proof
+        .answers
+        .iter()
+        .any(|answered| answered.yes() == Some(false));
     let decided = proof.verdict.complete || proof.verdict.bounded.is_some();
     match (decided && !unknown, sound && !no) {
         (false, _) => exit::TIMED_OUT,
