@@ -150,7 +150,7 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             // What is wrong with the configuration is told below.
             && let Ok(app) = program::app(&args.app.selection())
         {
-            let nets = pnt::task::nets(&app, &registry).into_iter();
+            let nets = pnt::task::net_tasks(&app, &registry).into_iter();
             let allow = nets.map(|net| format!("task.{net}.args.allow_control=true"));
             args.app.sets.extend(allow);
         }

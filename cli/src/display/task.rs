@@ -100,7 +100,7 @@ impl NetDisplay {
 
     /// The nets that are shown.
     fn nets(&self, cx: &Context) -> Vec<String> {
-        let all = pnt::task::nets(cx.app(), cx.registry());
+        let all = pnt::task::net_tasks(cx.app(), cx.registry());
         match &self.args.nets {
             Some(wanted) => all.into_iter().filter(|net| wanted.contains(net)).collect(),
             None => all,
