@@ -26,4 +26,5 @@ pub fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &[], task::NetDisplay::new)
         .check_in_app(args::check);
+    registry.app_check(HANDLER, args::check_overviews);
 }

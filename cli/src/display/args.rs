@@ -1,10 +1,15 @@
 //! The arguments of a display and what can be wrong with them.
 
-use std::net::SocketAddr;
+use std::{collections::BTreeMap, net::SocketAddr};
 
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
+    registry::Registry,
+};
+use pnt::{
+    layout::{Detail, Drawing},
+    stream::NetView,
 };
 use serde::Deserialize;
 
@@ -88,6 +93,35 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
                 Overviews::read(&source, findings);
             }
             Err(finding) => findings.push(at(finding, "displays")),
+        }
+    }
+}
+
+/// Overview displays must name nodes that there are. Nothing is said when a net is wrong by itself.
+pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Findings) {
+    let displays = app.tasks.iter().filter(|task| task.handler == HANDLER);
+    for task in displays {
+        let Ok(args) = task.args.parse::<DisplayArgs>() else {
+            continue;
+        };
+        let source = args.displays.as_ref().map(|file| app.read(file));
+        let (Some(Ok(source)), Ok(nets)) = (source, pnt::task::nets(app, registry)) else {
+            continue;
+        };
+        // What is wrong with the file itself has been said.
+        let overviews = Overviews::read(&source, &mut Findings::new());
+        let drawings: BTreeMap<&str, Drawing> = nets
+            .iter()
+            .map(|net| (net.name(), Drawing::new(&NetView::new(net), Detail::Written)))
+            .collect();
+        for unknown in overviews.unknown(|net| drawings.get(net)) {
+            let text = format!("{}: no net has the node of {unknown}", source.name());
+            let place = task.args.locate("displays");
+            findings.push(
+                Finding::warning("pnt::display::unknown_node", text)
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help("write `NET/NODE`, in which `*` stands for any letters"),
+            );
         }
     }
 }

@@ -6,6 +6,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
+use ctos::diagnostic::{Findings, Severity};
 use pnt::{
     layout::{Detail, Drawing},
     stream::{Batch, Event, NetView, Replica, ReplicaError, State},
@@ -248,9 +249,27 @@ impl Hub {
         }
     }
 
-    /// What the analysis found.
-    pub(crate) fn notes(&self, notes: Vec<Note>) {
+    /// What the analysis found, as far as it is about nodes.
+    pub(crate) fn notes(&self, findings: &Findings) {
         let mut known = self.known();
+        let found = findings.iter().filter_map(|finding| {
+            let at = finding.place.as_ref()?.to_string();
+            let (net, node) = known.tracks.values().find_map(|track| {
+                let node = track.view.node_at(&at)?;
+                Some((track.view.name.clone(), node.to_owned()))
+            })?;
+            Some(Note {
+                net,
+                node,
+                severity: match finding.severity {
+                    Severity::Error => "error",
+                    Severity::Warning => "warning",
+                },
+                message: finding.message.clone(),
+                at,
+            })
+        });
+        let notes: Vec<Note> = found.collect();
         self.tell(&Told::Notes { notes: &notes });
         known.notes = notes;
     }

@@ -98,6 +98,16 @@ impl NetDisplay {
         Ok(())
     }
 
+    /// Looks for what the analysis says of the nets, on a thread of its own: it may take a while.
+    fn analyse(&self, cx: &Context) {
+        let (app, registry) = (cx.app().clone(), cx.shared_registry());
+        let hub = self.hub.clone();
+        // Without it the nets are shown without notes.
+        let _ = std::thread::Builder::new()
+            .name("display-notes".to_owned())
+            .spawn(move || hub.notes(&registry.check(&app)));
+    }
+
     /// The nets that are shown.
     fn nets(&self, cx: &Context) -> Vec<String> {
         let all = pnt::task::net_tasks(cx.app(), cx.registry());
@@ -140,7 +150,7 @@ impl EventHandler for NetDisplay {
                     cx.spawn(async move { orders::carry(&child, &hub, received).await });
                 }
             }
-            Phase::Run => {}
+            Phase::Run => self.analyse(cx),
         }
         Ok(())
     }
