@@ -94,13 +94,12 @@ impl InjureArgs {
 const DISPLAY: &str = "127.0.0.1:8108";
 
 /// What a display is, as `--set` texts, which reach every chassis.
-fn display_sets(listen: SocketAddr, allow_control: bool) -> [String; 5] {
+fn display_sets(listen: SocketAddr, allow_control: bool) -> [String; 2] {
+    let handler = crate::display::HANDLER;
+    let args = format!("{{ listen = \"{listen}\", allow_control = {allow_control} }}");
     [
-        "chassis.display.restart=\"never\"".to_owned(),
-        format!("task.display.handler={:?}", crate::display::HANDLER),
-        "task.display.on=\"display\"".to_owned(),
-        format!("task.display.args.listen=\"{listen}\""),
-        format!("task.display.args.allow_control={allow_control}"),
+        "chassis.display={}".to_owned(),
+        format!("task.display={{ handler = \"{handler}\", on = \"display\", args = {args} }}"),
     ]
 }
 

@@ -196,3 +196,128 @@ impl RecordedNet {
         (at(self.steps.first()), at(self.steps.last()))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use ctos::diagnostic::Source;
+    use pnt::{compile, stream::EventPhase};
+
+    use super::*;
+
+    fn view() -> NetView {
+        let text = "net n\nplace a = 1, b\ntransition t\n  in a\n  out b\ntransition u\n  in b\n  out a\n";
+        let net = compile::net(&Source::new("n.net", text)).unwrap_or_else(|f| panic!("{f}"));
+        NetView::new(&net)
+    }
+
+    /// The `seq`th event of a token that goes to and fro, one each second.
+    fn event(seq: u64) -> Event {
+        let (transition, from, to) = if seq % 2 == 1 { ("t", "a", "b") } else { ("u", "b", "a") };
+        Event {
+            seq,
+            at_ns: seq * 1_000_000_000,
+            net: "n".to_owned(),
+            transition: transition.to_owned(),
+            phase: EventPhase::Fired,
+            text: String::new(),
+            firing: None,
+            consumed: vec![(from.to_owned(), 1)],
+            produced: vec![(to.to_owned(), 1)],
+            sent: Vec::new(),
+            read: None,
+            wrote: None,
+            target: String::new(),
+            trace: String::new(),
+        }
+    }
+
+    fn state(seq: u64) -> State {
+        let places = if seq.is_multiple_of(2) { vec![1, 0] } else { vec![0, 1] };
+        State {
+            seq,
+            at_ns: seq * 1_000_000_000,
+            places,
+            ..State::initial(&view())
+        }
+    }
+
+    fn whole(seq: u64) -> Whole {
+        Whole {
+            view: view(),
+            state: state(seq),
+        }
+    }
+
+    #[test]
+    fn a_record_with_a_gap_shows_what_is_known_before_and_after_it() {
+        let mut recorded = Recorded::default();
+        recorded.event(event(1));
+        recorded.whole(whole(2));
+        for seq in [2, 3, 4, 7, 8] {
+            recorded.event(event(seq));
+        }
+        recorded.whole(whole(9));
+        recorded.event(event(9));
+        recorded.event(event(10));
+        let net = &recorded.nets["n"];
+        let places = |seconds: u64| {
+            let at = net.at(Some(seconds * 1_000_000_000), 10);
+            at.map(|(state, _)| (state.seq, state.places))
+        };
+        assert_eq!(places(1), None);
+        assert_eq!(places(3), Some((3, vec![0, 1])));
+        assert_eq!(places(8), Some((4, vec![1, 0])));
+        assert_eq!(places(9), Some((9, vec![0, 1])));
+        assert_eq!(net.at(None, 2).unwrap().1.len(), 2);
+        let skipped = net.steps.iter().filter_map(|step| match step {
+            Step::State(_, skipped) => Some(*skipped),
+            Step::Event(_) => None,
+        });
+        assert_eq!(skipped.collect::<Vec<_>>(), [0, 5]);
+    }
+
+    #[test]
+    fn a_state_in_the_middle_that_fits_interrupts_nothing() {
+        let mut recorded = Recorded::default();
+        recorded.whole(whole(0));
+        recorded.event(event(1));
+        recorded.whole(whole(2));
+        recorded.event(event(2));
+        assert_eq!(recorded.nets["n"].steps.len(), 3);
+    }
+
+    #[test]
+    fn a_browser_is_told_the_whole_run_at_once_and_nothing_twice() {
+        let mut recorded = Recorded::default();
+        recorded.whole(whole(0));
+        (1..=50).for_each(|seq| recorded.event(event(seq)));
+        let hub = recorded.hub(Overviews::default());
+        let (told, mut news) = hub.join(false);
+        assert_eq!(told.len(), 2);
+        let net: serde_json::Value = serde_json::from_str(&told[1]).unwrap();
+        assert_eq!(net["kind"], "net");
+        assert_eq!(net["entries"].as_array().unwrap().len(), 50);
+        assert_eq!(net["base"]["seq"], 0);
+        assert!(news.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_live_display_keeps_a_bounded_past_and_what_it_keeps_leads_to_the_present() {
+        let hub = Hub::live("app", Overviews::default());
+        hub.describe(view(), state(0)).unwrap();
+        for seq in 1..=6_001 {
+            hub.take("n", batch(&Step::Event(Box::new(event(seq))))).unwrap();
+        }
+        let (told, _) = hub.join(true);
+        let net: serde_json::Value = serde_json::from_str(&told[1]).unwrap();
+        let entries = net["entries"].as_array().unwrap();
+        assert_eq!(entries.len(), 5_000);
+        assert_eq!(net["base"]["seq"], 1_001);
+        assert_eq!(net["base"]["places"], serde_json::json!([0, 1]));
+        assert_eq!(entries[0]["seq"], 1_002);
+        // One that is gone and comes back as it was goes on; what does not fit is refused.
+        hub.gone("n", "its chassis is gone");
+        hub.describe(view(), state(0)).unwrap();
+        assert!(hub.take("n", batch(&Step::Event(Box::new(event(7))))).is_err());
+    }
+}

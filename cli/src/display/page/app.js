@@ -7,6 +7,7 @@ import { Lanes, Table, make, showSide } from "./panels.js";
 const $ = (id) => document.getElementById(id);
 /** Side, lanes and table are drawn anew at most so often, ms. */
 const PANEL_EVERY = 120;
+const PRESENT_EVERY = 500;
 const RETRY = 1000;
 
 class App {
@@ -357,7 +358,9 @@ class App {
         this.drawnAt = performance.now();
       } else if (this.cursor === null && this.mode === "live") this.picture.fillBars(this.now());
       const busy = this.cursor === null && this.mode === "live" && this.picture.running?.length > 0;
-      if ((this.stale || busy) && now - (this.panelled ?? 0) > PANEL_EVERY) {
+      // The present goes on also while nothing happens.
+      const idle = this.cursor === null && this.mode === "live" && now - (this.panelled ?? 0) > PRESENT_EVERY;
+      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > PANEL_EVERY)) {
         this.panelled = now;
         this.stale = false;
         this.panels();
