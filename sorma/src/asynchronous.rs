@@ -85,7 +85,10 @@ fn request(text: &str, from: &str) -> Result<Request, Report> {
 /// The beginning of a text of any length.
 fn begin(text: &str) -> &str {
     const MOST: usize = 80;
-    let end = text.char_indices().nth(MOST).map_or(text.len(), |(at, _)| at);
+    let end = text
+        .char_indices()
+        .nth(MOST)
+        .map_or(text.len(), |(at, _)| at);
     text.get(..end).unwrap_or_default()
 }
 

@@ -419,7 +419,9 @@ impl Lost {
     fn is_loss(&self) -> bool {
         match self {
             Self::Name(_) => false,
-            Self::Call { error } => matches!(error.fault, Fault::PeerDown { .. } | Fault::UnknownTask),
+            Self::Call { error } => {
+                matches!(error.fault, Fault::PeerDown { .. } | Fault::UnknownTask)
+            }
         }
     }
 
@@ -536,9 +538,7 @@ impl Comm for Tasks {
                 let task = self.found(&daemon).await?;
                 Ok(self.cx.call(&task, request).await?)
             };
-            asked
-                .await
-                .map_err(|lost: Lost| lost.report(name, &daemon))
+            asked.await.map_err(|lost: Lost| lost.report(name, &daemon))
         })
     }
 

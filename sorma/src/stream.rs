@@ -227,12 +227,7 @@ impl Stream {
     }
 
     /// Subscribes anew when the daemon is back; a traded object may then be another daemon's.
-    async fn resume(
-        &mut self,
-        comm: &dyn Comm,
-        at: &Location,
-        why: &Report,
-    ) -> Result<(), Report> {
+    async fn resume(&mut self, comm: &dyn Comm, at: &Location, why: &Report) -> Result<(), Report> {
         tracing::warn!(object = %self.name, error = %why.text, "a stream is interrupted");
         let Some(inner) = self.sorm.upgrade() else {
             return Err(why.clone());

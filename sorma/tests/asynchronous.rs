@@ -49,7 +49,9 @@ fn a_deferred_request_lets_its_caller_go_on_and_is_collected_later() {
             for at in BOTH {
                 let comm = Tasks::of(&cx);
                 let begun = cx.now();
-                let mut nap = sorm.ask_later(&comm, request(&format!("nap{at} EXEC"))).unwrap();
+                let mut nap = sorm
+                    .ask_later(&comm, request(&format!("nap{at} EXEC")))
+                    .unwrap();
                 let wrong = format!("scale.no{at} EXEC FMSG 1 1");
                 let wrong = sorm.ask_later(&comm, request(&wrong)).unwrap();
                 assert_eq!(cx.now(), begun, "nobody waited");
@@ -108,7 +110,9 @@ fn a_one_way_request_is_done_and_one_that_fails_troubles_nobody() {
                 let count = ask(&sorm, &cx, &format!("count{at} EXEC")).await;
                 assert_eq!(count.body.ints, [3], "{at}");
             }
-            let nobody = sorm.tell_only(&Tasks::of(&cx), request("count@d7 EXEC")).await;
+            let nobody = sorm
+                .tell_only(&Tasks::of(&cx), request("count@d7 EXEC"))
+                .await;
             assert!(nobody.unwrap_err().text.contains("d7"));
             Ok(String::new())
         })
@@ -154,8 +158,12 @@ fn a_fork_asks_so_many_at_once_and_no_more_and_its_replies_are_in_order() {
                 let replies = sorm.fork(&comm, requests.clone(), 2).await;
                 let took = cx.now().since(begun);
                 assert!(took >= seconds(15.0) && took < seconds(16.0), "{took:?}");
-                let names: Vec<String> = replies.iter().map(|reply| reply.name.to_string()).collect();
-                let asked: Vec<String> = requests.iter().map(|request| request.name.to_string()).collect();
+                let names: Vec<String> =
+                    replies.iter().map(|reply| reply.name.to_string()).collect();
+                let asked: Vec<String> = requests
+                    .iter()
+                    .map(|request| request.name.to_string())
+                    .collect();
                 assert_eq!(names, asked);
                 let codes: Vec<i32> = replies.iter().map(|reply| reply.body.code).collect();
                 assert_eq!(codes, [0, code::UNKNOWN_FLAVOR, 0, 0, 0, 0, 0]);
@@ -178,7 +186,10 @@ fn a_subscriber_gets_every_result_or_the_latest_whoever_asks_for_it() {
             for at in BOTH {
                 let comm = Tasks::of(&cx);
                 let name = format!("count{at}");
-                let mut every = sorm.subscribe(&comm, &name, Keep::Every(1000)).await.unwrap();
+                let mut every = sorm
+                    .subscribe(&comm, &name, Keep::Every(1000))
+                    .await
+                    .unwrap();
                 let mut few = sorm.subscribe(&comm, &name, Keep::Every(3)).await.unwrap();
                 let mut latest = sorm.subscribe(&comm, &name, Keep::Latest).await.unwrap();
                 for _ in 0..100 {
@@ -188,12 +199,19 @@ fn a_subscriber_gets_every_result_or_the_latest_whoever_asks_for_it() {
                 ask(&sorm, &cx, &format!("{name} CTRL -anew")).await;
                 for expected in 1..=100 {
                     let sample = every.next(&comm).await.unwrap();
-                    assert_eq!((sample.body.ints, sample.missed), (vec![expected], 0), "{at}");
+                    assert_eq!(
+                        (sample.body.ints, sample.missed),
+                        (vec![expected], 0),
+                        "{at}"
+                    );
                 }
                 let failed = every.next(&comm).await.unwrap();
                 assert_eq!(failed.body.code, code::VALUE, "what failed is a result too");
                 let said = every.next(&comm).await.unwrap();
-                assert_eq!((said.body.text.as_str(), said.number), ("it begins anew", 102));
+                assert_eq!(
+                    (said.body.text.as_str(), said.number),
+                    ("it begins anew", 102)
+                );
                 let sample = few.next(&comm).await.unwrap();
                 assert_eq!((sample.number, sample.missed), (100, 99), "{at}");
                 let sample = latest.next(&comm).await.unwrap();
@@ -209,7 +227,10 @@ fn a_subscriber_gets_every_result_or_the_latest_whoever_asks_for_it() {
                 let sample = every.next(&comm).await.unwrap();
                 assert_eq!(sample.body.ints, [1]);
                 let waited = cx.now().since(waited);
-                assert!(waited >= seconds(20.0) && waited < seconds(21.0), "{waited:?}");
+                assert!(
+                    waited >= seconds(20.0) && waited < seconds(21.0),
+                    "{waited:?}"
+                );
                 every.end(&comm).await;
                 latest.end(&comm).await;
                 drop(few);
@@ -255,7 +276,10 @@ fn a_daemon_that_dies_ends_its_streams_unless_they_are_to_resume() {
     let scenario: Scenario = |cx, sorm| {
         Box::pin(async move {
             let comm = Tasks::of(&cx);
-            let mut ends = sorm.subscribe(&comm, "count@d1", Keep::Latest).await.unwrap();
+            let mut ends = sorm
+                .subscribe(&comm, "count@d1", Keep::Latest)
+                .await
+                .unwrap();
             let goes_on = sorm.subscribe(&comm, "count@d1", Keep::Every(100)).await;
             let mut goes_on = goes_on.unwrap().resuming(true);
             ask(&sorm, &cx, "count@d1 EXEC").await;
@@ -265,7 +289,10 @@ fn a_daemon_that_dies_ends_its_streams_unless_they_are_to_resume() {
             let noticed = cx.now().since(Instant::START + seconds(2.0));
             assert!(noticed < seconds(5.0), "noticed, not timed out");
             assert_eq!(report.code, code::DAEMON);
-            assert!(report.text.contains("count@d1") && report.text.contains("client"), "{report}");
+            assert!(
+                report.text.contains("count@d1") && report.text.contains("client"),
+                "{report}"
+            );
             assert_eq!(ends.next(&comm).await.unwrap_err(), report, "and for good");
             let (again, here) = (sorm.clone(), cx.clone());
             cx.spawn(async move {
@@ -292,7 +319,10 @@ fn a_link_that_breaks_and_heals_loses_no_result_and_brings_none_twice() {
     let scenario: Scenario = |cx, sorm| {
         Box::pin(async move {
             let comm = Tasks::of(&cx);
-            let mut every = sorm.subscribe(&comm, "count@d1", Keep::Every(1000)).await.unwrap();
+            let mut every = sorm
+                .subscribe(&comm, "count@d1", Keep::Every(1000))
+                .await
+                .unwrap();
             let (again, here) = (sorm.clone(), cx.clone());
             cx.spawn(async move {
                 for _ in 0..100 {
@@ -301,7 +331,10 @@ fn a_link_that_breaks_and_heals_loses_no_result_and_brings_none_twice() {
                 }
             });
             for expected in 1..=100 {
-                let sample = every.next(&comm).await.map_err(|report| report.to_string())?;
+                let sample = every
+                    .next(&comm)
+                    .await
+                    .map_err(|report| report.to_string())?;
                 assert_eq!((sample.number, sample.missed), (expected, 0));
             }
             Ok(String::new())
@@ -419,7 +452,10 @@ fn in_text_a_fork_answers_all_replies_with_their_numbers_and_reports() {
                 let body = ask(&sorm, &cx, &line).await.body;
                 assert_eq!(body.floats, [2.0, 4.0, -3.0]);
                 let no = i64::from(code::UNKNOWN_FLAVOR);
-                assert_eq!((body.code, body.ints), (code::UNKNOWN_FLAVOR, vec![0, no, 0]));
+                assert_eq!(
+                    (body.code, body.ints),
+                    (code::UNKNOWN_FLAVOR, vec![0, no, 0])
+                );
                 let lines: Vec<&str> = body.text.lines().collect();
                 assert_eq!(lines[0], format!("scale.two{at} RET 0 FMSG 2 2.0 4.0"));
                 assert_eq!(lines[1], format!("scale.no{at} RET 3"));
@@ -444,7 +480,10 @@ fn in_text_a_stream_keeps_the_results_of_another_object() {
                 let set = format!("stream CTRL -from count{at} -keep every -capacity 3");
                 assert!(ask(&sorm, &cx, &set).await.body.is_ok());
                 assert!(ask(&sorm, &cx, "stream EXEC begin").await.body.is_ok());
-                assert_eq!(ask(&sorm, &cx, "stream EXEC next").await.body.text, "not yet");
+                assert_eq!(
+                    ask(&sorm, &cx, "stream EXEC next").await.body.text,
+                    "not yet"
+                );
                 let line = format!("count{at} EXEC");
                 ask(&sorm, &cx, &line).await;
                 let first = until_there(&sorm, &cx, "stream EXEC next").await;
@@ -468,7 +507,10 @@ fn in_text_a_stream_keeps_the_results_of_another_object() {
             }
             let nobody = ask(&sorm, &cx, "stream CTRL -from '' ").await;
             assert!(nobody.body.is_ok());
-            assert_eq!(ask(&sorm, &cx, "stream EXEC next").await.body.code, code::VALUE);
+            assert_eq!(
+                ask(&sorm, &cx, "stream EXEC next").await.body.code,
+                code::VALUE
+            );
             Ok(String::new())
         })
     });
@@ -480,18 +522,21 @@ fn an_event_notifies_all_who_subscribe_wherever_they_are() {
         Box::pin(async move {
             let comm = Tasks::of(&cx);
             // One in code, one in text that keeps it, and one in text that hands it on.
-            let mut code = sorm.subscribe(&comm, "event@d1", Keep::Every(10)).await.unwrap();
-            for line in [
-                "stream.text@d2 EXEC begin",
-                "stream.scale@d2 EXEC begin",
-            ] {
+            let mut code = sorm
+                .subscribe(&comm, "event@d1", Keep::Every(10))
+                .await
+                .unwrap();
+            for line in ["stream.text@d2 EXEC begin", "stream.scale@d2 EXEC begin"] {
                 let begun = ask(&sorm, &cx, line).await;
                 assert!(begun.body.is_ok(), "{:?}", begun.body.reports);
             }
             let signal = ask(&sorm, &cx, "event@d1 EXEC lamp FMSG 2 1 0.5").await;
             assert_eq!((signal.body.text.as_str(), signal.body.code), ("lamp", 0));
             let sample = code.next(&comm).await.unwrap();
-            assert_eq!((sample.body.text.as_str(), sample.body.floats.len()), ("lamp", 2));
+            assert_eq!(
+                (sample.body.text.as_str(), sample.body.floats.len()),
+                ("lamp", 2)
+            );
             let kept = until_there(&sorm, &cx, "stream.text@d2 EXEC next").await;
             assert_eq!(kept.text, "lamp");
             cx.sleep(seconds(1.0)).await;

@@ -428,7 +428,7 @@ fn every_request_that_cannot_be_met_is_answered_with_what_would_have_been_right(
         (
             "FOO.a EXEC",
             code::DAEMON,
-            "`FOO.a`: the dictionary names no daemon for `FOO`; add a line `FOO self`, `FOO ALIAS` or `FOO host:number`",
+            "`FOO.a`: the dictionary names no daemon for `FOO`; add a line `FOO self`, `FOO ALIAS`, `FOO host:number` or `FOO trade`",
         ),
         (
             "bar@druide:11 EXEC",

@@ -21,9 +21,21 @@ fn market(scenario: Scenario, here: &'static str, mishaps: Vec<Mishap>) -> Resul
     let app = App {
         here,
         daemons: vec![
-            ("d1", "one", "args.offers.scale = { arm = \"left\", price = 3 }\nargs.offers.count = {}"),
-            ("d2", "two", "args.offers.scale = { arm = \"left\", price = 2.5 }\nargs.offers.count = {}"),
-            ("d3", "three", "args.offers.scale = { arm = \"right\", price = 1, spare = true }"),
+            (
+                "d1",
+                "one",
+                "args.offers.scale = { arm = \"left\", price = 3 }\nargs.offers.count = {}",
+            ),
+            (
+                "d2",
+                "two",
+                "args.offers.scale = { arm = \"left\", price = 2.5 }\nargs.offers.count = {}",
+            ),
+            (
+                "d3",
+                "three",
+                "args.offers.scale = { arm = \"right\", price = 1, spare = true }",
+            ),
             ("d4", "four", ""),
         ],
         mishaps,
@@ -65,7 +77,11 @@ fn a_request_goes_to_the_offer_that_meets_what_is_wanted_and_is_the_best() {
                 Ok(load(&sorm, &cx).await.join(" "))
             })
         };
-        assert_eq!(market(scenario, here, Vec::new()), Ok(expected.to_owned()), "{here}");
+        assert_eq!(
+            market(scenario, here, Vec::new()),
+            Ok(expected.to_owned()),
+            "{here}"
+        );
     }
 }
 
@@ -74,7 +90,10 @@ fn an_alias_is_traded_as_a_class_is_and_so_are_one_way_requests_and_streams() {
     let scenario: Scenario = |cx, sorm| {
         Box::pin(async move {
             let comm = Tasks::of(&cx);
-            let mut stream = sorm.subscribe(&comm, "scale.two@cheap", Keep::Latest).await.unwrap();
+            let mut stream = sorm
+                .subscribe(&comm, "scale.two@cheap", Keep::Latest)
+                .await
+                .unwrap();
             let one_way = request("scale.two@cheap EXEC FMSG 1 4");
             sorm.tell_only(&comm, one_way).await.unwrap();
             let sample = stream.next(&comm).await.unwrap();
@@ -100,7 +119,10 @@ fn nobody_who_offers_it_is_an_error_that_says_what_there_is() {
     let here = "SCALE trade arm=left price<2\nCOUNT trade cheap\n";
     let text = market(scenario, here, Vec::new()).unwrap();
     assert!(text.contains("trade arm=left price<2"), "{text}");
-    assert!(text.contains("d2 arm=left price=2.5") && text.contains("d3 arm=right"), "{text}");
+    assert!(
+        text.contains("d2 arm=left price=2.5") && text.contains("d3 arm=right"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -115,20 +137,38 @@ fn offers_are_made_and_withdrawn_while_the_app_runs() {
             assert_eq!(ask("sorm@d4 CTRL -offers").await.text, "");
             let offer = "sorm@d4 CTRL -offer scale 'arm=left price=0.5 \"note=new here\"'";
             assert!(ask(offer).await.is_ok());
-            assert_eq!(ask("sorm@d4 CTRL -offers").await.text, "scale arm=left \"note=new here\" price=0.5");
+            assert_eq!(
+                ask("sorm@d4 CTRL -offers").await.text,
+                "scale arm=left \"note=new here\" price=0.5"
+            );
             assert!(ask("sorm@d2 CTRL -withdraw scale").await.is_ok());
-            assert_eq!(ask("sorm@d2 CTRL -withdraw scale").await.code, code::NO_OBJECT);
-            assert_eq!(ask("sorm@d4 CTRL -offer none ''").await.code, code::UNKNOWN_CLASS);
-            assert_eq!(ask("sorm@d4 CTRL -offer scale price").await.code, code::VALUE);
+            assert_eq!(
+                ask("sorm@d2 CTRL -withdraw scale").await.code,
+                code::NO_OBJECT
+            );
+            assert_eq!(
+                ask("sorm@d4 CTRL -offer none ''").await.code,
+                code::UNKNOWN_CLASS
+            );
+            assert_eq!(
+                ask("sorm@d4 CTRL -offer scale price").await.code,
+                code::VALUE
+            );
             cx.sleep(seconds(2.0)).await;
             // The first question is asked beside it, so it is the second request that knows.
             for _ in 0..2 {
                 assert!(ask("SCALE.two EXEC FMSG 1 1").await.is_ok());
                 cx.sleep(seconds(0.5)).await;
             }
-            assert_eq!(ask("scale.two@d4 DBX -statistics").await.text, "exec 1 ctrl 1 errors 0");
+            assert_eq!(
+                ask("scale.two@d4 DBX -statistics").await.text,
+                "exec 1 ctrl 1 errors 0"
+            );
             let market = ask("sorm CTRL -market").await.text;
-            assert!(market.contains("d4 up latency 0.0") && market.contains("price=0.5"), "{market}");
+            assert!(
+                market.contains("d4 up latency 0.0") && market.contains("price=0.5"),
+                "{market}"
+            );
             Ok(String::new())
         })
     };
@@ -154,7 +194,10 @@ fn the_load_moves_when_a_daemon_dies_and_comes_back_when_it_does() {
             let errors = keep_asking(&sorm, &cx, &Tasks::of(&cx), 2.05).await;
             assert_eq!(errors, 0);
             let errors = keep_asking(&sorm, &cx, &Tasks::of(&cx), 3.0).await;
-            assert!(errors <= 1, "at most the request that was under way: {errors}");
+            assert!(
+                errors <= 1,
+                "at most the request that was under way: {errors}"
+            );
             let before = load(&sorm, &cx).await;
             assert_ne!(before[0], "0", "the next best has taken over: {before:?}");
             let errors = keep_asking(&sorm, &cx, &Tasks::of(&cx), 20.0).await;
@@ -192,13 +235,17 @@ fn the_load_moves_away_from_a_daemon_that_slows_or_stands_still() {
             let comm = Tasks::of(&cx);
             keep_asking(&sorm, &cx, &comm, 4.0).await;
             let early = load(&sorm, &cx).await;
-            assert_eq!((early[0].as_str(), early[2].as_str()), ("0", "0"), "{early:?}");
+            assert_eq!(
+                (early[0].as_str(), early[2].as_str()),
+                ("0", "0"),
+                "{early:?}"
+            );
             // It is slow by now; as soon as that was measured the other one is asked.
-            keep_asking(&sorm, &cx, &comm, 9.0).await;
+            keep_asking(&sorm, &cx, &comm, 12.0).await;
             let there = request("scale.two@d1 DBX -statistics");
             let there = sorm.ask(&comm, there).await.body.text;
             let moved: u32 = there.split(' ').nth(1).unwrap().parse().unwrap();
-            assert!(moved >= 10, "{there}");
+            assert!(moved >= 10, "{there}; {:?}", sorm.market());
             Ok(String::new())
         })
     };
@@ -212,13 +259,9 @@ fn the_load_moves_away_from_a_daemon_that_slows_or_stands_still() {
         chassis: chassis.clone(),
         at,
         until,
-        per_step: seconds(0.15),
+        per_step: seconds(0.5),
     };
     assert_eq!(market(scenario, here, vec![slow]), Ok(String::new()));
-    let freeze = Mishap::Freeze {
-        chassis,
-        at,
-        until,
-    };
+    let freeze = Mishap::Freeze { chassis, at, until };
     assert_eq!(market(scenario, here, vec![freeze]), Ok(String::new()));
 }

@@ -82,7 +82,11 @@ impl ForkObject {
 fn line(reply: &Reply) -> String {
     reply.to_text().unwrap_or_else(|error| {
         let code = reply.body.code;
-        format!("{} RET {code} {}", reply.name, words::quoted(&error.to_string()))
+        format!(
+            "{} RET {code} {}",
+            reply.name,
+            words::quoted(&error.to_string())
+        )
     })
 }
 

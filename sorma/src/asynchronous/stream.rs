@@ -154,9 +154,10 @@ impl StreamObject {
         }
         let to = match options.to.as_str() {
             "" => None,
-            to => Some(to.parse().map_err(|error| {
-                raise!(general::SYNTAX, "-to: no name: {error}")
-            })?),
+            to => Some(
+                to.parse()
+                    .map_err(|error| raise!(general::SYNTAX, "-to: no name: {error}"))?,
+            ),
         };
         let pumped: Arc<Mutex<Pumped>> = Arc::default();
         let (stop, stopped) = oneshot::channel();

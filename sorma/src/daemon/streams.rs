@@ -165,12 +165,15 @@ impl Subscribers {
         let _ = self.heard(cx, request.subscriber)?;
         let mut size = 0;
         let samples = tap.after(request.after, BATCH);
-        let fitting = samples.into_iter().enumerate().take_while(|(index, sample)| {
-            let body = &sample.body;
-            size += body.text.len() + body.opaque.len();
-            size += 8 * (body.floats.len() + body.ints.len());
-            *index == 0 || size <= ANSWER
-        });
+        let fitting = samples
+            .into_iter()
+            .enumerate()
+            .take_while(|(index, sample)| {
+                let body = &sample.body;
+                size += body.text.len() + body.opaque.len();
+                size += 8 * (body.floats.len() + body.ints.len());
+                *index == 0 || size <= ANSWER
+            });
         Some(
             fitting
                 .map(|(_, sample)| Arc::unwrap_or_clone(sample))

@@ -160,8 +160,12 @@ impl Market {
         let before = self.chosen.get(&name.local());
         ranked.sort_by(|one, other| {
             let ready = |offer: &Ranked| (!offer.available, offer.slow);
-            let last =
-                |offer: &Ranked| (before != Some(&offer.daemon), offer.latency.unwrap_or_default());
+            let last = |offer: &Ranked| {
+                (
+                    before != Some(&offer.daemon),
+                    offer.latency.unwrap_or_default(),
+                )
+            };
             ready(one)
                 .cmp(&ready(other))
                 .then_with(|| wanted.compare(&one.attributes, &other.attributes))
@@ -190,7 +194,10 @@ impl Market {
                 None => "unknown".to_owned(),
             };
             let offers = standing.offers.as_ref().map(listed).unwrap_or_default();
-            format!("{daemon} {state} latency {latency} offers {}", offers.join("; "))
+            format!(
+                "{daemon} {state} latency {latency} offers {}",
+                offers.join("; ")
+            )
         });
         lines.collect()
     }
@@ -205,9 +212,11 @@ fn line(attributes: &Attributes) -> String {
 
 /// Offers as lines: `class attribute=value ...`.
 pub(crate) fn listed(offers: &Offers) -> Vec<String> {
-    let lines = offers
-        .iter()
-        .map(|(class, attributes)| format!("{class} {}", line(attributes)).trim_end().to_owned());
+    let lines = offers.iter().map(|(class, attributes)| {
+        format!("{class} {}", line(attributes))
+            .trim_end()
+            .to_owned()
+    });
     lines.collect()
 }
 
@@ -280,7 +289,7 @@ mod tests {
     #[test]
     fn what_is_offered_is_read_back() {
         let mut market = Market::default();
-        market.offer("scale", attributes("arm=left note='two words'").unwrap());
+        market.offer("scale", attributes("arm=left 'note=two words'").unwrap());
         market.offer("other", Attributes::new());
         assert_eq!(&read(&listed(market.own()).join("\n")), market.own());
     }

@@ -234,7 +234,7 @@ mod tests {
 
     #[test]
     fn requirements_compare_numbers_as_numbers_and_words_as_words() {
-        let offer = attributes("arm=left price=10 note='two words'").unwrap();
+        let offer = attributes("arm=left price=10 'note=two words'").unwrap();
         for met in [
             "",
             "arm=left",
