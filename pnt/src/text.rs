@@ -5,49 +5,65 @@ mod line;
 mod words;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::draft::{
-    Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes, DraftTransition,
-    DraftWhen, Word,
+use crate::{
+    draft::{
+        Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
+        DraftTransition, DraftWhen, Word,
+    },
+    format::enough,
 };
+pub(crate) use words::MOST_TOKENS;
 use words::Words;
 
 /// Keywords that begin a line of the net itself.
-const DECLARATIONS: [&str; 6] = [
+const DECLARATIONS: [&str; 7] = [
     "net",
     "place",
     "command",
     "coordinator",
     "serves",
+    "safe",
     "transition",
 ];
 
 /// Keywords that begin a line of a transition.
-const CLAUSES: [&str; 13] = [
-    "in", "read", "inhibit", "tape", "when", "do", "ask", "send", "out", "fail", "write",
-    "priority", "within",
+const CLAUSES: [&str; 18] = [
+    "in",
+    "read",
+    "inhibit",
+    "reset",
+    "tape",
+    "when",
+    "do",
+    "ask",
+    "send",
+    "idempotent",
+    "out",
+    "fail",
+    "write",
+    "priority",
+    "weight",
+    "time",
+    "servers",
+    "within",
 ];
+
+/// Whether lines of net text begin with `word`.
+pub(crate) fn is_keyword(word: &str) -> bool {
+    DECLARATIONS.contains(&word) || CLAUSES.contains(&word)
+}
 
 /// Parses one net.
 ///
 /// # Errors
 /// All findings, when at least one of them is an error.
 pub fn parse(source: &Source) -> Result<Draft, Findings> {
-    let mut parser = Parser {
-        source,
-        findings: Findings::new(),
-        draft: Draft::new(Word::new("", source.at(0..0))),
-        named: false,
-        in_transition: false,
-    };
-    let mut start = 0;
-    for with_end in source.text().split_inclusive('\n') {
-        parser.line(with_end.trim_end_matches(['\n', '\r']), start);
-        start += with_end.len();
-    }
+    let mut parser = Parser::new(source, Draft::new(Word::new("", source.at(0..0))));
+    parser.lines(source.text(), 0);
     if !parser.named {
         parser.findings.push(
             Finding::error("pnt::text::no_net", "this text names no net")
@@ -62,6 +78,61 @@ pub fn parse(source: &Source) -> Result<Draft, Findings> {
     }
 }
 
+/// Reads lines of a transition that stand at byte `start` of another file.
+pub(crate) fn clauses(
+    source: &Source,
+    text: &str,
+    start: usize,
+    transition: &mut DraftTransition,
+    findings: &mut Findings,
+) {
+    let mut parser = Parser::new(source, Draft::new(transition.name.clone()));
+    parser.draft.transitions.push(transition.clone());
+    parser.named = true;
+    parser.in_transition = true;
+    parser.lines(text, start);
+    findings.extend(parser.findings);
+    if let Some(read) = parser.draft.transitions.into_iter().next() {
+        *transition = read;
+    }
+}
+
+/// Reads lines of a net that stand at byte `start` of another file.
+pub(crate) fn declarations(
+    source: &Source,
+    text: &str,
+    start: usize,
+    draft: &mut Draft,
+    findings: &mut Findings,
+) {
+    let mut parser = Parser::new(source, draft.clone());
+    parser.named = true;
+    parser.lines(text, start);
+    findings.extend(parser.findings);
+    *draft = parser.draft;
+}
+
+/// Reads what follows a place's name, from byte `start` of another file.
+pub(crate) fn place_rest(
+    source: &Source,
+    text: &str,
+    start: usize,
+    place: &mut DraftPlace,
+    findings: &mut Findings,
+) {
+    let trimmed = text.trim_start();
+    let start = start + (text.len() - trimmed.len());
+    let trimmed = trimmed.trim_end();
+    let read = line::cut(trimmed, start)
+        .map_err(|bad| Finding::error("pnt::text::symbol", bad.message).at(source.at(bad.range)))
+        .and_then(|tokens| {
+            let mut words = Words::new(source, &tokens, start + trimmed.len());
+            rest_of_place(&mut words, place)?;
+            words.end()
+        });
+    findings.keep(read);
+}
+
 struct Parser<'a> {
     source: &'a Source,
     findings: Findings,
@@ -70,7 +141,29 @@ struct Parser<'a> {
     in_transition: bool,
 }
 
-impl Parser<'_> {
+impl<'a> Parser<'a> {
+    fn new(source: &'a Source, draft: Draft) -> Self {
+        Self {
+            source,
+            findings: Findings::new(),
+            draft,
+            named: false,
+            in_transition: false,
+        }
+    }
+
+    /// Reads lines that stand at byte `start` of the source.
+    fn lines(&mut self, text: &str, start: usize) {
+        let mut start = start;
+        for with_end in text.split_inclusive('\n') {
+            if enough(&self.findings) {
+                return;
+            }
+            self.line(with_end.trim_end_matches(['\n', '\r']), start);
+            start += with_end.len();
+        }
+    }
+
     /// Reads one line; what is wrong with it becomes one finding.
     fn line(&mut self, text: &str, start: usize) {
         let tokens = match line::cut(text, start) {
@@ -87,7 +180,7 @@ impl Parser<'_> {
             return;
         }
         let result = words
-            .name("a keyword")
+            .first()
             .and_then(|keyword| self.statement(&keyword, &mut words))
             .and_then(|()| words.end());
         self.findings.keep(result);
@@ -139,6 +232,11 @@ impl Parser<'_> {
                 Ok(())
             }
             "serves" => self.serves(words),
+            "safe" => {
+                let safe = words.arcs()?;
+                self.draft.safe.push(safe);
+                Ok(())
+            }
             _ => {
                 // The transition is opened even if its line is bad, so that its clauses are read.
                 let name = words.name("the transition's name");
@@ -167,18 +265,9 @@ impl Parser<'_> {
 
     fn places(&mut self, words: &mut Words<'_>) -> Result<(), Finding> {
         loop {
-            let name = words.name("a place")?;
-            let tokens = if words.take("=") {
-                words.whole("the initial tokens", 0)?
-            } else {
-                0
-            };
-            let data = if words.keyword("data") {
-                Some(words.name("the data object")?)
-            } else {
-                None
-            };
-            self.draft.places.push(DraftPlace { name, tokens, data });
+            let mut place = DraftPlace::new(words.name("a place")?);
+            rest_of_place(words, &mut place)?;
+            self.draft.places.push(place);
             if !words.take(",") {
                 return Ok(());
             }
@@ -208,6 +297,20 @@ impl Parser<'_> {
     }
 }
 
+/// What follows a place's name.
+fn rest_of_place(words: &mut Words<'_>, place: &mut DraftPlace) -> Result<(), Finding> {
+    if words.take("=") {
+        place.tokens = words.whole("the initial tokens", 0)?;
+    }
+    if words.keyword("capacity") {
+        place.capacity = Some(words.whole("the capacity", 1)?);
+    }
+    if words.keyword("data") {
+        place.data = Some(words.name("the data object")?);
+    }
+    Ok(())
+}
+
 fn clause(
     transition: &mut DraftTransition,
     keyword: &Word,
@@ -222,6 +325,19 @@ fn clause(
         "tape" => once(&mut transition.tape, keyword, words.name("a symbol")?)?,
         "write" => once(&mut transition.write, keyword, words.name("a symbol")?)?,
         "within" => once(&mut transition.within, keyword, words.duration()?)?,
+        "reset" => transition.resets.extend(words.names("a place")?),
+        "idempotent" => transition.idempotent = true,
+        "time" => {
+            let timing = words.timing()?;
+            let before = std::mem::replace(&mut transition.timing, timing);
+            once(
+                &mut (!before.is_immediate()).then_some(before),
+                keyword,
+                timing,
+            )?;
+        }
+        "weight" => transition.weight = words.weight()?,
+        "servers" => once(&mut transition.servers, keyword, words.servers()?)?,
         "priority" => transition.priority = words.whole("the priority", 0)?,
         "when" => {
             let first = words.name("an enabling function")?;
@@ -256,23 +372,23 @@ fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding>
             let task = words.name("a task")?;
             words.mark(".")?;
             let command = words.name("a command")?;
-            let (mut input, mut output) = (None, None);
+            let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
             if words.take("(") && !words.take(")") {
                 if !words.take("->") {
-                    input = Some(words.name("a data object")?);
+                    inputs = words.names("a data object")?;
                     if words.take("->") {
-                        output = Some(words.name("a data object")?);
+                        outputs = words.names("a data object")?;
                     }
                 } else {
-                    output = Some(words.name("a data object")?);
+                    outputs = words.names("a data object")?;
                 }
                 words.mark(")")?;
             }
             Ok(DraftAction::Send {
                 task,
                 command,
-                input,
-                output,
+                inputs,
+                outputs,
             })
         }
     }

@@ -1,9 +1,12 @@
-use std::time::Duration;
+use std::{num::NonZeroU32, time::Duration};
 
 use proptest::{collection::vec, option, prelude::*};
 
 use super::*;
-use crate::draft::DraftArc;
+use crate::{
+    draft::DraftArc,
+    timing::{Servers, Timing},
+};
 
 /// The findings about a text, one line each.
 fn findings(text: &str) -> Vec<String> {
@@ -21,7 +24,9 @@ fn findings(text: &str) -> Vec<String> {
 fn every_line_of_the_grammar_is_read() {
     let text = r#"
 net dispatcher "Translates commands" # and a comment
-place a = 2, b, c data path
+place a = 2 capacity 5, b, c data path
+safe a*2, b
+safe c
 command go -> gone, not_gone
 coordinator vision : find_spot, find_blob
 serves planner : plan ; done plan_done ; failed plan_failed
@@ -29,23 +34,38 @@ transition t
   in a*2, b
   read c
   inhibit c*3
+  reset b, c
   tape go
   when not more
-  send operator.report(path -> receipt)
+  send operator.report(path, speed -> receipt, stamp)
+  idempotent
   out p1@other, p2@other*2, b
   fail a
   write gone
   priority 7
   within 1.5 s
+  weight 0.5
+  time normal 2 s spread 300 ms
+  servers 2
 transition u
   in a
   when more
   ask vision find_spot
   out b
+transition "3 \"x\""
+  in a
+  time exponential 2 min
+  servers many
+transition w
+  in a
+  time 1 h
 "#;
     let draft = parse(&Source::new("a.net", text)).unwrap();
     assert_eq!(draft.title.as_deref(), Some("Translates commands"));
     assert_eq!(draft.places[0].tokens, 2);
+    assert_eq!(draft.places[0].capacity, Some(5));
+    assert_eq!(draft.safe[0][0].weight, 2);
+    assert_eq!(draft.safe[1][0].place.text, "c");
     assert_eq!(draft.places[2].data.as_ref().unwrap().text, "path");
     assert_eq!(draft.serves[0].failed.as_ref().unwrap().text, "plan_failed");
     let t = &draft.transitions[0];
@@ -54,6 +74,21 @@ transition u
     assert!(t.when.as_ref().unwrap().negated);
     assert_eq!(t.within, Some(Duration::from_millis(1500)));
     assert_eq!(t.priority, 7);
+    assert_eq!(t.resets.len(), 2);
+    assert!(t.idempotent && t.weight < 0.6);
+    let timing = Timing::Normal {
+        mean: Duration::from_secs(2),
+        spread: Duration::from_millis(300),
+    };
+    assert_eq!(t.timing, timing);
+    assert_eq!(t.servers, NonZeroU32::new(2).map(Servers::Limit));
+    let quoted = &draft.transitions[2];
+    assert_eq!(quoted.name.text, "3 \"x\"");
+    let mean = Duration::from_secs(120);
+    assert_eq!(quoted.timing, Timing::Exponential { mean });
+    assert_eq!(quoted.servers, Some(Servers::Many));
+    let hour = Timing::Deterministic(Duration::from_secs(3600));
+    assert_eq!(draft.transitions[3].timing, hour);
     assert_eq!(
         parse(&Source::new("b.net", draft.to_string())).unwrap(),
         draft
@@ -102,7 +137,7 @@ fn numbers_that_cannot_be_meant_are_refused() {
         "-2",
         "18446744073709551616",
         "1.5",
-        "1000001",
+        "1000000001",
         "1e3",
         "0x10",
     ] {
@@ -122,7 +157,8 @@ fn windows_line_ends_and_a_missing_last_one_do_not_matter() {
 }
 
 fn name() -> impl Strategy<Value = Word> {
-    "[a-z_][a-zA-Z0-9_]{0,8}".prop_map(|text| Word::from(text.as_str()))
+    let any = prop_oneof![4 => "[a-z_][a-zA-Z0-9_]{0,8}", 1 => "(?s).{1,6}"];
+    any.prop_map(|text| Word::from(text.as_str()))
 }
 
 fn arc() -> impl Strategy<Value = DraftArc> {
@@ -140,14 +176,34 @@ fn an_action() -> impl Strategy<Value = DraftAction> {
             coordinator,
             request
         }),
-        (name(), name(), option::of(name()), option::of(name())).prop_map(
-            |(task, command, input, output)| DraftAction::Send {
+        (name(), name(), vec(name(), 0..3), vec(name(), 0..3)).prop_map(
+            |(task, command, inputs, outputs)| DraftAction::Send {
                 task,
                 command,
-                input,
-                output
+                inputs,
+                outputs
             }
         ),
+    ]
+}
+
+fn a_time() -> impl Strategy<Value = Duration> {
+    (1_u64..360_000_000_000_000).prop_map(Duration::from_micros)
+}
+
+fn a_timing() -> impl Strategy<Value = Timing> {
+    prop_oneof![
+        Just(Timing::Immediate),
+        a_time().prop_map(Timing::Deterministic),
+        a_time().prop_map(|mean| Timing::Exponential { mean }),
+        (a_time(), a_time()).prop_map(|(mean, spread)| Timing::Normal { mean, spread }),
+    ]
+}
+
+fn some_servers() -> impl Strategy<Value = Servers> {
+    prop_oneof![
+        Just(Servers::Many),
+        (1_u32..9).prop_map(|most| NonZeroU32::new(most).map_or(Servers::ONE, Servers::Limit)),
     ]
 }
 
@@ -160,12 +216,16 @@ prop_compose! {
         action in option::of(an_action()),
         priority in 0_u32..4,
         within in option::of(1_u64..86_400_000_000),
+        (resets, idempotent) in (vec(name(), 0..3), any::<bool>()),
+        (timing, servers) in (a_timing(), option::of(some_servers())),
+        weight in prop_oneof![Just(1.0), 1.0e-9..1.0e9],
     ) -> DraftTransition {
         DraftTransition {
             name,
             inputs,
             reads,
             inhibitors,
+            resets,
             tape,
             when: when.map(|(function, negated)| DraftWhen { function, negated }),
             action,
@@ -174,15 +234,20 @@ prop_compose! {
             write,
             priority,
             within: within.map(Duration::from_micros),
+            timing,
+            weight,
+            servers,
+            idempotent,
         }
     }
 }
 
 prop_compose! {
-    fn a_draft()(
+    pub(crate) fn a_draft()(
         name in name(),
-        title in option::of("[^\"\\r\\n]{0,20}"),
-        places in vec((name(), 0_u32..4, option::of(name())), 0..5),
+        title in option::of("(?s).{0,20}"),
+        places in vec((name(), 0_u32..4, option::of(1_u32..9), option::of(name())), 0..5),
+        safe in vec(vec(arc(), 1..3), 0..3),
         commands in vec((name(), vec(name(), 1..3)), 0..3),
         coordinators in vec((name(), vec(name(), 1..3)), 0..3),
         serves in vec((name(), vec(name(), 1..3), name(), option::of(name())), 0..2),
@@ -193,7 +258,12 @@ prop_compose! {
             title,
             places: places
                 .into_iter()
-                .map(|(name, tokens, data)| DraftPlace { name, tokens, data })
+                .map(|(name, tokens, capacity, data)| DraftPlace {
+                    name,
+                    tokens,
+                    capacity,
+                    data,
+                })
                 .collect(),
             commands: commands
                 .into_iter()
@@ -212,6 +282,7 @@ prop_compose! {
                     failed,
                 })
                 .collect(),
+            safe,
             transitions,
         }
     }
