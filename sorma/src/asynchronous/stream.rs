@@ -100,7 +100,7 @@ pub(super) struct StreamObject {
 
 enum Feed {
     /// Of an object of this process: kept where they are made.
-    Here(Stream),
+    Here(Box<Stream>),
     /// Fetched or handed on by work of its own, which ends when the sender is dropped.
     Pumped(Arc<Mutex<Pumped>>, #[expect(dead_code)] oneshot::Sender<()>),
 }
@@ -150,7 +150,7 @@ impl StreamObject {
         let stream = sorm.subscribe(cx.comm(), &options.from, options.keeps());
         let stream = stream.await?.resuming(options.resume);
         if options.to.is_empty() && stream.is_here() {
-            return Ok(Feed::Here(stream));
+            return Ok(Feed::Here(Box::new(stream)));
         }
         let to = match options.to.as_str() {
             "" => None,
