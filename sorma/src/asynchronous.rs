@@ -119,6 +119,3 @@ fn not_yet(io: &mut Transport) {
 fn int(number: u64) -> i64 {
     i64::try_from(number).unwrap_or(i64::MAX)
 }
-
-#[cfg(test)]
-mod tests;

@@ -35,7 +35,7 @@ use streams::{Leave, Subscribe, Subscribers, Take};
 pub const HANDLER: &str = "sorma.daemon";
 
 /// What a daemon and its callers must agree in.
-const VERSION: u32 = 1;
+pub const VERSION: u32 = 1;
 
 /// How long a caller waits for a daemon that is being started again, before it asks once more.
 const BACK_WITHIN: Duration = Duration::from_secs(30);
@@ -267,10 +267,10 @@ impl Daemon {
 pub async fn rebuild(sorm: &Sorm, cx: &Context, chassis: &str) {
     let comm = Tasks::of(cx);
     for (at, names) in sorm.proxies() {
-        let Location::Alias(daemon) = &at else {
+        let Ok(daemon) = address::task_at(cx.app(), &at, &"it") else {
             continue;
         };
-        let task = cx.app().task(daemon);
+        let task = cx.app().task(&daemon);
         if task.is_none_or(|task| task.chassis != chassis) {
             continue;
         }
@@ -565,9 +565,11 @@ impl Comm for Tasks {
 
     fn leave<'a>(&'a self, at: &'a Location, subscriber: u64) -> LocalBoxFuture<'a, ()> {
         Box::pin(async move {
-            let Location::Alias(daemon) = at else { return };
+            let Ok(daemon) = address::task_at(self.cx.app(), at, &"it") else {
+                return;
+            };
             // A daemon that is gone knows of nobody any more.
-            if let Ok(task) = self.cx.task(daemon).await {
+            if let Ok(task) = self.cx.task(&daemon).await {
                 let _ = self.cx.send(&task, Leave { subscriber }).await;
             }
         })

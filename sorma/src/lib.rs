@@ -14,6 +14,8 @@ mod dbx;
 pub mod demo;
 pub mod describe;
 pub mod dictionary;
+#[cfg(test)]
+mod fuzz;
 pub mod ipc;
 pub mod later;
 mod manager;

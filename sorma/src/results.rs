@@ -5,6 +5,8 @@
 //! putting a result where it is not fetched. This module knows one process; [`crate::stream`] goes on from
 //! here to other daemons.
 
+use crate::raise;
+use crate::report::{Report, code};
 use crate::transport::Transport;
 use ctos::time::Instant;
 use parking_lot::Mutex;
@@ -33,6 +35,20 @@ impl Keep {
         match self {
             Self::Latest => 1,
             Self::Every(count) => count.clamp(1, MOST_KEPT),
+        }
+    }
+
+    /// Whether so many can be kept.
+    ///
+    /// # Errors
+    /// How many can.
+    pub(crate) fn check(self) -> Result<(), Report> {
+        match self {
+            Self::Every(count) if !(1..=MOST_KEPT).contains(&count) => Err(raise!(
+                code::VALUE,
+                "1 to {MOST_KEPT} results can be kept, not {count}"
+            )),
+            _ => Ok(()),
         }
     }
 }

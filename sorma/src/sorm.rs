@@ -295,8 +295,9 @@ impl Sorm {
     pub(crate) fn results(&self, name: &str) -> Arc<Results> {
         let mut results = self.inner.results.lock();
         if !results.contains_key(name) {
-            // Nobody subscribes any more: the next to do so begins anew.
-            results.retain(|_, results| results.subscribers() > 0);
+            // What neither an object nor a subscriber has is nobody's.
+            results
+                .retain(|_, results| Arc::strong_count(results) > 1 || results.subscribers() > 0);
         }
         Arc::clone(results.entry(name.to_owned()).or_default())
     }

@@ -119,6 +119,7 @@ impl Sorm {
 
     /// Subscribes to an object of this process.
     pub(crate) fn tap(&self, name: &ObjectName, keep: Keep) -> Result<Tap, Report> {
+        keep.check()?;
         let handle = self.resolve(name)?;
         let results = self.results(handle.name());
         // Whoever builds it anew finds them by its name.

@@ -241,6 +241,38 @@ fn a_subscriber_gets_every_result_or_the_latest_whoever_asks_for_it() {
 }
 
 #[test]
+fn who_subscribes_again_later_gets_results_also_of_an_object_that_was_built_anew() {
+    passes(|cx, sorm| {
+        Box::pin(async move {
+            let comm = Tasks::of(&cx);
+            for at in BOTH {
+                let (name, other) = (format!("count{at}"), format!("scale{at}"));
+                let first = sorm.subscribe(&comm, &name, Keep::Latest).await.unwrap();
+                first.end(&comm).await;
+                let _other = sorm.subscribe(&comm, &other, Keep::Latest).await.unwrap();
+                let mut again = sorm.subscribe(&comm, &name, Keep::Latest).await.unwrap();
+                ask(&sorm, &cx, &format!("{name} EXEC")).await;
+                assert_eq!(again.next(&comm).await.unwrap().body.ints, [1], "{at}");
+                let free = format!("sorm{at} CTRL -free count");
+                assert!(ask(&sorm, &cx, &free).await.body.is_ok());
+                ask(&sorm, &cx, &format!("{name} EXEC")).await;
+                let sample = again.next(&comm).await.unwrap();
+                assert_eq!((sample.number, sample.body.ints), (2, vec![1]), "{at}");
+                let none = sorm
+                    .subscribe(&comm, &name, Keep::Every(0))
+                    .await
+                    .unwrap_err();
+                assert!(
+                    none.text.contains("1 to 10000 results can be kept, not 0"),
+                    "{none}"
+                );
+            }
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
 fn subscribers_that_do_not_fetch_cost_the_object_no_time_and_are_forgotten() {
     passes(|cx, sorm| {
         Box::pin(async move {

@@ -20,9 +20,8 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Event>> = LazyLock::new(|| {
 pub(super) struct EventObject(Event);
 
 impl ServiceObject for EventObject {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        // What an EXEC answers goes to all who subscribe; of the caller's own reports nothing does.
-        io.reports.clear();
+    fn exec(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
+        // What an EXEC answers goes to all who subscribe: here that is what it was given.
         Ok(())
     }
 

@@ -2,7 +2,7 @@
 
 use super::VERSION;
 use crate::name::ObjectName;
-use crate::results::{Keep, MOST_KEPT, Sample, Tap};
+use crate::results::{Keep, Sample, Tap};
 use crate::sorm::Sorm;
 use crate::stream::BATCH;
 use ctos::message::Command;
@@ -103,13 +103,6 @@ impl Subscribers {
                 "the subscriber speaks version {} of service objects, this daemon {VERSION}: \
                  run the same program on both sides",
                 request.version
-            )));
-        }
-        if let Keep::Every(count) = request.keep
-            && !(1..=MOST_KEPT).contains(&count)
-        {
-            return Err(HandlerError::new(format!(
-                "1 to {MOST_KEPT} results can be kept, not {count}"
             )));
         }
         let name: ObjectName = request.object.parse()?;
