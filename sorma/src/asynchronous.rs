@@ -41,18 +41,22 @@ pub fn register(sorm: &Sorm) {
     let later = Class::new("later", VERSION, |_, _| {
         Ok(Box::new(later::LaterObject::default()))
     });
+    let later = later.described(later::OPTIONS.class("later", VERSION));
     sorm.register(later.codes(code::PROTOTYPES).waits());
     let fork = Class::new("fork", VERSION, |_, _| {
         Ok(Box::new(fork::ForkObject::default()))
     });
+    let fork = fork.described(fork::OPTIONS.class("fork", VERSION));
     sorm.register(fork.codes(code::PROTOTYPES).waits());
     let stream = Class::new("stream", VERSION, |_, _| {
         Ok(Box::new(stream::StreamObject::default()))
     });
+    let stream = stream.described(stream::OPTIONS.class("stream", VERSION));
     sorm.register(stream.codes(code::PROTOTYPES).waits());
     let event = Class::new("event", VERSION, |_, _| {
         Ok(Box::new(event::EventObject::default()))
     });
+    let event = event.described(event::OPTIONS.class("event", VERSION));
     sorm.register(event.codes(code::PROTOTYPES));
 }
 

@@ -7,6 +7,7 @@ use crate::report::{Report, code};
 use crate::request::Request;
 use crate::results::{Keep, Sample};
 use crate::transport::Transport;
+use ctos::message::CommandInfo;
 use futures_util::FutureExt as _;
 use futures_util::future::LocalBoxFuture;
 use std::rc::Rc;
@@ -133,6 +134,29 @@ pub trait Comm {
     fn back<'a>(&'a self, at: &'a Location) -> LocalBoxFuture<'a, Result<(), Report>> {
         let _ = at;
         Box::pin(std::future::ready(Ok(())))
+    }
+
+    /// Whether there is an app with tasks.
+    fn is_in_app(&self) -> bool {
+        false
+    }
+
+    /// Asks a task of the app, in the encoding of messages between processes.
+    fn call_task<'a>(
+        &'a self,
+        task: &'a str,
+        command: CommandInfo,
+        data: Vec<u8>,
+        deadline: Duration,
+    ) -> LocalBoxFuture<'a, Result<Vec<u8>, Report>> {
+        let _ = (data, deadline);
+        Box::pin(async move {
+            Err(raise!(
+                code::DAEMON,
+                "`{}` of task `{task}`: there is no app here; ask in one that runs",
+                command.name
+            ))
+        })
     }
 }
 

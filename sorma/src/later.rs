@@ -184,10 +184,13 @@ impl Waiting<'_> {
         at_once: usize,
         io: &mut Transport,
     ) -> Vec<Reply> {
-        let from = io.from.clone();
+        let (from, trace) = (io.from.clone(), io.trace.nested());
         let mut replies = forked(requests, at_once, |mut request| {
             if request.body.from.is_empty() {
                 request.body.from.clone_from(&from);
+            }
+            if request.body.trace.id == 0 {
+                request.body.trace = trace;
             }
             self.ask(request)
         })

@@ -36,6 +36,7 @@ pub mod together;
 pub mod trade;
 pub mod transport;
 pub mod waiting;
+pub mod watching;
 pub mod words;
 
 pub use class::Class;

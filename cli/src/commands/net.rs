@@ -2,6 +2,7 @@
 
 pub mod check;
 pub mod convert;
+pub mod fmt;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -24,6 +25,8 @@ pub enum NetCommand {
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
     /// everything; what another form has no words for is told.
     Convert(convert::ConvertArgs),
+    /// Lay out net text in the one usual way
+    Fmt(fmt::FmtArgs),
 }
 
 /// Runs the command.
@@ -32,5 +35,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Fmt(args) => fmt::run(args),
     }
 }
