@@ -1,5 +1,5 @@
 //! Firings per second of the executor, beside what a hand-written loop over the same marking takes (the
-//! limit of memory and arithmetic); and markings per second of the state space. A firing must cost the
+//! limit of memory and arithmetic). A firing must cost the
 //! same in small and in large nets, with few tokens and with many.
 
 #![allow(
@@ -13,10 +13,8 @@ use ctos::diagnostic::Source;
 use divan::{Bencher, black_box, counter::ItemsCount};
 use pnt::{
     compile,
-    compose::System,
     exec::{Conflicts, Execution, Race},
     net::Net,
-    space::{Limits, explore},
 };
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -146,32 +144,5 @@ fn by_hand(bencher: Bencher, (length, tokens): (usize, u32)) {
             }
             at = next;
         }
-    });
-}
-
-/// Four-cell Kanban system; items are markings (published numbers).
-#[divan::bench(args = [(2, 4_600), (3, 58_400), (4, 454_475)], sample_count = 5)]
-fn kanban_markings(bencher: Bencher, (cards, markings): (usize, usize)) {
-    let mut text = String::from("net kanban\n");
-    for i in 1..=4 {
-        let _ = write!(
-            text,
-            "place pm{i}, pback{i}, pout{i}, pkan{i} = {cards}
-transition tok{i}\n  in pm{i}\n  out pout{i}
-transition tredo{i}\n  in pm{i}\n  out pback{i}
-transition tback{i}\n  in pback{i}\n  out pm{i}\n"
-        );
-    }
-    text.push_str(
-        "transition tin1\n  in pkan1\n  out pm1
-transition tsynch1\n  in pout1, pkan2, pkan3\n  out pkan1, pm2, pm3
-transition tsynch2\n  in pout2, pout3, pkan4\n  out pkan2, pkan3, pm4
-transition tout4\n  in pout4\n  out pkan4\n",
-    );
-    let (system, _) = System::compose(&[net(&text)]);
-    bencher.counter(ItemsCount::new(markings)).bench_local(|| {
-        let space = explore(&system, &Limits::default());
-        assert_eq!(space.markings, markings);
-        space
     });
 }
