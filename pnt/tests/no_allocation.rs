@@ -61,8 +61,20 @@ fn a_firing_allocates_nothing() {
         ("declared order", "", false, false, Conflicts::Declared),
         ("chance", "", false, false, random()),
         ("with the event log", "", false, true, random()),
-        ("two phases", "  do it\n  within 1 ms\n", true, false, random()),
-        ("two phases with the event log", "  do it\n  within 1 ms\n", true, true, random()),
+        (
+            "two phases",
+            "  do it\n  within 1 ms\n",
+            true,
+            false,
+            random(),
+        ),
+        (
+            "two phases with the event log",
+            "  do it\n  within 1 ms\n",
+            true,
+            true,
+            random(),
+        ),
     ] {
         let mut execution = execution(more);
         if log {
