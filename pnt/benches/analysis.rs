@@ -175,7 +175,5 @@ fn whole_check_of_a_robots_net(bencher: Bencher) {
         engines: Engines::Both,
         ..Options::new(Rule::Closed, Limits::default())
     };
-    bencher.bench_local(|| {
-        prove(&nets, &options, &mut |_| {}).unwrap().verdict
-    });
+    bencher.bench_local(|| prove(&nets, &options, &mut |_| {}).unwrap().verdict);
 }

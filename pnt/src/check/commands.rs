@@ -29,7 +29,10 @@ pub struct Workflow {
 pub fn workflows(system: &System, limits: &Limits) -> Vec<Workflow> {
     let nets = system.nets().iter().enumerate();
     let commands = nets.flat_map(|(number, net)| {
-        (0..).map(CommandId).zip(net.commands()).map(move |(id, command)| (number, id, command))
+        (0..)
+            .map(CommandId)
+            .zip(net.commands())
+            .map(move |(id, command)| (number, id, command))
     });
     commands
         .map(|(net, id, command)| {
@@ -76,7 +79,9 @@ fn workflow(
     let explored = explore(&model, limits);
     let words = |marking: &[u32]| -> Vec<String> {
         let path = explored.path(marking).unwrap_or_default();
-        let names = path.iter().filter_map(|number| model.transitions.get(*number as usize));
+        let names = path
+            .iter()
+            .filter_map(|number| model.transitions.get(*number as usize));
         names.map(|transition| transition.name.clone()).collect()
     };
     if explored.growth.is_some() {
@@ -86,7 +91,10 @@ fn workflow(
     for ((number, forbidden), seen) in unasked {
         if *forbidden && *seen {
             let reached = explored.nearest_enabled(number);
-            return (Some(false), reached.map(|r| words(&r.marking)).unwrap_or_default());
+            return (
+                Some(false),
+                reached.map(|r| words(&r.marking)).unwrap_or_default(),
+            );
         }
     }
     match returns::always_reachable(&explored, &|marking| marking == end, limits.bytes) {
@@ -123,10 +131,19 @@ transition break
         let (system, findings) = System::compose(&[net(text)]);
         assert!(!findings.has_errors(), "{findings}");
         let found = workflows(&system, &Limits::default());
-        assert_eq!((found[0].command.as_str(), found[0].sound), ("go", Some(true)));
-        assert_eq!((found[1].command.as_str(), found[1].sound), ("jam", Some(false)));
+        assert_eq!(
+            (found[0].command.as_str(), found[0].sound),
+            ("go", Some(true))
+        );
+        assert_eq!(
+            (found[1].command.as_str(), found[1].sound),
+            ("jam", Some(false))
+        );
         assert_eq!(found[1].counterexample, ["command jam to n", "n.break"]);
-        let few = Limits { markings: 1, ..Limits::default() };
+        let few = Limits {
+            markings: 1,
+            ..Limits::default()
+        };
         assert_eq!(workflows(&system, &few)[0].sound, None);
     }
 
@@ -138,6 +155,9 @@ transition break
         });
         let (system, _) = System::compose(&nets);
         let found = workflows(&system, &Limits::default());
-        assert!(!found.is_empty() && found.iter().all(|w| w.sound == Some(true)), "{found:?}");
+        assert!(
+            !found.is_empty() && found.iter().all(|w| w.sound == Some(true)),
+            "{found:?}"
+        );
     }
 }

@@ -8,7 +8,7 @@ use pnt::{
         question::{self, Because},
         verdict::Engine,
     },
-    check::{Answered, Proof},
+    check::{Answered, Asks, Proof},
     net::Net,
 };
 use serde::Serialize;
@@ -79,7 +79,11 @@ impl Asked {
         };
         let mut asked = Self {
             question: answered.question.clone(),
-            asks: if answered.always { "always" } else { "can" },
+            asks: match answered.asks {
+                Asks::Can => "can",
+                Asks::Never => "never",
+                Asks::Always => "always",
+            },
             answer: answered.yes(),
             sequence: None,
             marking: None,
@@ -92,7 +96,9 @@ impl Asked {
                 asked.exhausted = Some(*markings);
             }
             question::Answer::Proved(Because::Invariant(weights)) => {
-                let named = weights.iter().map(|(number, weight)| (place(*number), *weight));
+                let named = weights
+                    .iter()
+                    .map(|(number, weight)| (place(*number), *weight));
                 asked.invariant = Some(named.collect());
             }
             question::Answer::Witness(witness) => {
@@ -101,7 +107,9 @@ impl Asked {
                     transition.map(|t| t.name.clone()).unwrap_or_default()
                 };
                 asked.sequence = Some(witness.sequence.iter().map(name).collect());
-                let tokens = (0..).zip(&witness.marking).filter(|(_, tokens)| **tokens > 0);
+                let tokens = (0..)
+                    .zip(&witness.marking)
+                    .filter(|(_, tokens)| **tokens > 0);
                 asked.marking = Some(tokens.map(|(p, tokens)| (place(p), *tokens)).collect());
             }
         }
@@ -110,7 +118,9 @@ impl Asked {
 
     fn text(&self) -> String {
         let marked = |tokens: &BTreeMap<String, u32>| {
-            let named = tokens.iter().map(|(place, tokens)| format!("{place}*{tokens}"));
+            let named = tokens
+                .iter()
+                .map(|(place, tokens)| format!("{place}*{tokens}"));
             named.collect::<Vec<_>>().join(", ")
         };
         let answer = match self.answer {
@@ -120,10 +130,17 @@ impl Asked {
         };
         let mut text = format!("  {} \"{}\": {answer}", self.asks, self.question);
         if let (Some(sequence), Some(marking)) = (&self.sequence, &self.marking) {
-            let _ = write!(text, ": after {} the marking is {}", sequence.join(", "), marked(marking));
+            let _ = write!(
+                text,
+                ": after {} the marking is {}",
+                sequence.join(", "),
+                marked(marking)
+            );
         }
         if let Some(invariant) = &self.invariant {
-            let sum = invariant.iter().map(|(place, weight)| format!("{weight}*{place}"));
+            let sum = invariant
+                .iter()
+                .map(|(place, weight)| format!("{weight}*{place}"));
             let sum = sum.collect::<Vec<_>>().join(" + ");
             let _ = write!(text, ": no firing changes {sum}");
         }
@@ -155,7 +172,11 @@ impl Answer {
         let place = |number: u32| {
             let place = proof.model.places.get(number as usize)?;
             let short = place.name.split_once('.').filter(|_| alone);
-            Some(short.map_or(place.name.as_str(), |(_, name)| name).to_owned())
+            Some(
+                short
+                    .map_or(place.name.as_str(), |(_, name)| name)
+                    .to_owned(),
+            )
         };
         Self {
             nets: nets.iter().map(|net| net.name().to_owned()).collect(),
@@ -250,14 +271,22 @@ impl Answer {
             known(self.reversible, "reversible", "not reversible"),
         );
         if !self.unbounded_places.is_empty() {
-            let _ = write!(text, "\n  without bound: {}", self.unbounded_places.join(", "));
+            let _ = write!(
+                text,
+                "\n  without bound: {}",
+                self.unbounded_places.join(", ")
+            );
         }
         for asked in &self.questions {
             let _ = write!(text, "\n{}", asked.text());
         }
         for alone in &self.commands {
             let sound = known(alone.sound, "sound", "not sound");
-            let _ = write!(text, "\n  command {} to {}: {sound}", alone.command, alone.net);
+            let _ = write!(
+                text,
+                "\n  command {} to {}: {sound}",
+                alone.command, alone.net
+            );
         }
         if let Some(structure) = &self.structure {
             text.push_str(&structure.text());

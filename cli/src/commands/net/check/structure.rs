@@ -60,8 +60,13 @@ impl Structure {
         let transition = |number: usize| model.transitions[number].name.clone();
         let named = |flows: Vec<Vec<u64>>, name: &dyn Fn(usize) -> String| {
             let one = |weights: Vec<u64>| -> BTreeMap<String, u64> {
-                let pairs = weights.into_iter().enumerate().filter(|(_, weight)| *weight > 0);
-                pairs.map(|(number, weight)| (name(number), weight)).collect()
+                let pairs = weights
+                    .into_iter()
+                    .enumerate()
+                    .filter(|(_, weight)| *weight > 0);
+                pairs
+                    .map(|(number, weight)| (name(number), weight))
+                    .collect()
             };
             flows.into_iter().map(one).collect::<Vec<_>>()
         };
@@ -71,8 +76,17 @@ impl Structure {
         let graph = |graph: MarkedGraph| {
             let cycle = cycle(model, &graph.part, &delays);
             Graph {
-                transitions: graph.part.transitions.iter().map(|t| transition(*t)).collect(),
-                choices: graph.choices.iter().map(|(p, t)| (place(*p), transition(*t))).collect(),
+                transitions: graph
+                    .part
+                    .transitions
+                    .iter()
+                    .map(|t| transition(*t))
+                    .collect(),
+                choices: graph
+                    .choices
+                    .iter()
+                    .map(|(p, t)| (place(*p), transition(*t)))
+                    .collect(),
                 cycle_time_s: cycle.as_ref().map(|cycle| cycle.time),
                 bottleneck: cycle
                     .map(|cycle| cycle.bottleneck.into_iter().map(transition).collect())
@@ -105,7 +119,9 @@ impl Structure {
     pub(super) fn text(&self) -> String {
         let mut text = String::new();
         let sums = |title: &str, flows: &Option<Vec<BTreeMap<String, u64>>>| {
-            let Some(flows) = flows else { return format!("\n  {title}: too many") };
+            let Some(flows) = flows else {
+                return format!("\n  {title}: too many");
+            };
             let mut lines = format!("\n  {title}: {}", flows.len());
             for flow in flows {
                 let parts: Vec<String> = flow
@@ -133,14 +149,22 @@ impl Structure {
             (self.free_choice, "free choice"),
             (self.well_formed == Some(true), "well formed"),
         ];
-        let classes: Vec<&str> = classes.iter().filter(|(is, _)| *is).map(|(_, name)| *name).collect();
+        let classes: Vec<&str> = classes
+            .iter()
+            .filter(|(is, _)| *is)
+            .map(|(_, name)| *name)
+            .collect();
         if !classes.is_empty() {
             let _ = write!(text, "\n  class: {}", classes.join(", "));
         }
         for graph in self.marked_graph_components.iter().flatten() {
             let _ = write!(text, "\n  marked graph: {}", graph.transitions.join(", "));
             if let Some(time) = graph.cycle_time_s.filter(|time| *time > 0.0) {
-                let _ = write!(text, "; {time} s a round, held up by {}", graph.bottleneck.join(", "));
+                let _ = write!(
+                    text,
+                    "; {time} s a round, held up by {}",
+                    graph.bottleneck.join(", ")
+                );
             }
         }
         text
@@ -159,5 +183,9 @@ fn delays(nets: &[Arc<Net>], model: &Model) -> Vec<f64> {
         })
         .collect();
     let mean = |label: Option<u32>| means.get(label? as usize).copied();
-    model.transitions.iter().map(|t| mean(t.label).unwrap_or(0.0)).collect()
+    model
+        .transitions
+        .iter()
+        .map(|t| mean(t.label).unwrap_or(0.0))
+        .collect()
 }
