@@ -10,7 +10,8 @@
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`analysis`]: what can be proved about it;
 //!   [`check`]: that as findings that point into the net texts;
-//! - [`invariants`]: what no firing of a net by itself can change.
+//! - [`invariants`]: what no firing of a net by itself can change;
+//! - [`stochastic`]: how fast a net goes that says what its transitions take.
 //!
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
@@ -32,6 +33,7 @@ pub mod library;
 pub mod net;
 pub mod pnml;
 mod ready;
+pub mod stochastic;
 pub mod stream;
 pub mod task;
 pub mod text;
