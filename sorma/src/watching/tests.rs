@@ -50,6 +50,7 @@ fn a_watcher_sees_what_it_wants_and_nothing_else() {
     assert!(reply.body.text.starts_with("-"), "{reply:?}");
     assert_eq!(seen(&sorm, "watch.all"), []);
     ask(&sorm, "sorm CTRL -free watch.all -free watch.foo");
+    ask(&sorm, "foo.a EXEC");
     assert_eq!(sorm.watchers().count.load(Ordering::Relaxed), 0);
 }
 
