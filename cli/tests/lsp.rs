@@ -149,7 +149,11 @@ fn findings_are_told_with_every_change() {
 #[test]
 fn places_symbols_tasks_and_commands_are_offered_where_they_fit() {
     let mut editor = Editor::start(&["--app", "configs/calibrate.toml"]);
-    editor.open(&TEXT.replace("operator", "dispatcher").replace("büsy", "busy"));
+    editor.open(
+        &TEXT
+            .replace("operator", "dispatcher")
+            .replace("büsy", "busy"),
+    );
     assert_eq!(editor.offered(4, 5), ["busy", "idle"]);
     assert_eq!(editor.offered(5, 7), ["go"]);
     let commands = editor.offered(6, 18);
