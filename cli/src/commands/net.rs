@@ -4,6 +4,7 @@ pub mod check;
 pub mod convert;
 pub mod fmt;
 pub mod lsp;
+pub mod perf;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -33,6 +34,8 @@ pub enum NetCommand {
     /// Speaks the Language Server Protocol on standard input and output; an editor starts it. With `--app` the tasks
     /// of an app and their commands are offered, too.
     Lsp(lsp::LspArgs),
+    /// Say how fast nets go whose transitions say what they take
+    Perf(perf::PerfArgs),
 }
 
 /// Runs the command.
@@ -43,5 +46,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry),
+        NetCommand::Perf(args) => perf::run(args),
     }
 }
