@@ -115,20 +115,30 @@ fn run(displays: usize) {
             a.cx().sleep(Duration::from_millis(1)).await;
             Ok(())
         });
-        Ok(NetTask::new(cx, net.clone(), library, Conflicts::Declared, None))
+        Ok(NetTask::new(
+            cx,
+            net.clone(),
+            library,
+            Conflicts::Declared,
+            None,
+        ))
     });
     let mut config = "[app]\nname = \"t\"\nuntil = \"operator\"\n[time]\nmode = \"virtual\"\n[chassis.a]\n[task.operator]\nhandler = \"operator\"\non = \"a\"\n[task.n]\nhandler = \"n\"\non = \"a\"\n".to_owned();
     for index in 0..displays {
         let _ = writeln!(config, "[task.d{index}]\nhandler = \"display\"\non = \"a\"");
     }
-    let app = config::load_texts(&[("app.toml", &config)], &[], &[]).unwrap_or_else(|f| panic!("{f}"));
+    let app =
+        config::load_texts(&[("app.toml", &config)], &[], &[]).unwrap_or_else(|f| panic!("{f}"));
     let launcher = Launcher {
         program: "none".into(),
         arguments: Vec::new(),
     };
     let observer: boot::Observer = Arc::new(|_| {});
     let outcome = boot::boot(app, registry, &launcher, &observer).unwrap();
-    assert!(matches!(outcome.end, End::Finished(AppResult { ok: true, .. })));
+    assert!(matches!(
+        outcome.end,
+        End::Finished(AppResult { ok: true, .. })
+    ));
 }
 
 #[divan::bench(args = [0, 1, 10, 100], sample_count = 20)]

@@ -40,8 +40,17 @@ impl Browser {
         let profile = tempfile::tempdir().unwrap();
         let start = |name: &&str| {
             Command::new(name)
-                .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"])
-                .args(["--remote-debugging-port=0", "--no-first-run", "--force-color-profile=srgb"])
+                .args([
+                    "--headless=new",
+                    "--no-sandbox",
+                    "--disable-gpu",
+                    "--hide-scrollbars",
+                ])
+                .args([
+                    "--remote-debugging-port=0",
+                    "--no-first-run",
+                    "--force-color-profile=srgb",
+                ])
                 .arg(format!("--user-data-dir={}", profile.path().display()))
                 .arg(format!("--window-size={width},{height}"))
                 .stdin(Stdio::null())
@@ -58,7 +67,10 @@ impl Browser {
         let address = lines
             .by_ref()
             .map_while(Result::ok)
-            .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
+            .find_map(|line| {
+                line.strip_prefix("DevTools listening on ")
+                    .map(str::to_owned)
+            })
             .expect("the browser ended at once");
         // It must not stand still because nobody reads what else it says.
         std::thread::spawn(move || lines.for_each(drop));
@@ -77,10 +89,14 @@ impl Browser {
         let target = browser.order("Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let session = browser.order("Target.attachToTarget", attach);
-        session["sessionId"].as_str().unwrap().clone_into(&mut browser.session);
+        session["sessionId"]
+            .as_str()
+            .unwrap()
+            .clone_into(&mut browser.session);
         browser.order("Runtime.enable", json!({}));
         browser.order("Page.enable", json!({}));
-        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        let metrics =
+            json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
         browser.order("Emulation.setDeviceMetricsOverride", metrics);
         browser.order("Page.navigate", json!({ "url": url }));
         browser
@@ -120,9 +136,13 @@ impl Browser {
     /// What an expression is in the page; a promise is waited for.
     #[track_caller]
     pub fn ask(&mut self, expression: &str) -> Value {
-        let question = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let question =
+            json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
         let told = self.order("Runtime.evaluate", question);
-        assert!(told.get("exceptionDetails").is_none(), "{expression}: {told}");
+        assert!(
+            told.get("exceptionDetails").is_none(),
+            "{expression}: {told}"
+        );
         told["result"]["value"].clone()
     }
 
@@ -145,7 +165,9 @@ impl Browser {
     /// Clicks on the one button with this text, as a person does.
     #[track_caller]
     pub fn click(&mut self, text: &str) {
-        let find = format!("[...document.querySelectorAll('button')].find((one) => one.textContent === {text:?} && !one.disabled)");
+        let find = format!(
+            "[...document.querySelectorAll('button')].find((one) => one.textContent === {text:?} && !one.disabled)"
+        );
         self.wait(&find);
         self.ask(&format!("{find}.click()"));
     }

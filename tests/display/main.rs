@@ -38,7 +38,11 @@ fn boot(scratch: &Scratch) -> (Run<'_>, String) {
     let mut run = scratch.start_boot(&["--display=127.0.0.1:0", "--allow-control"]);
     let line = run.line_with("nets are shown");
     let from = line.find("http://").unwrap();
-    let page = line[from..].split(['"', ' ', '\u{1b}']).next().unwrap().to_owned();
+    let page = line[from..]
+        .split(['"', ' ', '\u{1b}'])
+        .next()
+        .unwrap()
+        .to_owned();
     (run, page)
 }
 
@@ -57,10 +61,15 @@ fn a_person_watches_stops_scrubs_and_releases_a_running_calibration() {
     browser.wait(&format!("{} === 'running'", state("move_robot")));
     browser.wait("document.querySelector('[data-key=\"dispatcher/robot_available\"]').dataset.tokens === '0'");
     let before = browser.ask(&format!("{DISPATCHER}.head.ended.reduce((a, b) => a + b)"));
-    browser.wait(&format!("{DISPATCHER}.head.ended.reduce((a, b) => a + b) > {before} + 8"));
+    browser.wait(&format!(
+        "{DISPATCHER}.head.ended.reduce((a, b) => a + b) > {before} + 8"
+    ));
     browser.wait("document.querySelectorAll('#events tbody tr').length > 20");
     if let Some(picture) = std::env::var_os("CTOS_PICTURE") {
-        browser.wait(&format!("{} === 'running' && nets.now() - {DISPATCHER}.head.at_ns > 4e8", state("move_robot")));
+        browser.wait(&format!(
+            "{} === 'running' && nets.now() - {DISPATCHER}.head.at_ns > 4e8",
+            state("move_robot")
+        ));
         browser.ask("nets.choose('dispatcher/move_robot')");
         browser.wait("document.querySelector('#side .words.running')");
         browser.picture(picture.as_ref());
@@ -95,7 +104,10 @@ fn a_person_watches_stops_scrubs_and_releases_a_running_calibration() {
     browser.click("Breakpoint");
     browser.wait("!document.querySelector('[data-key=\"dispatcher/read_next_pos\"].armed')");
     browser.click("Release net");
-    browser.wait(&format!("{DISPATCHER}.head.paused === null && {} !== 'enabled'", state("read_next_pos")));
+    browser.wait(&format!(
+        "{DISPATCHER}.head.paused === null && {} !== 'enabled'",
+        state("read_next_pos")
+    ));
     let before = browser.ask(&format!("{DISPATCHER}.head.seq"));
     browser.wait(&format!("{DISPATCHER}.head.seq > {before} + 10"));
     assert_eq!(browser.complaints, Vec::<String>::new());
@@ -140,7 +152,10 @@ fn keys_alone_lead_through_the_page_and_a_narrow_one_has_everything() {
     press(&mut browser, "d");
     assert_eq!(browser.ask("nets.detail"), "full");
     // Nothing stands beyond the edge.
-    assert_eq!(browser.ask("document.documentElement.scrollWidth <= innerWidth"), true);
+    assert_eq!(
+        browser.ask("document.documentElement.scrollWidth <= innerWidth"),
+        true
+    );
     assert_eq!(browser.complaints, Vec::<String>::new());
 }
 
@@ -161,7 +176,10 @@ fn whoever_has_no_token_or_comes_from_elsewhere_may_not_intervene() {
     // Another origin, and a name that only seems to be this host's.
     let refused = |header: &str| {
         let host = bare.trim_start_matches("http://").trim_end_matches('/');
-        let request = format!("GET /ws HTTP/1.1\r\n{}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n", header.replace("HERE", host));
+        let request = format!(
+            "GET /ws HTTP/1.1\r\n{}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
+            header.replace("HERE", host)
+        );
         let mut stream = std::net::TcpStream::connect(host).unwrap();
         std::io::Write::write_all(&mut stream, request.as_bytes()).unwrap();
         let mut line = String::new();

@@ -112,7 +112,12 @@ pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Fin
         let overviews = Overviews::read(&source, &mut Findings::new());
         let drawings: BTreeMap<&str, Drawing> = nets
             .iter()
-            .map(|net| (net.name(), Drawing::new(&NetView::new(net), Detail::Written)))
+            .map(|net| {
+                (
+                    net.name(),
+                    Drawing::new(&NetView::new(net), Detail::Written),
+                )
+            })
             .collect();
         for unknown in overviews.unknown(|net| drawings.get(net)) {
             let text = format!("{}: no net has the node of {unknown}", source.name());

@@ -205,14 +205,19 @@ mod tests {
     use super::*;
 
     fn view() -> NetView {
-        let text = "net n\nplace a = 1, b\ntransition t\n  in a\n  out b\ntransition u\n  in b\n  out a\n";
+        let text =
+            "net n\nplace a = 1, b\ntransition t\n  in a\n  out b\ntransition u\n  in b\n  out a\n";
         let net = compile::net(&Source::new("n.net", text)).unwrap_or_else(|f| panic!("{f}"));
         NetView::new(&net)
     }
 
     /// The `seq`th event of a token that goes to and fro, one each second.
     fn event(seq: u64) -> Event {
-        let (transition, from, to) = if seq % 2 == 1 { ("t", "a", "b") } else { ("u", "b", "a") };
+        let (transition, from, to) = if seq % 2 == 1 {
+            ("t", "a", "b")
+        } else {
+            ("u", "b", "a")
+        };
         Event {
             seq,
             at_ns: seq * 1_000_000_000,
@@ -232,7 +237,11 @@ mod tests {
     }
 
     fn state(seq: u64) -> State {
-        let places = if seq.is_multiple_of(2) { vec![1, 0] } else { vec![0, 1] };
+        let places = if seq.is_multiple_of(2) {
+            vec![1, 0]
+        } else {
+            vec![0, 1]
+        };
         State {
             seq,
             at_ns: seq * 1_000_000_000,
@@ -306,7 +315,8 @@ mod tests {
         let hub = Hub::live("app", Overviews::default());
         hub.describe(view(), state(0)).unwrap();
         for seq in 1..=6_001 {
-            hub.take("n", batch(&Step::Event(Box::new(event(seq))))).unwrap();
+            hub.take("n", batch(&Step::Event(Box::new(event(seq)))))
+                .unwrap();
         }
         let (told, _) = hub.join(true);
         let net: serde_json::Value = serde_json::from_str(&told[1]).unwrap();
@@ -318,6 +328,9 @@ mod tests {
         // One that is gone and comes back as it was goes on; what does not fit is refused.
         hub.gone("n", "its chassis is gone");
         hub.describe(view(), state(0)).unwrap();
-        assert!(hub.take("n", batch(&Step::Event(Box::new(event(7))))).is_err());
+        assert!(
+            hub.take("n", batch(&Step::Event(Box::new(event(7)))))
+                .is_err()
+        );
     }
 }
