@@ -7,6 +7,7 @@
 //! of ten transitions and in one of ten thousand.
 
 mod enabling;
+mod state;
 mod tape;
 mod wiring;
 
@@ -22,6 +23,7 @@ use thiserror::Error;
 
 use crate::net::{Net, PlaceId, RemoteArc, TransitionId, When};
 use enabling::Enabling;
+pub use state::{State, StateError};
 pub use tape::{OnTape, Tape};
 use wiring::Wiring;
 
@@ -44,6 +46,16 @@ pub enum FireError {
     /// A place would hold more tokens than can be counted.
     #[error("place `{0}` would hold more than {max} tokens", max = u32::MAX)]
     TooManyTokens(String),
+    /// A place holds fewer tokens than shall be taken.
+    #[error("place `{place}` holds {held} tokens, not {asked}")]
+    TooFewTokens {
+        /// The place.
+        place: String,
+        /// What it holds.
+        held: u32,
+        /// What was asked for.
+        asked: u32,
+    },
     /// The symbol is not in the net's input alphabet.
     #[error("net `{net}` takes no command `{symbol}`; it takes: {accepted}")]
     UnknownSymbol {
@@ -303,6 +315,33 @@ impl Execution {
     /// The net has no such place, or it would overflow.
     pub fn put_tokens(&mut self, place: &str, count: u32) -> Result<(), FireError> {
         self.put_all(&[(place.to_owned(), count)])
+    }
+
+    /// Takes tokens out of a place, by hand.
+    ///
+    /// # Errors
+    /// The net has no such place, or it holds fewer.
+    pub fn take_tokens(&mut self, place: &str, count: u32) -> Result<(), FireError> {
+        let Some(id) = self.wiring.place_names.get(place).copied() else {
+            return Err(FireError::UnknownPlace {
+                net: self.net.name().to_owned(),
+                place: place.to_owned(),
+            });
+        };
+        let held = self.marking().get(id.index()).copied().unwrap_or(0);
+        if held < count {
+            return Err(FireError::TooFewTokens {
+                place: place.to_owned(),
+                held,
+                asked: count,
+            });
+        }
+        let arc = crate::net::Arc {
+            place: id,
+            weight: count,
+        };
+        self.enabling.take(&self.wiring, &[arc]);
+        Ok(())
     }
 
     /// Puts a symbol at the end of the input tape and returns its number. A symbol becomes readable

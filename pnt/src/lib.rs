@@ -14,11 +14,13 @@
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
 //!
-//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net.
+//! - [`library`]: the functions that a net names; [`store`]: what survives a crash; [`task`]: the event
+//!   handler that runs a net.
 
 pub mod check;
 pub mod compile;
 pub mod compose;
+mod digest;
 pub mod draft;
 pub mod exec;
 pub mod invariants;
@@ -26,6 +28,7 @@ pub mod library;
 pub mod net;
 mod ready;
 pub mod space;
+pub mod store;
 pub mod task;
 pub mod text;
 pub mod timing;

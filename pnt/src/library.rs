@@ -10,6 +10,7 @@ use std::{
 };
 
 use ctos::task::{Context, HandlerError};
+use serde::{Serialize, de::DeserializeOwned};
 
 use crate::check::FunctionNames;
 
@@ -21,6 +22,8 @@ pub type Acted = Result<(), HandlerError>;
 
 type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
 type Ask<S> = Box<dyn Fn(&S) -> bool>;
+type Save<S> = fn(&S) -> postcard::Result<Vec<u8>>;
+type Load<S> = fn(&[u8]) -> postcard::Result<S>;
 
 /// Where data objects are kept. An app's data object manager task stands behind it.
 pub trait DataStore {
@@ -116,6 +119,7 @@ pub struct Library<S> {
     pub(crate) state: Rc<RefCell<S>>,
     actions: BTreeMap<String, Act<S>>,
     enabling: BTreeMap<String, Ask<S>>,
+    kept: Option<(Save<S>, Load<S>)>,
 }
 
 impl<S: 'static> Library<S> {
@@ -126,6 +130,7 @@ impl<S: 'static> Library<S> {
             state: Rc::new(RefCell::new(state)),
             actions: BTreeMap::new(),
             enabling: BTreeMap::new(),
+            kept: None,
         }
     }
 
@@ -147,6 +152,34 @@ impl<S: 'static> Library<S> {
     pub fn enabling(mut self, name: &str, function: impl Fn(&S) -> bool + 'static) -> Self {
         self.enabling.insert(name.to_owned(), Box::new(function));
         self
+    }
+
+    /// Has the state stored with the marking of a durable net. What is stored is the state as it is when
+    /// a commit begins, also in the midst of an action.
+    #[must_use]
+    pub fn kept(mut self) -> Self
+    where
+        S: Serialize + DeserializeOwned,
+    {
+        self.kept = Some((
+            |state| postcard::to_stdvec(state),
+            |bytes| postcard::from_bytes(bytes),
+        ));
+        self
+    }
+
+    /// The state in bytes, if it is kept.
+    pub(crate) fn saved(&self) -> Result<Option<Vec<u8>>, HandlerError> {
+        let save = self.kept.map(|(save, _)| save(&self.state.borrow()));
+        Ok(save.transpose()?)
+    }
+
+    /// Takes up a state that was kept.
+    pub(crate) fn restore(&self, bytes: &[u8]) -> Result<(), HandlerError> {
+        if let Some((_, load)) = self.kept {
+            *self.state.borrow_mut() = load(bytes)?;
+        }
+        Ok(())
     }
 
     /// The names of all functions, for checking nets before anything starts.

@@ -5,10 +5,17 @@
 //! A net's task bears the net's name: that is how other nets find its places.
 
 mod action;
+mod carry;
+mod control;
+mod durable;
 mod engine;
+mod firing;
 mod journal;
 mod load;
 mod messages;
+mod replace;
+mod settings;
+mod transfers;
 
 #[cfg(test)]
 mod tests;
@@ -25,13 +32,24 @@ use crate::{
     exec::Conflicts,
     library::{DataStore, Library},
     net::Net,
+    store::{Contents, Owner, Store},
 };
 use engine::Engine;
-pub use load::{Settings, check_app, check_args, check_nets, load, settings};
-pub use messages::{FiringEvent, Marking, PutTape, Snapshot, TapeAnswer, Tokens};
+pub use load::{check_app, check_args, check_nets, load};
+pub use messages::{
+    Control, FiringEvent, Marking, Order, Output, PutTape, ReadTape, Snapshot, TapeAnswer, Tokens,
+    Transfer,
+};
+pub use settings::{KEYS, Settings, args, settings};
 
 /// The commands of every net task, for registration.
-pub const COMMANDS: [CommandInfo; 3] = [PutTape::INFO, Tokens::INFO, Marking::INFO];
+pub const COMMANDS: [CommandInfo; 5] = [
+    PutTape::INFO,
+    Tokens::INFO,
+    Marking::INFO,
+    Control::INFO,
+    ReadTape::INFO,
+];
 
 /// Registers a handler that runs a net with the functions of `library`, whose only arguments are those
 /// of [`settings`], with all checks: of the task, and of all nets of the app together.
@@ -66,8 +84,16 @@ impl<S: 'static> NetTask<S> {
         conflicts: Conflicts,
         data: Option<Rc<dyn DataStore>>,
     ) -> Self {
+        let plain = (Settings::default(), None);
         Self {
-            engine: Rc::new(Engine::new(cx.clone(), net, library, conflicts, data)),
+            engine: Rc::new(Engine::new(
+                cx.clone(),
+                net,
+                library,
+                conflicts,
+                data,
+                plain,
+            )),
         }
     }
 
@@ -86,12 +112,49 @@ impl<S: 'static> NetTask<S> {
             .ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
         let settings = settings(config)?;
         let net = load(&cx.path(&settings.net))?;
+        Self::with_settings(cx, net, library, data, settings)
+    }
+
+    /// A task for a net with settings as its arguments could give them. A durable net goes on where it
+    /// was when its last process ended.
+    ///
+    /// # Errors
+    /// What is wrong with the settings or with what was stored.
+    pub fn with_settings(
+        cx: &Context,
+        net: Net,
+        library: Library<S>,
+        data: Option<Rc<dyn DataStore>>,
+        settings: Settings,
+    ) -> Result<Self, HandlerError> {
         let conflicts = if settings.random {
             Conflicts::Random(Box::new(cx.rng("conflicts")))
         } else {
             Conflicts::Declared
         };
-        Ok(Self::new(cx, net, library, conflicts, data))
+        let store = if settings.durable {
+            let owner = Owner {
+                kind: "net".to_owned(),
+                name: net.name().to_owned(),
+            };
+            let file = format!("{}.redb", net.name());
+            let path = cx.path(&settings.store).join(file);
+            Some(Store::open(cx, &path, &owner)?)
+        } else {
+            None
+        };
+        let contents = match &store {
+            Some(store) => store.load(cx)?,
+            None => Contents::new(),
+        };
+        let net = durable::replaced_net(&contents)?.unwrap_or(net);
+        let with = (settings, store);
+        let mut engine = Engine::new(cx.clone(), net, library, conflicts, data, with);
+        engine.resume(&contents)?;
+        engine.arm()?;
+        Ok(Self {
+            engine: Rc::new(engine),
+        })
     }
 }
 
@@ -104,12 +167,24 @@ impl<S: 'static> EventHandler for NetTask<S> {
             }
             Tokens::CODE => {
                 let (tokens, reply) = message.open::<Tokens>()?;
-                self.engine.put_tokens(cx, &tokens)?;
-                reply.ok(())
+                self.engine.put_tokens(cx, tokens, reply)
             }
             Marking::CODE => {
                 let (Marking {}, reply) = message.open::<Marking>()?;
                 reply.ok(self.engine.snapshot())
+            }
+            Control::CODE => {
+                let (Control { order }, reply) = message.open::<Control>()?;
+                self.engine.control(cx, order, reply)
+            }
+            ReadTape::CODE => {
+                let (ReadTape { taken }, reply) = message.open::<ReadTape>()?;
+                let output = self.engine.read_tape(taken);
+                self.engine.when_stored(move |_| {
+                    // Answering never fails; a reader that is gone reads again.
+                    let _ = reply.ok(output);
+                });
+                Ok(())
             }
             _ => cx.default_processing(message),
         }
@@ -129,9 +204,8 @@ impl<S: 'static> EventHandler for NetTask<S> {
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         let lost = |net: &str| {
-            cx.app()
-                .task(net)
-                .is_some_and(|task| task.chassis == chassis)
+            let task = cx.app().task(net);
+            task.is_some_and(|task| task.chassis == chassis) && !carry::is_durable(cx, net)
         };
         if let Some(net) = self.engine.partners().into_iter().find(|net| lost(net)) {
             self.engine

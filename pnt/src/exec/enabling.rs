@@ -19,7 +19,12 @@ pub(super) struct Enabling {
 impl Enabling {
     /// The initial marking, with an empty tape.
     pub(super) fn new(net: &Net, wiring: &Wiring) -> Self {
-        let marking: Vec<u32> = net.places().iter().map(|place| place.tokens).collect();
+        let marking = net.places().iter().map(|place| place.tokens).collect();
+        Self::at(net, wiring, marking)
+    }
+
+    /// A marking with as many places as the net has, with an empty tape.
+    pub(super) fn at(net: &Net, wiring: &Wiring, marking: Vec<u32>) -> Self {
         let mut ready = ReadySet::new(net.transitions().len());
         let mut lacking = Vec::with_capacity(net.transitions().len());
         for (transition, rank) in net.transitions().iter().zip(&wiring.ranks) {

@@ -3,10 +3,12 @@
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
+
 use crate::net::CommandId;
 
 /// A command on the tape.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OnTape {
     /// Its number, counted from the start of the execution.
     pub number: u64,
@@ -17,7 +19,7 @@ pub struct OnTape {
 }
 
 /// The input tape of one net.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tape {
     waiting: VecDeque<OnTape>,
     current: Option<OnTape>,
@@ -43,6 +45,17 @@ impl Tape {
             Some(_) => None,
             None => self.waiting.front().map(|on_tape| on_tape.command),
         }
+    }
+
+    /// Gives every command on it the number that `renumbered` says.
+    pub(super) fn renumber<E>(
+        &mut self,
+        mut renumbered: impl FnMut(CommandId) -> Result<CommandId, E>,
+    ) -> Result<(), E> {
+        for on_tape in self.waiting.iter_mut().chain(&mut self.current) {
+            on_tape.command = renumbered(on_tape.command)?;
+        }
+        Ok(())
     }
 
     pub(super) fn put(&mut self, command: CommandId, arguments: Vec<String>) -> u64 {

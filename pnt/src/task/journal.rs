@@ -41,6 +41,17 @@ impl Journal {
         self.keep(now, "", "stopped", why);
     }
 
+    /// Notes what is not a firing.
+    pub(super) fn note(
+        &mut self,
+        now: Instant,
+        transition: &str,
+        phase: &str,
+        text: &str,
+    ) -> &FiringEvent {
+        self.keep(now, transition, phase, text)
+    }
+
     fn keep(&mut self, now: Instant, transition: &str, phase: &str, text: &str) -> &FiringEvent {
         if self.events.len() == KEPT {
             self.events.pop_front();
