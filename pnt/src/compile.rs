@@ -12,6 +12,7 @@ use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 
 use crate::{
     draft::{Draft, DraftAction, DraftArc, DraftCoordinator, Word},
+    format::enough,
     net::{
         Action, Arc, Command, CommandId, Net, Outputs, Part, Partner, Place, PlaceId, RemoteArc,
         Role, Servers, Transition, When,
@@ -26,12 +27,28 @@ use structures::Expanded;
 /// All findings of the parser, or else all of the compiler.
 pub fn net(source: &Source) -> Result<Net, Findings> {
     let net = compile(&text::parse(source)?)?;
-    let findings = endless(&net);
+    let mut findings = endless(&net);
+    findings.extend(without_transitions(&net));
     if findings.has_errors() {
         Err(findings)
     } else {
         Ok(net)
     }
+}
+
+/// A finding when the net has no transitions: it does nothing, and was hardly meant so.
+#[must_use]
+pub fn without_transitions(net: &Net) -> Findings {
+    let mut findings = Findings::new();
+    if net.transitions().is_empty() {
+        let text = format!("net `{}` has no transition", net.name());
+        findings.push(
+            Finding::error("pnt::net::no_transitions", text)
+                .at(net.at().clone())
+                .help("a net without transitions does nothing; was the file cut off?"),
+        );
+    }
+    findings
 }
 
 /// Transitions that would fire for ever. A net to be analysed may have them; it is then unbounded.
@@ -74,7 +91,7 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
     let transitions = expanded
         .transitions
         .iter()
-        .map(|part| compiler.transition(part))
+        .map_while(|part| (!enough(&compiler.findings)).then(|| compiler.transition(part)))
         .collect();
     let safe = draft.safe.iter().map(|arcs| compiler.arcs(arcs)).collect();
     if compiler.findings.has_errors() {
@@ -139,7 +156,9 @@ fn partner(net: &Word, requests: &[Word]) -> Partner {
 fn duplicates<'a>(what: &str, words: impl IntoIterator<Item = &'a Word>, findings: &mut Findings) {
     let mut seen: BTreeMap<&str, &At> = BTreeMap::new();
     for word in words {
-        if let Some(first) = seen.insert(&word.text, &word.at) {
+        if let Some(first) = seen.insert(&word.text, &word.at)
+            && !enough(findings)
+        {
             findings.push(
                 Finding::error(
                     "pnt::net::duplicate",

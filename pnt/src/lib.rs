@@ -5,6 +5,7 @@
 //!
 //! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
 //! - [`timing`]: when a transition fires;
+//! - [`pnml`] and [`tina`]: nets of other tools; [`format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
@@ -15,7 +16,8 @@
 //! top of them, and on the runtime:
 //!
 //! - [`library`]: the functions that a net names; [`store`]: what survives a crash; [`task`]: the event
-//!   handler that runs a net.
+//!   handler that runs a net; [`stream`]: what a net does, as numbered events for displays and records;
+//!   [`layout`]: where its nodes are drawn.
 
 pub mod check;
 pub mod compile;
@@ -23,12 +25,17 @@ pub mod compose;
 mod digest;
 pub mod draft;
 pub mod exec;
+pub mod format;
 pub mod invariants;
+pub mod layout;
 pub mod library;
 pub mod net;
+pub mod pnml;
 mod ready;
 pub mod space;
 pub mod store;
+pub mod stream;
 pub mod task;
 pub mod text;
 pub mod timing;
+pub mod tina;

@@ -13,6 +13,7 @@ mod firing;
 mod journal;
 mod load;
 mod messages;
+mod publish;
 mod replace;
 mod settings;
 mod transfers;
@@ -23,6 +24,7 @@ mod tests;
 use std::rc::Rc;
 
 use ctos::{
+    diagnostic::Findings,
     message::{Command as _, CommandInfo, Message},
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
@@ -30,9 +32,11 @@ use ctos::{
 
 use crate::{
     exec::Conflicts,
+    layout::LayoutFile,
     library::{DataStore, Library},
     net::Net,
     store::{Contents, Owner, Store},
+    stream::{Describe, Follow},
 };
 use engine::Engine;
 pub use load::{check_app, check_args, check_nets, load};
@@ -43,12 +47,14 @@ pub use messages::{
 pub use settings::{KEYS, Settings, args, settings};
 
 /// The commands of every net task, for registration.
-pub const COMMANDS: [CommandInfo; 5] = [
+pub const COMMANDS: [CommandInfo; 7] = [
     PutTape::INFO,
     Tokens::INFO,
     Marking::INFO,
     Control::INFO,
     ReadTape::INFO,
+    Describe::INFO,
+    Follow::INFO,
 ];
 
 /// Registers a handler that runs a net with the functions of `library`, whose only arguments are those
@@ -112,7 +118,11 @@ impl<S: 'static> NetTask<S> {
             .ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
         let settings = settings(config)?;
         let net = load(&cx.path(&settings.net))?;
-        Self::with_settings(cx, net, library, data, settings)
+        // What is wrong with it was said when the app was checked; a net runs without it.
+        let layout = LayoutFile::of_net(&cx.path(&settings.net), &mut Findings::new());
+        let task = Self::with_settings(cx, net, library, data, settings)?;
+        layout.pin(&mut task.engine.view.borrow_mut());
+        Ok(task)
     }
 
     /// A task for a net with settings as its arguments could give them. A durable net goes on where it
@@ -185,6 +195,14 @@ impl<S: 'static> EventHandler for NetTask<S> {
                     let _ = reply.ok(output);
                 });
                 Ok(())
+            }
+            Describe::CODE => {
+                let (Describe {}, reply) = message.open::<Describe>()?;
+                reply.ok(self.engine.view.borrow().clone())
+            }
+            Follow::CODE => {
+                let (request, reply) = message.open::<Follow>()?;
+                self.engine.follow(&request, reply)
             }
             _ => cx.default_processing(message),
         }

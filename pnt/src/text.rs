@@ -5,14 +5,18 @@ mod line;
 mod words;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::draft::{
-    Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes, DraftTransition,
-    DraftWhen, Word,
+use crate::{
+    draft::{
+        Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
+        DraftTransition, DraftWhen, Word,
+    },
+    format::enough,
 };
+pub(crate) use words::MOST_TOKENS;
 use words::Words;
 
 /// Keywords that begin a line of the net itself.
@@ -48,23 +52,18 @@ const CLAUSES: [&str; 18] = [
     "within",
 ];
 
+/// Whether lines of net text begin with `word`.
+pub(crate) fn is_keyword(word: &str) -> bool {
+    DECLARATIONS.contains(&word) || CLAUSES.contains(&word)
+}
+
 /// Parses one net.
 ///
 /// # Errors
 /// All findings, when at least one of them is an error.
 pub fn parse(source: &Source) -> Result<Draft, Findings> {
-    let mut parser = Parser {
-        source,
-        findings: Findings::new(),
-        draft: Draft::new(Word::new("", source.at(0..0))),
-        named: false,
-        in_transition: false,
-    };
-    let mut start = 0;
-    for with_end in source.text().split_inclusive('\n') {
-        parser.line(with_end.trim_end_matches(['\n', '\r']), start);
-        start += with_end.len();
-    }
+    let mut parser = Parser::new(source, Draft::new(Word::new("", source.at(0..0))));
+    parser.lines(source.text(), 0);
     if !parser.named {
         parser.findings.push(
             Finding::error("pnt::text::no_net", "this text names no net")
@@ -79,6 +78,61 @@ pub fn parse(source: &Source) -> Result<Draft, Findings> {
     }
 }
 
+/// Reads lines of a transition that stand at byte `start` of another file.
+pub(crate) fn clauses(
+    source: &Source,
+    text: &str,
+    start: usize,
+    transition: &mut DraftTransition,
+    findings: &mut Findings,
+) {
+    let mut parser = Parser::new(source, Draft::new(transition.name.clone()));
+    parser.draft.transitions.push(transition.clone());
+    parser.named = true;
+    parser.in_transition = true;
+    parser.lines(text, start);
+    findings.extend(parser.findings);
+    if let Some(read) = parser.draft.transitions.into_iter().next() {
+        *transition = read;
+    }
+}
+
+/// Reads lines of a net that stand at byte `start` of another file.
+pub(crate) fn declarations(
+    source: &Source,
+    text: &str,
+    start: usize,
+    draft: &mut Draft,
+    findings: &mut Findings,
+) {
+    let mut parser = Parser::new(source, draft.clone());
+    parser.named = true;
+    parser.lines(text, start);
+    findings.extend(parser.findings);
+    *draft = parser.draft;
+}
+
+/// Reads what follows a place's name, from byte `start` of another file.
+pub(crate) fn place_rest(
+    source: &Source,
+    text: &str,
+    start: usize,
+    place: &mut DraftPlace,
+    findings: &mut Findings,
+) {
+    let trimmed = text.trim_start();
+    let start = start + (text.len() - trimmed.len());
+    let trimmed = trimmed.trim_end();
+    let read = line::cut(trimmed, start)
+        .map_err(|bad| Finding::error("pnt::text::symbol", bad.message).at(source.at(bad.range)))
+        .and_then(|tokens| {
+            let mut words = Words::new(source, &tokens, start + trimmed.len());
+            rest_of_place(&mut words, place)?;
+            words.end()
+        });
+    findings.keep(read);
+}
+
 struct Parser<'a> {
     source: &'a Source,
     findings: Findings,
@@ -87,7 +141,29 @@ struct Parser<'a> {
     in_transition: bool,
 }
 
-impl Parser<'_> {
+impl<'a> Parser<'a> {
+    fn new(source: &'a Source, draft: Draft) -> Self {
+        Self {
+            source,
+            findings: Findings::new(),
+            draft,
+            named: false,
+            in_transition: false,
+        }
+    }
+
+    /// Reads lines that stand at byte `start` of the source.
+    fn lines(&mut self, text: &str, start: usize) {
+        let mut start = start;
+        for with_end in text.split_inclusive('\n') {
+            if enough(&self.findings) {
+                return;
+            }
+            self.line(with_end.trim_end_matches(['\n', '\r']), start);
+            start += with_end.len();
+        }
+    }
+
     /// Reads one line; what is wrong with it becomes one finding.
     fn line(&mut self, text: &str, start: usize) {
         let tokens = match line::cut(text, start) {
@@ -189,28 +265,9 @@ impl Parser<'_> {
 
     fn places(&mut self, words: &mut Words<'_>) -> Result<(), Finding> {
         loop {
-            let name = words.name("a place")?;
-            let tokens = if words.take("=") {
-                words.whole("the initial tokens", 0)?
-            } else {
-                0
-            };
-            let capacity = if words.keyword("capacity") {
-                Some(words.whole("the capacity", 1)?)
-            } else {
-                None
-            };
-            let data = if words.keyword("data") {
-                Some(words.name("the data object")?)
-            } else {
-                None
-            };
-            self.draft.places.push(DraftPlace {
-                name,
-                tokens,
-                capacity,
-                data,
-            });
+            let mut place = DraftPlace::new(words.name("a place")?);
+            rest_of_place(words, &mut place)?;
+            self.draft.places.push(place);
             if !words.take(",") {
                 return Ok(());
             }
@@ -238,6 +295,20 @@ impl Parser<'_> {
         });
         Ok(())
     }
+}
+
+/// What follows a place's name.
+fn rest_of_place(words: &mut Words<'_>, place: &mut DraftPlace) -> Result<(), Finding> {
+    if words.take("=") {
+        place.tokens = words.whole("the initial tokens", 0)?;
+    }
+    if words.keyword("capacity") {
+        place.capacity = Some(words.whole("the capacity", 1)?);
+    }
+    if words.keyword("data") {
+        place.data = Some(words.name("the data object")?);
+    }
+    Ok(())
 }
 
 fn clause(

@@ -1,6 +1,7 @@
 //! `ctos net`: the tools of whoever writes nets, a file each.
 
 pub mod check;
+pub mod convert;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -18,6 +19,11 @@ pub struct NetArgs {
 pub enum NetCommand {
     /// Prove nets sound, or show a firing sequence by which they are not
     Check(check::CheckArgs),
+    /// Write a net in another form
+    ///
+    /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
+    /// everything; what another form has no words for is told.
+    Convert(convert::ConvertArgs),
 }
 
 /// Runs the command.
@@ -25,5 +31,6 @@ pub enum NetCommand {
 pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
+        NetCommand::Convert(args) => convert::run(args),
     }
 }

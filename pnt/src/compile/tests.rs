@@ -39,10 +39,11 @@ fn a_timed_transition_may_take_nothing_and_an_immediate_one_may_not() {
 
 #[test]
 fn a_declared_safe_marking_asks_for_its_tokens_and_an_undeclared_one_is_rest() {
-    let declared = compiled("net n\nplace a = 1, b, c\nsafe a, b*2\nsafe c\n");
+    let declared =
+        compiled("net n\nplace a = 1, b, c\nsafe a, b*2\nsafe c\ntransition t\n  in a\n");
     assert!(declared.is_safe(&[1, 2, 0]) && declared.is_safe(&[0, 0, 4]));
     assert!(!declared.is_safe(&[1, 1, 0]) && !declared.is_safe(&[]));
-    let undeclared = compiled("net n\nplace a = 1, b, c\n");
+    let undeclared = compiled("net n\nplace a = 1, b, c\ntransition t\n  in a\n");
     assert!(undeclared.is_safe(&[1, 0, 0]));
     assert!(!undeclared.is_safe(&[1, 1, 0]) && !undeclared.is_safe(&[1, 0]));
 }

@@ -40,7 +40,10 @@ impl fmt::Display for Quoted<'_> {
                 '\n' => f.write_str("\\n")?,
                 '\r' => f.write_str("\\r")?,
                 '\t' => f.write_str("\\t")?,
-                c if c.is_control() => write!(f, "\\u{{{:x}}}", u32::from(c))?,
+                // The last two are no characters, and XML cannot hold them.
+                c if c.is_control() || ['\u{fffe}', '\u{ffff}'].contains(&c) => {
+                    write!(f, "\\u{{{:x}}}", u32::from(c))?
+                }
                 c => write!(f, "{c}")?,
             }
         }

@@ -11,12 +11,14 @@ use futures_util::future::{AbortHandle, AbortRegistration, Abortable, Aborted};
 
 use super::{
     engine::Engine,
+    journal::Phase,
     messages::{PutTape, TapeAnswer},
 };
 use crate::{
     exec::{FireError, FiringId},
     library::{Acted, Action},
     net::{self, TransitionId},
+    stream::EventPhase,
 };
 
 /// How often an action without failure branch is tried before the net gives up.
@@ -85,8 +87,8 @@ impl<S: 'static> Engine<S> {
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
         let (phase, text) = match &acted {
-            Ok(()) => ("completed", String::new()),
-            Err(error) => ("failed", error.to_string()),
+            Ok(()) => (EventPhase::Completed, String::new()),
+            Err(error) => (EventPhase::Failed, error.to_string()),
         };
         let on_tape = core.at_hand(id);
         let effects = match acted {
@@ -94,7 +96,13 @@ impl<S: 'static> Engine<S> {
             Err(_) => core.execution.fail(firing)?,
         };
         let (remote, written) = (effects.remote.to_vec(), effects.written);
-        self.log(&mut core, cx, id, phase, &text);
+        let phase = Phase {
+            transition: id,
+            firing: Some(firing),
+            phase,
+            text: &text,
+        };
+        self.log(&mut core, cx, &phase);
         drop(core);
         self.carry_out(cx, id, &remote, written, on_tape);
         Ok(())

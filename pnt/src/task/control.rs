@@ -16,6 +16,7 @@ use super::{
 use crate::{
     exec::Execution,
     net::{Net, PlaceId, TransitionId},
+    stream::{EventPhase, Happened},
 };
 
 /// What a person has done to a net, and where it shall stop.
@@ -242,19 +243,19 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Whether the transition that was chosen may fire, or the net stands at a breakpoint.
-    pub(super) fn passes(&self, core: &mut Core, id: TransitionId) -> bool {
+    pub(super) fn passes(self: &Rc<Self>, core: &mut Core, id: TransitionId) -> bool {
         let passes = core.manual.passes(id);
         self.tell_met(core);
         passes
     }
 
     /// Tells of a breakpoint that was met.
-    fn tell_met(&self, core: &mut Core) {
+    fn tell_met(self: &Rc<Self>, core: &mut Core) {
         if let Some(why) = core.manual.met.take() {
             let net = std::sync::Arc::clone(core.execution.net());
             tracing::warn!(target: "pnt::net", net = net.name(), why, "net paused");
-            let event = core.journal.note(self.cx.now(), "", "paused", &why);
-            self.record(&self.cx, net.name(), event);
+            let paused = Happened::Net(EventPhase::Paused, why.clone());
+            self.note(core, &self.cx, paused);
             if self.settings.break_ends {
                 let reason = format!("net `{}` is at {why}", net.name());
                 self.cx.end_at_breakpoint(&reason);
@@ -263,7 +264,7 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Whether a place has met its breakpoint with the last change.
-    pub(super) fn tell_met_places(&self) {
+    pub(super) fn tell_met_places(self: &Rc<Self>) {
         self.tell_met(&mut self.core.borrow_mut());
     }
 
@@ -288,13 +289,12 @@ impl<S: 'static> Engine<S> {
         {
             return self.replace(cx, &file, &text, within_ms, reply);
         }
-        let said = self.carry_out_order(cx, order)?;
+        let (said, happened) = self.carry_out_order(cx, order)?;
         {
             let mut core = self.core.borrow_mut();
             let net = std::sync::Arc::clone(core.execution.net());
             tracing::warn!(target: "pnt::net", net = net.name(), order = %said, "by hand");
-            let event = core.journal.note(cx.now(), "", "control", &said);
-            self.record(cx, net.name(), event);
+            self.note(&mut core, cx, happened);
             core.changed();
         }
         self.when_stored(move |_| {
@@ -305,79 +305,76 @@ impl<S: 'static> Engine<S> {
         Ok(())
     }
 
-    /// Does what is ordered; what was done, in words.
+    /// Does what is ordered; what was done, in words and for displays.
     fn carry_out_order(
         self: &Rc<Self>,
         cx: &Context,
         order: Order,
-    ) -> Result<String, HandlerError> {
+    ) -> Result<(String, Happened), HandlerError> {
         let mut core = self.core.borrow_mut();
+        let ordered = |said: String| {
+            let what = Happened::Net(EventPhase::Ordered, said.clone());
+            Ok((said, what))
+        };
+        let by_hand = || "by hand".to_owned();
         match order {
             Order::Fire { transition } => {
                 drop(core);
                 self.fire_by_hand(cx, &transition)?;
-                Ok(format!("fire {transition}"))
+                ordered(format!("fire {transition}"))
             }
             Order::Put { place, tokens } => {
                 core.execution.put_tokens(&place, tokens)?;
-                Ok(format!("put {tokens} into {place}"))
+                let of = core.execution.net().place(&place);
+                let put = of.into_iter().map(|place| (place, tokens)).collect();
+                let what = Happened::Tokens(EventPhase::Put, put, by_hand());
+                Ok((format!("put {tokens} into {place}"), what))
             }
             Order::Take { place, tokens } => {
                 core.execution.take_tokens(&place, tokens)?;
-                Ok(format!("take {tokens} out of {place}"))
+                let of = core.execution.net().place(&place);
+                let taken = of.into_iter().map(|place| (place, tokens)).collect();
+                let what = Happened::Tokens(EventPhase::Taken, taken, by_hand());
+                Ok((format!("take {tokens} out of {place}"), what))
             }
             Order::Pause => {
-                core.manual.pause("by hand".to_owned());
-                Ok("pause".to_owned())
+                core.manual.pause(by_hand());
+                let what = Happened::Net(EventPhase::Paused, by_hand());
+                Ok(("pause".to_owned(), what))
             }
             Order::Resume => {
                 core.manual.paused = None;
                 core.manual.steps = 0;
-                Ok("resume".to_owned())
+                let what = Happened::Net(EventPhase::Resumed, by_hand());
+                Ok(("resume".to_owned(), what))
             }
             Order::Step { firings } => {
                 if core.manual.paused.is_none() {
-                    core.manual.pause("by hand".to_owned());
+                    core.manual.pause(by_hand());
                 }
                 core.manual.steps = firings;
-                Ok(format!("step {firings}"))
+                ordered(format!("step {firings}"))
             }
             Order::Break { at } => {
                 let Core {
                     manual, execution, ..
                 } = &mut *core;
                 manual.set(&at, execution)?;
-                Ok(format!("break at {at}"))
+                ordered(format!("break at {at}"))
             }
             Order::Clear { at } => {
                 core.manual.clear(at.as_deref())?;
-                Ok(match at {
+                ordered(match at {
                     Some(at) => format!("no break at {at}"),
                     None => "no breakpoints".to_owned(),
                 })
             }
             Order::Cancel { transition } => {
-                let net = core.execution.net();
-                let mut running = core.execution.running();
-                let found = running.find(|(_, id)| net[*id].name == transition);
-                let Some((firing, id)) = found else {
-                    let text = format!("transition `{transition}` is not in action");
-                    return Err(HandlerError::new(text));
-                };
-                let puts_back = net[id].fail.is_none();
-                drop(running);
-                if puts_back {
-                    // Or it would begin again at once.
-                    core.manual
-                        .pause(format!("`{transition}` was cancelled by hand"));
-                }
-                if let Some(acting) = core.acting.get(&firing) {
-                    acting.abort();
-                }
-                Ok(format!("cancel {transition}"))
+                core.cancel(&transition)?;
+                ordered(format!("cancel {transition}"))
             }
             // It waits, and was taken out before.
-            Order::Replace { .. } => Ok(String::new()),
+            Order::Replace { file, .. } => ordered(format!("replace by {file}")),
         }
     }
 
@@ -411,6 +408,29 @@ impl<S: 'static> Engine<S> {
             id
         };
         self.begin_firing(id, &mut cx.clone())?;
+        Ok(())
+    }
+}
+
+impl Core {
+    /// Ends the action of a transition as failed.
+    fn cancel(&mut self, name: &str) -> Handled {
+        let net = std::sync::Arc::clone(self.execution.net());
+        let found = self
+            .execution
+            .running()
+            .find(|(_, id)| net[*id].name == name);
+        let Some((firing, id)) = found else {
+            let text = format!("transition `{name}` is not in action");
+            return Err(HandlerError::new(text));
+        };
+        if net[id].fail.is_none() {
+            // Or it would begin again at once.
+            self.manual.pause(format!("`{name}` was cancelled by hand"));
+        }
+        if let Some(acting) = self.acting.get(&firing) {
+            acting.abort();
+        }
         Ok(())
     }
 }

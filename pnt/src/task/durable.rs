@@ -254,7 +254,9 @@ impl<S: 'static> Engine<S> {
         // Whoever was told of the objects may have forgotten, or was not told of the last change.
         core.objects = objects_of(&net, None);
         core.changed();
-        core.journal.note(self.cx.now(), "", "resumed", "");
+        core.journal
+            .stream
+            .begin_again(self.cx.now(), &core.execution);
         tracing::warn!(target: "pnt::net", net = net.name(), "net goes on where it was");
         Ok(())
     }

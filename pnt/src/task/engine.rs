@@ -33,6 +33,7 @@ use crate::{
     library::{DataStore, Library},
     net::{Net, PlaceId, TransitionId},
     store::Store,
+    stream::{EventPhase, Happened, NetView, Source},
 };
 
 pub(super) struct Engine<S> {
@@ -40,6 +41,8 @@ pub(super) struct Engine<S> {
     pub(super) library: Library<S>,
     pub(super) data: Option<Rc<dyn DataStore>>,
     pub(super) settings: Settings,
+    /// What displays and records are told of the net once.
+    pub(super) view: RefCell<NetView>,
     pub(super) core: RefCell<Core>,
     /// What waits until the changes that led to it are stored.
     pub(super) durable: Durable<S>,
@@ -87,10 +90,12 @@ impl<S: 'static> Engine<S> {
         (settings, store): (Settings, Option<Arc<Store>>),
     ) -> Self {
         let net = Arc::new(net);
+        let view = RefCell::new(NetView::new(&net));
         Self {
+            view,
             core: RefCell::new(Core {
                 conflicts,
-                journal: Journal::default(),
+                journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),
                 begun: false,
                 halted: None,
                 waiting: BTreeMap::new(),
@@ -136,6 +141,7 @@ impl<S: 'static> Engine<S> {
     /// Everybody is connected: fire.
     pub(super) fn begin(self: &Rc<Self>, cx: &Context) {
         self.core.borrow_mut().begun = true;
+        self.published(&mut self.core.borrow_mut(), cx);
         self.take_up_firings(cx);
         self.advance(cx);
     }
@@ -153,9 +159,12 @@ impl<S: 'static> Engine<S> {
                 return reply.fail(format!("net `{name}` takes no commands: {why}"));
             }
             core.require_room(&request.symbol, self.settings.tape)?;
+            let arguments = request.arguments.join(" ");
             let number = core
                 .execution
                 .put_symbol(&request.symbol, request.arguments)?;
+            let asked = Happened::Asked(request.symbol, arguments);
+            self.note(&mut core, cx, asked);
             core.waiting.insert(number, reply);
             core.commands.insert(number, cx.clone());
             core.changed();
@@ -177,7 +186,11 @@ impl<S: 'static> Engine<S> {
                 let text = format!("net `{name}` takes no tokens: {why}");
                 return Err(HandlerError::new(text));
             }
-            core.receive(message, self.settings.tape)?
+            let (taken, happened) = core.receive(message, self.settings.tape)?;
+            for what in happened {
+                self.note(&mut core, cx, what);
+            }
+            taken
         };
         self.when_stored(move |_| {
             // Answering never fails; a sender that is gone asks again.
@@ -231,7 +244,7 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Something went wrong: the net stops for good and tells everybody who waits for an answer.
-    pub(super) fn halt(&self, why: &str) {
+    pub(super) fn halt(self: &Rc<Self>, why: &str) {
         if self.core.borrow().halted.is_none() {
             tracing::error!(target: "pnt::net", net = self.net().name(), why, "net halted");
             self.stop(why);
@@ -239,14 +252,15 @@ impl<S: 'static> Engine<S> {
     }
 
     /// The net fires no more; everybody who waits for an answer is told why.
-    pub(super) fn stop(&self, why: &str) {
+    pub(super) fn stop(self: &Rc<Self>, why: &str) {
         let (name, waiting, replacing) = {
             let mut core = self.core.borrow_mut();
             if core.halted.is_some() {
                 return;
             }
             core.halted = Some(why.to_owned());
-            core.journal.stopped(self.cx.now(), why);
+            let stopped = Happened::Net(EventPhase::Stopped, why.to_owned());
+            self.note(&mut core, &self.cx, stopped);
             core.commands.clear();
             let name = core.execution.net().name().to_owned();
             let waiting = std::mem::take(&mut core.waiting);
@@ -328,7 +342,11 @@ impl Core {
 
     /// Takes what of a message is new; the number of the last transfer that is taken. A transfer for which
     /// there is no room now is left, with those after it, for the sender to send again.
-    fn receive(&mut self, message: Tokens, room: usize) -> Result<u64, HandlerError> {
+    fn receive(
+        &mut self,
+        message: Tokens,
+        room: usize,
+    ) -> Result<(u64, Vec<Happened>), HandlerError> {
         let Tokens {
             from,
             stream,
@@ -338,9 +356,11 @@ impl Core {
         let known = self.transfers.known(&from, stream, first)?;
         let mut last = (first + known).saturating_sub(1);
         let skipped = usize::try_from(known).unwrap_or(usize::MAX);
+        let mut happened = Vec::new();
         for transfer in transfers.into_iter().skip(skipped) {
+            let what = self.happening(&transfer, &from);
             match self.take_in(transfer, room) {
-                Ok(true) => {}
+                Ok(true) => happened.extend(what),
                 Ok(false) => break,
                 // What came before it is taken; it comes again first in its message and is refused then.
                 Err(_) if last >= first => break,
@@ -350,7 +370,20 @@ impl Core {
             self.transfers.take(&from, stream, last);
             self.changed();
         }
-        Ok(last)
+        Ok((last, happened))
+    }
+
+    /// How displays see a transfer.
+    fn happening(&self, transfer: &Transfer, from: &str) -> Vec<Happened> {
+        let net = self.execution.net();
+        let asked = transfer.symbol.iter();
+        let asked = asked.map(|(symbol, with)| Happened::Asked(symbol.clone(), with.join(" ")));
+        let put = transfer.tokens.iter();
+        let put = put.filter_map(|(place, count)| Some((net.place(place)?, *count)));
+        let put: Vec<_> = put.collect();
+        let tokens =
+            (!put.is_empty()).then(|| Happened::Tokens(EventPhase::Received, put, from.to_owned()));
+        asked.chain(tokens).collect()
     }
 
     /// Puts one transfer, all or nothing; false when a tape has no room for it.

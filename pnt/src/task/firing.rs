@@ -2,18 +2,19 @@
 
 use std::{rc::Rc, sync::Arc};
 
-use ctos::{record::Number, task::Context};
+use ctos::task::Context;
 use futures_util::future::try_join_all;
-use serde::Serialize;
 
 use super::{
     engine::{Core, Engine},
-    messages::{FiringEvent, Transfer},
+    journal::Phase,
+    messages::Transfer,
 };
 use crate::{
     exec::{FireError, FiringId, OnTape, Written},
     library::{Acted, Action, CommandLine},
     net::{RemoteArc, TransitionId},
+    stream::EventPhase,
 };
 
 /// Firings without any action between them after which a net is taken to run in a circle.
@@ -50,7 +51,7 @@ impl<S: 'static> Engine<S> {
         self.store_changes();
     }
 
-    fn choose(&self) -> Option<TransitionId> {
+    fn choose(self: &Rc<Self>) -> Option<TransitionId> {
         let mut unknown = None;
         let chosen = {
             let mut core = self.core.borrow_mut();
@@ -103,7 +104,13 @@ impl<S: 'static> Engine<S> {
         let effects = core.execution.fire(id)?;
         let (remote, written) = (effects.remote.to_vec(), effects.written);
         core.take_up(read, written.as_ref(), cx);
-        self.log(&mut core, cx, id, "fired", "");
+        let phase = Phase {
+            transition: id,
+            firing: None,
+            phase: EventPhase::Fired,
+            text: "",
+        };
+        self.log(&mut core, cx, &phase);
         drop(core);
         self.carry_out(cx, id, &remote, written, on_tape);
         Ok(())
@@ -114,7 +121,13 @@ impl<S: 'static> Engine<S> {
         let read = core.in_progress();
         let firing = core.execution.start(id)?;
         core.take_up(read, None, cx);
-        self.log(&mut core, cx, id, "started", "");
+        let phase = Phase {
+            transition: id,
+            firing: Some(firing),
+            phase: EventPhase::Started,
+            text: "",
+        };
+        self.log(&mut core, cx, &phase);
         drop(core);
         let cx = cx.clone();
         self.when_stored(move |engine| engine.spawn_action(id, firing, &cx));
@@ -149,28 +162,13 @@ impl<S: 'static> Engine<S> {
             .spawn(async move { engine.act(id, firing, action, registration).await });
     }
 
-    pub(super) fn log(
-        &self,
-        core: &mut Core,
-        cx: &Context,
-        id: TransitionId,
-        phase: &str,
-        text: &str,
-    ) {
-        let net = Arc::clone(core.execution.net());
-        let name = &net[id].name;
-        let event = core.journal.firing(cx.now(), net.name(), name, phase, text);
-        self.record(cx, net.name(), event);
+    pub(super) fn log(self: &Rc<Self>, core: &mut Core, cx: &Context, phase: &Phase) {
+        let Core {
+            journal, execution, ..
+        } = core;
+        journal.firing(cx.now(), cx.trace(), execution, phase);
+        self.published(core, cx);
         core.changed();
-    }
-
-    /// Writes an event into the record of the app, if it is recorded.
-    pub(super) fn record(&self, cx: &Context, net: &str, event: &FiringEvent) {
-        if cx.is_recording() {
-            let channel = format!("/firing/{net}");
-            let trace = Number::of_trace(cx.trace());
-            cx.record(&channel, &Recorded { event, trace });
-        }
     }
 
     /// Hands out what a firing leaves to be done. `on_tape` is the command that was in progress.
@@ -249,15 +247,6 @@ impl<S: 'static> Engine<S> {
         try_join_all(tell).await?;
         Ok(())
     }
-}
-
-/// A phase of a firing as it stands in a record.
-#[derive(Serialize)]
-struct Recorded<'e> {
-    #[serde(flatten)]
-    event: &'e FiringEvent,
-    /// That of the message that made the firing possible; what its action sends bears it too.
-    trace: Number,
 }
 
 impl Core {

@@ -4,7 +4,7 @@ use std::{path::Path, sync::Arc};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings, Source},
+    diagnostic::{Finding, Findings, Severity, Source},
     registry::Registry,
     task::Context,
 };
@@ -13,8 +13,10 @@ use super::settings::{self, settings};
 use crate::{
     check::{self, FunctionNames, Report},
     compile,
+    layout::{LayoutFile, beside},
     net::{Action, Net},
     space::Limits,
+    stream::NetView,
     task::COMMANDS,
 };
 
@@ -46,6 +48,7 @@ pub fn check_args(
     match net_of(task, app) {
         Ok(net) => {
             check::functions(&net, functions, findings);
+            check_layout(&net, task, app, findings);
             if net.name() != task.name {
                 let finding = wrong_name(&task.name, net.name());
                 findings.push(finding.at(task.place.clone()));
@@ -64,6 +67,27 @@ pub(super) fn wrong_name(task: &str, net: &str) -> Finding {
     let text = format!("task `{task}` runs net `{net}`; the names must be the same");
     Finding::error("pnt::task::name", text)
         .help("rename one of them: other nets find this one's places by the task's name")
+}
+
+/// What is wrong with a layout file stops nothing: a net runs without it.
+fn check_layout(net: &Net, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let Ok(settings) = settings(task) else { return };
+    let path = app.folder.join(settings.net);
+    let mut found = Findings::new();
+    let file = LayoutFile::of_net(&path, &mut found);
+    for mut finding in found.into_sorted() {
+        finding.severity = Severity::Warning;
+        findings.push(finding);
+    }
+    let mut view = NetView::new(net);
+    let known: Vec<String> = view.names().map(str::to_owned).collect();
+    for name in file.pin(&mut view) {
+        let message = format!("net `{}` has no node `{name}` to draw there", net.name());
+        let finding = Finding::warning("pnt::layout::unknown_node", message)
+            .suggest(&name, known.iter().map(String::as_str))
+            .label(format!("its drawing is {}", beside(&path).display()));
+        findings.push(finding.at(task.place.clone()));
+    }
 }
 
 /// Has all nets of every app checked together before it starts ([`check_app`]).

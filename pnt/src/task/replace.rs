@@ -14,7 +14,13 @@ use super::{
     load,
     messages::Control,
 };
-use crate::{check, compile, exec::Execution, net::Net, space::Limits};
+use crate::{
+    check, compile,
+    exec::Execution,
+    net::Net,
+    space::Limits,
+    stream::{EventPhase, Happened, NetView},
+};
 
 /// A net that waits to be put in place.
 pub(super) struct Replacing {
@@ -103,7 +109,7 @@ impl<S: 'static> Engine<S> {
         });
     }
 
-    fn replaced(&self, cx: &Context) -> Option<(Result<String, String>, Replacing)> {
+    fn replaced(self: &Rc<Self>, cx: &Context) -> Option<(Result<String, String>, Replacing)> {
         let mut core = self.core.borrow_mut();
         if core.replacing.is_none() || !core.keeps_from_replacing().is_empty() {
             return None;
@@ -120,8 +126,15 @@ impl<S: 'static> Engine<S> {
         let said = format!("replaced by {}", replacing.file);
         let name = core.execution.net().name().to_owned();
         tracing::warn!(target: "pnt::net", net = %name, file = %replacing.file, "net replaced");
-        let event = core.journal.note(cx.now(), "", "control", &said);
-        self.record(cx, &name, event);
+        self.view.replace(NetView::new(core.execution.net()));
+        {
+            let Core {
+                journal, execution, ..
+            } = &mut *core;
+            journal.stream.begin_again(cx.now(), execution);
+        }
+        let what = Happened::Net(EventPhase::Ordered, said.clone());
+        self.note(&mut core, cx, what);
         core.changed();
         Some((Ok(said), replacing))
     }

@@ -243,7 +243,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    fn a_draft()(
+    pub(crate) fn a_draft()(
         name in name(),
         title in option::of("(?s).{0,20}"),
         places in vec((name(), 0_u32..4, option::of(1_u32..9), option::of(name())), 0..5),

@@ -4,7 +4,7 @@ use std::{path::PathBuf, sync::Arc};
 
 use clap::Args;
 use ctos::{diagnostic::Findings, registry::Registry};
-use pnt::{check, net::Net, space::Limits, task};
+use pnt::{check, format, net::Net, space::Limits};
 
 use crate::{exit, show};
 
@@ -31,8 +31,11 @@ pub fn run(args: &CheckArgs, _registry: &Registry) -> u8 {
     let mut findings = Findings::new();
     let mut nets: Vec<Arc<Net>> = Vec::new();
     for file in &args.files {
-        match task::load(file) {
-            Ok(net) => nets.push(Arc::new(net)),
+        match format::load(file) {
+            Ok((net, warnings)) => {
+                findings.extend(warnings);
+                nets.push(Arc::new(net));
+            }
             Err(found) => findings.extend(found),
         }
     }
@@ -40,7 +43,8 @@ pub fn run(args: &CheckArgs, _registry: &Registry) -> u8 {
         show::findings(findings);
         return exit::CONFIG;
     }
-    let (report, findings) = check::check(&nets, &Limits::default());
+    let (report, found) = check::check(&nets, &Limits::default());
+    findings.extend(found);
     let sound = report.proved && !findings.has_errors();
     show::findings(findings);
     if args.json {
