@@ -22,8 +22,8 @@ pub type Acted = Result<(), HandlerError>;
 
 type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
 type Ask<S> = Box<dyn Fn(&S) -> bool>;
-type Save<S> = fn(&S) -> postcard::Result<Vec<u8>>;
-type Load<S> = fn(&[u8]) -> postcard::Result<S>;
+type Save<S> = Box<dyn Fn(&S) -> postcard::Result<Vec<u8>>>;
+type Load<S> = Box<dyn Fn(&mut S, &[u8]) -> postcard::Result<()>>;
 
 /// Where data objects are kept. An app's data object manager task stands behind it.
 pub trait DataStore {
@@ -154,30 +154,39 @@ impl<S: 'static> Library<S> {
         self
     }
 
-    /// Has the state stored with the marking of a durable net. What is stored is the state as it is when
-    /// a commit begins, also in the midst of an action.
+    /// Has the state stored with the marking of a durable net: `save` says what of it, `load` puts that
+    /// back. It is stored as it is when a commit begins, also in the midst of an action.
     #[must_use]
-    pub fn kept(mut self) -> Self
-    where
-        S: Serialize + DeserializeOwned,
-    {
-        self.kept = Some((
-            |state| postcard::to_stdvec(state),
-            |bytes| postcard::from_bytes(bytes),
-        ));
+    pub fn kept<K: Serialize + DeserializeOwned>(
+        mut self,
+        save: impl Fn(&S) -> K + 'static,
+        load: impl Fn(&mut S, K) + 'static,
+    ) -> Self {
+        let save: Save<S> = Box::new(move |state| postcard::to_stdvec(&save(state)));
+        let load: Load<S> = Box::new(move |state, bytes| {
+            load(state, postcard::from_bytes(bytes)?);
+            Ok(())
+        });
+        self.kept = Some((save, load));
         self
+    }
+
+    /// Whether a net with this library may be durable: its state is kept, or there is none.
+    pub(crate) fn survives(&self) -> bool {
+        self.kept.is_some() || size_of::<S>() == 0
     }
 
     /// The state in bytes, if it is kept.
     pub(crate) fn saved(&self) -> Result<Option<Vec<u8>>, HandlerError> {
-        let save = self.kept.map(|(save, _)| save(&self.state.borrow()));
-        Ok(save.transpose()?)
+        let kept = self.kept.as_ref();
+        let saved = kept.map(|(save, _)| save(&self.state.borrow()));
+        Ok(saved.transpose()?)
     }
 
     /// Takes up a state that was kept.
     pub(crate) fn restore(&self, bytes: &[u8]) -> Result<(), HandlerError> {
-        if let Some((_, load)) = self.kept {
-            *self.state.borrow_mut() = load(bytes)?;
+        if let Some((_, load)) = &self.kept {
+            load(&mut self.state.borrow_mut(), bytes)?;
         }
         Ok(())
     }

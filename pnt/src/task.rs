@@ -44,7 +44,7 @@ pub use messages::{
     Control, FiringEvent, Marking, Order, Output, PutTape, ReadTape, Snapshot, TapeAnswer, Tokens,
     Transfer,
 };
-pub use settings::{KEYS, Settings, args, settings};
+pub use settings::{KEYS, Settings, args, args_of, settings};
 
 /// The commands of every net task, for registration.
 pub const COMMANDS: [CommandInfo; 7] = [
@@ -142,6 +142,12 @@ impl<S: 'static> NetTask<S> {
         } else {
             Conflicts::Declared
         };
+        if settings.durable && !library.survives() {
+            return Err(HandlerError::new(format!(
+                "net `{}` cannot be durable: its functions share a state that is not kept (`Library::kept`)",
+                net.name()
+            )));
+        }
         let store = if settings.durable {
             let owner = Owner {
                 kind: "net".to_owned(),

@@ -1,6 +1,7 @@
 //! `ctos net`: the tools of whoever writes nets, a file each.
 
 pub mod check;
+pub mod control;
 pub mod convert;
 
 use clap::{Args, Subcommand};
@@ -24,6 +25,34 @@ pub enum NetCommand {
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
     /// everything; what another form has no words for is told.
     Convert(convert::ConvertArgs),
+    /// Fire an enabled transition of a running net by hand
+    ///
+    /// As all interventions, it needs `allow_control = true` in the arguments of the net's task, the role `control`
+    /// from another host, and is in the record and the log of the app.
+    Fire(control::TransitionArgs),
+    /// Put tokens into a place of a running net
+    Put(control::PlaceArgs),
+    /// Take tokens out of a place of a running net
+    Take(control::PlaceArgs),
+    /// Begin no more firings; actions that are going on come to their ends
+    Pause(control::NetTaskArgs),
+    /// Go on after a pause or a breakpoint
+    Resume(control::NetTaskArgs),
+    /// Begin so many firings of a paused net, then pause it again
+    Step(control::StepArgs),
+    /// Pause a net before a transition fires, or when a place comes to hold so many tokens
+    Break(control::BreakArgs),
+    /// End the action of a transition as failed
+    Cancel(control::TransitionArgs),
+    /// Put another net in the place of a running one
+    ///
+    /// It is checked together with all nets of the app first, and put in place at the next safe marking: one that the
+    /// net declares, or else its rest marking between two commands. Tokens are carried over by the names of places.
+    Replace(control::ReplaceArgs),
+    /// Read the output tape of a running net: answers that nobody waited for
+    Tape(control::TapeArgs),
+    /// Show the marking of a running net
+    Marking(control::NetTaskArgs),
 }
 
 /// Runs the command.
@@ -32,5 +61,16 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Fire(args) => control::fire(args),
+        NetCommand::Put(args) => control::put(args),
+        NetCommand::Take(args) => control::take(args),
+        NetCommand::Pause(args) => control::pause(args),
+        NetCommand::Resume(args) => control::resume(args),
+        NetCommand::Step(args) => control::step(args),
+        NetCommand::Break(args) => control::set_breakpoint(args),
+        NetCommand::Cancel(args) => control::cancel(args),
+        NetCommand::Replace(args) => control::replace(args),
+        NetCommand::Tape(args) => control::tape(args),
+        NetCommand::Marking(args) => control::marking(args),
     }
 }

@@ -189,12 +189,12 @@ impl<S: 'static> Engine<S> {
         let TapeAnswer {
             symbol: answer,
             text,
+            first,
         } = answer.map_err(|error| HandlerError::new(error.reason()))?;
         for line in text.lines() {
             action.note(line);
         }
-        let good = super::load::first_answer(&action.cx, to.name(), symbol);
-        if good.is_none_or(|good| good == answer) {
+        if first {
             return Ok(());
         }
         let net = to.name();

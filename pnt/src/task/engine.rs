@@ -406,7 +406,13 @@ impl Core {
         symbol: String,
     ) -> Option<(Replier<PutTape>, TapeAnswer)> {
         let text = self.notes.take().join("\n");
-        let answer = TapeAnswer { symbol, text };
+        let declared = &self.execution.net()[on_tape.command].answers;
+        let first = declared.first() == Some(&symbol);
+        let answer = TapeAnswer {
+            symbol,
+            text,
+            first,
+        };
         self.commands.remove(&on_tape.number);
         let waiting = self.waiting.remove(&on_tape.number);
         if let Some(reply) = waiting.filter(|reply| !reply.is_abandoned()) {

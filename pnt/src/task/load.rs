@@ -6,7 +6,6 @@ use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings, Severity, Source},
     registry::Registry,
-    task::Context,
 };
 
 use super::settings::{self, settings};
@@ -104,13 +103,6 @@ pub(super) fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
             .iter()
             .all(|command| kind.commands().contains(command))
     })
-}
-
-/// The answer that the configured net of a task declares first for a command.
-pub(super) fn first_answer(cx: &Context, task: &str, symbol: &str) -> Option<String> {
-    let net = net_of(cx.app().task(task)?, cx.app()).ok()?;
-    let command = net.command(symbol)?;
-    net[command].answers.first().cloned()
 }
 
 /// Checks all nets of an app together, whichever handlers run them. Nothing is said when one of the

@@ -9,6 +9,8 @@ pub struct TapeAnswer {
     pub symbol: String,
     /// What actions noted and why some of them failed, line by line.
     pub text: String,
+    /// Whether it is the answer that the net declares first for the command: that of success.
+    pub first: bool,
 }
 
 /// A symbol on the output tape that nobody was there to take.

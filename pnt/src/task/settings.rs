@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use ctos::{
     config::{App, Node, TaskConfig},
     diagnostic::{Finding, Findings},
+    task::{Context, HandlerError},
 };
 use serde::de::DeserializeOwned;
 
@@ -72,6 +73,16 @@ impl Default for Settings {
 /// A finding at the key that is wrong or unknown.
 pub fn args<T: DeserializeOwned>(task: &TaskConfig) -> Result<T, Finding> {
     task.args.without(&KEYS).parse()
+}
+
+/// [`args`] of the task that is being built.
+///
+/// # Errors
+/// As [`args`].
+pub fn args_of<T: DeserializeOwned>(cx: &Context) -> Result<T, HandlerError> {
+    let config = cx.config();
+    let config = config.ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
+    Ok(args(config)?)
 }
 
 /// Reads the keys of a task's arguments that every net task has ([`KEYS`]).
