@@ -21,12 +21,25 @@ use crate::{
 };
 use structures::Expanded;
 
-/// Parses and compiles one net.
+/// Parses and compiles one net that includes no files.
 ///
 /// # Errors
 /// All findings of the parser, or else all of the compiler.
 pub fn net(source: &Source) -> Result<Net, Findings> {
-    let net = compile(&text::parse(source)?)?;
+    runnable(&text::parse(source)?)
+}
+
+/// The same for a net that may include files, whose texts `include` gives.
+///
+/// # Errors
+/// All findings of the parser, or else all of the compiler.
+pub fn net_with(source: &Source, include: text::Include<'_>) -> Result<Net, Findings> {
+    runnable(&text::parse_with(source, include)?)
+}
+
+/// Compiles a net that is to be run, which must not fire for ever.
+fn runnable(draft: &Draft) -> Result<Net, Findings> {
+    let net = compile(draft)?;
     let mut findings = endless(&net);
     findings.extend(without_transitions(&net));
     if findings.has_errors() {

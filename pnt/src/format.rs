@@ -104,29 +104,48 @@ pub fn read(path: &Path) -> Result<NetFile, Findings> {
     file.take(LONGEST + 1)
         .read_to_end(&mut bytes)
         .map_err(|error| unreadable(&error))?;
-    read_bytes(&name, &bytes)
+    too_long(&name, &bytes)?;
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    read_with(&decode(&name, &bytes)?, &mut |file| {
+        Source::read(&folder.join(file))
+    })
 }
 
-/// Reads what a file called `name` holds.
+/// Reads what a file called `name` holds; it can include no others.
 ///
 /// # Errors
 /// All findings about it.
 pub fn read_bytes(name: &str, bytes: &[u8]) -> Result<NetFile, Findings> {
-    if bytes.len() as u64 > LONGEST {
-        let limit = LONGEST >> 20;
-        let text = format!("`{name}` is longer than {limit} MiB, which no net is");
-        return Err(Finding::error("pnt::file::size", text)
-            .help("is it the right file?")
-            .into());
-    }
+    too_long(name, bytes)?;
     read_source(&decode(name, bytes)?)
 }
 
-/// Reads a text that is decoded already.
+fn too_long(name: &str, bytes: &[u8]) -> Result<(), Finding> {
+    if bytes.len() as u64 <= LONGEST {
+        return Ok(());
+    }
+    let limit = LONGEST >> 20;
+    let text = format!("`{name}` is longer than {limit} MiB, which no net is");
+    Err(Finding::error("pnt::file::size", text).help("is it the right file?"))
+}
+
+/// Reads a text that is decoded already and can include no others.
 ///
 /// # Errors
 /// All findings about it.
 pub fn read_source(source: &Source) -> Result<NetFile, Findings> {
+    read_with(source, &mut |file| {
+        let text = format!("`{file}` cannot be included here");
+        Err(Finding::error("pnt::text::subnet", text)
+            .help("only a net that is read from a file can include others"))
+    })
+}
+
+/// Reads a text that is decoded already; `include` gives the texts of the files that it includes.
+///
+/// # Errors
+/// All findings about it.
+pub fn read_with(source: &Source, include: text::Include<'_>) -> Result<NetFile, Findings> {
     let format = sniff(source.text());
     if format == Format::Pnml {
         return pnml::read(source);
@@ -136,7 +155,7 @@ pub fn read_source(source: &Source) -> Result<NetFile, Findings> {
     }
     let draft = match format {
         Format::Tina => tina::read(source)?,
-        _ => text::parse(source)?,
+        _ => text::parse_with(source, include)?,
     };
     Ok(NetFile {
         format,

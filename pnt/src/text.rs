@@ -1,7 +1,9 @@
 //! The parser of net text (`docs/net-text.md`): goes on after a mistake and gives all findings at
 //! once, each with its place and what to do. Knows how text looks, not what a net means.
 
+mod format;
 mod line;
+mod subnet;
 mod words;
 
 #[cfg(test)]
@@ -16,11 +18,14 @@ use crate::{
     },
     format::enough,
 };
+pub use format::formatted;
+pub use subnet::Include;
+use subnet::{Expansion, Line, Subnets};
 pub(crate) use words::MOST_TOKENS;
 use words::Words;
 
 /// Keywords that begin a line of the net itself.
-const DECLARATIONS: [&str; 7] = [
+const DECLARATIONS: [&str; 11] = [
     "net",
     "place",
     "command",
@@ -28,6 +33,10 @@ const DECLARATIONS: [&str; 7] = [
     "serves",
     "safe",
     "transition",
+    "subnet",
+    "use",
+    "end",
+    "include",
 ];
 
 /// Keywords that begin a line of a transition.
@@ -57,13 +66,34 @@ pub(crate) fn is_keyword(word: &str) -> bool {
     DECLARATIONS.contains(&word) || CLAUSES.contains(&word)
 }
 
-/// Parses one net.
+/// Parses one net that includes no files.
 ///
 /// # Errors
 /// All findings, when at least one of them is an error.
 pub fn parse(source: &Source) -> Result<Draft, Findings> {
-    let mut parser = Parser::new(source, Draft::new(Word::new("", source.at(0..0))));
-    parser.lines(source.text(), 0);
+    parse_with(source, &mut |file| {
+        Err(Finding::error(
+            "pnt::text::subnet",
+            format!("`{file}` cannot be included here"),
+        )
+        .help("only a net that is read from a file can include others"))
+    })
+}
+
+/// Parses one net; `include` gives the texts of the files that it includes, by the names it has for
+/// them.
+///
+/// # Errors
+/// All findings, when at least one of them is an error.
+pub fn parse_with(source: &Source, include: Include<'_>) -> Result<Draft, Findings> {
+    let mut findings = Findings::new();
+    let lines = subnet::cut(source, source.text(), 0, &mut findings);
+    let mut subnets = Subnets::default();
+    let lines = subnets.take(lines, include, &mut findings);
+    let expansion = Expansion::of(&subnets);
+    let mut parser = Parser::new(Draft::new(Word::new("", source.at(0..0))), expansion);
+    parser.findings = findings;
+    parser.lines(lines);
     if !parser.named {
         parser.findings.push(
             Finding::error("pnt::text::no_net", "this text names no net")
@@ -86,11 +116,14 @@ pub(crate) fn clauses(
     transition: &mut DraftTransition,
     findings: &mut Findings,
 ) {
-    let mut parser = Parser::new(source, Draft::new(transition.name.clone()));
+    let none = Subnets::default();
+    let draft = Draft::new(transition.name.clone());
+    let mut parser = Parser::new(draft, Expansion::of(&none));
     parser.draft.transitions.push(transition.clone());
     parser.named = true;
     parser.in_transition = true;
-    parser.lines(text, start);
+    let lines = subnet::cut(source, text, start, &mut parser.findings);
+    parser.lines(lines);
     findings.extend(parser.findings);
     if let Some(read) = parser.draft.transitions.into_iter().next() {
         *transition = read;
@@ -105,9 +138,11 @@ pub(crate) fn declarations(
     draft: &mut Draft,
     findings: &mut Findings,
 ) {
-    let mut parser = Parser::new(source, draft.clone());
+    let none = Subnets::default();
+    let mut parser = Parser::new(draft.clone(), Expansion::of(&none));
     parser.named = true;
-    parser.lines(text, start);
+    let lines = subnet::cut(source, text, start, &mut parser.findings);
+    parser.lines(lines);
     findings.extend(parser.findings);
     *draft = parser.draft;
 }
@@ -123,7 +158,7 @@ pub(crate) fn place_rest(
     let trimmed = text.trim_start();
     let start = start + (text.len() - trimmed.len());
     let trimmed = trimmed.trim_end();
-    let read = line::cut(trimmed, start)
+    let read = line::cut(source, trimmed, start)
         .map_err(|bad| Finding::error("pnt::text::symbol", bad.message).at(source.at(bad.range)))
         .and_then(|tokens| {
             let mut words = Words::new(source, &tokens, start + trimmed.len());
@@ -133,52 +168,46 @@ pub(crate) fn place_rest(
     findings.keep(read);
 }
 
-struct Parser<'a> {
-    source: &'a Source,
+struct Parser<'s> {
     findings: Findings,
     draft: Draft,
+    expansion: Expansion<'s>,
     named: bool,
     in_transition: bool,
+    /// Whether the lines are those of an instance of a subnet.
+    in_subnet: bool,
 }
 
-impl<'a> Parser<'a> {
-    fn new(source: &'a Source, draft: Draft) -> Self {
+impl<'s> Parser<'s> {
+    fn new(draft: Draft, expansion: Expansion<'s>) -> Self {
         Self {
-            source,
             findings: Findings::new(),
             draft,
+            expansion,
             named: false,
             in_transition: false,
+            in_subnet: false,
         }
     }
 
-    /// Reads lines that stand at byte `start` of the source.
-    fn lines(&mut self, text: &str, start: usize) {
-        let mut start = start;
-        for with_end in text.split_inclusive('\n') {
+    fn lines(&mut self, lines: Vec<Line>) {
+        for line in lines {
             if enough(&self.findings) {
                 return;
             }
-            self.line(with_end.trim_end_matches(['\n', '\r']), start);
-            start += with_end.len();
+            self.line(&line);
         }
     }
 
     /// Reads one line; what is wrong with it becomes one finding.
-    fn line(&mut self, text: &str, start: usize) {
-        let tokens = match line::cut(text, start) {
-            Ok(tokens) => tokens,
-            Err(bad) => {
-                self.findings.push(
-                    Finding::error("pnt::text::symbol", bad.message).at(self.source.at(bad.range)),
-                );
-                return;
-            }
-        };
-        let mut words = Words::new(self.source, &tokens, start + text.len());
-        if words.at_end() {
+    fn line(&mut self, line: &Line) {
+        if line.begins("use") {
+            self.in_transition = false;
+            let instance = self.instance(line);
+            self.findings.keep(instance);
             return;
         }
+        let mut words = Words::new(&line.source, &line.tokens, line.end);
         let result = words
             .first()
             .and_then(|keyword| self.statement(&keyword, &mut words))
@@ -186,9 +215,37 @@ impl<'a> Parser<'a> {
         self.findings.keep(result);
     }
 
+    /// Adds the places and transitions of an instance of a subnet.
+    fn instance(&mut self, line: &Line) -> Result<(), Finding> {
+        let name = self.draft.name.clone();
+        let read = |expansion: &mut Expansion<'s>, lines: Vec<Line>, findings: &mut Findings| {
+            let mut parser = Parser::new(Draft::new(name), expansion.lend());
+            parser.named = true;
+            parser.in_subnet = true;
+            parser.lines(lines);
+            expansion.take_back(parser.expansion);
+            findings.extend(parser.findings);
+            parser.draft
+        };
+        let instance = self.expansion.instance(line, &mut self.findings, read)?;
+        self.draft.places.extend(instance.places);
+        self.draft.transitions.extend(instance.transitions);
+        Ok(())
+    }
+
     fn statement(&mut self, keyword: &Word, words: &mut Words<'_>) -> Result<(), Finding> {
         if DECLARATIONS.contains(&keyword.text.as_str()) {
             self.in_transition = keyword.text == "transition";
+            if self.in_subnet && !["place", "transition"].contains(&keyword.text.as_str()) {
+                return Err(Finding::error(
+                    "pnt::text::subnet",
+                    format!("a subnet has no `{keyword}` lines"),
+                )
+                .at(keyword.at.clone())
+                .help(
+                    "put it into the net itself; a subnet has places, transitions and instances",
+                ));
+            }
             return self.declaration(keyword, words);
         }
         if !CLAUSES.contains(&keyword.text.as_str()) {
@@ -237,6 +294,12 @@ impl<'a> Parser<'a> {
                 self.draft.safe.push(safe);
                 Ok(())
             }
+            "subnet" | "use" | "end" | "include" => Err(Finding::error(
+                "pnt::text::subnet",
+                format!("`{keyword}` cannot stand here"),
+            )
+            .at(keyword.at.clone())
+            .help("subnets are declared in files of net text, outside of each other")),
             _ => {
                 // The transition is opened even if its line is bad, so that its clauses are read.
                 let name = words.name("the transition's name");
@@ -280,10 +343,10 @@ impl<'a> Parser<'a> {
         let requests = words.names("a request")?;
         words.mark(";")?;
         words.expect_keyword("done")?;
-        let done = words.name("the place of finished requests")?;
+        let done = words.place("the place of finished requests")?;
         let failed = if words.take(";") {
             words.expect_keyword("failed")?;
-            Some(words.name("the place of failed requests")?)
+            Some(words.place("the place of failed requests")?)
         } else {
             None
         };
@@ -325,7 +388,7 @@ fn clause(
         "tape" => once(&mut transition.tape, keyword, words.name("a symbol")?)?,
         "write" => once(&mut transition.write, keyword, words.name("a symbol")?)?,
         "within" => once(&mut transition.within, keyword, words.duration()?)?,
-        "reset" => transition.resets.extend(words.names("a place")?),
+        "reset" => transition.resets.extend(words.places()?),
         "idempotent" => transition.idempotent = true,
         "time" => {
             let timing = words.timing()?;

@@ -3,6 +3,7 @@
 pub mod check;
 pub mod control;
 pub mod convert;
+pub mod fmt;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -53,6 +54,8 @@ pub enum NetCommand {
     Tape(control::TapeArgs),
     /// Show the marking of a running net
     Marking(control::NetTaskArgs),
+    /// Lay out net text in the one usual way
+    Fmt(fmt::FmtArgs),
 }
 
 /// Runs the command.
@@ -72,5 +75,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Replace(args) => control::replace(args),
         NetCommand::Tape(args) => control::tape(args),
         NetCommand::Marking(args) => control::marking(args),
+        NetCommand::Fmt(args) => fmt::run(args),
     }
 }

@@ -489,7 +489,10 @@ impl<'a, 'i> Reader<'_, 'a, 'i> {
         });
         let kind = match (kind, from_place) {
             // The way back of a read arc that was written as a loop.
-            (ArcKind::Input, false) if read => return Ok(()),
+            (ArcKind::Input, false) if read => {
+                self.keep_arc(node, place, transition, from_place);
+                return Ok(());
+            }
             (ArcKind::Input, true) if read => ArcKind::Read,
             (ArcKind::Input, false) => ArcKind::Output,
             (other, true) => other,

@@ -24,16 +24,21 @@ use crate::{
 /// # Errors
 /// All findings about the file and its text.
 pub fn load(path: &Path) -> Result<Net, Findings> {
-    compile::net(&Source::read(path)?)
+    let folder = path.parent().unwrap_or(Path::new(""));
+    compile::net_with(&Source::read(path)?, &mut |file| {
+        Source::read(&folder.join(file))
+    })
 }
 
 /// The net of a task; findings about it are those of [`check_args`].
 fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
-    let source = app.read(settings(task)?.net).map_err(|finding| {
+    let file = settings(task)?.net;
+    let source = app.read(&file).map_err(|finding| {
         let place = task.args.get("net").and_then(|net| net.place().cloned());
         finding.at(place.unwrap_or_else(|| task.place.clone()))
     })?;
-    compile::net(&source)
+    let folder = Path::new(&file).parent().unwrap_or(Path::new(""));
+    compile::net_with(&source, &mut |included| app.read(folder.join(included)))
 }
 
 /// Checks one net task: its arguments, its net by itself, and that its library has every function

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use ctos::diagnostic::{Place as At, Source};
+
 /// A piece of a line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Symbol {
@@ -31,6 +33,14 @@ impl Symbol {
 pub(super) struct Token {
     pub(super) symbol: Symbol,
     pub(super) range: Range<usize>,
+    /// The text: arguments of subnets come from elsewhere than the line they stand in.
+    pub(super) source: Source,
+}
+
+impl Token {
+    pub(super) fn at(&self) -> At {
+        self.source.at(self.range.clone())
+    }
 }
 
 /// What cannot be read, with its bytes of the whole text.
@@ -42,8 +52,23 @@ pub(super) struct BadSymbol {
 
 const MARKS: [&str; 10] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")"];
 
-/// Cuts a line (without its end) that starts at byte `start` of the text into tokens.
-pub(super) fn cut(line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
+/// The byte at which a line's comment begins; nothing if it has none.
+pub(super) fn comment(line: &str) -> Option<usize> {
+    let (mut quoted, mut escaped) = (false, false);
+    line.char_indices()
+        .find(|(_, character)| {
+            let begins = *character == '#' && !quoted;
+            if *character == '"' && !escaped {
+                quoted = !quoted;
+            }
+            escaped = quoted && *character == '\\' && !escaped;
+            begins
+        })
+        .map(|(at, _)| at)
+}
+
+/// Cuts a line (without its end) that starts at byte `start` of the source into tokens.
+pub(super) fn cut(source: &Source, line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
     let mut tokens = Vec::new();
     let mut rest = line;
     loop {
@@ -62,6 +87,7 @@ pub(super) fn cut(line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
         tokens.push(Token {
             symbol,
             range: at..at + length,
+            source: source.clone(),
         });
         rest = rest.get(length..).unwrap_or_default();
     }

@@ -156,6 +156,168 @@ fn windows_line_ends_and_a_missing_last_one_do_not_matter() {
     assert_eq!(draft.transitions[0].inputs[0].place.text, "a");
 }
 
+const GRIPPER: &str = "subnet gripper(free, task, tries, limit)
+place open = tries, closed
+transition close
+  in open, free
+  send task.close
+  out closed
+  within limit
+transition give_back   # the place of the net around it
+  in closed
+  out free, open
+end
+";
+
+fn parsed(text: &str) -> String {
+    let draft = parse(&Source::new("a.net", text)).unwrap_or_else(|f| panic!("{f}"));
+    draft.to_string()
+}
+
+#[test]
+fn an_instance_is_the_subnet_with_its_arguments_and_its_name() {
+    let text = format!(
+        "net n\nplace hand = 1\nuse gripper(hand, left_hand, 2, 3 s) as left\n{GRIPPER}transition t\n  in left.closed*2, hand\n  reset left.open\n  out left.open\n"
+    );
+    assert_eq!(
+        parsed(&text),
+        "net n
+place hand = 1
+place \"left.open\" = 2
+place \"left.closed\"
+transition \"left.close\"
+  in \"left.open\", hand
+  send left_hand.close
+  out \"left.closed\"
+  within 3 s
+transition \"left.give_back\"
+  in \"left.closed\"
+  out hand, \"left.open\"
+transition t
+  in \"left.closed\"*2, hand
+  reset \"left.open\"
+  out \"left.open\"
+"
+    );
+}
+
+#[test]
+fn subnets_use_each_other_and_stand_in_included_files() {
+    let pair = "subnet pair(free)\nuse gripper(free, a, 1, 1 s) as one\nuse gripper(free, b, 1, 1 s) as two\nend\ninclude \"gripper.net\"\n";
+    let net = Source::new(
+        "n.net",
+        "net n\ninclude \"pair.net\"\nplace hand\nuse pair(hand) as p\n",
+    );
+    let draft = parse_with(&net, &mut |file| match file {
+        "pair.net" => Ok(Source::new(file, pair)),
+        _ => Ok(Source::new(file, GRIPPER)),
+    });
+    let names: Vec<String> = draft
+        .unwrap()
+        .places
+        .into_iter()
+        .map(|p| p.name.text)
+        .collect();
+    assert_eq!(
+        names,
+        [
+            "hand",
+            "p.one.open",
+            "p.one.closed",
+            "p.two.open",
+            "p.two.closed"
+        ]
+    );
+}
+
+#[test]
+fn what_is_wrong_with_subnets_is_told_at_its_place() {
+    let one = |rest: &str, start: &str| {
+        let found = findings(&format!("net n\nplace p\n{rest}{GRIPPER}"));
+        assert!(
+            found.len() == 1 && found[0].starts_with(start),
+            "{found:#?}\nshould be {start}"
+        );
+    };
+    one(
+        "use griper(p, a, 1, 1 s) as g\n",
+        "a.net:3:5: error: there is no subnet `griper` (did you mean `gripper`?)",
+    );
+    one(
+        "use gripper(p, a) as g\n",
+        "a.net:3:5: error: subnet `gripper` takes 4 arguments, not 2",
+    );
+    one(
+        "use gripper(p, a, 1, 1 s)\n",
+        "a.net:3:26: error: expected `as`",
+    );
+    // An argument that fits nowhere is told where it was given.
+    one(
+        "use gripper(p, a, x, 1 s) as g\n",
+        "a.net:3:19: error: expected the initial tokens, found `x`",
+    );
+    one(
+        "place open\nuse gripper(open, a, 1, 1 s) as g\n",
+        "a.net:4:13: error: the subnet has a place `open` of its own",
+    );
+    one(
+        "subnet s\nuse s as t\nend\nuse s as u\n",
+        "a.net:4:5: error: subnet `s` uses itself: s uses s",
+    );
+    one(
+        "subnet s\ncommand a -> b\nend\nuse s as u\n",
+        "a.net:4:1: error: a subnet has no `command` lines",
+    );
+    one(
+        "subnet s\n",
+        "a.net:4:1: error: subnet `s` is not ended yet",
+    );
+    one("end\n", "a.net:3:1: error: there is no subnet to end here");
+    one(
+        "subnet gripper\nend\n",
+        "a.net:5:8: error: subnet `gripper` is there twice; the first is at a.net:3:8",
+    );
+    one(
+        "subnet s(a, a)\n",
+        "a.net:3:13: error: parameter `a` is there twice",
+    );
+    one(
+        "include \"x.net\"\n",
+        "a.net:3:9: error: `x.net` cannot be included here",
+    );
+    assert!(
+        findings("net n\nsubnet s\nplace p\n")[0]
+            .starts_with("a.net:2:8: error: subnet `s` has no end")
+    );
+}
+
+#[test]
+fn files_that_include_each_other_and_subnets_that_multiply_are_refused() {
+    let source = Source::new("a.net", "net n\ninclude \"b.net\"\n");
+    let found = parse_with(&source, &mut |file| {
+        let other = if file == "b.net" { "c.net" } else { "b.net" };
+        Ok(Source::new(file, format!("include \"{other}\"\n")))
+    })
+    .unwrap_err();
+    assert!(
+        found.to_string().contains("`b.net` includes itself"),
+        "{found}"
+    );
+
+    let mut text = "net n\nuse s0 as a\n".to_owned();
+    for level in 0..30 {
+        let next = level + 1;
+        text.push_str(&format!(
+            "subnet s{level}\nuse s{next} as a\nuse s{next} as b\nend\n"
+        ));
+    }
+    text.push_str("subnet s30\nplace p\nend\n");
+    assert!(
+        findings(&text)[0].contains("the instances have more than"),
+        "not bounded"
+    );
+}
+
 fn name() -> impl Strategy<Value = Word> {
     let any = prop_oneof![4 => "[a-z_][a-zA-Z0-9_]{0,8}", 1 => "(?s).{1,6}"];
     any.prop_map(|text| Word::from(text.as_str()))
@@ -306,7 +468,7 @@ proptest! {
             "net ", "place ", "command ", "coordinator ", "serves ", "transition ", "in ", "read ",
             "inhibit ", "tape ", "when ", "not ", "do ", "ask ", "send ", "out ", "fail ", "write ",
             "priority ", "within ", "a", "b", ", ", "*2", "@", ": ", "; ", "done ", "failed ", "-> ",
-            "(", ")", ".", "= 1", "3 s", "\n", "\n", "\n", "\"", "#", "ä",
+            "(", ")", ".", "= 1", "subnet ", "end ", "use ", "as ", "include ", "3 s", "\n", "\n", "\n", "\"", "#", "ä",
         ]), 0..60),
     ) {
         let text = format!("net n\n{}", words.concat());

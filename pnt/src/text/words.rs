@@ -49,7 +49,7 @@ impl<'a> Words<'a> {
 
     fn expected(&self, what: &str) -> Finding {
         let (found, at) = match self.rest.first() {
-            Some(token) => (token.symbol.shown(), self.source.at(token.range.clone())),
+            Some(token) => (token.symbol.shown(), token.at()),
             None => (
                 "the end of the line".to_owned(),
                 self.source.at(self.end..self.end),
@@ -65,16 +65,18 @@ impl<'a> Words<'a> {
     /// A name, called `what` when it is missing: an identifier, or anything in quotes.
     pub(super) fn name(&mut self, what: &str) -> Result<Word, Finding> {
         match self.rest.first() {
-            Some(Token {
-                symbol: Symbol::Name(text) | Symbol::Quoted(text),
-                range,
-            }) => {
+            Some(
+                token @ Token {
+                    symbol: Symbol::Name(text) | Symbol::Quoted(text),
+                    ..
+                },
+            ) => {
                 if text.is_empty() {
                     return Err(Finding::error("pnt::text::expected", "a name is not empty")
-                        .at(self.source.at(range.clone()))
+                        .at(token.at())
                         .help("write at least one character between the quotes"));
                 }
-                let word = Word::new(text.clone(), self.source.at(range.clone()));
+                let word = Word::new(text.clone(), token.at());
                 self.next();
                 Ok(word)
             }
@@ -91,6 +93,39 @@ impl<'a> Words<'a> {
             }) => self.name("a keyword"),
             _ => Err(self.expected("a keyword")),
         }
+    }
+
+    /// A place, which in an instance of a subnet has the instance's name and a point before it.
+    pub(super) fn place(&mut self, what: &str) -> Result<Word, Finding> {
+        let mut place = self.name(what)?;
+        while self.take(".") {
+            let part = self.name("a place of the instance")?;
+            let whole = format!("{place}.{part}");
+            place.text = whole;
+            place.at.range.end = part.at.range.end.max(place.at.range.start);
+        }
+        Ok(place)
+    }
+
+    /// One or more places with commas between them.
+    pub(super) fn places(&mut self) -> Result<Vec<Word>, Finding> {
+        let mut places = vec![self.place("a place")?];
+        while self.take(",") {
+            places.push(self.place("a place")?);
+        }
+        Ok(places)
+    }
+
+    /// An argument of a subnet: everything up to a comma or the closing parenthesis.
+    pub(super) fn argument(&mut self) -> Result<Vec<Token>, Finding> {
+        let ends = |token: &Token| matches!(token.symbol, Symbol::Mark("," | ")" | "("));
+        let length = self.rest.iter().position(ends).unwrap_or(self.rest.len());
+        let (argument, rest) = self.rest.split_at(length);
+        if argument.is_empty() {
+            return Err(self.expected("an argument"));
+        }
+        self.rest = rest;
+        Ok(argument.to_vec())
     }
 
     /// One or more names with commas between them.
@@ -154,12 +189,14 @@ impl<'a> Words<'a> {
 
     fn number(&mut self, what: &str) -> Result<(&'a str, At), Finding> {
         match self.rest.first() {
-            Some(Token {
-                symbol: Symbol::Number(text),
-                range,
-            }) => {
+            Some(
+                token @ Token {
+                    symbol: Symbol::Number(text),
+                    ..
+                },
+            ) => {
                 self.next();
-                Ok((text, self.source.at(range.clone())))
+                Ok((text, token.at()))
             }
             _ => Err(self.expected(what)),
         }
@@ -184,7 +221,7 @@ impl<'a> Words<'a> {
     pub(super) fn arcs(&mut self) -> Result<Vec<DraftArc>, Finding> {
         let mut arcs = Vec::new();
         loop {
-            let place = self.name("a place")?;
+            let place = self.place("a place")?;
             let net = if self.take("@") {
                 Some(self.name("the net of the remote place")?)
             } else {
@@ -219,16 +256,18 @@ impl<'a> Words<'a> {
             let spread = self.time("a spread", LONGEST_US)?;
             return Ok(Timing::Normal { mean, spread });
         }
-        if let Some(Token {
-            symbol: Symbol::Name(other),
-            range,
-        }) = self.rest.first()
+        if let Some(
+            token @ Token {
+                symbol: Symbol::Name(other),
+                ..
+            },
+        ) = self.rest.first()
         {
             return Err(Finding::error(
                 "pnt::text::expected",
                 format!("`{other}` is no kind of time"),
             )
-            .at(self.source.at(range.clone()))
+            .at(token.at())
             .help("write `time 2 s`, `time exponential 2 s` or `time normal 2 s spread 0.3 s`"));
         }
         Ok(Timing::Deterministic(self.time("a time", LONGEST_US)?))

@@ -1,17 +1,10 @@
 //! Interventions in a running net, and looking at it: `ctos net fire`, `put`, `take`, `pause`, `resume`,
 //! `step`, `break`, `cancel`, `replace`, `tape` and `marking`.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
-use base64::{Engine as _, engine::general_purpose::STANDARD};
 use clap::Args;
-use ctos::{
-    control::{
-        client::ClientError,
-        protocol::{Answer, Request},
-    },
-    message::{Command, Data},
-};
+use ctos::message::Command;
 use pnt::task::{Control, Marking, Order, Output, ReadTape, Snapshot};
 
 use crate::{
@@ -301,31 +294,10 @@ fn data(object: &serde_json::Value) -> u8 {
 
 /// Sends a net one of its commands; the exit code when that failed, which has been told.
 fn ask<C: Command>(args: &NetTaskArgs, request: C, within_s: f64) -> Result<C::Reply, u8> {
-    let encoded = Data::of(request).into_bytes();
-    let encoded = encoded.map_err(|error| told_wrong(&error.to_string()))?;
-    let call = Request::Call {
-        task: args.net.clone(),
-        command: C::NAME.to_owned(),
-        data: STANDARD.encode(encoded),
-        within_s,
-    };
-    let answer = args.remote.connect().and_then(|mut client| {
-        client.ask(call)?;
-        // The app keeps the limit.
-        client.wait_for_ever()?;
-        client.read()
-    });
-    let failed = |error: &ClientError| remote::failed_for(&[&args.net], error);
-    let Some(Answer::Reply { data }) = answer.map_err(|error| failed(&error))? else {
-        show::say("error: the app went away, or is of another version");
-        return Err(exit::UNREACHABLE);
-    };
-    let bytes = STANDARD.decode(data).unwrap_or_default();
-    let reply = Data::Bytes(bytes).take::<C::Reply>();
-    reply.map_err(|error| told_wrong(&error.to_string()))
-}
-
-fn told_wrong(what: &str) -> u8 {
-    show::say(&format!("error: {what}"));
-    exit::FAILED
+    let within = Duration::from_secs_f64(within_s);
+    let answer = args
+        .remote
+        .connect()
+        .and_then(|mut client| client.call(&args.net, request, within));
+    answer.map_err(|error| remote::failed_for(&[&args.net], &error))
 }
