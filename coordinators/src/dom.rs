@@ -109,7 +109,7 @@ impl Default for DomArgs {
 
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
-    let handler = registry.handler(HANDLER, COMMANDS, |cx| Dom::from_args(cx));
+    let handler = registry.handler(HANDLER, COMMANDS, Dom::from_args);
     handler.check(|task, findings| {
         findings.keep(task.args.parse::<DomArgs>());
     });

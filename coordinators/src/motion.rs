@@ -117,7 +117,7 @@ fn library(args: MotionArgs, store: DomStore) -> Library<Motion> {
     };
     let save = |state: &Motion| {
         let held = (state.acquired, state.to_release);
-        (held, state.path_given, state.log.clone())
+        (held, state.path_given, state.log)
     };
     Library::new(state)
         .kept(save, |state, (held, path_given, log)| {

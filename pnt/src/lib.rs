@@ -39,3 +39,10 @@ pub mod task;
 pub mod text;
 pub mod timing;
 pub mod tina;
+
+/// The pages of `docs` whose examples are run as tests.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../docs/running-nets.md")]
+    mod running_nets {}
+}
