@@ -331,7 +331,7 @@ fn a_command_is_answered_in_doubt_or_never_begun_whenever_its_net_dies() {
         let end = ends.iter().position(|end| *end == found);
         seen[end.unwrap_or_else(|| panic!("step {step}: {found}"))] += 1;
     }
-    assert!(seen[2] > 10 && seen[3] > 0 && seen[4] > 0, "{seen:?}");
+    assert!(seen[2] > 10 && seen[4] > 10, "{seen:?}");
 }
 
 #[test]
