@@ -1,149 +1,219 @@
-//! The whole state of an execution as data, to be stored and taken up again.
+//! The state of an execution as one value that can be stored and taken up again. What is taken up is
+//! checked against the net, since it may come from a file.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{Enabling, Execution, FiringId, Running, Tape, wiring::Wiring};
-use crate::net::{CommandId, Net, TransitionId};
+use super::{Execution, FiringId, tape::Tape};
+use crate::net::{Net, TransitionId};
 
-/// A net's marking, tape and firings between start and end.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct State {
-    /// Tokens of every place, in order of place number.
-    pub marking: Vec<u32>,
-    tape: Tape,
-    running: Vec<(FiringId, TransitionId, Option<u64>)>,
-    firings: u64,
+/// A firing that was going on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RunningFiring {
+    /// Its number.
+    pub firing: FiringId,
+    /// Of which transition.
+    pub transition: TransitionId,
+    /// The command that it read from the tape.
+    pub command: Option<u64>,
+    /// When its action's time is over, in ns of the execution's time.
+    pub deadline_ns: Option<u64>,
 }
 
-/// Why a state does not fit a net.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error("the state is not one of net `{net}`: {what}")]
-pub struct StateError {
-    /// The net.
+/// All that an execution is beside its net. Numbers of places, transitions and commands are those of
+/// the net, so it belongs to that net only.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct State {
+    /// The net's name.
     pub net: String,
-    /// What does not fit.
-    pub what: String,
+    /// Tokens per place.
+    pub marking: Vec<u32>,
+    /// The input tape.
+    pub tape: Tape,
+    /// Firings between start and end, oldest first.
+    pub running: Vec<RunningFiring>,
+    /// Number of the next firing.
+    pub firings: u64,
+    /// Number of the next event.
+    pub events: u64,
+    /// The time that the execution was last told.
+    pub now_ns: u64,
+}
+
+/// Why a state cannot be taken up.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum RestoreError {
+    /// It belongs to another net.
+    #[error("the state is one of net `{state}`, not of `{net}`")]
+    OtherNet {
+        /// The net that was given.
+        net: String,
+        /// The net that the state names.
+        state: String,
+    },
+    /// The net has changed since.
+    #[error("the state has {state} places and net `{net}` has {places}: the net has changed since")]
+    Places {
+        /// The net.
+        net: String,
+        /// Its places.
+        places: usize,
+        /// The state's.
+        state: usize,
+    },
+    /// A place holds more than it can.
+    #[error("the state has {tokens} tokens in place `{place}`, which holds {capacity}")]
+    OverCapacity {
+        /// The place.
+        place: String,
+        /// Tokens and what running firings may put there.
+        tokens: u64,
+        /// Its capacity.
+        capacity: u32,
+    },
+    /// It names what the net does not have, or numbers out of order.
+    #[error("the state of net `{net}` is broken: {what}")]
+    Broken {
+        /// The net.
+        net: String,
+        /// What is wrong.
+        what: &'static str,
+    },
 }
 
 impl Execution {
     /// The state as it is now.
     #[must_use]
     pub fn state(&self) -> State {
-        let running = self.running.iter();
         State {
+            net: self.net.name().to_owned(),
             marking: self.marking().to_vec(),
             tape: self.tape.clone(),
-            running: running
-                .map(|(id, running)| (*id, running.transition, running.command))
+            running: self
+                .running
+                .iter()
+                .map(|running| RunningFiring {
+                    firing: running.firing,
+                    transition: running.transition,
+                    command: running.command,
+                    deadline_ns: running.deadline_ns,
+                })
                 .collect(),
             firings: self.firings,
+            events: self.log.as_ref().map_or(self.events, |log| log.next),
+            now_ns: self.now_ns,
         }
     }
 
-    /// A net in a state that [`Self::state`] gave.
+    /// An execution that goes on from a state. It records no events until told to.
     ///
     /// # Errors
-    /// When the state is that of another net.
-    pub fn restore(net: Arc<Net>, state: State) -> Result<Self, StateError> {
-        let wrong = |what: String| StateError {
-            net: net.name().to_owned(),
-            what,
-        };
-        let (places, stored) = (net.places().len(), state.marking.len());
-        if places != stored {
-            return Err(wrong(format!("it has {stored} places, the net {places}")));
+    /// The state is not one of this net, or is broken.
+    pub fn restore(net: Arc<Net>, state: State) -> Result<Self, RestoreError> {
+        check(&net, &state)?;
+        let mut execution = Self::new(net);
+        let wiring = Arc::clone(&execution.wiring);
+        for (place, tokens) in (0..).zip(&state.marking) {
+            execution.enabling.set(&wiring, place, *tokens);
         }
-        let known = |id: &TransitionId| id.index() < net.transitions().len();
-        if !state.running.iter().all(|(_, id, _)| known(id)) {
-            return Err(wrong("a transition is running that it has not".to_owned()));
+        for (capped, tokens) in wiring.capped.iter().zip(&state.marking) {
+            if let Some(capped) = capped {
+                execution.enabling.set(&wiring, capped.filled, *tokens);
+            }
         }
-        let taken = |on_tape: &super::OnTape| on_tape.command.index() < net.commands().len();
-        if !(state.tape.waiting().all(taken) && state.tape.current().is_none_or(taken)) {
-            return Err(wrong(
-                "a command is on its tape that it does not take".to_owned(),
-            ));
+        for running in &state.running {
+            // What a start does, but for the tokens, which are no longer there.
+            execution.claim_again(running)?;
+            execution.running.push(
+                running.firing,
+                running.transition,
+                running.command,
+                running.deadline_ns,
+            );
         }
-        let wiring = Arc::new(Wiring::new(&net));
-        let running: BTreeMap<_, _> = state
-            .running
-            .into_iter()
-            .map(|(id, transition, command)| {
-                let running = Running {
-                    transition,
-                    command,
-                };
-                (id, running)
-            })
-            .collect();
-        let mut execution = Self {
-            enabling: Enabling::at(&net, &wiring, state.marking),
-            tape: Tape::default(),
-            running,
-            firings: state.firings,
-            wiring,
-            net,
-        };
         execution.with_tape(|tape| *tape = state.tape);
+        execution.firings = state.firings;
+        execution.events = state.events;
+        execution.now_ns = state.now_ns;
         Ok(execution)
+    }
+
+    /// Claims the room of a firing that goes on, as its start did.
+    fn claim_again(&mut self, running: &RunningFiring) -> Result<(), RestoreError> {
+        let wiring = Arc::clone(&self.wiring);
+        let Some(phases) = wiring.phases.get(running.transition.index()) else {
+            return Ok(());
+        };
+        let capped = || wiring.capped.iter().zip(self.net.places());
+        let before: Vec<u32> = capped()
+            .filter_map(|(capped, _)| Some(self.enabling.counter(capped.as_ref()?.filled)))
+            .collect();
+        self.enabling.apply(&wiring, phases.claim);
+        let places = capped().filter_map(|(capped, place)| Some((capped.as_ref()?, place)));
+        for ((capped, place), before) in places.zip(before) {
+            let after = self.enabling.counter(capped.filled);
+            // A claim that counts round lands below where it began.
+            if after < before || after > capped.capacity {
+                return Err(RestoreError::OverCapacity {
+                    place: place.name.clone(),
+                    tokens: u64::from(before) + u64::from(after.wrapping_sub(before)),
+                    capacity: capped.capacity,
+                });
+            }
+        }
+        Ok(())
     }
 }
 
-impl State {
-    /// The state of a net in which nothing has happened yet.
-    #[must_use]
-    pub fn initial(net: &Net) -> Self {
-        Self {
-            marking: net.places().iter().map(|place| place.tokens).collect(),
-            tape: Tape::default(),
-            running: Vec::new(),
-            firings: 0,
-        }
-    }
+/// Numbers at which counting would come to its end: no execution gets there.
+const MOST: u64 = u64::MAX / 2;
 
-    /// This state carried over from one net to another: tokens by the names of places, commands by their
-    /// symbols. Places that are new begin as the new net says.
-    ///
-    /// # Errors
-    /// When an action is running, or something would be lost: tokens of a place, or a command on the
-    /// tape, that the new net does not have.
-    pub fn carried(mut self, from: &Net, to: &Net) -> Result<Self, StateError> {
-        let wrong = |what: String| StateError {
-            net: to.name().to_owned(),
-            what,
-        };
-        if let Some((_, id, _)) = self.running.first() {
-            let name = from.transitions().get(id.index());
-            let name = name.map_or("", |transition| transition.name.as_str());
-            return Err(wrong(format!("transition `{name}` is in action")));
-        }
-        let mut marking: Vec<u32> = to.places().iter().map(|place| place.tokens).collect();
-        for (place, tokens) in from.places().iter().zip(&self.marking) {
-            let there = to.place(&place.name);
-            match there.and_then(|id| marking.get_mut(id.index())) {
-                Some(there) => *there = *tokens,
-                None if *tokens == 0 => {}
-                None => {
-                    let name = &place.name;
-                    return Err(wrong(format!(
-                        "it has no place `{name}`, which holds {tokens}"
-                    )));
-                }
-            }
-        }
-        self.marking = marking;
-        let renumbered = |command: CommandId| {
-            let symbol = &from[command].symbol;
-            let lost = || {
-                wrong(format!(
-                    "it takes no command `{symbol}`, which is on the tape"
-                ))
-            };
-            to.command(symbol).ok_or_else(lost)
-        };
-        self.tape.renumber(renumbered)?;
-        Ok(self)
+fn check(net: &Net, state: &State) -> Result<(), RestoreError> {
+    let broken = |what| RestoreError::Broken {
+        net: net.name().to_owned(),
+        what,
+    };
+    if state.net != net.name() {
+        return Err(RestoreError::OtherNet {
+            net: net.name().to_owned(),
+            state: state.net.clone(),
+        });
     }
+    if state.marking.len() != net.places().len() {
+        return Err(RestoreError::Places {
+            net: net.name().to_owned(),
+            places: net.places().len(),
+            state: state.marking.len(),
+        });
+    }
+    for (place, tokens) in net.places().iter().zip(&state.marking) {
+        if let Some(capacity) = place.capacity.filter(|capacity| tokens > capacity) {
+            return Err(RestoreError::OverCapacity {
+                place: place.name.clone(),
+                tokens: u64::from(*tokens),
+                capacity,
+            });
+        }
+    }
+    if state.firings > MOST || state.events > MOST {
+        return Err(broken("it has counted further than anything can"));
+    }
+    let mut least = 0;
+    for running in &state.running {
+        if running.transition.index() >= net.transitions().len() {
+            return Err(broken("a running firing is of no transition of the net"));
+        }
+        if running.firing.0 < least || running.firing.0 >= state.firings {
+            return Err(broken(
+                "its running firings are not numbered as they started",
+            ));
+        }
+        least = running.firing.0 + 1;
+    }
+    if !state.tape.is_sound(net.commands().len(), MOST) {
+        return Err(broken("its tape holds what no one can have put there"));
+    }
+    Ok(())
 }

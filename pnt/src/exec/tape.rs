@@ -38,6 +38,18 @@ impl Tape {
         self.waiting.iter()
     }
 
+    /// How many commands have not been read.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Whether all commands have been read.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
     /// The symbol that can be read now.
     #[must_use]
     pub fn head(&self) -> Option<CommandId> {
@@ -47,8 +59,19 @@ impl Tape {
         }
     }
 
+    /// Whether the tape is one that puts and reads could have made, of commands below `commands`.
+    pub(super) fn is_sound(&self, commands: usize, most: u64) -> bool {
+        let numbers = self.current.iter().chain(&self.waiting);
+        let known = |on_tape: &OnTape| on_tape.command.index() < commands;
+        self.put <= most
+            && numbers
+                .clone()
+                .all(|on_tape| known(on_tape) && on_tape.number < self.put)
+            && numbers.is_sorted_by(|a, b| a.number < b.number)
+    }
+
     /// Gives every command on it the number that `renumbered` says.
-    pub(super) fn renumber<E>(
+    pub(crate) fn renumber<E>(
         &mut self,
         mut renumbered: impl FnMut(CommandId) -> Result<CommandId, E>,
     ) -> Result<(), E> {
@@ -75,10 +98,14 @@ impl Tape {
     }
 
     /// Puts a command that was read back to the front, unless it has been answered.
-    pub(super) fn unread(&mut self, number: u64) {
-        if let Some(on_tape) = self.current.take_if(|on_tape| on_tape.number == number) {
+    /// Says whether it did.
+    pub(super) fn unread(&mut self, number: u64) -> bool {
+        let current = self.current.take_if(|on_tape| on_tape.number == number);
+        let is_back = current.is_some();
+        if let Some(on_tape) = current {
             self.waiting.push_front(on_tape);
         }
+        is_back
     }
 
     /// Ends the command in progress if `answers` says that the symbol answers it.

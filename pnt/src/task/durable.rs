@@ -242,6 +242,8 @@ impl<S: 'static> Engine<S> {
             restored.map_err(|error| wrong(error.to_string()))?;
         }
         core.execution = execution;
+        // A clock that was running is drawn anew: with its process its past is forgotten.
+        core.race = core.race.begin_again(&core.execution);
         core.transfers = saved.transfers;
         core.notes.replace(saved.notes);
         core.output = saved.output;

@@ -29,7 +29,7 @@ use super::{
     transfers::Transfers,
 };
 use crate::{
-    exec::{Conflicts, Execution, FireError, FiringId, OnTape},
+    exec::{Conflicts, Execution, FireError, FiringId, OnTape, Race},
     library::{DataStore, Library},
     net::{Net, PlaceId, TransitionId},
     store::Store,
@@ -50,6 +50,10 @@ pub(super) struct Engine<S> {
 
 pub(super) struct Core {
     pub(super) execution: Execution,
+    /// The clocks of timed transitions.
+    pub(super) race: Race,
+    /// When a child wakes up for the next of them, ns.
+    pub(super) alarm: Option<u64>,
     pub(super) conflicts: Conflicts,
     pub(super) journal: Journal,
     pub(super) begun: bool,
@@ -91,6 +95,8 @@ impl<S: 'static> Engine<S> {
     ) -> Self {
         let net = Arc::new(net);
         let view = RefCell::new(NetView::new(&net));
+        let execution = Execution::new(Arc::clone(&net));
+        let race = Race::new(&execution, cx.rng("race"));
         Self {
             view,
             core: RefCell::new(Core {
@@ -112,7 +118,9 @@ impl<S: 'static> Engine<S> {
                 manual: Manual::default(),
                 replacing: None,
                 changes: 0,
-                execution: Execution::new(net),
+                race,
+                alarm: None,
+                execution,
             }),
             cx,
             library,

@@ -2,7 +2,7 @@
 
 use std::{rc::Rc, sync::Arc};
 
-use ctos::task::Context;
+use ctos::{task::Context, time::Instant};
 use futures_util::future::try_join_all;
 
 use super::{
@@ -13,7 +13,7 @@ use super::{
 use crate::{
     exec::{FireError, FiringId, OnTape, Written},
     library::{Acted, Action, CommandLine},
-    net::{RemoteArc, TransitionId},
+    net::{RemoteArc, TransitionId, When},
     stream::EventPhase,
 };
 
@@ -61,15 +61,35 @@ impl<S: 'static> Engine<S> {
             let Core {
                 execution,
                 conflicts,
+                race,
                 ..
             } = &mut *core;
-            let chosen = execution.choose(conflicts, |when| {
+            let mut asks = |when: &When| {
                 self.library.ask(&when.function).unwrap_or_else(|| {
                     unknown = Some(when.function.clone());
                     false
                 })
-            })?;
-            self.passes(&mut core, chosen).then_some(chosen)
+            };
+            let chosen = execution.choose(conflicts, &mut asks).or_else(|| {
+                // Only when nothing that takes no time is enabled may a timed transition fire.
+                if !race.is_needed() {
+                    return None;
+                }
+                execution.advance_to(self.cx.now().as_nanos());
+                race.refresh(execution, &mut asks);
+                race.pop(execution)
+            });
+            match chosen {
+                Some(chosen) => self.passes(&mut core, chosen).then_some(chosen),
+                None => {
+                    let alarm = core.next_alarm();
+                    drop(core);
+                    if let Some(due_ns) = alarm {
+                        self.wake_at(due_ns);
+                    }
+                    None
+                }
+            }
         };
         if let Some(function) = unknown {
             self.halt(&format!(
@@ -78,6 +98,20 @@ impl<S: 'static> Engine<S> {
             return None;
         }
         chosen
+    }
+
+    /// Goes on when the next clock of a timed transition has run out.
+    fn wake_at(self: &Rc<Self>, due_ns: u64) {
+        let engine = Rc::clone(self);
+        self.cx.spawn(async move {
+            let cx = &engine.cx;
+            cx.sleep(Instant::from_nanos(due_ns).since(cx.now())).await;
+            {
+                let mut core = engine.core.borrow_mut();
+                core.alarm.take_if(|alarm| *alarm == due_ns);
+            }
+            engine.advance(&cx.new_trace());
+        });
     }
 
     /// Fires a transition that is enabled, or starts it if it has an action.
@@ -250,6 +284,16 @@ impl<S: 'static> Engine<S> {
 }
 
 impl Core {
+    /// When somebody must wake up for the next clock, if nobody does so by then.
+    fn next_alarm(&mut self) -> Option<u64> {
+        let due_ns = self.race.next(&self.execution)?.due_ns;
+        if self.alarm.is_some_and(|alarm| alarm <= due_ns) {
+            return None;
+        }
+        self.alarm = Some(due_ns);
+        Some(due_ns)
+    }
+
     /// Number of the command in progress.
     fn in_progress(&self) -> Option<u64> {
         let current = self.execution.tape().current();

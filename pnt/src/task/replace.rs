@@ -15,10 +15,10 @@ use super::{
     messages::Control,
 };
 use crate::{
-    check, compile,
-    exec::Execution,
-    net::Net,
-    space::Limits,
+    check::{self, Limits},
+    compile,
+    exec::{Execution, State},
+    net::{CommandId, Net},
     stream::{EventPhase, Happened, NetView},
 };
 
@@ -201,13 +201,44 @@ impl Core {
 
     fn put_in_place(&mut self, net: &Arc<Net>) -> Result<(), String> {
         let old = Arc::clone(self.execution.net());
-        let state = self.execution.state().carried(&old, net);
-        let state = state.map_err(|error| format!("the net was not replaced: {error}"))?;
+        let state = carried(self.execution.state(), &old, net);
+        let state = state.map_err(|why| format!("the net was not replaced: {why}"))?;
         let execution = Execution::restore(Arc::clone(net), state);
         self.execution = execution.map_err(|error| error.to_string())?;
+        self.race = self.race.begin_again(&self.execution);
         self.failures = vec![0; net.transitions().len()];
         self.objects = objects_of(net, None);
         self.manual.replaced(&self.execution);
         Ok(())
     }
+}
+
+/// A state carried over from one net to another: tokens by the names of places, commands by their symbols.
+/// Places that are new begin as the new net says.
+///
+/// # Errors
+/// What would be lost: tokens of a place, or a command on the tape, that the new net does not have.
+fn carried(mut state: State, from: &Net, to: &Net) -> Result<State, String> {
+    let mut marking: Vec<u32> = to.places().iter().map(|place| place.tokens).collect();
+    for (place, tokens) in from.places().iter().zip(&state.marking) {
+        let there = to.place(&place.name);
+        match there.and_then(|id| marking.get_mut(id.index())) {
+            Some(there) => *there = *tokens,
+            None if *tokens == 0 => {}
+            None => {
+                let name = &place.name;
+                return Err(format!(
+                    "the new one has no place `{name}`, which holds {tokens}"
+                ));
+            }
+        }
+    }
+    state.marking = marking;
+    let renumbered = |command: CommandId| {
+        let symbol = &from[command].symbol;
+        let lost = || format!("the new one takes no command `{symbol}`, which is on the tape");
+        to.command(symbol).ok_or_else(lost)
+    };
+    state.tape.renumber(renumbered)?;
+    Ok(state)
 }
