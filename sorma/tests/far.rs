@@ -17,7 +17,7 @@ use ctos::time::Instant;
 use sorma::daemon::{self, Tasks};
 use sorma::ipc::{self, Host};
 use sorma::{Dictionary, Request, Sorm, Transport};
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -113,18 +113,19 @@ async fn job(cx: &TaskContext, sorm: &Sorm) -> Result<String, String> {
     ))
 }
 
-fn host(cx: &TaskContext, root: &PathBuf) -> Host {
+fn host(cx: &TaskContext, root: &Path) -> Host {
     Host {
         app: cx.chassis().name().to_owned(),
         clock: cx.chassis().clock().clone(),
-        root: Some(root.clone()),
+        root: Some(root.to_owned()),
     }
 }
 
 /// Clock sets, least bound (ns), records outside of their bounds, stamp there minus time here (ns), estimated drift.
 fn run(mishaps: &[Mishap]) -> Vec<f64> {
     let folder = tempfile::tempdir().unwrap();
-    let root = folder.path().to_owned();
+    // Made by whoever needs it, for this user alone.
+    let root = folder.path().join("segments");
     let app = load_texts(&[("app.toml", APP)], &[], &[]).unwrap();
     let mut registry = Registry::new();
     let own = root.clone();
