@@ -17,7 +17,7 @@ use futures_util::future::join_all;
 use mcs::tasks::{SERVO, args::ServoArgs};
 use pnt::{
     library::{Acted, Action, Library},
-    task::{COMMANDS, NetTask, check_args},
+    task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
 use vss::command::Calibrate;
@@ -43,9 +43,6 @@ const CALIBRATE_LIMIT: Duration = Duration::from_secs(60);
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DispatcherArgs {
-    /// The net; read by [`pnt::task::settings`].
-    #[serde(rename = "net")]
-    _net: String,
     /// The file of positions, relative to the configuration's folder.
     positions: String,
     /// Where results are written, relative to the folder in which the app was started; without it
@@ -97,14 +94,14 @@ impl Dispatcher {
 pub(crate) fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &COMMANDS, |cx| {
-            let args: DispatcherArgs = cx.args()?;
+            let args: DispatcherArgs = args_of(cx)?;
             let store = DomStore::new(&args.dom);
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
         })
         .check_in_app(check);
     registry.app_check("coordinators::lamp", |app, registry, findings| {
         for task in app.tasks.iter().filter(|task| task.handler == HANDLER) {
-            if let Ok(args) = task.args.parse::<DispatcherArgs>()
+            if let Ok(args) = net_args::<DispatcherArgs>(task)
                 && let Err(finding) = registry.command_of(app, &args.lamp, "set_lamp")
             {
                 let place = task.args.locate("lamp");
@@ -115,7 +112,7 @@ pub(crate) fn register(registry: &mut Registry) {
 }
 
 fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
-    let Some(args) = findings.keep(task.args.parse::<DispatcherArgs>()) else {
+    let Some(args) = findings.keep(net_args::<DispatcherArgs>(task)) else {
         return;
     };
     crate::need_task(task, app, "dom", &args.dom, findings);
@@ -156,7 +153,17 @@ fn library(args: DispatcherArgs, store: DomStore) -> Library<Dispatcher> {
         left: 0,
         observations: Observations::default(),
     };
+    let save = |state: &Dispatcher| {
+        let positions = state.positions.to_vec();
+        let observations = state.observations.clone();
+        (state.command, state.left, positions, observations)
+    };
     Library::new(state)
+        .kept(save, |state, (command, left, positions, observations)| {
+            state.positions = Rc::from(positions);
+            (state.command, state.left) = (command, left);
+            state.observations = observations;
+        })
         .enabling("more_positions", |dispatcher: &Dispatcher| {
             dispatcher.left > 0
         })

@@ -5,13 +5,17 @@
 //! its place calls invalid can still be read: its place is the guard, and a reader in a net fires only
 //! when the place is marked.
 
-use std::{collections::BTreeMap, rc::Rc};
+use std::{collections::BTreeMap, rc::Rc, sync::Arc};
 
 use ctos::{
     message::{Command, CommandInfo, Message},
+    registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError},
 };
-use pnt::library::{Acted, DataStore, Later};
+use pnt::{
+    library::{Acted, DataStore, Later},
+    store::{Owner, Store},
+};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// The handler's name.
@@ -70,7 +74,7 @@ pub struct DataObject {
     pub valid: Option<bool>,
 }
 
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 struct Entry {
     bytes: Option<Vec<u8>>,
     valid: Option<bool>,
@@ -80,6 +84,73 @@ struct Entry {
 #[derive(Default)]
 pub struct Dom {
     objects: BTreeMap<String, Entry>,
+    /// Where a durable one keeps them.
+    store: Option<Arc<Store>>,
+}
+
+/// Arguments.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct DomArgs {
+    /// Whether objects survive the process.
+    durable: bool,
+    /// The folder in which a durable one keeps them, relative to the configuration's folder.
+    store: String,
+}
+
+impl Default for DomArgs {
+    fn default() -> Self {
+        Self {
+            durable: false,
+            store: "state".to_owned(),
+        }
+    }
+}
+
+/// Registers the handler.
+pub(crate) fn register(registry: &mut Registry) {
+    let handler = registry.handler(HANDLER, COMMANDS, Dom::from_args);
+    handler.check(|task, findings| {
+        findings.keep(task.args.parse::<DomArgs>());
+    });
+}
+
+impl Dom {
+    /// A DOM as its task's arguments say; a durable one with the objects that it had.
+    fn from_args(cx: &Context) -> Result<Self, HandlerError> {
+        let args: DomArgs = cx.args()?;
+        if !args.durable {
+            return Ok(Self::default());
+        }
+        let owner = Owner {
+            kind: "dom".to_owned(),
+            name: cx.name().to_owned(),
+        };
+        let file = format!("{}.redb", cx.name());
+        let store = Store::open(cx, &cx.path(&args.store).join(file), &owner)?;
+        let mut objects = BTreeMap::new();
+        for (name, bytes) in store.load(cx)? {
+            let entry = postcard::from_bytes(&bytes).map_err(|error| {
+                let path = store.path().display();
+                HandlerError::new(format!("{path}: data object `{name}` is damaged: {error}"))
+            })?;
+            objects.insert(name, entry);
+        }
+        Ok(Self {
+            objects,
+            store: Some(store),
+        })
+    }
+
+    /// Writes an object through, before anybody is told that it has changed.
+    async fn keep(&self, cx: &Context, name: &str) -> Handled {
+        if let (Some(store), Some(entry)) = (&self.store, self.objects.get(name)) {
+            let bytes = postcard::to_stdvec(entry)?;
+            let change = (name.to_owned(), Some(bytes));
+            store.commit(cx, vec![change]).await?;
+        }
+        Ok(())
+    }
 }
 
 impl EventHandler for Dom {
@@ -87,7 +158,8 @@ impl EventHandler for Dom {
         match message.command() {
             PutData::CODE => {
                 let (PutData { name, bytes }, reply) = message.open::<PutData>()?;
-                self.objects.entry(name).or_default().bytes = Some(bytes);
+                self.objects.entry(name.clone()).or_default().bytes = Some(bytes);
+                self.keep(cx, &name).await?;
                 reply.ok(())
             }
             GetData::CODE => {
@@ -103,7 +175,8 @@ impl EventHandler for Dom {
             }
             SetValidity::CODE => {
                 let (SetValidity { name, valid }, reply) = message.open::<SetValidity>()?;
-                self.objects.entry(name).or_default().valid = Some(valid);
+                self.objects.entry(name.clone()).or_default().valid = Some(valid);
+                self.keep(cx, &name).await?;
                 reply.ok(())
             }
             ListData::CODE => {

@@ -33,7 +33,7 @@ use pnt::library::Acted;
 /// Registers every event handler of the Coordination Level, and the check of all nets of an app
 /// together.
 pub fn register(registry: &mut Registry) {
-    registry.handler(dom::HANDLER, dom::COMMANDS, |_| Ok(dom::Dom::default()));
+    dom::register(registry);
     dispatcher::register(registry);
     motion::register(registry);
     vision::register(registry);

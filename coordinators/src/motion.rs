@@ -17,7 +17,7 @@ use mcs::{
 };
 use pnt::{
     library::{Acted, Action, Library},
-    task::{COMMANDS, NetTask, check_args},
+    task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
 
@@ -45,9 +45,6 @@ pub(crate) const RELEASE: &str = "do_release_robot";
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct MotionArgs {
-    /// The net; read by [`pnt::task::settings`].
-    #[serde(rename = "net")]
-    _net: String,
     /// The client interface of MCS.
     #[serde(default = "mcs_task")]
     mcs: String,
@@ -84,12 +81,12 @@ struct Motion {
 pub(crate) fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &COMMANDS, |cx| {
-            let args: MotionArgs = cx.args()?;
+            let args: MotionArgs = args_of(cx)?;
             let store = DomStore::new(&args.dom);
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
         })
         .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(task.args.parse::<MotionArgs>()) {
+            if let Some(args) = findings.keep(net_args::<MotionArgs>(task)) {
                 let names = library(args.clone(), DomStore::new(&args.dom)).names();
                 check_args(task, app, &names, findings);
                 crate::need_task(task, app, "mcs", &args.mcs, findings);
@@ -118,7 +115,15 @@ fn library(args: MotionArgs, store: DomStore) -> Library<Motion> {
         path_given: false,
         log: MotionLog::default(),
     };
+    let save = |state: &Motion| {
+        let held = (state.acquired, state.to_release);
+        (held, state.path_given, state.log)
+    };
     Library::new(state)
+        .kept(save, |state, (held, path_given, log)| {
+            (state.acquired, state.to_release) = held;
+            (state.path_given, state.log) = (path_given, log);
+        })
         .enabling("path_given", |motion: &Motion| motion.path_given)
         .action("look_for_path", look_for_path)
         .action("validate_path", validate_path)

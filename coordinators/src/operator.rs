@@ -118,7 +118,7 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
     };
     let limit = Duration::from_secs_f64(args.within_s);
     let answered = cx.call(&dispatcher, request).deadline(limit).await;
-    let TapeAnswer { symbol, text } =
+    let TapeAnswer { symbol, text, .. } =
         answered.map_err(|error| HandlerError::new(error.reason()))?;
     if symbol != args.success {
         return Ok(failure(&format!("{symbol}: {text}")));

@@ -9,6 +9,7 @@ use std::path::Path;
 use ctos::diagnostic::{Finding, Findings, Source};
 use mcs::arm::{ArmModel, IkError};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Fewer positions cannot determine a camera with distortion (`2 n` equations for 15 unknowns), and
 /// leave nothing to judge the fit by.
@@ -26,7 +27,7 @@ const COLUMNS: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 const HELP: &str = "write six numbers, separated by commas: x,y,z in m, roll,pitch,yaw in degrees";
 
 /// A pose of the file and the line it stands in, counted from 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Position {
     /// `base_t_tool`.
     pub pose: Isometry3<f64>,

@@ -12,7 +12,7 @@ use ctos::{
 use futures_util::future::join_all;
 use pnt::{
     library::{Acted, Action, Library},
-    task::{COMMANDS, NetTask, check_args},
+    task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
 use vss::command::{SpotFind, SpotReport};
@@ -29,9 +29,6 @@ pub const HANDLER: &str = "coordinators.vision";
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct VisionArgs {
-    /// The net; read by [`pnt::task::settings`].
-    #[serde(rename = "net")]
-    _net: String,
     /// The cameras that look for the spot.
     cameras: Vec<String>,
     /// The Vision Services Manager.
@@ -65,12 +62,12 @@ struct Vision {
 pub(crate) fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &COMMANDS, |cx| {
-            let args: VisionArgs = cx.args()?;
+            let args: VisionArgs = args_of(cx)?;
             let store = DomStore::new(&args.dom);
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
         })
         .check_in_app(|task, app, findings| {
-            if let Some(args) = findings.keep(task.args.parse::<VisionArgs>()) {
+            if let Some(args) = findings.keep(net_args::<VisionArgs>(task)) {
                 if args.cameras.is_empty() {
                     let place = task.args.locate("cameras");
                     findings.push(
@@ -116,7 +113,11 @@ fn library(args: VisionArgs, store: DomStore) -> Library<Vision> {
         spots: Spots::default(),
         tries_left: 0,
     };
+    let save = |state: &Vision| (state.spots.clone(), state.tries_left);
     Library::new(state)
+        .kept(save, |state, (spots, tries_left)| {
+            (state.spots, state.tries_left) = (spots, tries_left);
+        })
         .enabling("tries_left", |vision: &Vision| vision.tries_left > 0)
         .action("find_spot", find_spot)
         .action("retry_find_spot", retry_find_spot)

@@ -69,6 +69,11 @@ impl Bench {
         started.recv()?
     }
 
+    /// Makes a task known by its name, as the task identification service would.
+    pub fn name(&self, task: &TaskRef) {
+        self.chassis.directory.learn(task.name(), task.tid());
+    }
+
     /// Runs `work` as a task of processor number `processor`, and waits for its end.
     ///
     /// # Errors

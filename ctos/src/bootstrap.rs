@@ -20,8 +20,8 @@ use crate::{
     context::Context,
     message::{Command, CommandInfo, Message},
     system::{
-        AllLinked, AppResult, ChassisLinked, Finish, Interrupt, Overview, ProcessEnded, Progress,
-        RestartChassis, TaskFailed, TaskMoved,
+        AllLinked, AppResult, AtBreakpoint, ChassisLinked, Finish, Interrupt, Overview,
+        ProcessEnded, Progress, RestartChassis, TaskFailed, TaskMoved,
     },
     task::{EventHandler, Handled, Phase, StopReason},
     watch,
@@ -35,11 +35,12 @@ use sequence::Sequence;
 pub use states::{BootState, ChassisState};
 
 /// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 10] = [
+pub(crate) const COMMANDS: [CommandInfo; 11] = [
     AllLinked::INFO,
     Progress::INFO,
     Finish::INFO,
     TaskFailed::INFO,
+    AtBreakpoint::INFO,
     Interrupt::INFO,
     ProcessEnded::INFO,
     ChassisLinked::INFO,
@@ -193,6 +194,13 @@ pub enum End {
         /// Why.
         reason: String,
     },
+    /// A task came to a breakpoint at which the app was to end.
+    Breakpoint {
+        /// The task.
+        task: String,
+        /// Where it stands.
+        reason: String,
+    },
     /// A startup phase failed and the boot was undone.
     PhaseFailed {
         /// Which.
@@ -217,6 +225,9 @@ impl End {
             },
             Self::TaskFailed { task, reason } => StopReason::Failed {
                 what: format!("task `{task}` failed: {reason}"),
+            },
+            Self::Breakpoint { reason, .. } => StopReason::Failed {
+                what: reason.clone(),
             },
             Self::PhaseFailed { phase, .. } => StopReason::Failed {
                 what: format!("startup phase `{phase}` failed"),
@@ -306,6 +317,11 @@ impl EventHandler for Bootstrap {
                 let from = message.from().chassis();
                 let (TaskFailed { task, reason }, _) = message.open::<TaskFailed>()?;
                 board.task_failed(from, task, reason);
+                Ok(())
+            }
+            AtBreakpoint::CODE => {
+                let (AtBreakpoint { task, reason }, _) = message.open::<AtBreakpoint>()?;
+                board.end(End::Breakpoint { task, reason });
                 Ok(())
             }
             Interrupt::CODE => {

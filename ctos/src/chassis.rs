@@ -22,6 +22,7 @@ use crate::{
     call::lock,
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
+    disk::Disk,
     link::lookout::Lookout,
     message::{Message, Tid},
     processor::{Processor, ProcessorHandle},
@@ -77,6 +78,8 @@ pub struct Chassis {
     pub(crate) watch: Watch,
     /// Its links, when they are real ones.
     lookout: OnceLock<Arc<Lookout>>,
+    /// What survives it in virtual time.
+    pub(crate) disk: OnceLock<Arc<Disk>>,
     /// How many callers, and requests of tools, were refused so far.
     pub(crate) refused: AtomicU64,
 }
@@ -127,6 +130,7 @@ impl Chassis {
             tap: Tap::new(index),
             watch: Watch::default(),
             lookout: OnceLock::new(),
+            disk: OnceLock::new(),
             refused: AtomicU64::new(0),
         })
     }
@@ -190,6 +194,11 @@ impl Chassis {
             self.clock.clone(),
             schedule,
         ))
+    }
+
+    /// It is simulated, and this survives it.
+    pub(crate) fn set_disk(&self, disk: Arc<Disk>) {
+        let _ = self.disk.set(disk);
     }
 
     /// Its processors' threads look at these links when they have nothing else to do.

@@ -23,6 +23,7 @@ pub mod chassis;
 pub mod config;
 pub mod control;
 pub mod diagnostic;
+pub mod disk;
 pub mod message;
 pub mod realtime;
 pub mod record;

@@ -28,6 +28,7 @@ use crate::{
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
     context::mix,
+    disk::Disk,
     link::{
         Frame,
         simulated::{Arrival, InFlight, Network, below},
@@ -209,11 +210,14 @@ impl Simulation {
         let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
         let events = EventLog::new(events, clock.clone());
         let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
+        let disk = Arc::new(Disk::default());
         let chassis: Vec<Arc<Chassis>> = (0..=count)
             .zip(&names)
             .map(|(index, name)| {
                 let clock = clock.drifting(drift_of(name, &happened));
-                Chassis::new(index, app.clone(), registry.clone(), clock)
+                let chassis = Chassis::new(index, app.clone(), registry.clone(), clock);
+                chassis.set_disk(disk.clone());
+                chassis
             })
             .collect();
         let recording = record::start(&chassis).map_err(boot::io_error("cannot record"))?;

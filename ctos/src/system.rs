@@ -139,6 +139,10 @@ command! {
     pub(crate) struct TaskFailed { pub(crate) task: String, pub(crate) reason: String } => (), 0xff32, "task_failed"
 }
 command! {
+    /// Tells that a task is at a breakpoint at which the app shall end.
+    pub(crate) struct AtBreakpoint { pub(crate) task: String, pub(crate) reason: String } => (), 0xff3f, "at_breakpoint"
+}
+command! {
     /// Tells that the person wants the app to stop.
     pub(crate) struct Interrupt => (), 0xff33, "interrupt"
 }
@@ -225,6 +229,7 @@ pub(crate) const ALL: &[CommandInfo] = &[
     Progress::INFO,
     Finish::INFO,
     TaskFailed::INFO,
+    AtBreakpoint::INFO,
     Interrupt::INFO,
     AllLinked::INFO,
     AnnounceUp::INFO,

@@ -17,8 +17,8 @@
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
 //!
-//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net;
-//!   [`stream`]: what a net does, as numbered events for displays and records;
+//! - [`library`]: the functions that a net names; [`store`]: what survives a crash; [`task`]: the event
+//!   handler that runs a net; [`stream`]: what a net does, as numbered events for displays and records;
 //!   [`layout`]: where its nodes are drawn.
 
 pub mod analysis;
@@ -26,6 +26,7 @@ pub mod builder;
 pub mod check;
 pub mod compile;
 pub mod compose;
+mod digest;
 pub mod draft;
 pub mod exec;
 pub mod format;
@@ -38,8 +39,16 @@ pub mod net;
 pub mod pnml;
 mod ready;
 pub mod stochastic;
+pub mod store;
 pub mod stream;
 pub mod task;
 pub mod text;
 pub mod timing;
 pub mod tina;
+
+/// The pages of `docs` whose examples are run as tests.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../../docs/running-nets.md")]
+    mod running_nets {}
+}

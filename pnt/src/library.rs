@@ -10,6 +10,7 @@ use std::{
 };
 
 use ctos::task::{Context, HandlerError};
+use serde::{Serialize, de::DeserializeOwned};
 
 use crate::check::FunctionNames;
 
@@ -21,6 +22,8 @@ pub type Acted = Result<(), HandlerError>;
 
 type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
 type Ask<S> = Box<dyn Fn(&S) -> bool>;
+type Save<S> = Box<dyn Fn(&S) -> postcard::Result<Vec<u8>>>;
+type Load<S> = Box<dyn Fn(&mut S, &[u8]) -> postcard::Result<()>>;
 
 /// Where data objects are kept. An app's data object manager task stands behind it.
 pub trait DataStore {
@@ -116,6 +119,7 @@ pub struct Library<S> {
     pub(crate) state: Rc<RefCell<S>>,
     actions: BTreeMap<String, Act<S>>,
     enabling: BTreeMap<String, Ask<S>>,
+    kept: Option<(Save<S>, Load<S>)>,
 }
 
 impl<S: 'static> Library<S> {
@@ -126,6 +130,7 @@ impl<S: 'static> Library<S> {
             state: Rc::new(RefCell::new(state)),
             actions: BTreeMap::new(),
             enabling: BTreeMap::new(),
+            kept: None,
         }
     }
 
@@ -147,6 +152,43 @@ impl<S: 'static> Library<S> {
     pub fn enabling(mut self, name: &str, function: impl Fn(&S) -> bool + 'static) -> Self {
         self.enabling.insert(name.to_owned(), Box::new(function));
         self
+    }
+
+    /// Has the state stored with the marking of a durable net: `save` says what of it, `load` puts that
+    /// back. It is stored as it is when a commit begins, also in the midst of an action.
+    #[must_use]
+    pub fn kept<K: Serialize + DeserializeOwned>(
+        mut self,
+        save: impl Fn(&S) -> K + 'static,
+        load: impl Fn(&mut S, K) + 'static,
+    ) -> Self {
+        let save: Save<S> = Box::new(move |state| postcard::to_stdvec(&save(state)));
+        let load: Load<S> = Box::new(move |state, bytes| {
+            load(state, postcard::from_bytes(bytes)?);
+            Ok(())
+        });
+        self.kept = Some((save, load));
+        self
+    }
+
+    /// Whether a net with this library may be durable: its state is kept, or there is none.
+    pub(crate) fn survives(&self) -> bool {
+        self.kept.is_some() || size_of::<S>() == 0
+    }
+
+    /// The state in bytes, if it is kept.
+    pub(crate) fn saved(&self) -> Result<Option<Vec<u8>>, HandlerError> {
+        let kept = self.kept.as_ref();
+        let saved = kept.map(|(save, _)| save(&self.state.borrow()));
+        Ok(saved.transpose()?)
+    }
+
+    /// Takes up a state that was kept.
+    pub(crate) fn restore(&self, bytes: &[u8]) -> Result<(), HandlerError> {
+        if let Some((_, load)) = &self.kept {
+            load(&mut self.state.borrow_mut(), bytes)?;
+        }
+        Ok(())
     }
 
     /// The names of all functions, for checking nets before anything starts.

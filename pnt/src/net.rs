@@ -375,3 +375,13 @@ impl Index<CommandId> for Net {
         &self.commands[id.index()]
     }
 }
+
+impl Action {
+    /// Whether it may be asked again when a crash left open how it ended.
+    #[must_use]
+    pub fn is_idempotent(&self) -> bool {
+        match self {
+            Self::Local { idempotent, .. } | Self::Message { idempotent, .. } => *idempotent,
+        }
+    }
+}

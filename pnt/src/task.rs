@@ -5,11 +5,18 @@
 //! A net's task bears the net's name: that is how other nets find its places.
 
 mod action;
+mod carry;
+mod control;
+mod durable;
 mod engine;
+mod firing;
 mod journal;
 mod load;
 mod messages;
 mod publish;
+mod replace;
+mod settings;
+mod transfers;
 
 #[cfg(test)]
 mod tests;
@@ -28,17 +35,24 @@ use crate::{
     layout::LayoutFile,
     library::{DataStore, Library},
     net::Net,
+    store::{Contents, Owner, Store},
     stream::{Describe, Follow},
 };
 use engine::Engine;
-pub use load::{Settings, check_app, check_args, check_nets, load, net_tasks, nets, settings};
-pub use messages::{FiringEvent, Marking, PutTape, Snapshot, TapeAnswer, Tokens};
+pub use load::{check_app, check_args, check_nets, load, net_tasks, nets};
+pub use messages::{
+    Control, FiringEvent, Marking, Order, Output, PutTape, ReadTape, Snapshot, TapeAnswer, Tokens,
+    Transfer,
+};
+pub use settings::{KEYS, Settings, args, args_of, settings};
 
 /// The commands of every net task, for registration.
-pub const COMMANDS: [CommandInfo; 5] = [
+pub const COMMANDS: [CommandInfo; 7] = [
     PutTape::INFO,
     Tokens::INFO,
     Marking::INFO,
+    Control::INFO,
+    ReadTape::INFO,
     Describe::INFO,
     Follow::INFO,
 ];
@@ -76,8 +90,16 @@ impl<S: 'static> NetTask<S> {
         conflicts: Conflicts,
         data: Option<Rc<dyn DataStore>>,
     ) -> Self {
+        let plain = (Settings::default(), None);
         Self {
-            engine: Rc::new(Engine::new(cx.clone(), net, library, conflicts, data)),
+            engine: Rc::new(Engine::new(
+                cx.clone(),
+                net,
+                library,
+                conflicts,
+                data,
+                plain,
+            )),
         }
     }
 
@@ -96,18 +118,59 @@ impl<S: 'static> NetTask<S> {
             .ok_or_else(|| HandlerError::new("a net task needs arguments"))?;
         let settings = settings(config)?;
         let net = load(&cx.path(&settings.net))?;
+        // What is wrong with it was said when the app was checked; a net runs without it.
+        let layout = LayoutFile::of_net(&cx.path(&settings.net), &mut Findings::new());
+        let task = Self::with_settings(cx, net, library, data, settings)?;
+        layout.pin(&mut task.engine.view.borrow_mut());
+        Ok(task)
+    }
+
+    /// A task for a net with settings as its arguments could give them. A durable net goes on where it
+    /// was when its last process ended.
+    ///
+    /// # Errors
+    /// What is wrong with the settings or with what was stored.
+    pub fn with_settings(
+        cx: &Context,
+        net: Net,
+        library: Library<S>,
+        data: Option<Rc<dyn DataStore>>,
+        settings: Settings,
+    ) -> Result<Self, HandlerError> {
         let conflicts = if settings.random {
             Conflicts::Random(Box::new(cx.rng("conflicts")))
         } else {
             Conflicts::Declared
         };
-        let mut task = Self::new(cx, net, library, conflicts, data);
-        // What is wrong with it was said when the app was checked; a net runs without it.
-        let layout = LayoutFile::of_net(&cx.path(&settings.net), &mut Findings::new());
-        if let Some(engine) = Rc::get_mut(&mut task.engine) {
-            layout.pin(&mut engine.view);
+        if settings.durable && !library.survives() {
+            return Err(HandlerError::new(format!(
+                "net `{}` cannot be durable: its functions share a state that is not kept (`Library::kept`)",
+                net.name()
+            )));
         }
-        Ok(task)
+        let store = if settings.durable {
+            let owner = Owner {
+                kind: "net".to_owned(),
+                name: net.name().to_owned(),
+            };
+            let file = format!("{}.redb", net.name());
+            let path = cx.path(&settings.store).join(file);
+            Some(Store::open(cx, &path, &owner)?)
+        } else {
+            None
+        };
+        let contents = match &store {
+            Some(store) => store.load(cx)?,
+            None => Contents::new(),
+        };
+        let net = durable::replaced_net(&contents)?.unwrap_or(net);
+        let with = (settings, store);
+        let mut engine = Engine::new(cx.clone(), net, library, conflicts, data, with);
+        engine.resume(&contents)?;
+        engine.arm()?;
+        Ok(Self {
+            engine: Rc::new(engine),
+        })
     }
 }
 
@@ -120,16 +183,28 @@ impl<S: 'static> EventHandler for NetTask<S> {
             }
             Tokens::CODE => {
                 let (tokens, reply) = message.open::<Tokens>()?;
-                self.engine.put_tokens(cx, &tokens)?;
-                reply.ok(())
+                self.engine.put_tokens(cx, tokens, reply)
             }
             Marking::CODE => {
                 let (Marking {}, reply) = message.open::<Marking>()?;
                 reply.ok(self.engine.snapshot())
             }
+            Control::CODE => {
+                let (Control { order }, reply) = message.open::<Control>()?;
+                self.engine.control(cx, order, reply)
+            }
+            ReadTape::CODE => {
+                let (ReadTape { taken }, reply) = message.open::<ReadTape>()?;
+                let output = self.engine.read_tape(taken);
+                self.engine.when_stored(move |_| {
+                    // Answering never fails; a reader that is gone reads again.
+                    let _ = reply.ok(output);
+                });
+                Ok(())
+            }
             Describe::CODE => {
                 let (Describe {}, reply) = message.open::<Describe>()?;
-                reply.ok(self.engine.view.clone())
+                reply.ok(self.engine.view.borrow().clone())
             }
             Follow::CODE => {
                 let (request, reply) = message.open::<Follow>()?;
@@ -153,9 +228,8 @@ impl<S: 'static> EventHandler for NetTask<S> {
 
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         let lost = |net: &str| {
-            cx.app()
-                .task(net)
-                .is_some_and(|task| task.chassis == chassis)
+            let task = cx.app().task(net);
+            task.is_some_and(|task| task.chassis == chassis) && !carry::is_durable(cx, net)
         };
         if let Some(net) = self.engine.partners().into_iter().find(|net| lost(net)) {
             self.engine

@@ -2,6 +2,7 @@
 //! stopping: what the boot must then say and undo is tested with it.
 
 mod load;
+mod nets;
 
 use std::{process::ExitCode, time::Duration};
 
@@ -203,5 +204,6 @@ fn main() -> ExitCode {
     registry.handler("test.caller", &[], |cx| Ok(Caller(cx.args()?)));
     registry.handler("test.misbehaving", &[], |cx| Ok(Misbehaving(cx.args()?)));
     load::register(&mut registry);
+    nets::register(&mut registry);
     cli::commands::main(registry)
 }

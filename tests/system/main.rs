@@ -23,6 +23,7 @@ mod machine;
 mod main_job;
 mod manners;
 mod moving;
+mod nets;
 mod recording;
 mod restarts;
 mod startup;

@@ -345,6 +345,7 @@ fn report(outcome: &Outcome, json: bool) -> u8 {
         End::TaskFailed { task, reason } => {
             (exit::FAILED, format!("task `{task}` failed: {reason}"))
         }
+        End::Breakpoint { reason, .. } => (exit::LIMIT, reason.clone()),
         End::PhaseFailed { phase, failures } => {
             let lines: Vec<String> = failures
                 .iter()

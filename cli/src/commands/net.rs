@@ -1,6 +1,7 @@
 //! `ctos net`: the tools of whoever writes nets, a file each.
 
 pub mod check;
+pub mod control;
 pub mod convert;
 pub mod draw;
 pub mod fmt;
@@ -33,6 +34,34 @@ pub enum NetCommand {
     /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
     /// what these do not name is arranged by rule.
     Draw(draw::DrawArgs),
+    /// Fire an enabled transition of a running net by hand
+    ///
+    /// As all interventions, it needs `allow_control = true` in the arguments of the net's task, the role `control`
+    /// from another host, and is in the record and the log of the app.
+    Fire(control::TransitionArgs),
+    /// Put tokens into a place of a running net
+    Put(control::PlaceArgs),
+    /// Take tokens out of a place of a running net
+    Take(control::PlaceArgs),
+    /// Begin no more firings; actions that are going on come to their ends
+    Pause(control::NetTaskArgs),
+    /// Go on after a pause or a breakpoint
+    Resume(control::NetTaskArgs),
+    /// Begin so many firings of a paused net, then pause it again
+    Step(control::StepArgs),
+    /// Pause a net before a transition fires, or when a place comes to hold so many tokens
+    Break(control::BreakArgs),
+    /// End the action of a transition as failed
+    Cancel(control::TransitionArgs),
+    /// Put another net in the place of a running one
+    ///
+    /// It is checked together with all nets of the app first, and put in place at the next safe marking: one that the
+    /// net declares, or else its rest marking between two commands. Tokens are carried over by the names of places.
+    Replace(control::ReplaceArgs),
+    /// Read the output tape of a running net: answers that nobody waited for
+    Tape(control::TapeArgs),
+    /// Show the marking of a running net
+    Marking(control::NetTaskArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
     /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
@@ -51,6 +80,17 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Draw(args) => draw::run(args),
+        NetCommand::Fire(args) => control::fire(args),
+        NetCommand::Put(args) => control::put(args),
+        NetCommand::Take(args) => control::take(args),
+        NetCommand::Pause(args) => control::pause(args),
+        NetCommand::Resume(args) => control::resume(args),
+        NetCommand::Step(args) => control::step(args),
+        NetCommand::Break(args) => control::set_breakpoint(args),
+        NetCommand::Cancel(args) => control::cancel(args),
+        NetCommand::Replace(args) => control::replace(args),
+        NetCommand::Tape(args) => control::tape(args),
+        NetCommand::Marking(args) => control::marking(args),
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry),
         NetCommand::Perf(args) => perf::run(args),

@@ -362,6 +362,7 @@ impl Lab<'_> {
             }
             End::GivenUp { chassis, reason } => format!("chassis `{chassis}` {reason}"),
             End::TaskFailed { task, reason } => format!("task `{task}` failed: {reason}"),
+            End::Breakpoint { reason, .. } => reason.clone(),
             End::PhaseFailed { phase, failures } => {
                 let failures = failures
                     .iter()
@@ -477,6 +478,7 @@ fn kind_of(end: &End) -> (&'static str, String) {
         End::ChassisDown { chassis } => ("chassis down", chassis.clone()),
         End::GivenUp { chassis, .. } => ("given up", chassis.clone()),
         End::TaskFailed { task, .. } => ("task failed", task.clone()),
+        End::Breakpoint { task, .. } => ("breakpoint", task.clone()),
         End::PhaseFailed { phase, .. } => ("phase failed", phase.to_string()),
         End::Stuck => ("stuck", String::new()),
     }

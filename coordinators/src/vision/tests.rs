@@ -113,7 +113,6 @@ fn a_vision_system_that_is_gone_is_a_failure_that_is_not_tried_again() {
 
 fn args() -> VisionArgs {
     VisionArgs {
-        _net: String::new(),
         cameras: vec!["west".to_owned()],
         vsm: vsm_task(),
         dom: crate::dom_task(),

@@ -78,6 +78,16 @@ impl Node {
         self
     }
 
+    /// This table without some of its keys; any other node as it is.
+    #[must_use]
+    pub fn without(&self, keys: &[&str]) -> Self {
+        let mut node = self.clone();
+        if let Value::Table(entries) = &mut node.value {
+            entries.retain(|entry| !keys.contains(&entry.key.as_str()));
+        }
+        node
+    }
+
     /// What the node holds.
     #[must_use]
     pub fn value(&self) -> &Value {

@@ -134,6 +134,15 @@ impl Context {
         self.inner.chassis.post_system(system::BOOTSTRAP, finish);
     }
 
+    /// Ends the app because this task stands at a breakpoint that was set for that.
+    pub fn end_at_breakpoint(&self, reason: &str) {
+        let at = system::AtBreakpoint {
+            task: self.name().to_owned(),
+            reason: reason.to_owned(),
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, at);
+    }
+
     /// Reports that this task failed for good; the app is stopped.
     pub fn fail(&self, reason: &str) {
         tracing::error!(task = %self.name(), reason, "task failed");

@@ -9,11 +9,14 @@ use std::{
     time::Duration,
 };
 
+use base64::{Engine, engine::general_purpose::STANDARD};
+
 use crate::{
     control::{
         Socket, place,
         protocol::{Answer, Ask, ErrorCode, ErrorView, Request, VERSION},
     },
+    message::{Command, Data},
     security::{BlockingStream, KeyError, Keys, Role},
 };
 
@@ -384,6 +387,39 @@ impl Client {
                 reason: error.to_string(),
             }),
         }
+    }
+
+    /// Sends a task one of its commands and waits for its answer, as long as the app does. Needs the role
+    /// `control`.
+    ///
+    /// # Errors
+    /// As [`Self::read`], and [`ClientError::Garbled`] when the answer is no `C::Reply`.
+    pub fn call<C: Command>(
+        &mut self,
+        task: &str,
+        request: C,
+        within: Duration,
+    ) -> Result<C::Reply, ClientError> {
+        let garbled = |client: &Self, reason: String| ClientError::Garbled {
+            app: client.app.app.clone(),
+            reason,
+        };
+        let encoded = Data::of(request).into_bytes();
+        let encoded = encoded.map_err(|error| garbled(self, error.to_string()))?;
+        self.wait_for_ever()?;
+        let answer = self.get(Request::Call {
+            task: task.to_owned(),
+            command: C::NAME.to_owned(),
+            data: STANDARD.encode(encoded),
+            within_s: within.as_secs_f64(),
+        })?;
+        let Answer::Reply { data } = answer else {
+            return Err(garbled(self, "it is not the answer to a call".to_owned()));
+        };
+        let bytes = STANDARD.decode(data);
+        let bytes = bytes.map_err(|error| garbled(self, error.to_string()))?;
+        let reply = Data::Bytes(bytes).take::<C::Reply>();
+        reply.map_err(|error| garbled(self, error.to_string()))
     }
 
     /// Asks for what is answered in one line.

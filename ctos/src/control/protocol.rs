@@ -69,6 +69,17 @@ pub enum Request {
         /// `CHASSIS` or `CHASSIS:PROCESSOR`.
         to: String,
     },
+    /// Sends a task one of its commands: an [`Answer::Reply`]. Needs the role `control`.
+    Call {
+        /// The task's name.
+        task: String,
+        /// The command's name.
+        command: String,
+        /// Its data: postcard in base64.
+        data: String,
+        /// How long the task may take to answer, s.
+        within_s: f64,
+    },
     /// Says a line of text to a task that takes such lines, for example one with the handler
     /// `sorma.daemon`: [`Answer::Said`]. Needs the role `control`. When the connection ends, the tasks that
     /// were spoken to over it are told that who spoke is gone.
@@ -163,6 +174,11 @@ pub enum Answer {
     Recording(RecordView),
     /// It was recorded.
     Recorded(RecordView),
+    /// What a task answered.
+    Reply {
+        /// Its data: postcard in base64.
+        data: String,
+    },
     /// A task is on its way to another place.
     Moving(MoveView),
     /// It is there.

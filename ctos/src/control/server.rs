@@ -12,6 +12,7 @@ use std::{
     time::Duration,
 };
 
+use base64::{Engine, engine::general_purpose::STANDARD};
 use tokio::{
     io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
     net::UnixListener,
@@ -58,6 +59,8 @@ const CLIENTS: usize = 64;
 const BEHIND: usize = 1024;
 /// How long clients may take to hear how the app ended.
 const FAREWELL: Duration = Duration::from_secs(1);
+/// The longest that a client may wait for a task.
+const CALL_LIMIT: Duration = Duration::from_secs(3600);
 /// How long the answer to a line of text is waited for, unless the request says otherwise.
 const SAY_LIMIT: Duration = Duration::from_secs(600);
 /// The longest that a request may have its answer waited for, s.
@@ -407,6 +410,15 @@ impl Desk {
                 };
                 tell(writer, &answer).await
             }
+            Request::Call {
+                task,
+                command,
+                data,
+                within_s,
+            } => {
+                let answer = self.call(&task, &command, &data, within_s).await;
+                tell(writer, &answer).await
+            }
             Request::Move { task, to } => {
                 let mut moving = Moving::new(&self.chassis, &self.logs, task, to);
                 while let Some(answer) = moving.next().await {
@@ -414,6 +426,39 @@ impl Desk {
                 }
                 Ok(())
             }
+        }
+    }
+
+    /// Sends a task one of its commands.
+    async fn call(&self, task: &str, command: &str, data: &str, within_s: f64) -> Answer {
+        let chassis = &self.chassis;
+        if chassis.app.task(task).is_none() {
+            return self.no_such_name(task);
+        }
+        let found = chassis.registry.command_of(&chassis.app, task, command);
+        let info = match found {
+            Ok(info) => info,
+            Err(finding) => return error(ErrorCode::NoSuchName, finding.to_string()),
+        };
+        let Ok(data) = STANDARD.decode(data) else {
+            return error(ErrorCode::BadRequest, "the data is not base64");
+        };
+        // Whoever asks has a limit of its own; what is absurd is bounded here.
+        let limit = Duration::try_from_secs_f64(within_s).unwrap_or(CALL_LIMIT);
+        let limit = limit.min(CALL_LIMIT);
+        let query = system::QueryTid {
+            name: task.to_owned(),
+        };
+        let answered = match view::ask(chassis, system::TID_SERVER, query, limit).await {
+            Ok(Ok(tid)) => view::ask_raw(chassis, tid, (info.code, data), limit).await,
+            Ok(Err(_)) => return error(ErrorCode::Failed, format!("task `{task}` is not there")),
+            Err(fault) => Err(fault),
+        };
+        match answered {
+            Ok(data) => Answer::Reply {
+                data: STANDARD.encode(data),
+            },
+            Err(fault) => failed(&fault),
         }
     }
 

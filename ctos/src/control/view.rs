@@ -24,6 +24,30 @@ use crate::{
 /// How long a chassis may take to tell about its tasks.
 const LIMIT: Duration = Duration::from_millis(500);
 
+/// Sends a task bytes from outside of any task; the bytes that it answers.
+pub(super) async fn ask_raw(
+    chassis: &Arc<Chassis>,
+    to: crate::message::Tid,
+    (command, data): (u16, Vec<u8>),
+    limit: Duration,
+) -> Result<Vec<u8>, Fault> {
+    let envelope = Envelope {
+        to,
+        from: system::agent_tid(chassis.index()),
+        command,
+        flags: Flags::HIGH_PRIORITY,
+        data: Data::Bytes(data),
+        trace: chassis.fresh_trace(),
+        deadline: Some(chassis.clock.now() + limit),
+    };
+    let waiting = chassis.dispatch(envelope, WaitFor::Reply);
+    let answer = tokio::time::timeout(limit, waiting).await;
+    let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
+    data.into_bytes().map_err(|error| Fault::BadPayload {
+        text: error.to_string(),
+    })
+}
+
 /// Asks a task from outside of any task.
 pub(crate) async fn ask<C: Command>(
     chassis: &Arc<Chassis>,

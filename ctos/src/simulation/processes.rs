@@ -157,6 +157,9 @@ impl Simulation {
         let old = &old.chassis;
         let (app, registry) = (old.app.clone(), old.registry.clone());
         let new = Chassis::new(index, app, registry, old.clock.clone());
+        if let Some(disk) = old.disk.get() {
+            new.set_disk(disk.clone());
+        }
         self.events
             .note(|| format!("chassis {} starts again", new.name()));
         for machine in self.machines.iter().filter(|machine| !machine.gone) {

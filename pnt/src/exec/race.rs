@@ -77,6 +77,12 @@ impl Race {
         }
     }
 
+    /// The race of an execution that takes the place of another one's: no clock runs yet.
+    #[must_use]
+    pub fn begin_again(&self, execution: &Execution) -> Self {
+        Self::new(execution, self.rng.clone())
+    }
+
     /// Whether the net has any timed transition.
     #[must_use]
     pub fn is_needed(&self) -> bool {

@@ -70,6 +70,17 @@ impl Tape {
             && numbers.is_sorted_by(|a, b| a.number < b.number)
     }
 
+    /// Gives every command on it the number that `renumbered` says.
+    pub(crate) fn renumber<E>(
+        &mut self,
+        mut renumbered: impl FnMut(CommandId) -> Result<CommandId, E>,
+    ) -> Result<(), E> {
+        for on_tape in self.waiting.iter_mut().chain(&mut self.current) {
+            on_tape.command = renumbered(on_tape.command)?;
+        }
+        Ok(())
+    }
+
     pub(super) fn put(&mut self, command: CommandId, arguments: Vec<String>) -> u64 {
         let number = self.put;
         self.put += 1;

@@ -29,6 +29,8 @@ pub enum EventPhase {
     Put,
     /// A person took tokens out of a place.
     Taken,
+    /// A person intervened in another way; the text says how.
+    Ordered,
     /// A person stopped the net for a while, or a breakpoint did.
     Paused,
     /// The net goes on after a pause.
@@ -51,6 +53,7 @@ impl EventPhase {
             Self::Asked => "asked",
             Self::Put => "put",
             Self::Taken => "taken",
+            Self::Ordered => "ordered",
             Self::Paused => "paused",
             Self::Resumed => "resumed",
             Self::Stopped => "stopped",

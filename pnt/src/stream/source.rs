@@ -113,6 +113,21 @@ impl Source {
         }
     }
 
+    /// Begins a new stream, of a net that is put in place of this one or goes on where it was; those who
+    /// follow see it as a whole.
+    pub(crate) fn begin_again(&mut self, now: Instant, execution: &Execution) {
+        let mut begun = Self::new(Arc::clone(execution.net()), now);
+        begun.run = now.as_nanos().max(self.run + 1);
+        begun.marking = execution.marking().to_vec();
+        begun.current = execution.tape().current().map(|on_tape| on_tape.number);
+        begun.paused = self.paused.take();
+        begun.followers = std::mem::take(&mut self.followers);
+        begun.answered = self.answered;
+        begun.called = self.called;
+        begun.watched = self.watched;
+        *self = begun;
+    }
+
     /// Firings that ended, well or not.
     pub(crate) fn firings(&self) -> u64 {
         self.ended.iter().chain(&self.failed).sum()

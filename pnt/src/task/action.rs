@@ -5,10 +5,15 @@ use std::{rc::Rc, time::Duration};
 
 use ctos::{
     DEFAULT_DEADLINE,
-    task::{Context, HandlerError},
+    task::{Context, HandlerError, TaskRef},
 };
+use futures_util::future::{AbortHandle, AbortRegistration, Abortable, Aborted};
 
-use super::{engine::Engine, journal::Phase};
+use super::{
+    engine::Engine,
+    journal::Phase,
+    messages::{PutTape, TapeAnswer},
+};
 use crate::{
     exec::{FireError, FiringId},
     library::{Acted, Action},
@@ -23,31 +28,46 @@ const MOST_TRIES: u32 = 4;
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 
 impl<S: 'static> Engine<S> {
-    pub(super) async fn act(self: Rc<Self>, id: TransitionId, firing: FiringId, action: Action<S>) {
+    pub(super) async fn act(
+        self: Rc<Self>,
+        id: TransitionId,
+        firing: FiringId,
+        action: Action<S>,
+        cancel: AbortRegistration,
+    ) {
         let (notes, cx) = (Rc::clone(&action.notes), action.cx.clone());
-        let acted = match self.told(&cx).await {
-            Ok(()) => self.action(id, action).await,
-            Err(error) => Err(error),
+        let acting = async {
+            self.told(&cx).await?;
+            self.action(id, action).await
         };
-        let transition = &self.net[id];
+        let (acted, cancelled) = match Abortable::new(acting, cancel).await {
+            Ok(acted) => (acted, false),
+            Err(Aborted) => (Err(HandlerError::new("cancelled by hand")), true),
+        };
+        let net = self.net();
+        let transition = &net[id];
         let tries = {
             let mut core = self.core.borrow_mut();
-            let failures = &mut core.failures[id.index()];
-            *failures = if acted.is_ok() { 0 } else { *failures + 1 };
-            *failures
+            core.acting.remove(&firing);
+            let failures = core.failures.get_mut(id.index());
+            failures.map_or(0, |failures| {
+                *failures = if acted.is_ok() { 0 } else { *failures + 1 };
+                *failures
+            })
         };
         if let Err(error) = &acted {
             notes
                 .borrow_mut()
                 .push(format!("{}: {error}", transition.name));
-            if transition.fail.is_none() {
+            if transition.fail.is_none() && !cancelled {
                 if tries >= MOST_TRIES {
                     self.halt(&format!(
                         "transition `{}` failed {tries} times: {error}",
                         transition.name
                     ));
                 } else {
-                    self.cx.sleep(FIRST_RETRY * (1 << (tries - 1))).await;
+                    let doublings = tries.saturating_sub(1);
+                    self.cx.sleep(FIRST_RETRY * (1 << doublings)).await;
                 }
             }
         }
@@ -57,7 +77,8 @@ impl<S: 'static> Engine<S> {
         self.advance(&cx);
     }
 
-    fn end(
+    /// The third phase of a firing.
+    pub(super) fn end(
         self: &Rc<Self>,
         cx: &Context,
         id: TransitionId,
@@ -69,6 +90,7 @@ impl<S: 'static> Engine<S> {
             Ok(()) => (EventPhase::Completed, String::new()),
             Err(error) => (EventPhase::Failed, error.to_string()),
         };
+        let on_tape = core.at_hand(id);
         let effects = match acted {
             Ok(()) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
@@ -82,13 +104,14 @@ impl<S: 'static> Engine<S> {
         };
         self.log(&mut core, cx, &phase);
         drop(core);
-        self.carry_out(cx, id, &remote, written);
+        self.carry_out(cx, id, &remote, written, on_tape);
         Ok(())
     }
 
     /// Runs a transition's action within its limit.
     async fn action(&self, id: TransitionId, action: Action<S>) -> Acted {
-        let transition = &self.net[id];
+        let net = self.net();
+        let transition = &net[id];
         let acting = async {
             match &transition.action {
                 Some(net::Action::Local { function, .. }) => match self.library.act(function) {
@@ -125,8 +148,15 @@ impl<S: 'static> Engine<S> {
         limit: Duration,
     ) -> Acted {
         let cx = &action.cx;
-        let info = cx.registry().command_of(cx.app(), task, command)?;
         let to = cx.task(task).await?;
+        let info = match cx.registry().command_of(cx.app(), task, command) {
+            Ok(info) => info,
+            // Of a net that is asked for one of its own commands.
+            Err(_) if is_net(cx, task) => {
+                return self.dispatch(action, &to, command, limit).await;
+            }
+            Err(finding) => return Err(finding.into()),
+        };
         // Fields that stand one after the other are how postcard encodes a structure.
         let mut request = Vec::new();
         for object in inputs {
@@ -141,4 +171,47 @@ impl<S: 'static> Engine<S> {
             ))),
         }
     }
+
+    /// Nested dispatch: puts a symbol on another net's tape, with the arguments of the command in progress.
+    /// The first of the answers that the other net declares for it completes the action; any other fails it.
+    async fn dispatch(
+        &self,
+        action: &Action<S>,
+        to: &TaskRef,
+        symbol: &str,
+        limit: Duration,
+    ) -> Acted {
+        let put = PutTape {
+            symbol: symbol.to_owned(),
+            arguments: action.arguments().to_vec(),
+        };
+        let answer = action.cx.call(to, put).deadline(limit).await;
+        let TapeAnswer {
+            symbol: answer,
+            text,
+            first,
+        } = answer.map_err(|error| HandlerError::new(error.reason()))?;
+        for line in text.lines() {
+            action.note(line);
+        }
+        if first {
+            return Ok(());
+        }
+        let net = to.name();
+        Err(HandlerError::new(format!(
+            "net `{net}` answered `{symbol}` with `{answer}`"
+        )))
+    }
+}
+
+/// What ends an action from outside.
+pub(super) fn cancellable() -> (AbortRegistration, AbortHandle) {
+    let (handle, registration) = AbortHandle::new_pair();
+    (registration, handle)
+}
+
+/// Whether a task takes what nets take.
+fn is_net(cx: &Context, task: &str) -> bool {
+    let task = cx.app().task(task);
+    task.is_some_and(|task| super::load::runs_net(task, cx.registry()))
 }

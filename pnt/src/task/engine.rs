@@ -1,63 +1,87 @@
 //! A net in its task: between the pure execution and the runtime's messages and children. Handler
 //! and children are on one processor and share it; nobody holds a borrow across a wait.
+//!
+//! Here is what comes in and how a net ends. Firing is in `firing.rs`, the second phase in `action.rs`,
+//! what must be stored before others see it in `durable.rs`, transfers to other nets in `carry.rs`.
 
 use std::{
     cell::RefCell,
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     rc::Rc,
     sync::Arc,
 };
 
 use ctos::{
     message::Replier,
+    mix,
     task::{Context, Handled, HandlerError},
 };
-use futures_util::future::try_join_all;
+use futures_util::future::AbortHandle;
 
 use super::{
-    journal::{Journal, Phase},
-    messages::{PutTape, Snapshot, TapeAnswer, Tokens},
+    carry::Carrying,
+    control::Manual,
+    durable::Durable,
+    journal::Journal,
+    messages::{Output, PutTape, Snapshot, TapeAnswer, Tokens, Transfer},
+    replace::Replacing,
+    settings::Settings,
+    transfers::Transfers,
 };
 use crate::{
-    exec::{Conflicts, Execution, FireError, Written},
-    library::{Acted, Action, CommandLine, DataStore, Library},
-    net::{Net, PlaceId, RemoteArc, TransitionId},
+    exec::{Conflicts, Execution, FireError, FiringId, OnTape, Race},
+    library::{DataStore, Library},
+    net::{Net, PlaceId, TransitionId},
+    store::Store,
     stream::{EventPhase, Happened, NetView, Source},
 };
 
-/// Firings without any action between them after which a net is taken to run in a circle.
-const MOST_AT_ONCE: u32 = 100_000;
-
 pub(super) struct Engine<S> {
     pub(super) cx: Context,
-    pub(super) net: Arc<Net>,
     pub(super) library: Library<S>,
-    data: Option<Rc<dyn DataStore>>,
+    pub(super) data: Option<Rc<dyn DataStore>>,
+    pub(super) settings: Settings,
     /// What displays and records are told of the net once.
-    pub(super) view: NetView,
+    pub(super) view: RefCell<NetView>,
     pub(super) core: RefCell<Core>,
+    /// What waits until the changes that led to it are stored.
+    pub(super) durable: Durable<S>,
 }
 
 pub(super) struct Core {
     pub(super) execution: Execution,
-    conflicts: Conflicts,
+    /// The clocks of timed transitions.
+    pub(super) race: Race,
+    /// When a child wakes up for the next of them, ns.
+    pub(super) alarm: Option<u64>,
+    pub(super) conflicts: Conflicts,
     pub(super) journal: Journal,
-    begun: bool,
-    halted: Option<String>,
+    pub(super) begun: bool,
+    pub(super) halted: Option<String>,
     /// Who waits for which command's answer.
-    waiting: BTreeMap<u64, Replier<PutTape>>,
+    pub(super) waiting: BTreeMap<u64, Replier<PutTape>>,
     /// The contexts in which those commands came: what is fired for one belongs to its trace.
-    commands: BTreeMap<u64, Context>,
+    pub(super) commands: BTreeMap<u64, Context>,
     /// What goes into the text of the next answer.
-    notes: Rc<RefCell<Vec<String>>>,
-    /// Tokens on their way, per net; present while a child carries them.
-    outboxes: BTreeMap<String, VecDeque<(Context, Tokens)>>,
-    /// Data objects, their places, and what their store was told last.
-    objects: BTreeMap<String, (Vec<PlaceId>, bool)>,
-    /// What their store must be told.
-    untold: Vec<(String, bool)>,
+    pub(super) notes: Rc<RefCell<Vec<String>>>,
+    /// What other nets get and got.
+    pub(super) transfers: Transfers,
+    pub(super) carrying: Carrying,
+    /// The output tape: answers that nobody was there to take.
+    pub(super) output: VecDeque<Output>,
+    pub(super) outputs: u64,
+    /// Data objects, their places, and what their store was told last, if anything.
+    pub(super) objects: BTreeMap<String, (Vec<PlaceId>, Option<bool>)>,
+    /// What their store must be told, with the change that it came with.
+    pub(super) untold: Vec<(u64, String, bool)>,
     /// Failures in a row, per transition.
     pub(super) failures: Vec<u32>,
+    /// Actions that are going on, to be cancelled.
+    pub(super) acting: BTreeMap<FiringId, AbortHandle>,
+    pub(super) manual: Manual,
+    pub(super) replacing: Option<Replacing>,
+    /// Counts the changes of all that is stored.
+    pub(super) changes: u64,
 }
 
 impl<S: 'static> Engine<S> {
@@ -67,17 +91,15 @@ impl<S: 'static> Engine<S> {
         library: Library<S>,
         conflicts: Conflicts,
         data: Option<Rc<dyn DataStore>>,
+        (settings, store): (Settings, Option<Arc<Store>>),
     ) -> Self {
         let net = Arc::new(net);
-        let mut objects: BTreeMap<String, (Vec<PlaceId>, bool)> = BTreeMap::new();
-        for place in net.places() {
-            if let (Some(object), Some(id)) = (&place.data, net.place(&place.name)) {
-                objects.entry(object.clone()).or_default().0.push(id);
-            }
-        }
+        let view = RefCell::new(NetView::new(&net));
+        let execution = Execution::new(Arc::clone(&net));
+        let race = Race::new(&execution, cx.rng("race"));
         Self {
+            view,
             core: RefCell::new(Core {
-                execution: Execution::new(Arc::clone(&net)),
                 conflicts,
                 journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),
                 begun: false,
@@ -85,23 +107,40 @@ impl<S: 'static> Engine<S> {
                 waiting: BTreeMap::new(),
                 commands: BTreeMap::new(),
                 notes: Rc::default(),
-                outboxes: BTreeMap::new(),
-                objects,
+                transfers: Transfers::new(new_stream(&cx)),
+                carrying: Carrying::default(),
+                output: VecDeque::new(),
+                outputs: 0,
+                objects: objects_of(&net, Some(false)),
                 untold: Vec::new(),
                 failures: vec![0; net.transitions().len()],
+                acting: BTreeMap::new(),
+                manual: Manual::default(),
+                replacing: None,
+                changes: 0,
+                race,
+                alarm: None,
+                execution,
             }),
             cx,
-            view: NetView::new(&net),
-            net,
             library,
             data,
+            settings,
+            durable: Durable::new(store),
         }
     }
 
+    /// The net as it is now.
+    pub(super) fn net(&self) -> Arc<Net> {
+        Arc::clone(self.core.borrow().execution.net())
+    }
+
     /// Nets that this one exchanges tokens with.
-    pub(super) fn partners(&self) -> Vec<String> {
-        let served = self.net.serves().iter().map(|side| side.net.as_str());
-        let nets = self.net.remote_nets().into_iter().chain(served);
+    pub(super) fn partners(&self) -> BTreeSet<String> {
+        let net = self.net();
+        let served = net.serves().iter().map(|side| side.net.as_str());
+        let forwarded = self.settings.forward.values().map(String::as_str);
+        let nets = net.remote_nets().into_iter().chain(served).chain(forwarded);
         nets.map(str::to_owned).collect()
     }
 
@@ -111,6 +150,7 @@ impl<S: 'static> Engine<S> {
     pub(super) fn begin(self: &Rc<Self>, cx: &Context) {
         self.core.borrow_mut().begun = true;
         self.published(&mut self.core.borrow_mut(), cx);
+        self.take_up_firings(cx);
         self.advance(cx);
     }
 
@@ -123,11 +163,10 @@ impl<S: 'static> Engine<S> {
         {
             let mut core = self.core.borrow_mut();
             if let Some(why) = &core.halted {
-                return reply.fail(format!(
-                    "net `{}` takes no commands: {why}",
-                    self.net.name()
-                ));
+                let name = core.execution.net().name();
+                return reply.fail(format!("net `{name}` takes no commands: {why}"));
             }
+            core.require_room(&request.symbol, self.settings.tape)?;
             let arguments = request.arguments.join(" ");
             let number = core
                 .execution
@@ -136,59 +175,93 @@ impl<S: 'static> Engine<S> {
             self.note(&mut core, cx, asked);
             core.waiting.insert(number, reply);
             core.commands.insert(number, cx.clone());
+            core.changed();
         }
         self.advance(cx);
         Ok(())
     }
 
-    pub(super) fn put_tokens(self: &Rc<Self>, cx: &Context, tokens: &Tokens) -> Handled {
-        {
+    pub(super) fn put_tokens(
+        self: &Rc<Self>,
+        cx: &Context,
+        message: Tokens,
+        reply: Replier<Tokens>,
+    ) -> Handled {
+        let taken = {
             let mut core = self.core.borrow_mut();
             if let Some(why) = &core.halted {
-                let text = format!("net `{}` takes no tokens: {why}", self.net.name());
+                let name = core.execution.net().name();
+                let text = format!("net `{name}` takes no tokens: {why}");
                 return Err(HandlerError::new(text));
             }
-            core.execution.put_all(&tokens.tokens)?;
-            let put = tokens.tokens.iter();
-            let put = put.filter_map(|(place, count)| Some((self.net.place(place)?, *count)));
-            let put = Happened::Tokens(EventPhase::Received, put.collect(), tokens.from.clone());
-            self.note(&mut core, cx, put);
-        }
+            let (taken, happened) = core.receive(message, self.settings.tape)?;
+            for what in happened {
+                self.note(&mut core, cx, what);
+            }
+            taken
+        };
+        self.when_stored(move |_| {
+            // Answering never fails; a sender that is gone asks again.
+            let _ = reply.ok(taken);
+        });
         self.advance(cx);
         Ok(())
+    }
+
+    /// Removes what its reader has from the output tape, and tells what is left.
+    pub(super) fn read_tape(self: &Rc<Self>, taken: u64) -> Vec<Output> {
+        let left = {
+            let mut core = self.core.borrow_mut();
+            let before = core.output.len();
+            core.output.retain(|output| output.number > taken);
+            if core.output.len() < before {
+                core.changed();
+            }
+            core.output.iter().cloned().collect()
+        };
+        self.store_changes();
+        left
     }
 
     pub(super) fn snapshot(&self) -> Snapshot {
         let core = self.core.borrow();
         let execution = &core.execution;
-        let names = self.net.places().iter().map(|place| place.name.clone());
-        let symbol = |on_tape: &crate::exec::OnTape| self.net[on_tape.command].symbol.clone();
+        let net = execution.net();
+        let names = net.places().iter().map(|place| place.name.clone());
+        let symbol = |on_tape: &OnTape| net[on_tape.command].symbol.clone();
+        let sending = core.transfers.waiting();
         Snapshot {
-            net: self.net.name().to_owned(),
+            net: net.name().to_owned(),
             places: names.zip(execution.marking().iter().copied()).collect(),
             in_action: execution
                 .running()
-                .map(|(_, id)| self.net[id].name.clone())
+                .map(|(_, id)| net[id].name.clone())
                 .collect(),
             tape: execution.tape().waiting().map(symbol).collect(),
             in_progress: execution.tape().current().map(symbol),
             halted: core.halted.clone(),
             firings: core.journal.ended(),
             events: core.journal.events(),
+            paused: core.manual.paused().map(str::to_owned),
+            output: core.output.iter().cloned().collect(),
+            sending: sending
+                .map(|(net, count)| (net.to_owned(), u32::try_from(count).unwrap_or(u32::MAX)))
+                .collect(),
+            breakpoints: core.manual.breakpoints(),
         }
     }
 
     /// Something went wrong: the net stops for good and tells everybody who waits for an answer.
     pub(super) fn halt(self: &Rc<Self>, why: &str) {
         if self.core.borrow().halted.is_none() {
-            tracing::error!(target: "pnt::net", net = self.net.name(), why, "net halted");
+            tracing::error!(target: "pnt::net", net = self.net().name(), why, "net halted");
             self.stop(why);
         }
     }
 
     /// The net fires no more; everybody who waits for an answer is told why.
     pub(super) fn stop(self: &Rc<Self>, why: &str) {
-        let waiting = {
+        let (name, waiting, replacing) = {
             let mut core = self.core.borrow_mut();
             if core.halted.is_some() {
                 return;
@@ -197,285 +270,181 @@ impl<S: 'static> Engine<S> {
             let stopped = Happened::Net(EventPhase::Stopped, why.to_owned());
             self.note(&mut core, &self.cx, stopped);
             core.commands.clear();
-            std::mem::take(&mut core.waiting)
+            let name = core.execution.net().name().to_owned();
+            let waiting = std::mem::take(&mut core.waiting);
+            (name, waiting, core.replacing.take())
         };
+        let text = format!("net `{name}` has stopped: {why}");
+        // Answering never fails; a caller that is gone needs no answer.
         for reply in waiting.into_values() {
-            // Answering never fails; a caller that is gone needs no answer.
-            let _ = reply.fail(format!("net `{}` has stopped: {why}", self.net.name()));
+            let _ = reply.fail(&text);
         }
-    }
-
-    // -- firing -----------------------------------------------------------------------------
-
-    /// Fires until nothing is enabled but what waits for actions, tokens or commands. All of it belongs
-    /// to the trace of `cx`: of the message that made it possible; what a command on the tape begins, to
-    /// that command's.
-    pub(super) fn advance(self: &Rc<Self>, cx: &Context) {
-        let mut cx = cx.clone();
-        let mut at_once = 0;
-        while let Some(id) = self.choose() {
-            let fired = if self.net[id].action.is_some() {
-                at_once = 0;
-                self.start(id, &mut cx)
-            } else {
-                at_once += 1;
-                self.fire(id, &mut cx)
-            };
-            if let Err(error) = fired {
-                self.halt(&error.to_string());
-            } else if at_once > MOST_AT_ONCE {
-                let name = &self.net[id].name;
-                self.halt(&format!(
-                    "transitions such as `{name}` fire in a circle without any action"
-                ));
-            }
+        if let Some(replacing) = replacing {
+            let _ = replacing.reply.fail(&text);
         }
-        self.tell_data(&cx);
-    }
-
-    fn choose(self: &Rc<Self>) -> Option<TransitionId> {
-        let mut unknown = None;
-        let chosen = {
-            let mut core = self.core.borrow_mut();
-            let Core {
-                execution,
-                conflicts,
-                begun,
-                halted,
-                ..
-            } = &mut *core;
-            if !*begun || halted.is_some() {
-                return None;
-            }
-            execution.choose(conflicts, |when| {
-                self.library.ask(&when.function).unwrap_or_else(|| {
-                    unknown = Some(when.function.clone());
-                    false
-                })
-            })
-        };
-        if let Some(function) = unknown {
-            self.halt(&format!(
-                "its library has no enabling function `{function}`"
-            ));
-            return None;
-        }
-        chosen
-    }
-
-    fn fire(self: &Rc<Self>, id: TransitionId, cx: &mut Context) -> Result<(), FireError> {
-        let mut core = self.core.borrow_mut();
-        let read = core
-            .execution
-            .tape()
-            .current()
-            .map(|on_tape| on_tape.number);
-        let effects = core.execution.fire(id)?;
-        let (remote, written) = (effects.remote.to_vec(), effects.written);
-        core.take_up(read, written.as_ref(), cx);
-        let phase = Phase {
-            transition: id,
-            firing: None,
-            phase: EventPhase::Fired,
-            text: "",
-        };
-        self.log(&mut core, cx, &phase);
-        drop(core);
-        self.carry_out(cx, id, &remote, written);
-        Ok(())
-    }
-
-    fn start(self: &Rc<Self>, id: TransitionId, cx: &mut Context) -> Result<(), FireError> {
-        let mut core = self.core.borrow_mut();
-        let read = core
-            .execution
-            .tape()
-            .current()
-            .map(|on_tape| on_tape.number);
-        let firing = core.execution.start(id)?;
-        core.take_up(read, None, cx);
-        let phase = Phase {
-            transition: id,
-            firing: Some(firing),
-            phase: EventPhase::Started,
-            text: "",
-        };
-        self.log(&mut core, cx, &phase);
-        let command = core.execution.tape().current().map(|on_tape| CommandLine {
-            symbol: self.net[on_tape.command].symbol.clone(),
-            arguments: on_tape.arguments.clone(),
-        });
-        let action = Action {
-            cx: cx.clone(),
-            state: Rc::clone(&self.library.state),
-            transition: self.net[id].name.as_str().into(),
-            data: self.data.clone(),
-            // Without a command there will be no answer that takes the notes away.
-            notes: match &command {
-                Some(_) => Rc::clone(&core.notes),
-                None => Rc::default(),
-            },
-            command,
-        };
-        drop(core);
-        let engine = Rc::clone(self);
-        self.cx
-            .spawn(async move { engine.act(id, firing, action).await });
-        Ok(())
-    }
-
-    pub(super) fn log(self: &Rc<Self>, core: &mut Core, cx: &Context, phase: &Phase) {
-        let Core {
-            journal, execution, ..
-        } = core;
-        journal.firing(cx.now(), cx.trace(), execution, phase);
-        self.published(core, cx);
-        core.note_validity(&self.net);
-    }
-
-    /// Hands out what a firing leaves to be done.
-    pub(super) fn carry_out(
-        self: &Rc<Self>,
-        cx: &Context,
-        id: TransitionId,
-        remote: &[RemoteArc],
-        written: Option<Written>,
-    ) {
-        self.post(cx, remote);
-        match written {
-            None => {}
-            Some(Written::Answer { command, symbol }) => {
-                let mut core = self.core.borrow_mut();
-                let text = core.notes.take().join("\n");
-                let reply = core.waiting.remove(&command);
-                core.commands.remove(&command);
-                drop(core);
-                if let Some(reply) = reply {
-                    // Answering never fails; a caller that is gone needs no answer.
-                    let _ = reply.ok(TapeAnswer { symbol, text });
-                }
-            }
-            Some(Written::Unasked { symbol }) => {
-                let name = &self.net[id].name;
-                self.halt(&format!(
-                    "transition `{name}` wrote `{symbol}`, and no command waits for it"
-                ));
-            }
-        }
-    }
-
-    // -- tokens for other nets --------------------------------------------------------------
-
-    /// Puts tokens into the outboxes of their nets: one message for each net, so that tokens of one
-    /// firing arrive together. One child per net carries them, in order.
-    fn post(self: &Rc<Self>, cx: &Context, remote: &[RemoteArc]) {
-        let mut per_net: BTreeMap<&str, Vec<(String, u32)>> = BTreeMap::new();
-        for arc in remote {
-            let tokens = per_net.entry(&arc.net).or_default();
-            tokens.push((arc.place.clone(), arc.weight));
-        }
-        let mut core = self.core.borrow_mut();
-        for (net, tokens) in per_net {
-            let message = Tokens {
-                from: self.net.name().to_owned(),
-                tokens,
-            };
-            if let Some(outbox) = core.outboxes.get_mut(net) {
-                outbox.push_back((cx.clone(), message));
-                continue;
-            }
-            core.outboxes
-                .insert(net.to_owned(), VecDeque::from([(cx.clone(), message)]));
-            let engine = Rc::clone(self);
-            let net = net.to_owned();
-            self.cx.spawn(async move { engine.carry(net).await });
-        }
-    }
-
-    /// Carries tokens to one net until its outbox is empty.
-    async fn carry(self: Rc<Self>, net: String) {
-        loop {
-            let next = {
-                let mut core = self.core.borrow_mut();
-                let next = core.outboxes.get_mut(&net).and_then(VecDeque::pop_front);
-                if next.is_none() {
-                    core.outboxes.remove(&net);
-                }
-                next
-            };
-            let Some((cx, tokens)) = next else { return };
-            if let Err(error) = deliver(&cx, &net, tokens).await {
-                self.halt(&format!(
-                    "a token could not be carried to net `{net}`: {error}"
-                ));
-                return;
-            }
-        }
-    }
-
-    // -- data objects -----------------------------------------------------------------------
-
-    /// Tells the store of data objects what became valid and invalid, beside whatever goes on.
-    fn tell_data(self: &Rc<Self>, cx: &Context) {
-        if self.data.is_some() && !self.core.borrow().untold.is_empty() {
-            let (engine, cx) = (Rc::clone(self), cx.clone());
-            self.cx.spawn(async move {
-                if let Err(error) = engine.told(&cx).await {
-                    engine.halt(&format!(
-                        "the store of data objects could not be told: {error}"
-                    ));
-                }
-            });
-        }
-    }
-
-    /// Ends when the store knows all that was untold. All of it is sent at once, before anything that
-    /// the caller sends after this.
-    pub(super) async fn told(&self, cx: &Context) -> Acted {
-        let untold = std::mem::take(&mut self.core.borrow_mut().untold);
-        let Some(store) = &self.data else {
-            return Ok(());
-        };
-        let tell = untold
-            .iter()
-            .map(|(object, valid)| store.validity(cx, object, *valid));
-        try_join_all(tell).await?;
-        Ok(())
     }
 }
 
-async fn deliver(cx: &Context, net: &str, tokens: Tokens) -> Acted {
-    let to = cx.task(net).await?;
-    Ok(cx.call(&to, tokens).await?)
+/// A number that no other life of a net has used: of this task, in this process, at this moment.
+pub(super) fn new_stream(cx: &Context) -> u64 {
+    let started = cx.chassis().clock().origin_ns().unwrap_or(0);
+    let (tid, now) = (cx.tid().to_string(), cx.now().as_nanos().to_string());
+    mix(started, &[cx.name(), &tid, &now])
+}
+
+/// The data objects of a net with their places.
+pub(super) fn objects_of(
+    net: &Net,
+    told: Option<bool>,
+) -> BTreeMap<String, (Vec<PlaceId>, Option<bool>)> {
+    let mut objects: BTreeMap<String, (Vec<PlaceId>, Option<bool>)> = BTreeMap::new();
+    for (place, id) in net.places().iter().zip((0..).map(PlaceId)) {
+        if let Some(object) = &place.data {
+            let entry = objects.entry(object.clone());
+            entry.or_insert_with(|| (Vec::new(), told)).0.push(id);
+        }
+    }
+    objects
 }
 
 impl Core {
-    /// A firing that has read a command from the tape, where `read` was the command before, belongs to
-    /// what that command began. One that reads and answers in one step has read what it answers.
-    fn take_up(&self, read: Option<u64>, written: Option<&Written>, cx: &mut Context) {
-        let now = match (self.execution.tape().current(), written) {
-            (Some(on_tape), _) => Some(on_tape.number),
-            (None, Some(Written::Answer { command, .. })) => Some(*command),
-            _ => None,
-        };
-        let begun = now.filter(|now| read != Some(*now));
-        if let Some(of_command) = begun.and_then(|number| self.commands.get(&number)) {
-            *cx = of_command.clone();
+    /// Something has changed that must be stored before others see what follows from it.
+    pub(super) fn changed(&mut self) {
+        self.changes += 1;
+        self.note_validity();
+        self.manual.watch_places(&self.execution);
+    }
+
+    /// Whether the tapes have room for a command that some transition may read one day.
+    pub(super) fn require_room(&self, symbol: &str, room: usize) -> Handled {
+        let net = self.execution.net();
+        let read = |command| net.transitions().iter().any(|t| t.tape == Some(command));
+        if let Some(command) = net.command(symbol)
+            && !read(command)
+        {
+            let readable = net.transitions().iter().filter_map(|t| t.tape);
+            let readable: BTreeSet<&str> = readable.map(|id| net[id].symbol.as_str()).collect();
+            let readable: Vec<&str> = readable.into_iter().collect();
+            return Err(HandlerError::new(format!(
+                "no transition of net `{}` ever reads `{symbol}`; it reads: {}",
+                net.name(),
+                readable.join(", ")
+            )));
         }
+        let waiting = self.execution.tape().waiting().count();
+        if waiting >= room {
+            return Err(HandlerError::new(format!(
+                "the input tape of net `{}` is full: {waiting} commands wait on it; put `{symbol}` when some are done, or give the task a longer `tape`",
+                net.name()
+            )));
+        }
+        if self.output.len() >= room {
+            return Err(HandlerError::new(format!(
+                "the output tape of net `{}` is full: {} answers wait on it to be read (`read_tape`)",
+                net.name(),
+                self.output.len()
+            )));
+        }
+        Ok(())
+    }
+
+    /// Takes what of a message is new; the number of the last transfer that is taken. A transfer for which
+    /// there is no room now is left, with those after it, for the sender to send again.
+    fn receive(
+        &mut self,
+        message: Tokens,
+        room: usize,
+    ) -> Result<(u64, Vec<Happened>), HandlerError> {
+        let Tokens {
+            from,
+            stream,
+            first,
+            transfers,
+        } = message;
+        let known = self.transfers.known(&from, stream, first)?;
+        let mut last = (first + known).saturating_sub(1);
+        let skipped = usize::try_from(known).unwrap_or(usize::MAX);
+        let mut happened = Vec::new();
+        for transfer in transfers.into_iter().skip(skipped) {
+            let what = self.happening(&transfer, &from);
+            match self.take_in(transfer, room) {
+                Ok(true) => happened.extend(what),
+                Ok(false) => break,
+                // What came before it is taken; it comes again first in its message and is refused then.
+                Err(_) if last >= first => break,
+                Err(error) => return Err(error.into()),
+            }
+            last += 1;
+            self.transfers.take(&from, stream, last);
+            self.changed();
+        }
+        Ok((last, happened))
+    }
+
+    /// How displays see a transfer.
+    fn happening(&self, transfer: &Transfer, from: &str) -> Vec<Happened> {
+        let net = self.execution.net();
+        let asked = transfer.symbol.iter();
+        let asked = asked.map(|(symbol, with)| Happened::Asked(symbol.clone(), with.join(" ")));
+        let put = transfer.tokens.iter();
+        let put = put.filter_map(|(place, count)| Some((net.place(place)?, *count)));
+        let put: Vec<_> = put.collect();
+        let tokens =
+            (!put.is_empty()).then(|| Happened::Tokens(EventPhase::Received, put, from.to_owned()));
+        asked.chain(tokens).collect()
+    }
+
+    /// Puts one transfer, all or nothing; false when a tape has no room for it.
+    fn take_in(&mut self, transfer: Transfer, room: usize) -> Result<bool, FireError> {
+        if let Some((symbol, arguments)) = transfer.symbol {
+            let accepted = self.execution.net().command(&symbol).is_some();
+            if accepted && self.require_room(&symbol, room).is_err() {
+                return Ok(false);
+            }
+            self.execution.put_symbol(&symbol, arguments)?;
+        }
+        self.execution.put_all(&transfer.tokens)?;
+        Ok(true)
+    }
+
+    /// A command has its answer: to who waits for it, or else to the output tape.
+    pub(super) fn answer(
+        &mut self,
+        on_tape: &OnTape,
+        symbol: String,
+    ) -> Option<(Replier<PutTape>, TapeAnswer)> {
+        let text = self.notes.take().join("\n");
+        let declared = &self.execution.net()[on_tape.command].answers;
+        let first = declared.first() == Some(&symbol);
+        let answer = TapeAnswer {
+            symbol,
+            text,
+            first,
+        };
+        self.commands.remove(&on_tape.number);
+        let waiting = self.waiting.remove(&on_tape.number);
+        if let Some(reply) = waiting.filter(|reply| !reply.is_abandoned()) {
+            return Some((reply, answer));
+        }
+        self.outputs += 1;
+        self.output.push_back(Output {
+            number: self.outputs,
+            command: self.execution.net()[on_tape.command].symbol.clone(),
+            arguments: on_tape.arguments.clone(),
+            answer,
+        });
+        None
     }
 
     /// Notes data objects whose validity has changed. An object is valid while its place is marked,
     /// and while an action goes on that took the token.
-    fn note_validity(&mut self, net: &Net) {
+    fn note_validity(&mut self) {
         if self.objects.is_empty() {
             return;
         }
-        let mut valid: Vec<bool> = self
-            .execution
-            .marking()
-            .iter()
-            .map(|tokens| *tokens > 0)
-            .collect();
+        let net = self.execution.net();
+        let marking = self.execution.marking().iter();
+        let mut valid: Vec<bool> = marking.map(|tokens| *tokens > 0).collect();
         for (_, id) in self.execution.running() {
             for arc in &net[id].inputs {
                 valid[arc.place.index()] = true;
@@ -483,10 +452,15 @@ impl Core {
         }
         for (object, (places, told)) in &mut self.objects {
             let now = places.iter().any(|place| valid[place.index()]);
-            if now != *told {
-                *told = now;
-                self.untold.push((object.clone(), now));
+            if *told != Some(now) {
+                *told = Some(now);
+                self.untold.push((self.changes, object.clone(), now));
             }
         }
+    }
+
+    /// The name of a transition.
+    pub(super) fn name_of(&self, id: TransitionId) -> &str {
+        &self.execution.net()[id].name
     }
 }

@@ -12,6 +12,14 @@ use crate::{
 /// Events of a [`Snapshot`](super::Snapshot).
 const SHOWN: usize = 256;
 
+/// What happens to a net as a whole and is shown.
+const OF_THE_NET: [EventPhase; 4] = [
+    EventPhase::Ordered,
+    EventPhase::Paused,
+    EventPhase::Resumed,
+    EventPhase::Stopped,
+];
+
 /// One phase of a firing.
 pub(super) struct Phase<'p> {
     pub(super) transition: TransitionId,
@@ -77,7 +85,7 @@ impl Journal {
     /// The latest firings and the end of the net, oldest first.
     pub(super) fn events(&self) -> Vec<FiringEvent> {
         let shown =
-            |event: &Event| !event.transition.is_empty() || event.phase == EventPhase::Stopped;
+            |event: &Event| !event.transition.is_empty() || OF_THE_NET.contains(&event.phase);
         let short = |event: Event| FiringEvent {
             at_ns: event.at_ns,
             transition: event.transition,

@@ -8,6 +8,7 @@ use ctos::{
     registry::Registry,
 };
 
+use super::settings::{self, settings};
 use crate::{
     check::{self, FunctionNames, Limits, Report},
     compile,
@@ -16,49 +17,6 @@ use crate::{
     stream::NetView,
     task::COMMANDS,
 };
-
-/// What every net task reads from its arguments; a library may want more keys.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Settings {
-    /// `net`: the net's file, relative to the configuration's folder.
-    pub net: String,
-    /// `conflicts = "random"`: whether conflicts of equal priority are decided by chance.
-    pub random: bool,
-}
-
-/// Reads the keys `net` and `conflicts` (`"declared"`, which is the default, or `"random"`) of a
-/// task's arguments.
-///
-/// # Errors
-/// A finding at the key that is missing or wrong.
-pub fn settings(task: &TaskConfig) -> Result<Settings, Finding> {
-    let at = |finding: Finding, key: &str| {
-        let place = task.args.get(key).and_then(|node| node.place().cloned());
-        finding.at(place.unwrap_or_else(|| task.place.clone()))
-    };
-    let net = task
-        .args
-        .get("net")
-        .and_then(|node| node.as_str())
-        .ok_or_else(|| {
-            let text = format!("task `{}` runs a net and does not say which", task.name);
-            at(Finding::error("pnt::task::no_net", text), "net")
-                .help("add `net = \"FILE.net\"` to its arguments")
-        })?;
-    let random = match task.args.get("conflicts").map(|node| node.as_str()) {
-        None | Some(Some("declared")) => false,
-        Some(Some("random")) => true,
-        Some(_) => {
-            let text = format!("task `{}` has an unknown rule for conflicts", task.name);
-            let finding = Finding::error("pnt::task::conflicts", text);
-            return Err(at(finding, "conflicts").help("write \"declared\" or \"random\""));
-        }
-    };
-    Ok(Settings {
-        net: net.to_owned(),
-        random,
-    })
-}
 
 /// Reads one net.
 ///
@@ -95,24 +53,23 @@ pub fn check_args(
             check::functions(&net, functions, findings);
             check_layout(&net, task, app, findings);
             if net.name() != task.name {
-                findings.push(
-                    Finding::error(
-                        "pnt::task::name",
-                        format!(
-                            "task `{}` runs net `{}`; the names must be the same",
-                            task.name,
-                            net.name()
-                        ),
-                    )
-                    .at(task.place.clone())
-                    .help(
-                        "rename one of them: other nets find this one's places by the task's name",
-                    ),
-                );
+                let finding = wrong_name(&task.name, net.name());
+                findings.push(finding.at(task.place.clone()));
+            }
+            if let Ok(read) = settings(task) {
+                let other = |name: &str| net_of(app.task(name)?, app).ok();
+                settings::check(task, (&net, &read), other, app, findings);
             }
         }
         Err(found) => findings.extend(found),
     }
+}
+
+/// A net whose task is called otherwise.
+pub(super) fn wrong_name(task: &str, net: &str) -> Finding {
+    let text = format!("task `{task}` runs net `{net}`; the names must be the same");
+    Finding::error("pnt::task::name", text)
+        .help("rename one of them: other nets find this one's places by the task's name")
 }
 
 /// What is wrong with a layout file stops nothing: a net runs without it.
@@ -144,7 +101,7 @@ pub fn check_nets(registry: &mut Registry) {
 }
 
 /// Whether the handler of `task` runs a net: it takes what nets take.
-fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
+pub(super) fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
     registry.kind(&task.handler).is_some_and(|kind| {
         COMMANDS
             .iter()
@@ -176,23 +133,50 @@ pub fn check_app(
     limits: &Limits,
     findings: &mut Findings,
 ) -> Option<Report> {
-    let nets = nets(app, registry).ok().filter(|nets| !nets.is_empty())?;
+    check_app_with(app, registry, limits, None, findings)
+}
+
+/// [`check_app`] with another net in the place of the one that the app has under its name.
+pub(super) fn check_app_with(
+    app: &App,
+    registry: &Registry,
+    limits: &Limits,
+    instead: Option<&Net>,
+    findings: &mut Findings,
+) -> Option<Report> {
+    let mut nets = nets(app, registry).ok().filter(|nets| !nets.is_empty())?;
+    if let Some(instead) = instead {
+        for net in nets.iter_mut().filter(|net| net.name() == instead.name()) {
+            *net = Arc::new(instead.clone());
+        }
+    }
     for net in &nets {
-        check_messages(net, app, registry, findings);
+        check_messages(net, &nets, (app, registry), findings);
     }
     let (report, found) = check::check(&nets, limits);
     findings.extend(found);
     Some(report)
 }
 
-/// Every message action must go to a task that takes the command.
-fn check_messages(net: &Net, app: &App, registry: &Registry, findings: &mut Findings) {
+/// Every message action must go to a task that takes the command, or to a net that reads the symbol.
+fn check_messages(
+    net: &Net,
+    nets: &[Arc<Net>],
+    (app, registry): (&App, &Registry),
+    findings: &mut Findings,
+) {
     for transition in net.transitions() {
-        if let Some(Action::Message {
+        let Some(Action::Message {
             task, command, at, ..
         }) = &transition.action
-            && let Err(finding) = registry.command_of(app, task, command)
-        {
+        else {
+            continue;
+        };
+        let other = nets.iter().find(|other| other.name() == task);
+        if other.is_some_and(|other| other.command(command).is_some()) {
+            continue;
+        }
+        if let Err(finding) = registry.command_of(app, task, command) {
             findings.push(finding.at(at.clone()));
         }
     }

@@ -38,14 +38,14 @@ impl<S: 'static> Engine<S> {
         if cx.is_recording() {
             if core.journal.lacks_whole(cx.recorders()) {
                 let state = core.journal.stream.state(cx.now(), &core.execution);
-                let whole = Whole {
-                    view: &self.view,
-                    state,
-                };
-                cx.record(&format!("/net/{}", self.net.name()), &whole);
+                let view = self.view.borrow();
+                let name = core.execution.net().name();
+                let whole = Whole { view: &view, state };
+                cx.record(&format!("/net/{name}"), &whole);
             }
             if let Some(event) = core.journal.stream.last() {
-                cx.record(&format!("/firing/{}", self.net.name()), &event);
+                let name = core.execution.net().name();
+                cx.record(&format!("/firing/{name}"), &event);
             }
         }
         if let Some(at) = core.journal.stream.call(cx.now()) {

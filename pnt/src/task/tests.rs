@@ -1,5 +1,8 @@
 //! Whole apps of nets in virtual time, over several chassis.
 
+mod by_hand;
+mod survival;
+
 use std::{cell::RefCell, sync::Arc, time::Duration};
 
 use ctos::{
@@ -9,6 +12,8 @@ use ctos::{
     registry::Registry,
     system::AppResult,
 };
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::{
