@@ -39,7 +39,7 @@ use crate::{
     stream::{Describe, Follow},
 };
 use engine::Engine;
-pub use load::{check_app, check_args, check_nets, load, nets};
+pub use load::{check_app, check_args, check_nets, load, net_tasks, nets};
 pub use messages::{
     Control, FiringEvent, Marking, Order, Output, PutTape, ReadTape, Snapshot, TapeAnswer, Tokens,
     Transfer,

@@ -3,6 +3,7 @@
 pub mod check;
 pub mod control;
 pub mod convert;
+pub mod draw;
 pub mod fmt;
 pub mod lsp;
 pub mod perf;
@@ -56,6 +57,11 @@ pub enum NetCommand {
     Tape(control::TapeArgs),
     /// Show the marking of a running net
     Marking(control::NetTaskArgs),
+    /// Draw a net, or a moment of a recorded one
+    ///
+    /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
+    /// what these do not name is arranged by rule.
+    Draw(draw::DrawArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
     /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
@@ -84,6 +90,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Replace(args) => control::replace(args),
         NetCommand::Tape(args) => control::tape(args),
         NetCommand::Marking(args) => control::marking(args),
+        NetCommand::Draw(args) => draw::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry),
         NetCommand::Perf(args) => perf::run(args),
