@@ -12,6 +12,7 @@ pub mod keys;
 pub mod log;
 pub mod logs;
 pub mod move_task;
+pub mod net;
 pub mod new;
 pub mod ps;
 pub mod record;
@@ -86,6 +87,8 @@ pub enum Command {
     Doctor(doctor::DoctorArgs),
     /// Tell what a finding means and what to do about it
     Explain(explain::ExplainArgs),
+    /// Check nets, and other tools of whoever writes them
+    Net(net::NetArgs),
     /// Write a small app of your own: handlers, configuration, test
     ///
     /// The folder must not be there yet. Its last part is the name of the app: letters, digits, `-` and `_`,
@@ -176,6 +179,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Config(args) => config::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
+        Command::Net(args) => net::run(&args, &registry),
         Command::New(args) => new::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Log(args) => log::run(&args),

@@ -7,6 +7,7 @@
 pub mod commands;
 pub mod exit;
 pub mod log;
+pub mod panel;
 pub mod program;
 pub mod scott;
 pub mod show;

@@ -90,9 +90,14 @@ pub fn findings_up_to(findings: Findings, most: usize) {
     let sorted = findings.into_sorted();
     for finding in sorted.iter().take(most) {
         let mut text = String::new();
-        match handler.render_report(&mut text, &Drawn::new(finding)) {
-            Ok(()) => say(text.trim_end_matches('\n')),
-            Err(_) => say(&finding.to_string()),
+        let drawn = is_drawn(finding) && {
+            let drawn = Drawn::new(finding);
+            handler.render_report(&mut text, &drawn).is_ok()
+        };
+        if drawn {
+            say(text.trim_end_matches('\n'));
+        } else {
+            say(&finding.to_string());
         }
     }
     let hidden = sorted.len().saturating_sub(most);
@@ -104,6 +109,23 @@ pub fn findings_up_to(findings: Findings, most: usize) {
     if let Some(first) = sorted.first() {
         say(&format!("`ctos explain {}` tells more", first.code));
     }
+}
+
+/// Whether the lines around a finding's place are short enough to be shown.
+fn is_drawn(finding: &Finding) -> bool {
+    const LONGEST_TEXT: usize = 1 << 20;
+    const LONGEST_LINE: usize = 1000;
+    let Some(place) = &finding.place else {
+        return true;
+    };
+    let text = place.source.text();
+    let middle = place.range.start.min(text.len());
+    let from = middle.saturating_sub(LONGEST_LINE);
+    let to = (middle + LONGEST_LINE).min(text.len());
+    let around = text.as_bytes().get(from..to).unwrap_or_default();
+    // A window without any line end in a text that goes on beyond it is one long line.
+    let long = to - from > LONGEST_LINE && !around.contains(&b'\n');
+    text.len() <= LONGEST_TEXT && !long
 }
 
 /// A finding as miette draws it.

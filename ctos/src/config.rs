@@ -22,6 +22,7 @@ mod links;
 mod load;
 mod node;
 mod observe;
+mod policies;
 mod profiles;
 mod schema;
 mod shown;

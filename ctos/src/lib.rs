@@ -36,6 +36,7 @@ pub mod survey;
 pub mod sync;
 pub mod system;
 pub mod task;
+pub mod text;
 pub mod time;
 pub mod watch;
 

@@ -166,4 +166,11 @@ impl Context {
     pub fn is_recording(&self) -> bool {
         self.chassis().tap.is_recording()
     }
+
+    /// How many recorders have come to this chassis so far, those that are gone included: who records
+    /// changes only can see that a newcomer lacks the whole.
+    #[must_use]
+    pub fn recorders(&self) -> u64 {
+        self.chassis().tap.came()
+    }
 }

@@ -77,6 +77,27 @@ pub struct StatusReport {
     pub missed: u64,
 }
 
+/// The control parameters of the manipulator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ControlReport {
+    /// The control law.
+    pub law: String,
+    /// Natural frequency of the position loop, Hz.
+    pub bandwidth_hz: f64,
+    /// Damping ratio of the position loop.
+    pub damping: f64,
+    /// A joint this far from its setpoint is an emergency, rad.
+    pub following_error_rad: f64,
+}
+
+impl ControlReport {
+    /// Bandwidth (Hz), damping ratio, and the following error that is an emergency (rad).
+    #[must_use]
+    pub fn numbers(&self) -> [f64; 3] {
+        [self.bandwidth_hz, self.damping, self.following_error_rad]
+    }
+}
+
 ctos::command! {
     /// Reserves the manipulator for the calling task and switches its power on.
     #[derive(Debug, Clone, PartialEq)]
@@ -139,4 +160,19 @@ ctos::command! {
     /// Leaves the estopped state; the manipulator must then be acquired anew.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Reset => State, 0x0309, "reset"
+}
+ctos::command! {
+    /// Tells the control parameters.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ReadControl => ControlReport, 0x030a, "read_control"
+}
+ctos::command! {
+    /// Sets the control parameters, until the servo's task is built anew. Refused while the arm is on its way.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SetControl {
+        /// Natural frequency of the position loop, Hz.
+        pub bandwidth_hz: f64,
+        /// Damping ratio of the position loop.
+        pub damping: f64,
+    } => ControlReport, 0x030b, "set_control"
 }

@@ -19,6 +19,12 @@ pub trait ControlLaw: Send {
     /// Forgets the past: called when the brakes are about to be released, with the arm at rest.
     fn reset(&mut self, readings: &[SlotReading]);
 
+    /// Takes other parameters: the position loop's natural frequency (Hz) and damping ratio. Called between two
+    /// periods; must neither allocate, lock nor wait. A law without such parameters stays as it is.
+    fn tune(&mut self, bandwidth: f64, damping: f64) {
+        let _ = (bandwidth, damping);
+    }
+
     /// Computes one torque per slot into `out` (N m, N for a linear axis) from the setpoint and the
     /// readings of the same instant. The servo limits the torques afterwards; a law that
     /// integrates should know the limits itself. `period` is the servo period.

@@ -1,15 +1,22 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
-//! The classes here need no running app: they compute. Their texts and numbers are a fixed interface
+//! `kin` and `dyn` need no running app: they compute. `mvpos` and `pino` drive the arm of the app, or where there is no
+//! app one that the process holds for itself. Their texts and numbers are a fixed interface
 //! that other programs lean on: SI units, rad, matrices row by row, the base frame on the floor
 //! under joint 1 and frame 6 as the DH table has it.
 
 mod dynamics;
 mod kinematics;
+mod local;
+mod mvpos;
+mod pino;
 
 use sorma::{Class, ClassInfo, Outcome, Sorm, Transport};
 
 use crate::arm::{ArmModel, Joints};
+use local::SharedArm;
+use mvpos::MvPos;
+use pino::Pino;
 
 /// Version of the classes.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -30,6 +37,9 @@ sorma::prototypes! {
             "write base_T_6 row by row: rotation and position in m, last row 0 0 0 1";
         TOO_LARGE = 124, Error, "the numbers are too large to compute with",
             "check the units: rad, rad/s, rad/s^2";
+        NO_POSITION = 125, Error, "no position of this name, or none of a flavor's own",
+            "`dict CTRL -add position.NAME 'q1 .. q6'` names one, rad; -to gives a flavor its own";
+        MOTION = 126, Error, "the motion cannot be made", "the text says what is in the way, and where";
     }
 }
 
@@ -37,6 +47,11 @@ sorma::prototypes! {
 pub const DICTIONARY: &str = "\
 kin.puma560 -arm puma560
 dyn.puma560 -arm puma560
+mvpos -speed 0.3
+mvpos.home -SUBST mvpos -to 0 0.7853981633974483 -3.141592653589793 0 0.7853981633974483 0
+position.home 0 0.7853981633974483 -3.141592653589793 0 0.7853981633974483 0
+position.ready 0 1.5707963267948966 -1.5707963267948966 0 0 0
+position.side 1.5707963267948966 0.7853981633974483 -3.141592653589793 0 0.7853981633974483 0
 ";
 
 /// Makes the classes known to a manager.
@@ -47,8 +62,16 @@ pub fn register(sorm: &Sorm) {
     let dynamics = Class::new("dyn", VERSION, |_, _| {
         Ok(Box::new(dynamics::Dynamics::default()))
     });
-    for class in [kin, dynamics] {
-        sorm.register(class.codes(code::PROTOTYPES));
+    let arm = SharedArm::new();
+    let own = arm.clone();
+    let mvpos = Class::new("mvpos", VERSION, move |_, _| Ok(Box::new(MvPos::new(&own))));
+    let pino = Class::new("pino", VERSION, move |_, _| Ok(Box::new(Pino::new(&arm))));
+    // A flavor of one's own has options of one's own.
+    let mvpos = mvpos.waits().any_flavor();
+    let pino = pino.waits().any_flavor();
+    let all = [kin, dynamics, mvpos, pino];
+    for (class, info) in all.into_iter().zip(classes()) {
+        sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
 }
 
@@ -58,6 +81,8 @@ pub fn classes() -> Vec<ClassInfo> {
     vec![
         kinematics::TABLE.class("kin", VERSION),
         dynamics::TABLE.class("dyn", VERSION),
+        mvpos::TABLE.class("mvpos", VERSION),
+        pino::TABLE.class("pino", VERSION),
     ]
 }
 

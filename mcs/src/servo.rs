@@ -222,12 +222,17 @@ impl Servo {
             ServoCommand::Move { id, segment } => self.begin(id, segment),
             ServoCommand::Stop => self.stop(),
             ServoCommand::EmergencyStop => self.fail(Fault::EmergencyStop),
+            // While it follows a segment a leap of the torques would show in the path.
+            ServoCommand::Tune { bandwidth, damping } if self.motion.is_none() => {
+                self.law.tune(bandwidth, damping);
+            }
             ServoCommand::Reset if faulted => self.status.fault = None,
             // Power already as ordered, or an order that this state does not allow: the status
             // shows the state that holds, and the state manager is who decides.
             ServoCommand::PowerOn
             | ServoCommand::ReleaseBrakes
             | ServoCommand::EngageBrakes
+            | ServoCommand::Tune { .. }
             | ServoCommand::Reset => {}
         }
     }

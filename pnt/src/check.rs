@@ -63,7 +63,7 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
                 &names.enabling,
             );
         }
-        if let Some(Action::Local { function, at }) = &transition.action {
+        if let Some(Action::Local { function, at, .. }) = &transition.action {
             unknown("local function", function, at, &names.actions);
         }
     }

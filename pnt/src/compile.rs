@@ -3,26 +3,88 @@
 
 mod structures;
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 
 use crate::{
     draft::{Draft, DraftAction, DraftArc, DraftCoordinator, Word},
+    format::enough,
     net::{
         Action, Arc, Command, CommandId, Net, Outputs, Part, Partner, Place, PlaceId, RemoteArc,
-        Role, Transition, When,
+        Role, Servers, Transition, When,
     },
     text,
 };
 use structures::Expanded;
 
-/// Parses and compiles one net.
+/// Parses and compiles one net that includes no files.
 ///
 /// # Errors
 /// All findings of the parser, or else all of the compiler.
 pub fn net(source: &Source) -> Result<Net, Findings> {
-    compile(&text::parse(source)?)
+    runnable(&text::parse(source)?)
+}
+
+/// The same for a net that may include files, whose texts `include` gives.
+///
+/// # Errors
+/// All findings of the parser, or else all of the compiler.
+pub fn net_with(source: &Source, include: text::Include<'_>) -> Result<Net, Findings> {
+    runnable(&text::parse_with(source, include)?)
+}
+
+/// Compiles a net that is to be run, which must not fire for ever.
+fn runnable(draft: &Draft) -> Result<Net, Findings> {
+    let net = compile(draft)?;
+    let mut findings = endless(&net);
+    findings.extend(without_transitions(&net));
+    if findings.has_errors() {
+        Err(findings)
+    } else {
+        Ok(net)
+    }
+}
+
+/// A finding when the net has no transitions: it does nothing, and was hardly meant so.
+#[must_use]
+pub fn without_transitions(net: &Net) -> Findings {
+    let mut findings = Findings::new();
+    if net.transitions().is_empty() {
+        let text = format!("net `{}` has no transition", net.name());
+        findings.push(
+            Finding::error("pnt::net::no_transitions", text)
+                .at(net.at().clone())
+                .help("a net without transitions does nothing; was the file cut off?"),
+        );
+    }
+    findings
+}
+
+/// Transitions that would fire for ever. A net to be analysed may have them; it is then unbounded.
+#[must_use]
+pub fn endless(net: &Net) -> Findings {
+    let mut findings = Findings::new();
+    for transition in net.transitions() {
+        let source = transition.inputs.is_empty() && transition.tape.is_none();
+        if source && transition.timing.is_immediate() {
+            findings.push(
+                Finding::error(
+                    "pnt::net::no_input",
+                    format!(
+                        "transition `{}` takes nothing and would fire for ever",
+                        transition.name
+                    ),
+                )
+                .at(transition.at.clone())
+                .help("give it an `in` place, a `tape` symbol or a `time`"),
+            );
+        }
+    }
+    findings
 }
 
 /// Compiles a draft.
@@ -42,8 +104,9 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
     let transitions = expanded
         .transitions
         .iter()
-        .map(|part| compiler.transition(part))
+        .map_while(|part| (!enough(&compiler.findings)).then(|| compiler.transition(part)))
         .collect();
+    let safe = draft.safe.iter().map(|arcs| compiler.arcs(arcs)).collect();
     if compiler.findings.has_errors() {
         return Err(compiler.findings);
     }
@@ -57,6 +120,7 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
             .map(|(place, role)| Place {
                 name: place.name.text,
                 tokens: place.tokens,
+                capacity: place.capacity,
                 data: place.data.map(|word| word.text),
                 role,
                 at: place.name.at,
@@ -82,6 +146,7 @@ pub fn compile(draft: &Draft) -> Result<Net, Findings> {
             .iter()
             .map(|side| partner(&side.net, &side.requests))
             .collect(),
+        safe,
     })
 }
 
@@ -104,7 +169,9 @@ fn partner(net: &Word, requests: &[Word]) -> Partner {
 fn duplicates<'a>(what: &str, words: impl IntoIterator<Item = &'a Word>, findings: &mut Findings) {
     let mut seen: BTreeMap<&str, &At> = BTreeMap::new();
     for word in words {
-        if let Some(first) = seen.insert(&word.text, &word.at) {
+        if let Some(first) = seen.insert(&word.text, &word.at)
+            && !enough(findings)
+        {
             findings.push(
                 Finding::error(
                     "pnt::net::duplicate",
@@ -128,6 +195,21 @@ fn check_declarations(draft: &Draft, findings: &mut Findings) {
         draft.coordinators.iter().map(|c| &c.net),
         findings,
     );
+    for place in &draft.places {
+        if let Some(capacity) = place.capacity.filter(|most| place.tokens > *most) {
+            findings.push(
+                Finding::error(
+                    "pnt::net::over_capacity",
+                    format!(
+                        "place `{}` begins with {} tokens and may hold {capacity}",
+                        place.name, place.tokens
+                    ),
+                )
+                .at(place.name.at.clone())
+                .help("raise the capacity or lower the initial tokens"),
+            );
+        }
+    }
     for command in &draft.commands {
         duplicates("output symbol", &command.answers, findings);
     }
@@ -207,19 +289,6 @@ struct Compiler<'a> {
 impl Compiler<'_> {
     fn transition(&mut self, part: &structures::PartOf) -> Transition {
         let draft = &part.draft;
-        if draft.inputs.is_empty() && draft.tape.is_none() {
-            self.findings.push(
-                Finding::error(
-                    "pnt::net::no_input",
-                    format!(
-                        "transition `{}` takes nothing and would fire for ever",
-                        draft.name
-                    ),
-                )
-                .at(draft.name.at.clone())
-                .help("give it an `in` place or a `tape` symbol"),
-            );
-        }
         if part.part == Part::Whole && draft.action.is_none() {
             self.without_action(draft);
         }
@@ -234,18 +303,25 @@ impl Compiler<'_> {
             inputs: self.arcs(&draft.inputs),
             reads: self.arcs(&draft.reads),
             inhibitors: self.arcs(&draft.inhibitors),
+            resets: self.resets(&draft.resets),
             tape: draft.tape.as_ref().and_then(|symbol| self.command(symbol)),
             when: draft.when.as_ref().map(|when| When {
                 function: when.function.text.clone(),
                 negated: when.negated,
                 at: when.function.at.clone(),
             }),
-            action: draft.action.as_ref().and_then(action),
+            action: draft
+                .action
+                .as_ref()
+                .and_then(|it| action(it, draft.idempotent)),
             outputs,
             fail: (!draft.fail.is_empty()).then(|| self.outputs(&draft.fail)),
             write: draft.write.as_ref().and_then(|symbol| self.answer(symbol)),
             priority: draft.priority,
             within: draft.within,
+            timing: draft.timing,
+            weight: draft.weight,
+            servers: draft.servers.unwrap_or(Servers::usual(draft.timing)),
             part: part.part,
             at: draft.name.at.clone(),
         }
@@ -257,7 +333,12 @@ impl Compiler<'_> {
             .fail
             .first()
             .map(|arc| (&arc.place.at, "a failure branch"))
-            .or_else(|| draft.within.map(|_| (&draft.name.at, "a time limit")));
+            .or_else(|| draft.within.map(|_| (&draft.name.at, "a time limit")))
+            .or_else(|| {
+                draft
+                    .idempotent
+                    .then_some((&draft.name.at, "an `idempotent` line"))
+            });
         if let Some((at, what)) = needless {
             self.findings.push(
                 Finding::error(
@@ -287,6 +368,12 @@ impl Compiler<'_> {
             );
         }
         found
+    }
+
+    /// Places to empty.
+    fn resets(&mut self, words: &[Word]) -> Vec<PlaceId> {
+        duplicates("place", words, &mut self.findings);
+        words.iter().filter_map(|word| self.place(word)).collect()
     }
 
     /// Arcs within the net.
@@ -382,22 +469,24 @@ fn remote(arc: &DraftArc, role: Role) -> Option<RemoteArc> {
 }
 
 /// The action of an expanded transition; `ask` has become arcs by then.
-fn action(draft: &DraftAction) -> Option<Action> {
+fn action(draft: &DraftAction, idempotent: bool) -> Option<Action> {
     match draft {
         DraftAction::Do(function) => Some(Action::Local {
             function: function.text.clone(),
+            idempotent,
             at: function.at.clone(),
         }),
         DraftAction::Send {
             task,
             command,
-            input,
-            output,
+            inputs,
+            outputs,
         } => Some(Action::Message {
             task: task.text.clone(),
             command: command.text.clone(),
-            input: input.as_ref().map(|word| word.text.clone()),
-            output: output.as_ref().map(|word| word.text.clone()),
+            inputs: texts(inputs),
+            outputs: texts(outputs),
+            idempotent,
             at: task.at.clone(),
         }),
         DraftAction::Ask { .. } => None,

@@ -1,9 +1,13 @@
 //! A net as it was written: names with their places in the file, nothing resolved yet.
 //! Its printed form is net text again. Knows neither how text is parsed nor what a net means.
 
+mod print;
+
 use std::{fmt, time::Duration};
 
 use ctos::diagnostic::{Place as At, Source};
+
+use crate::timing::{Servers, Timing};
 
 /// A name and where it stands. Two words are equal when they read the same.
 #[derive(Debug, Clone)]
@@ -60,8 +64,23 @@ pub struct DraftPlace {
     pub name: Word,
     /// Tokens of the initial marking.
     pub tokens: u32,
+    /// The most tokens it may hold.
+    pub capacity: Option<u32>,
     /// The data object whose validity the place says.
     pub data: Option<Word>,
+}
+
+impl DraftPlace {
+    /// A place without tokens, capacity and data object.
+    #[must_use]
+    pub fn new(name: Word) -> Self {
+        Self {
+            name,
+            tokens: 0,
+            capacity: None,
+            data: None,
+        }
+    }
 }
 
 /// A symbol of the input tape and the output symbols that answer it.
@@ -155,15 +174,15 @@ pub enum DraftAction {
         task: Word,
         /// The command's name.
         command: Word,
-        /// The data object that goes along.
-        input: Option<Word>,
-        /// The data object that the reply is stored as.
-        output: Option<Word>,
+        /// The data objects that go along, one after the other.
+        inputs: Vec<Word>,
+        /// The data objects that the reply is stored as: all of it, or its fields in order.
+        outputs: Vec<Word>,
     },
 }
 
 /// A transition as written.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DraftTransition {
     /// Its name.
     pub name: Word,
@@ -173,6 +192,8 @@ pub struct DraftTransition {
     pub reads: Vec<DraftArc>,
     /// Inhibitor arcs: enabled while the place holds fewer tokens than the weight.
     pub inhibitors: Vec<DraftArc>,
+    /// Places that it empties when it starts.
+    pub resets: Vec<Word>,
     /// Input tape symbol.
     pub tape: Option<Word>,
     /// Enabling function.
@@ -189,6 +210,14 @@ pub struct DraftTransition {
     pub priority: u32,
     /// Limit of the action, in whole microseconds.
     pub within: Option<Duration>,
+    /// Its time.
+    pub timing: Timing,
+    /// Its share in conflicts of equal priority that chance decides.
+    pub weight: f64,
+    /// How many of its firings may go on at once, if it says so.
+    pub servers: Option<Servers>,
+    /// Whether its action may be asked again after a crash.
+    pub idempotent: bool,
 }
 
 impl DraftTransition {
@@ -200,6 +229,7 @@ impl DraftTransition {
             inputs: Vec::new(),
             reads: Vec::new(),
             inhibitors: Vec::new(),
+            resets: Vec::new(),
             tape: None,
             when: None,
             action: None,
@@ -208,12 +238,16 @@ impl DraftTransition {
             write: None,
             priority: 0,
             within: None,
+            timing: Timing::Immediate,
+            weight: 1.0,
+            servers: None,
+            idempotent: false,
         }
     }
 }
 
 /// A whole net as written.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Draft {
     /// Its name, by which other nets address its places.
     pub name: Word,
@@ -227,6 +261,8 @@ pub struct Draft {
     pub coordinators: Vec<DraftCoordinator>,
     /// Requesters that this net serves.
     pub serves: Vec<DraftServes>,
+    /// Markings at which the net may be replaced, each by the tokens it needs.
+    pub safe: Vec<Vec<DraftArc>>,
     /// Transitions in declared order, which decides conflicts of equal priority.
     pub transitions: Vec<DraftTransition>,
 }
@@ -242,155 +278,8 @@ impl Draft {
             commands: Vec::new(),
             coordinators: Vec::new(),
             serves: Vec::new(),
+            safe: Vec::new(),
             transitions: Vec::new(),
         }
-    }
-}
-
-/// Prints `items` with commas between them.
-struct List<'a, T>(&'a [T]);
-
-impl<T: fmt::Display> fmt::Display for List<'_, T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (index, item) in self.0.iter().enumerate() {
-            if index > 0 {
-                f.write_str(", ")?;
-            }
-            item.fmt(f)?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for DraftPlace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.name)?;
-        if self.tokens > 0 {
-            write!(f, " = {}", self.tokens)?;
-        }
-        if let Some(data) = &self.data {
-            write!(f, " data {data}")?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for DraftArc {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.place)?;
-        if let Some(net) = &self.net {
-            write!(f, "@{net}")?;
-        }
-        if self.weight != 1 {
-            write!(f, "*{}", self.weight)?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for DraftAction {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Do(function) => write!(f, "do {function}"),
-            Self::Ask {
-                coordinator,
-                request,
-            } => write!(f, "ask {coordinator} {request}"),
-            Self::Send {
-                task,
-                command,
-                input,
-                output,
-            } => {
-                write!(f, "send {task}.{command}")?;
-                match (input, output) {
-                    (None, None) => Ok(()),
-                    (Some(input), None) => write!(f, "({input})"),
-                    (None, Some(output)) => write!(f, "(-> {output})"),
-                    (Some(input), Some(output)) => write!(f, "({input} -> {output})"),
-                }
-            }
-        }
-    }
-}
-
-impl fmt::Display for DraftTransition {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let arcs = |f: &mut fmt::Formatter<'_>, keyword: &str, arcs: &[DraftArc]| {
-            if arcs.is_empty() {
-                Ok(())
-            } else {
-                writeln!(f, "  {keyword} {}", List(arcs))
-            }
-        };
-        writeln!(f, "transition {}", self.name)?;
-        arcs(f, "in", &self.inputs)?;
-        arcs(f, "read", &self.reads)?;
-        arcs(f, "inhibit", &self.inhibitors)?;
-        if let Some(tape) = &self.tape {
-            writeln!(f, "  tape {tape}")?;
-        }
-        if let Some(when) = &self.when {
-            let not = if when.negated { "not " } else { "" };
-            writeln!(f, "  when {not}{}", when.function)?;
-        }
-        if let Some(action) = &self.action {
-            writeln!(f, "  {action}")?;
-        }
-        arcs(f, "out", &self.outputs)?;
-        arcs(f, "fail", &self.fail)?;
-        if let Some(symbol) = &self.write {
-            writeln!(f, "  write {symbol}")?;
-        }
-        if self.priority > 0 {
-            writeln!(f, "  priority {}", self.priority)?;
-        }
-        if let Some(within) = self.within {
-            let micros = within.as_micros();
-            writeln!(f, "  within {}.{:03} ms", micros / 1000, micros % 1000)?;
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for Draft {
-    /// Net text; parsing it gives an equal draft.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "net {}", self.name)?;
-        match &self.title {
-            Some(title) => writeln!(f, " \"{title}\"")?,
-            None => writeln!(f)?,
-        }
-        for place in &self.places {
-            writeln!(f, "place {place}")?;
-        }
-        for command in &self.commands {
-            writeln!(
-                f,
-                "command {} -> {}",
-                command.symbol,
-                List(&command.answers)
-            )?;
-        }
-        for coordinator in &self.coordinators {
-            let requests = List(&coordinator.requests);
-            writeln!(f, "coordinator {} : {requests}", coordinator.net)?;
-        }
-        for serves in &self.serves {
-            let requests = List(&serves.requests);
-            write!(
-                f,
-                "serves {} : {requests} ; done {}",
-                serves.net, serves.done
-            )?;
-            if let Some(failed) = &serves.failed {
-                write!(f, " ; failed {failed}")?;
-            }
-            writeln!(f)?;
-        }
-        for transition in &self.transitions {
-            write!(f, "{transition}")?;
-        }
-        Ok(())
     }
 }

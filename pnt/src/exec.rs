@@ -29,6 +29,14 @@ use wiring::Wiring;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FiringId(u64);
 
+impl FiringId {
+    /// The number.
+    #[must_use]
+    pub fn number(self) -> u64 {
+        self.0
+    }
+}
+
 /// Why nothing was fired or put. The execution is as it was before.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum FireError {

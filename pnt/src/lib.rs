@@ -4,6 +4,8 @@
 //! (architecture report, sections 6 and 7). From bottom to top:
 //!
 //! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
+//! - [`timing`]: when a transition fires;
+//! - [`pnml`] and [`tina`]: nets of other tools; [`format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
@@ -13,17 +15,25 @@
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
 //!
-//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net.
+//! - [`library`]: the functions that a net names; [`task`]: the event handler that runs a net;
+//!   [`stream`]: what a net does, as numbered events for displays and records;
+//!   [`layout`]: where its nodes are drawn.
 
 pub mod check;
 pub mod compile;
 pub mod compose;
 pub mod draft;
 pub mod exec;
+pub mod format;
 pub mod invariants;
+pub mod layout;
 pub mod library;
 pub mod net;
+pub mod pnml;
 mod ready;
 pub mod space;
+pub mod stream;
 pub mod task;
 pub mod text;
+pub mod timing;
+pub mod tina;

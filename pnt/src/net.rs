@@ -6,6 +6,8 @@ use std::{ops::Index, time::Duration};
 use ctos::diagnostic::Place as At;
 use serde::{Deserialize, Serialize};
 
+pub use crate::timing::{Servers, Timing};
+
 macro_rules! number {
     ($(#[$doc:meta])* $name:ident) => {
         $(#[$doc])*
@@ -51,6 +53,10 @@ pub struct Place {
     pub name: String,
     /// Tokens of the initial marking.
     pub tokens: u32,
+    /// The most tokens it may hold, by the strict rule: a transition starts only if, once it has
+    /// taken its tokens, there is room for whatever it may put at its end (its `out` places, and its
+    /// `fail` places or what it took); that room is kept for it until then.
+    pub capacity: Option<u32>,
     /// The data object whose validity it says.
     pub data: Option<String>,
     /// Who made it.
@@ -117,6 +123,8 @@ pub enum Action {
     Local {
         /// Its name.
         function: String,
+        /// Whether it may be called again when a crash left open how it ended.
+        idempotent: bool,
         /// Where it stands.
         at: At,
     },
@@ -126,10 +134,13 @@ pub enum Action {
         task: String,
         /// The command's name.
         command: String,
-        /// The data object that goes along.
-        input: Option<String>,
-        /// The data object that the reply is stored as.
-        output: Option<String>,
+        /// The data objects that go along: their bytes, one after the other, are the request.
+        inputs: Vec<String>,
+        /// The data objects that the reply is stored as: one for all of it, or several for its
+        /// fields in order.
+        outputs: Vec<String>,
+        /// Whether it may be sent again when a crash left open how it ended.
+        idempotent: bool,
         /// Where the task's name stands.
         at: At,
     },
@@ -164,6 +175,9 @@ pub struct Transition {
     pub reads: Vec<Arc>,
     /// Enabled only while each of these places holds fewer tokens than the weight.
     pub inhibitors: Vec<Arc>,
+    /// Places that it empties when it starts, after its inputs were taken. The tokens are gone: they do
+    /// not come back when its action fails.
+    pub resets: Vec<PlaceId>,
     /// The command that it reads from the input tape.
     pub tape: Option<CommandId>,
     /// Its enabling function.
@@ -180,6 +194,13 @@ pub struct Transition {
     pub priority: u32,
     /// Limit of the action.
     pub within: Option<Duration>,
+    /// How long it takes from enabled to fired; of a transition with an action, what the action is
+    /// taken to last in stochastic simulation and analysis.
+    pub timing: Timing,
+    /// Its share in conflicts of equal priority that chance decides, above zero.
+    pub weight: f64,
+    /// How many of its firings may go on at once.
+    pub servers: Servers,
     /// Which part of a coordination structure it is.
     pub part: Part,
     /// Where it stands in the net text.
@@ -219,6 +240,7 @@ pub struct Net {
     pub(crate) commands: Vec<Command>,
     pub(crate) coordinators: Vec<Partner>,
     pub(crate) serves: Vec<Partner>,
+    pub(crate) safe: Vec<Vec<Arc>>,
 }
 
 impl Net {
@@ -268,6 +290,25 @@ impl Net {
     #[must_use]
     pub fn serves(&self) -> &[Partner] {
         &self.serves
+    }
+
+    /// The declared safe markings, at which a running net may be replaced: each by the tokens that must
+    /// at least be there. When none is declared, the rest (initial) marking is the only one.
+    #[must_use]
+    pub fn safe(&self) -> &[Vec<Arc>] {
+        &self.safe
+    }
+
+    /// Whether the net may be replaced at a marking (tokens in order of place number), provided that no
+    /// action is going on.
+    #[must_use]
+    pub fn is_safe(&self, marking: &[u32]) -> bool {
+        let holds = |arc: &Arc| marking.get(arc.place.index()) >= Some(&arc.weight);
+        if self.safe.is_empty() {
+            let rest = self.places.iter().map(|place| place.tokens);
+            return rest.eq(marking.iter().copied());
+        }
+        self.safe.iter().any(|arcs| arcs.iter().all(holds))
     }
 
     /// The place called `name`.

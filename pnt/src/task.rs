@@ -9,6 +9,7 @@ mod engine;
 mod journal;
 mod load;
 mod messages;
+mod publish;
 
 #[cfg(test)]
 mod tests;
@@ -16,6 +17,7 @@ mod tests;
 use std::rc::Rc;
 
 use ctos::{
+    diagnostic::Findings,
     message::{Command as _, CommandInfo, Message},
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
@@ -23,15 +25,23 @@ use ctos::{
 
 use crate::{
     exec::Conflicts,
+    layout::LayoutFile,
     library::{DataStore, Library},
     net::Net,
+    stream::{Describe, Follow},
 };
 use engine::Engine;
 pub use load::{Settings, check_app, check_args, check_nets, load, settings};
 pub use messages::{FiringEvent, Marking, PutTape, Snapshot, TapeAnswer, Tokens};
 
 /// The commands of every net task, for registration.
-pub const COMMANDS: [CommandInfo; 3] = [PutTape::INFO, Tokens::INFO, Marking::INFO];
+pub const COMMANDS: [CommandInfo; 5] = [
+    PutTape::INFO,
+    Tokens::INFO,
+    Marking::INFO,
+    Describe::INFO,
+    Follow::INFO,
+];
 
 /// Registers a handler that runs a net with the functions of `library`, whose only arguments are those
 /// of [`settings`], with all checks: of the task, and of all nets of the app together.
@@ -91,7 +101,13 @@ impl<S: 'static> NetTask<S> {
         } else {
             Conflicts::Declared
         };
-        Ok(Self::new(cx, net, library, conflicts, data))
+        let mut task = Self::new(cx, net, library, conflicts, data);
+        // What is wrong with it was said when the app was checked; a net runs without it.
+        let layout = LayoutFile::of_net(&cx.path(&settings.net), &mut Findings::new());
+        if let Some(engine) = Rc::get_mut(&mut task.engine) {
+            layout.pin(&mut engine.view);
+        }
+        Ok(task)
     }
 }
 
@@ -110,6 +126,14 @@ impl<S: 'static> EventHandler for NetTask<S> {
             Marking::CODE => {
                 let (Marking {}, reply) = message.open::<Marking>()?;
                 reply.ok(self.engine.snapshot())
+            }
+            Describe::CODE => {
+                let (Describe {}, reply) = message.open::<Describe>()?;
+                reply.ok(self.engine.view.clone())
+            }
+            Follow::CODE => {
+                let (request, reply) = message.open::<Follow>()?;
+                self.engine.follow(&request, reply)
             }
             _ => cx.default_processing(message),
         }

@@ -1,53 +1,99 @@
 //! The parser of net text (`docs/net-text.md`): goes on after a mistake and gives all findings at
 //! once, each with its place and what to do. Knows how text looks, not what a net means.
 
+mod format;
 mod line;
+mod subnet;
 mod words;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::draft::{
-    Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes, DraftTransition,
-    DraftWhen, Word,
+use crate::{
+    draft::{
+        Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
+        DraftTransition, DraftWhen, Word,
+    },
+    format::enough,
 };
+pub use format::formatted;
+pub use subnet::Include;
+use subnet::{Expansion, Line, Subnets};
+pub(crate) use words::MOST_TOKENS;
 use words::Words;
 
 /// Keywords that begin a line of the net itself.
-const DECLARATIONS: [&str; 6] = [
+const DECLARATIONS: [&str; 11] = [
     "net",
     "place",
     "command",
     "coordinator",
     "serves",
+    "safe",
     "transition",
+    "subnet",
+    "use",
+    "end",
+    "include",
 ];
 
 /// Keywords that begin a line of a transition.
-const CLAUSES: [&str; 13] = [
-    "in", "read", "inhibit", "tape", "when", "do", "ask", "send", "out", "fail", "write",
-    "priority", "within",
+const CLAUSES: [&str; 18] = [
+    "in",
+    "read",
+    "inhibit",
+    "reset",
+    "tape",
+    "when",
+    "do",
+    "ask",
+    "send",
+    "idempotent",
+    "out",
+    "fail",
+    "write",
+    "priority",
+    "weight",
+    "time",
+    "servers",
+    "within",
 ];
 
-/// Parses one net.
+/// Whether lines of net text begin with `word`.
+pub(crate) fn is_keyword(word: &str) -> bool {
+    DECLARATIONS.contains(&word) || CLAUSES.contains(&word)
+}
+
+/// Parses one net that includes no files.
 ///
 /// # Errors
 /// All findings, when at least one of them is an error.
 pub fn parse(source: &Source) -> Result<Draft, Findings> {
-    let mut parser = Parser {
-        source,
-        findings: Findings::new(),
-        draft: Draft::new(Word::new("", source.at(0..0))),
-        named: false,
-        in_transition: false,
-    };
-    let mut start = 0;
-    for with_end in source.text().split_inclusive('\n') {
-        parser.line(with_end.trim_end_matches(['\n', '\r']), start);
-        start += with_end.len();
-    }
+    parse_with(source, &mut |file| {
+        Err(Finding::error(
+            "pnt::text::subnet",
+            format!("`{file}` cannot be included here"),
+        )
+        .help("only a net that is read from a file can include others"))
+    })
+}
+
+/// Parses one net; `include` gives the texts of the files that it includes, by the names it has for
+/// them.
+///
+/// # Errors
+/// All findings, when at least one of them is an error.
+pub fn parse_with(source: &Source, include: Include<'_>) -> Result<Draft, Findings> {
+    let mut findings = Findings::new();
+    let lines = subnet::cut(source, source.text(), 0, &mut findings);
+    let mut subnets = Subnets::default();
+    let lines = subnets.take(lines, include, &mut findings);
+    let expansion = Expansion::of(&subnets);
+    let mut parser = Parser::new(Draft::new(Word::new("", source.at(0..0))), expansion);
+    parser.findings = findings;
+    parser.lines(lines);
     if !parser.named {
         parser.findings.push(
             Finding::error("pnt::text::no_net", "this text names no net")
@@ -62,40 +108,144 @@ pub fn parse(source: &Source) -> Result<Draft, Findings> {
     }
 }
 
-struct Parser<'a> {
-    source: &'a Source,
-    findings: Findings,
-    draft: Draft,
-    named: bool,
-    in_transition: bool,
+/// Reads lines of a transition that stand at byte `start` of another file.
+pub(crate) fn clauses(
+    source: &Source,
+    text: &str,
+    start: usize,
+    transition: &mut DraftTransition,
+    findings: &mut Findings,
+) {
+    let none = Subnets::default();
+    let draft = Draft::new(transition.name.clone());
+    let mut parser = Parser::new(draft, Expansion::of(&none));
+    parser.draft.transitions.push(transition.clone());
+    parser.named = true;
+    parser.in_transition = true;
+    let lines = subnet::cut(source, text, start, &mut parser.findings);
+    parser.lines(lines);
+    findings.extend(parser.findings);
+    if let Some(read) = parser.draft.transitions.into_iter().next() {
+        *transition = read;
+    }
 }
 
-impl Parser<'_> {
-    /// Reads one line; what is wrong with it becomes one finding.
-    fn line(&mut self, text: &str, start: usize) {
-        let tokens = match line::cut(text, start) {
-            Ok(tokens) => tokens,
-            Err(bad) => {
-                self.findings.push(
-                    Finding::error("pnt::text::symbol", bad.message).at(self.source.at(bad.range)),
-                );
+/// Reads lines of a net that stand at byte `start` of another file.
+pub(crate) fn declarations(
+    source: &Source,
+    text: &str,
+    start: usize,
+    draft: &mut Draft,
+    findings: &mut Findings,
+) {
+    let none = Subnets::default();
+    let mut parser = Parser::new(draft.clone(), Expansion::of(&none));
+    parser.named = true;
+    let lines = subnet::cut(source, text, start, &mut parser.findings);
+    parser.lines(lines);
+    findings.extend(parser.findings);
+    *draft = parser.draft;
+}
+
+/// Reads what follows a place's name, from byte `start` of another file.
+pub(crate) fn place_rest(
+    source: &Source,
+    text: &str,
+    start: usize,
+    place: &mut DraftPlace,
+    findings: &mut Findings,
+) {
+    let trimmed = text.trim_start();
+    let start = start + (text.len() - trimmed.len());
+    let trimmed = trimmed.trim_end();
+    let read = line::cut(source, trimmed, start)
+        .map_err(|bad| Finding::error("pnt::text::symbol", bad.message).at(source.at(bad.range)))
+        .and_then(|tokens| {
+            let mut words = Words::new(source, &tokens, start + trimmed.len());
+            rest_of_place(&mut words, place)?;
+            words.end()
+        });
+    findings.keep(read);
+}
+
+struct Parser<'s> {
+    findings: Findings,
+    draft: Draft,
+    expansion: Expansion<'s>,
+    named: bool,
+    in_transition: bool,
+    /// Whether the lines are those of an instance of a subnet.
+    in_subnet: bool,
+}
+
+impl<'s> Parser<'s> {
+    fn new(draft: Draft, expansion: Expansion<'s>) -> Self {
+        Self {
+            findings: Findings::new(),
+            draft,
+            expansion,
+            named: false,
+            in_transition: false,
+            in_subnet: false,
+        }
+    }
+
+    fn lines(&mut self, lines: Vec<Line>) {
+        for line in lines {
+            if enough(&self.findings) {
                 return;
             }
-        };
-        let mut words = Words::new(self.source, &tokens, start + text.len());
-        if words.at_end() {
+            self.line(&line);
+        }
+    }
+
+    /// Reads one line; what is wrong with it becomes one finding.
+    fn line(&mut self, line: &Line) {
+        if line.begins("use") {
+            self.in_transition = false;
+            let instance = self.instance(line);
+            self.findings.keep(instance);
             return;
         }
+        let mut words = Words::new(&line.source, &line.tokens, line.end);
         let result = words
-            .name("a keyword")
+            .first()
             .and_then(|keyword| self.statement(&keyword, &mut words))
             .and_then(|()| words.end());
         self.findings.keep(result);
     }
 
+    /// Adds the places and transitions of an instance of a subnet.
+    fn instance(&mut self, line: &Line) -> Result<(), Finding> {
+        let name = self.draft.name.clone();
+        let read = |expansion: &mut Expansion<'s>, lines: Vec<Line>, findings: &mut Findings| {
+            let mut parser = Parser::new(Draft::new(name), expansion.lend());
+            parser.named = true;
+            parser.in_subnet = true;
+            parser.lines(lines);
+            expansion.take_back(parser.expansion);
+            findings.extend(parser.findings);
+            parser.draft
+        };
+        let instance = self.expansion.instance(line, &mut self.findings, read)?;
+        self.draft.places.extend(instance.places);
+        self.draft.transitions.extend(instance.transitions);
+        Ok(())
+    }
+
     fn statement(&mut self, keyword: &Word, words: &mut Words<'_>) -> Result<(), Finding> {
         if DECLARATIONS.contains(&keyword.text.as_str()) {
             self.in_transition = keyword.text == "transition";
+            if self.in_subnet && !["place", "transition"].contains(&keyword.text.as_str()) {
+                return Err(Finding::error(
+                    "pnt::text::subnet",
+                    format!("a subnet has no `{keyword}` lines"),
+                )
+                .at(keyword.at.clone())
+                .help(
+                    "put it into the net itself; a subnet has places, transitions and instances",
+                ));
+            }
             return self.declaration(keyword, words);
         }
         if !CLAUSES.contains(&keyword.text.as_str()) {
@@ -139,6 +289,17 @@ impl Parser<'_> {
                 Ok(())
             }
             "serves" => self.serves(words),
+            "safe" => {
+                let safe = words.arcs()?;
+                self.draft.safe.push(safe);
+                Ok(())
+            }
+            "subnet" | "use" | "end" | "include" => Err(Finding::error(
+                "pnt::text::subnet",
+                format!("`{keyword}` cannot stand here"),
+            )
+            .at(keyword.at.clone())
+            .help("subnets are declared in files of net text, outside of each other")),
             _ => {
                 // The transition is opened even if its line is bad, so that its clauses are read.
                 let name = words.name("the transition's name");
@@ -167,18 +328,9 @@ impl Parser<'_> {
 
     fn places(&mut self, words: &mut Words<'_>) -> Result<(), Finding> {
         loop {
-            let name = words.name("a place")?;
-            let tokens = if words.take("=") {
-                words.whole("the initial tokens", 0)?
-            } else {
-                0
-            };
-            let data = if words.keyword("data") {
-                Some(words.name("the data object")?)
-            } else {
-                None
-            };
-            self.draft.places.push(DraftPlace { name, tokens, data });
+            let mut place = DraftPlace::new(words.name("a place")?);
+            rest_of_place(words, &mut place)?;
+            self.draft.places.push(place);
             if !words.take(",") {
                 return Ok(());
             }
@@ -191,10 +343,10 @@ impl Parser<'_> {
         let requests = words.names("a request")?;
         words.mark(";")?;
         words.expect_keyword("done")?;
-        let done = words.name("the place of finished requests")?;
+        let done = words.place("the place of finished requests")?;
         let failed = if words.take(";") {
             words.expect_keyword("failed")?;
-            Some(words.name("the place of failed requests")?)
+            Some(words.place("the place of failed requests")?)
         } else {
             None
         };
@@ -206,6 +358,20 @@ impl Parser<'_> {
         });
         Ok(())
     }
+}
+
+/// What follows a place's name.
+fn rest_of_place(words: &mut Words<'_>, place: &mut DraftPlace) -> Result<(), Finding> {
+    if words.take("=") {
+        place.tokens = words.whole("the initial tokens", 0)?;
+    }
+    if words.keyword("capacity") {
+        place.capacity = Some(words.whole("the capacity", 1)?);
+    }
+    if words.keyword("data") {
+        place.data = Some(words.name("the data object")?);
+    }
+    Ok(())
 }
 
 fn clause(
@@ -222,6 +388,19 @@ fn clause(
         "tape" => once(&mut transition.tape, keyword, words.name("a symbol")?)?,
         "write" => once(&mut transition.write, keyword, words.name("a symbol")?)?,
         "within" => once(&mut transition.within, keyword, words.duration()?)?,
+        "reset" => transition.resets.extend(words.places()?),
+        "idempotent" => transition.idempotent = true,
+        "time" => {
+            let timing = words.timing()?;
+            let before = std::mem::replace(&mut transition.timing, timing);
+            once(
+                &mut (!before.is_immediate()).then_some(before),
+                keyword,
+                timing,
+            )?;
+        }
+        "weight" => transition.weight = words.weight()?,
+        "servers" => once(&mut transition.servers, keyword, words.servers()?)?,
         "priority" => transition.priority = words.whole("the priority", 0)?,
         "when" => {
             let first = words.name("an enabling function")?;
@@ -256,23 +435,23 @@ fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding>
             let task = words.name("a task")?;
             words.mark(".")?;
             let command = words.name("a command")?;
-            let (mut input, mut output) = (None, None);
+            let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
             if words.take("(") && !words.take(")") {
                 if !words.take("->") {
-                    input = Some(words.name("a data object")?);
+                    inputs = words.names("a data object")?;
                     if words.take("->") {
-                        output = Some(words.name("a data object")?);
+                        outputs = words.names("a data object")?;
                     }
                 } else {
-                    output = Some(words.name("a data object")?);
+                    outputs = words.names("a data object")?;
                 }
                 words.mark(")")?;
             }
             Ok(DraftAction::Send {
                 task,
                 command,
-                input,
-                output,
+                inputs,
+                outputs,
             })
         }
     }

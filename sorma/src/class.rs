@@ -1,5 +1,6 @@
 //! A class: how its objects are built, and what is known about all of them.
 
+use crate::describe::ClassInfo;
 use crate::name::ObjectName;
 use crate::object::ServiceObject;
 use crate::report::{Prototype, Report};
@@ -14,6 +15,8 @@ pub struct Class {
     build: Box<Build>,
     codes: &'static [Prototype],
     waits: bool,
+    any_flavor: bool,
+    info: Option<ClassInfo>,
 }
 
 impl Class {
@@ -33,6 +36,8 @@ impl Class {
             build: Box::new(build),
             codes: &[],
             waits: false,
+            any_flavor: false,
+            info: None,
         }
     }
 
@@ -49,6 +54,31 @@ impl Class {
     pub fn waits(mut self) -> Self {
         self.waits = true;
         self
+    }
+
+    /// With flavors that need no recipe, because the flavor itself says what is meant: the queue of that
+    /// name. A recipe is taken where there is one.
+    #[must_use]
+    pub fn any_flavor(mut self) -> Self {
+        self.any_flavor = true;
+        self
+    }
+
+    pub(crate) fn takes_any_flavor(&self) -> bool {
+        self.any_flavor
+    }
+
+    /// With what a program may know about it, so that inspectors and panels in other processes can ask for it.
+    #[must_use]
+    pub fn described(mut self, info: ClassInfo) -> Self {
+        self.info = Some(info);
+        self
+    }
+
+    /// What a program may know about it, if it was said.
+    #[must_use]
+    pub fn info(&self) -> Option<&ClassInfo> {
+        self.info.as_ref()
     }
 
     pub(crate) fn is_waiting(&self) -> bool {

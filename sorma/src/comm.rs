@@ -6,6 +6,7 @@ use crate::raise;
 use crate::report::{Report, code};
 use crate::request::Request;
 use crate::transport::Transport;
+use ctos::message::CommandInfo;
 use futures_util::future::LocalBoxFuture;
 use std::time::Duration;
 
@@ -24,6 +25,29 @@ pub trait Comm {
 
     /// Waits.
     fn sleep(&self, time: Duration) -> LocalBoxFuture<'_, ()>;
+
+    /// Whether there is an app with tasks.
+    fn is_in_app(&self) -> bool {
+        false
+    }
+
+    /// Asks a task of the app, in the encoding of messages between processes.
+    fn call_task<'a>(
+        &'a self,
+        task: &'a str,
+        command: CommandInfo,
+        data: Vec<u8>,
+        deadline: Duration,
+    ) -> LocalBoxFuture<'a, Result<Vec<u8>, Report>> {
+        let _ = (data, deadline);
+        Box::pin(async move {
+            Err(raise!(
+                code::DAEMON,
+                "`{}` of task `{task}`: there is no app here; ask in one that runs",
+                command.name
+            ))
+        })
+    }
 }
 
 /// Reaches nobody.

@@ -12,10 +12,14 @@ use crate::report::{Report, code};
 use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
+use crate::watching::Trace;
 use ctos::call::{CallError, Fault};
-use ctos::message::{Command, Replier};
+use ctos::message::{Command, CommandInfo, Replier};
 use ctos::registry::Registry;
 use ctos::task::{Context, Handled, HandlerError, NameError};
+use ctos::text::Gone;
+/// Asks by one line of text: a request `name EXEC|CTRL|DBX ...`, and the reply has the same form.
+pub use ctos::text::Say;
 use futures_util::future::LocalBoxFuture;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -25,10 +29,14 @@ use std::time::Duration;
 pub const HANDLER: &str = "sorma.daemon";
 
 /// What a daemon and its callers must agree in.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// How long a caller waits for a daemon that is being started again, before it asks once more.
 const BACK_WITHIN: Duration = Duration::from_secs(30);
+
+/// How often, and for how long, objects in calls are asked to give back what they keep for those who are gone.
+const RELEASE_EVERY: Duration = Duration::from_secs(1);
+const RELEASES: u32 = 120;
 
 /// Asks an object of this daemon.
 #[derive(Debug, Serialize, Deserialize, Command)]
@@ -40,16 +48,6 @@ pub struct Ask {
     object: String,
     method: Method,
     body: Transport,
-}
-
-/// Asks by one line of text.
-#[derive(Debug, Serialize, Deserialize, Command)]
-#[command(name = "say", reply = String, code = 0x0002)]
-pub struct Say {
-    /// A request: `name EXEC|CTRL|DBX ...`. The reply has the same form.
-    pub line: String,
-    /// Who asks.
-    pub from: String,
 }
 
 /// Arguments of the handler.
@@ -138,17 +136,27 @@ impl Daemon {
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         cx.spawn(async move {
             let comm = Tasks::of(&here);
-            let answer = sorm.tell(&comm, &request.line, &request.from).await;
+            let trace = Trace {
+                id: request.trace,
+                depth: 0,
+            };
+            let answer = sorm.tell_traced(&comm, &request.line, &request.from, trace);
+            let answer = answer.await;
             // Whoever asked may be gone.
             let _ = reply.ok(answer);
         });
         Ok(())
     }
 
+    #[command]
+    fn gone(&mut self, cx: &Context, gone: Gone) {
+        self.forget(cx, move |from| from == gone.who);
+    }
+
     #[chassis_down]
-    async fn chassis_down(&mut self, _: &Context, chassis: &str) -> Handled {
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         let suffix = format!("@{chassis}");
-        self.sorm.release(|from| from.ends_with(&suffix));
+        self.forget(cx, move |from| from.ends_with(&suffix));
         Ok(())
     }
 
@@ -156,6 +164,25 @@ impl Daemon {
     async fn chassis_up(&mut self, cx: &Context, chassis: &str) -> Handled {
         rebuild(&self.sorm, cx, chassis).await;
         Ok(())
+    }
+}
+
+impl Daemon {
+    /// Gives back what is kept for callers that are gone. An object that is in a call at that moment, perhaps
+    /// their last one, is asked again when it may be over.
+    fn forget(&self, cx: &Context, gone: impl Fn(&str) -> bool + 'static) {
+        if self.sorm.release(&gone) {
+            return;
+        }
+        let (sorm, here) = (self.sorm.clone(), cx.clone());
+        cx.spawn(async move {
+            for _ in 0..RELEASES {
+                here.sleep(RELEASE_EVERY).await;
+                if sorm.release(&gone) {
+                    return;
+                }
+            }
+        });
     }
 }
 
@@ -327,5 +354,33 @@ impl Comm for Tasks {
 
     fn sleep(&self, time: Duration) -> LocalBoxFuture<'_, ()> {
         Box::pin(self.cx.sleep(time))
+    }
+
+    fn is_in_app(&self) -> bool {
+        true
+    }
+
+    fn call_task<'a>(
+        &'a self,
+        task: &'a str,
+        command: CommandInfo,
+        data: Vec<u8>,
+        deadline: Duration,
+    ) -> LocalBoxFuture<'a, Result<Vec<u8>, Report>> {
+        Box::pin(async move {
+            let found = self.cx.task(task).await;
+            let found = found.map_err(|error| raise!(code::DAEMON, "{error}"))?;
+            let answer = self.cx.call_raw(&found, command, data, deadline).await;
+            answer.map_err(|error| match &error.fault {
+                Fault::Refused { text } => {
+                    raise!(
+                        code::REFUSED,
+                        "task `{task}` refused `{}`: {text}",
+                        command.name
+                    )
+                }
+                _ => raise!(code::DAEMON, "{error}"),
+            })
+        })
     }
 }

@@ -141,10 +141,14 @@ pub struct ClassInfo {
     pub options: Vec<OptionInfo>,
 }
 
-/// The classes that every manager has: `dict` and `sorm`.
+/// The classes that every manager has: `dict`, `sorm` and `watch`.
 #[must_use]
 pub fn own_classes() -> Vec<ClassInfo> {
-    vec![crate::dictionary::class(), crate::manager::class()]
+    vec![
+        crate::dictionary::class(),
+        crate::manager::class(),
+        crate::watching::class(),
+    ]
 }
 
 /// The options of DBX, which every object has.

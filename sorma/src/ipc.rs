@@ -1,4 +1,5 @@
-//! The IPC service classes: snapshot buffers in shared memory (`shmem_w`, `shmem_r`, `flight`), and queues,
+//! The IPC service classes: snapshot buffers in shared memory (`shmem_w`, `shmem_r`, `flight`; of other hosts `shmem_far`,
+//! with `stamp`), and queues,
 //! counting semaphores and blackboards (SORMA technical report, sections 1.7.1 and 1.7.2).
 //!
 //! None of them waits in EXEC: a call that cannot be done now says `not yet` at once and is asked again, so
@@ -9,8 +10,10 @@ pub mod blackboard;
 pub mod flight;
 pub mod queue;
 pub mod semaphore;
+mod shmem_far;
 mod shmem_r;
 mod shmem_w;
+mod stamp;
 mod tickets;
 
 use crate::class::Class;
@@ -43,6 +46,8 @@ crate::prototypes! {
         LATE = 186, Error, "the time for which one wanted to wait is over", "ask anew, for longer";
         CONFLICT = 187, Error, "a value has another version than the one that was to be replaced",
             "get it again, and decide anew";
+        CLOCK = 188, Warning, "the clock of another host was set, or drifts faster than was said",
+            "set -drift of shmem_far, if it comes again and again";
     }
 }
 
@@ -98,25 +103,35 @@ impl Host {
 
 /// Registers all the classes of this module.
 pub fn register(sorm: &Sorm, host: &Host) {
-    add(sorm, host, "shmem_w", |host, name| {
-        Box::new(shmem_w::ShmemW::new(host, name.flavor()))
-    });
-    add(sorm, host, "shmem_r", |host, name| {
-        Box::new(shmem_r::ShmemR::new(host, name.flavor()))
-    });
-    add(sorm, host, "flight", |host, name| {
-        Box::new(flight::Flight::new(host, name.flavor()))
-    });
-    add(sorm, host, "queue", |host, _| {
-        Box::new(queue::QueueObject::new(host))
-    });
-    add(sorm, host, "semaphore", |host, _| {
-        Box::new(semaphore::SemaphoreObject::new(host))
-    });
-    add(sorm, host, "blackboard", |host, _| {
-        Box::new(blackboard::BlackboardObject::new(host))
-    });
+    let make: [Make; 8] = [
+        |host, name| Box::new(shmem_w::ShmemW::new(host, name.flavor())),
+        |host, name| Box::new(shmem_r::ShmemR::new(host, name.flavor())),
+        |host, name| Box::new(flight::Flight::new(host, name.flavor())),
+        |host, _| Box::new(queue::QueueObject::new(host)),
+        |host, _| Box::new(semaphore::SemaphoreObject::new(host)),
+        |host, _| Box::new(blackboard::BlackboardObject::new(host)),
+        |host, _| Box::new(stamp::Stamp::new(host)),
+        |host, name| Box::new(shmem_far::ShmemFar::new(host, name.flavor())),
+    ];
+    for ((name, make), info) in NAMES.into_iter().zip(make).zip(classes()) {
+        add(sorm, host, name, make, info);
+    }
 }
+
+/// Makes an object of a class here.
+type Make = fn(Host, &ObjectName) -> Box<dyn ServiceObject>;
+
+/// The names of the classes, as [`classes`] has them.
+const NAMES: [&str; 8] = [
+    "shmem_w",
+    "shmem_r",
+    "flight",
+    "queue",
+    "semaphore",
+    "blackboard",
+    "stamp",
+    "shmem_far",
+];
 
 /// What a program may know about the classes.
 #[must_use]
@@ -128,18 +143,21 @@ pub fn classes() -> Vec<ClassInfo> {
         queue::OPTIONS.class("queue", VERSION),
         semaphore::OPTIONS.class("semaphore", VERSION),
         blackboard::OPTIONS.class("blackboard", VERSION),
+        stamp::OPTIONS.class("stamp", VERSION),
+        shmem_far::OPTIONS.class("shmem_far", VERSION),
     ]
 }
 
-fn add(
-    sorm: &Sorm,
-    host: &Host,
-    class: &'static str,
-    make: fn(Host, &ObjectName) -> Box<dyn ServiceObject>,
-) {
+fn add(sorm: &Sorm, host: &Host, class: &'static str, make: Make, info: ClassInfo) {
     let host = host.clone();
     let class = Class::new(class, VERSION, move |name, _| Ok(make(host.clone(), name)));
-    sorm.register(class.codes(code::PROTOTYPES));
+    let class = class.codes(code::PROTOTYPES).any_flavor();
+    // It asks a daemon.
+    let class = match info.name.as_str() {
+        "shmem_far" => class.waits(),
+        _ => class,
+    };
+    sorm.register(class.described(info));
 }
 
 #[track_caller]

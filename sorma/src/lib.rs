@@ -29,6 +29,7 @@ pub mod sorm;
 pub mod together;
 pub mod transport;
 pub mod waiting;
+pub mod watching;
 pub mod words;
 
 pub use class::Class;

@@ -24,6 +24,7 @@ pub(crate) struct ManagerObject;
 enum Order {
     List,
     Classes,
+    Describe,
     Codes,
     Create(String),
     Free(String),
@@ -71,6 +72,12 @@ static ORDERS: LazyLock<OptionTable<Orders>> = LazyLock::new(|| {
             &[],
             "answers all classes with their versions",
             |now, _| now.add(Order::Classes),
+        )
+        .action(
+            "describe",
+            &[],
+            "answers what programs may know about the classes, their forms and options, a JSON object a line",
+            |now, _| now.add(Order::Describe),
         )
         .action(
             "codes",
@@ -189,6 +196,13 @@ fn obey(cx: &Context<'_>, order: Order, io: &mut Transport) -> Result<String, Re
             let lines = classes
                 .iter()
                 .map(|class| format!("{} {}", class.name(), class.version()));
+            Ok(lines.collect::<Vec<_>>().join("\n"))
+        }
+        Order::Describe => {
+            let classes = sorm.classes();
+            let infos = classes.iter().filter_map(|class| class.info());
+            // A structure of texts and numbers always has a JSON form.
+            let lines = infos.map(|info| serde_json::to_string(info).unwrap_or_default());
             Ok(lines.collect::<Vec<_>>().join("\n"))
         }
         Order::Codes => Ok(codes(sorm)),

@@ -46,6 +46,13 @@ pub trait ServiceObject: Send {
     /// All data inside, as text for people; usually [`OptionTable::dump`](crate::OptionTable::dump).
     fn dump(&self) -> String;
 
+    /// Somebody who may have used it is gone: it gives back what it kept for him. Answers whether it has itself
+    /// served its time and is to be removed.
+    fn forget(&mut self, gone: &dyn Fn(&str) -> bool) -> bool {
+        let _ = gone;
+        false
+    }
+
     /// Sees whether it can do its job. Asked when the object has been built and has taken its recipe,
     /// and by `DBX -test`; an object that says no is not built.
     ///
@@ -134,6 +141,9 @@ impl Context<'_> {
     ) -> Outcome {
         if sub.from.is_empty() && !io.from.is_empty() {
             sub.from.clone_from(&io.from);
+        }
+        if sub.trace.id == 0 {
+            sub.trace = io.trace.nested();
         }
         object.slot.call(self.sorm, Some(self), method, sub);
         io.reports.append(&mut sub.reports);

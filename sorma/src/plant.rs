@@ -49,7 +49,7 @@ impl Sorm {
         let class = self.class(name)?;
         let local = name.local();
         let recipe = self.inner.dictionary.read().recipe(&local)?;
-        if recipe.is_none() && name.flavor().is_some() {
+        if recipe.is_none() && name.flavor().is_some() && !class.takes_any_flavor() {
             return Err(self.unknown_flavor(name));
         }
         let slot = self.bare(name, &class, local)?;

@@ -146,6 +146,8 @@ prototypes! {
         PREPARED = 13, Error, "nothing is prepared under this name, or something else is",
             "prepare, then commit or abort, each once and before it expires";
         FILE = 14, Error, "a file cannot be read or written", "the text says which and why";
+        REFUSED = 16, Error, "a task of the app refused what an object asked of it",
+            "the text is what the task said";
         NO_OBJECT = 15, Error, "there is no such object", "`sorm CTRL -list` lists them";
     }
 }

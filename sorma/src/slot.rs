@@ -216,6 +216,21 @@ impl Slot {
         method: Method,
         io: &mut Transport,
     ) {
+        let seen = sorm.watchers().begin(sorm, &self.name, method, io);
+        self.call_unseen(sorm, within, method, io);
+        if let Some(seen) = seen {
+            seen.end(sorm, io);
+        }
+    }
+
+    /// [`Self::call`], of which no watcher is told.
+    pub(crate) fn call_unseen(
+        &self,
+        sorm: &Sorm,
+        within: Option<&Context<'_>>,
+        method: Method,
+        io: &mut Transport,
+    ) {
         match self.lock(within) {
             Ok(mut body) => self.method(&mut body, sorm, within, method, io),
             Err(report) => {
@@ -227,13 +242,17 @@ impl Slot {
 
     /// [`Self::call`], but a panic becomes a report, and true says that there was one.
     pub(crate) fn call_contained(&self, sorm: &Sorm, method: Method, io: &mut Transport) -> bool {
-        let call = AssertUnwindSafe(|| self.call(sorm, None, method, io));
-        let Err(panic) = catch_unwind(call) else {
-            return false;
-        };
-        io.code = 0;
-        io.report(self.panicked(sorm, panic.as_ref()));
-        true
+        let seen = sorm.watchers().begin(sorm, &self.name, method, io);
+        let call = AssertUnwindSafe(|| self.call_unseen(sorm, None, method, io));
+        let panic = catch_unwind(call).err();
+        if let Some(panic) = &panic {
+            io.code = 0;
+            io.report(self.panicked(sorm, panic.as_ref()));
+        }
+        if let Some(seen) = seen {
+            seen.end(sorm, io);
+        }
+        panic.is_some()
     }
 
     /// What a panic of the object said.

@@ -13,6 +13,7 @@ use crate::report::{Prototype, Report, code};
 use crate::request::{Method, Reply, Request, RequestError};
 use crate::slot::{Handle, Slot};
 use crate::transport::Transport;
+use crate::watching::{Trace, Watch, Watchers};
 use crate::words;
 use ctos::time::{Clock, Instant};
 use parking_lot::{Mutex, ReentrantMutex, RwLock};
@@ -34,6 +35,8 @@ pub(crate) struct Inner {
     aliases: RwLock<BTreeMap<String, String>>,
     /// What is in use of other daemons.
     proxies: Mutex<BTreeMap<Location, BTreeSet<ObjectName>>>,
+    /// Who watches the requests that are met here.
+    watchers: Arc<Watchers>,
     pub(crate) dictionary: Arc<RwLock<Dictionary>>,
     /// Objects being built now, outermost first: by one thread at a time.
     pub(crate) building: ReentrantMutex<RefCell<Vec<String>>>,
@@ -73,16 +76,24 @@ impl Sorm {
                 objects: RwLock::default(),
                 aliases: RwLock::default(),
                 proxies: Mutex::default(),
+                watchers: Arc::default(),
                 dictionary: Arc::clone(&dictionary),
                 building: ReentrantMutex::default(),
             }),
         };
         let version = env!("CARGO_PKG_VERSION");
-        sorm.register(Class::new("dict", version, move |_, _| {
+        let dict = Class::new("dict", version, move |_, _| {
             Ok(Box::new(DictionaryObject::of(Arc::clone(&dictionary))))
-        }));
+        });
+        sorm.register(dict.described(crate::dictionary::class()));
         let manager = Class::new("sorm", version, |_, _| Ok(Box::new(ManagerObject)));
+        let manager = manager.described(crate::manager::class());
         sorm.register(manager.codes(code::PROTOTYPES));
+        let watch = Class::new("watch", version, |_, sorm| {
+            Ok(Box::new(Watch::new(sorm.watchers())))
+        });
+        let watch = watch.described(crate::watching::class());
+        sorm.register(watch.waits().any_flavor());
         sorm
     }
 
@@ -96,6 +107,12 @@ impl Sorm {
     #[must_use]
     pub fn now(&self) -> Instant {
         self.inner.clock.now()
+    }
+
+    /// Who watches.
+    #[inline]
+    pub(crate) fn watchers(&self) -> &Arc<Watchers> {
+        &self.inner.watchers
     }
 
     /// Registers a class. A class that is registered again replaces the earlier one for objects built
@@ -347,31 +364,52 @@ impl Sorm {
 
     /// [`Self::dispatch_from`] for whatever may wait, or be met by another daemon.
     pub async fn tell(&self, comm: &dyn Comm, line: &str, from: &str) -> String {
+        self.tell_traced(comm, line, from, Trace::default()).await
+    }
+
+    /// [`Self::tell`] for a request that is followed through all that it leads to.
+    pub async fn tell_traced(
+        &self,
+        comm: &dyn Comm,
+        line: &str,
+        from: &str,
+        trace: Trace,
+    ) -> String {
         match read(line, from) {
-            Ok(request) => write(&self.ask(comm, request).await),
+            Ok(mut request) => {
+                request.body.trace = trace;
+                write(&self.ask(comm, request).await)
+            }
             Err(answer) => answer,
         }
     }
 
-    /// Ends all locks of callers that are gone, and aborts what is prepared for them.
-    pub fn release(&self, gone: impl Fn(&str) -> bool) {
+    /// Ends all locks of callers that are gone, aborts what is prepared for them, and has the objects give back
+    /// what they keep for them. Answers whether that was all: an object that is in a call now is to be asked
+    /// again.
+    pub fn release(&self, gone: impl Fn(&str) -> bool) -> bool {
+        let mut is_all = true;
         for slot in self.slots() {
-            // One that is in a call now is seen by the next one who wants it, or expires.
-            if let Some(mut body) = slot.try_lock()
-                && body
-                    .reserved
-                    .as_ref()
-                    .is_some_and(|reserved| gone(reserved.by()))
-            {
+            let Some(mut body) = slot.try_lock() else {
+                is_all = false;
+                continue;
+            };
+            let reserved = body.reserved.as_ref();
+            if reserved.is_some_and(|reserved| gone(reserved.by())) {
                 slot.let_go(&mut body, self);
             }
+            if body.object.forget(&gone) {
+                drop(body);
+                self.remove(slot.name());
+            }
         }
+        is_all
     }
 
     /// Asks an object by name for something that is not one of its methods.
     pub(crate) fn ctrl_text(&self, slot: &Slot, text: &str) -> Transport {
         let mut io = Transport::text(text);
-        slot.call(self, None, Method::Ctrl, &mut io);
+        slot.call_unseen(self, None, Method::Ctrl, &mut io);
         io
     }
 }

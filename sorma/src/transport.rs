@@ -2,6 +2,7 @@
 //! directions (SORMA technical report, section 1.3.3).
 
 use crate::report::{Report, Severity};
+use crate::watching::Trace;
 use serde::{Deserialize, Serialize};
 
 /// Data that goes into a service object and comes back out of it in the same place.
@@ -12,6 +13,8 @@ pub struct Transport {
     /// Who asks: an object, a task, a person; empty for a call by reference inside the process. Locks
     /// and the audit trail go by it. It has no textual form.
     pub from: String,
+    /// Which request of the first caller this belongs to. It has no textual form.
+    pub trace: Trace,
     /// Text (`TMSG`).
     pub text: String,
     /// Floats (`FMSG`).
@@ -52,7 +55,7 @@ impl Transport {
         self
     }
 
-    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks stays.
+    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks, and the trace, stay.
     pub fn clear(&mut self) {
         self.text.clear();
         self.floats.clear();

@@ -12,6 +12,7 @@ use crate::request::{Method, Reply, Request};
 use crate::slot::Slot;
 use crate::sorm::{Place, Sorm};
 use crate::transport::Transport;
+use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
 use futures_util::future::{Either, select};
 use std::panic::AssertUnwindSafe;
@@ -62,6 +63,9 @@ impl<'a> Waiting<'a> {
                 if sub.from.is_empty() {
                     sub.from.clone_from(&io.from);
                 }
+                if sub.trace.id == 0 {
+                    sub.trace = io.trace.nested();
+                }
                 sub
             },
         };
@@ -77,6 +81,34 @@ impl<'a> Waiting<'a> {
             self.name(),
             sub.code
         ))
+    }
+
+    /// Asks a task of the app that is no daemon, in the name of the task that this object is carried by.
+    ///
+    /// # Errors
+    /// There is no app, or no such task; the task refused ([`code::REFUSED`]) or did not answer.
+    pub async fn call_task<C: Command>(
+        &self,
+        task: &str,
+        request: C,
+        deadline: Duration,
+    ) -> Result<C::Reply, Report> {
+        let wrong = |error: PayloadError| {
+            raise!(
+                code::DAEMON,
+                "`{}` of task `{task}`: {error}; is it of another version?",
+                C::NAME
+            )
+        };
+        let data = Data::of(request).into_bytes().map_err(wrong)?;
+        let answer = self.comm.call_task(task, C::INFO, data, deadline).await?;
+        Data::Bytes(answer).take::<C::Reply>().map_err(wrong)
+    }
+
+    /// Whether there is an app, whose tasks [`Self::call_task`] reaches.
+    #[must_use]
+    pub fn is_in_app(&self) -> bool {
+        self.comm.is_in_app()
     }
 
     /// Waits.
@@ -106,6 +138,7 @@ impl Sorm {
             Ok(Place::Here) => match self.resolve(&name) {
                 Ok(handle) => {
                     let slot = &handle.slot;
+                    let seen = self.watchers().begin(self, slot.name(), method, &body);
                     let call = slot.ask(self, comm, within, method, &mut body);
                     if let Err(report) = AssertUnwindSafe(call)
                         .catch_unwind()
@@ -115,6 +148,9 @@ impl Sorm {
                         self.remove(handle.name());
                         body.code = 0;
                         body.report(report);
+                    }
+                    if let Some(seen) = seen {
+                        seen.end(self, &body);
                     }
                 }
                 Err(report) => self.refuse(&mut body, report),
@@ -165,12 +201,12 @@ impl Slot {
     ) {
         let outer = within.map(|call| &call.cx);
         if !self.waits() {
-            self.call(sorm, outer, method, io);
+            self.call_unseen(sorm, outer, method, io);
             return;
         }
         if outer.is_some_and(|call| call.is_within(self)) {
             // Finds the same, and says so.
-            self.call(sorm, outer, method, io);
+            self.call_unseen(sorm, outer, method, io);
             return;
         }
         let turn = {
@@ -182,7 +218,7 @@ impl Slot {
         };
         let (Some(_turn), Method::Exec) = (turn, method) else {
             // Without a turn the object is still in a call, which this finds.
-            self.call(sorm, outer, method, io);
+            self.call_unseen(sorm, outer, method, io);
             return;
         };
         self.exec_waiting(sorm, comm, outer, io).await;

@@ -34,6 +34,9 @@ const SHORT_EVERY: usize = 6;
 /// The program.
 pub const CTOS: &str = env!("CARGO_BIN_EXE_ctos-under-test");
 
+/// The inspector.
+pub const SCOTT: &str = env!("CARGO_BIN_EXE_scott-under-test");
+
 /// The program whose handlers misbehave.
 pub const MISBEHAVING: &str = env!("CARGO_BIN_EXE_ctos-misbehaving");
 
@@ -182,6 +185,11 @@ impl Scratch {
     /// Runs `ctos` to its end.
     pub fn ctos(&self, arguments: &[&str]) -> Ended {
         self.start(CTOS, arguments, &[]).end()
+    }
+
+    /// Runs `scott` to its end.
+    pub fn scott(&self, arguments: &[&str]) -> Ended {
+        self.start(SCOTT, arguments, &[]).end()
     }
 
     /// Boots the copied app and waits for its end.

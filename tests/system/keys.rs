@@ -208,7 +208,11 @@ fn tools_may_do_what_the_role_of_their_key_permits_and_no_more() {
     .must_exit(0);
 
     for key in ["screen", "caller"] {
-        for command in [&["stop"][..], &["restart", "arm"]] {
+        for command in [
+            &["stop"][..],
+            &["restart", "arm"],
+            &["record", "--to", "/rec"],
+        ] {
             let refused = tool(&panel, port, command, key);
             refused
                 .must_exit(8)
@@ -216,15 +220,32 @@ fn tools_may_do_what_the_role_of_their_key_permits_and_no_more() {
                 .must_say(&format!("the key `{key}`"));
         }
     }
-    run.wait_for("refused=4");
+    run.wait_for("refused=6");
     let view = tool(&panel, port, &["ps", "--json"], "screen").json();
-    assert_eq!(view["refused"], 4, "{view}");
+    assert_eq!(view["refused"], 6, "{view}");
     let shown = tool(&panel, port, &["ps"], "screen");
     assert!(
-        shown.stdout.contains("4 callers were refused"),
+        shown.stdout.contains("6 callers were refused"),
         "{}",
         shown.told
     );
+
+    let here_alone = tool(&panel, port, &["record", "--to", "rec"], "desk");
+    here_alone.must_exit(1).must_say("name its whole path");
+    let folder = here.path("rec");
+    let record = [
+        "record",
+        "--for",
+        "100ms",
+        "--json",
+        "--to",
+        folder.to_str().unwrap(),
+    ];
+    let view = tool(&panel, port, &record, "desk").must_exit(0).json();
+    for file in view["files"].as_array().unwrap() {
+        let file = file["file"].as_str().unwrap();
+        assert!(std::fs::exists(folder.join(file)).unwrap(), "{view}");
+    }
 
     tool(&panel, port, &["restart", "arm"], "desk").must_exit(0);
     let stopped = tool(&panel, port, &["stop"], "desk");

@@ -16,6 +16,7 @@ mod full_disk;
 mod half_open;
 mod harness;
 mod hosts;
+mod inspector;
 mod keys;
 mod kills;
 mod machine;

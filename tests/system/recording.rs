@@ -58,6 +58,12 @@ fn a_running_app_is_recorded_for_a_while_and_goes_on_undisturbed() {
         assert_eq!(file["lost"], 0, "{file}");
     }
     assert_eq!(written(&scratch), 0, "a record is left");
+    let replay = ["replay", "app.toml", "rec/load.desk.mcap", "--task", "sink"];
+    let refused = ctos(&scratch, &replay);
+    assert_eq!(refused.code, Some(1), "{}", refused.told);
+    refused
+        .must_say("it does not hold the beginning of `sink`")
+        .must_say("ctos boot --record FILE");
     assert_eq!(ctos(&scratch, &["move", "sink", "cage"]).code, Some(0));
     let result = run.end().must_exit(0).json();
     let text = result["text"].as_str().unwrap();

@@ -39,8 +39,8 @@ pub fn register(sorm: &Sorm) {
     let resect = Class::new("resect", VERSION, |_, _| {
         Ok(Box::new(resect::Resect::default()))
     });
-    for class in [spot, resect] {
-        sorm.register(class.codes(code::PROTOTYPES));
+    for (class, info) in [spot, resect].into_iter().zip(classes()) {
+        sorm.register(class.codes(code::PROTOTYPES).described(info));
     }
 }
 

@@ -15,22 +15,35 @@ use ctos::{
         protocol::{Answer, RecordRequest, RecordView, Request},
     },
 };
+use tokio::{
+    runtime::Runtime,
+    signal::unix::{Signal, SignalKind, signal},
+};
 
-use crate::{commands::remote, exit, show};
+use crate::{
+    commands::remote::{self, AtArgs},
+    exit, show,
+};
 
 /// Record a running app, until Ctrl-C
 ///
 /// What `ctos boot --record` writes, from now on: a file for each process, `APP.CHASSIS.mcap`. The app goes on
-/// undisturbed, also when this command is killed; several may record at a time.
+/// undisturbed, also when this command is killed; several may record at a time. Each process writes its file on the
+/// host where it runs.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos record
   ctos record calibrate --to records --for 10s
-  ctos record --channels '/message/*' --channels '/firing/*'")]
+  ctos record --channels '/message/*' --channels '/firing/*'
+  ctos record --at cell.example:7400 --key keys/me --to /var/tmp/records")]
 pub struct RecordArgs {
     /// Name of the running app, its process id, or NAME-PID; needed only when several are running
+    #[arg(conflicts_with = "at")]
     pub app: Option<String>,
-    /// Folder of the files, which is made if it is missing
+    /// An app on another host
+    #[command(flatten)]
+    pub at: AtArgs,
+    /// Folder of the files, which is made if it is missing; with `--at` a whole path there
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub to: PathBuf,
     /// For how long, for example `10s`, `500ms` or `2min`
@@ -65,7 +78,7 @@ fn span(text: &str) -> Result<Duration, String> {
 /// Runs the command.
 #[must_use]
 pub fn run(args: &RecordArgs) -> u8 {
-    let folder = match prepared(&args.to) {
+    let folder = match prepared(args) {
         Ok(folder) => folder,
         Err(error) => {
             show::say(&format!(
@@ -85,17 +98,24 @@ pub fn run(args: &RecordArgs) -> u8 {
     }
 }
 
-/// The folder by its whole path, which the app's processes need.
-fn prepared(folder: &Path) -> io::Result<String> {
-    std::fs::create_dir_all(folder)?;
-    let folder = std::path::absolute(folder)?;
+/// The folder by its whole path, which the app's processes need. On another host it is theirs to have.
+fn prepared(args: &RecordArgs) -> io::Result<String> {
+    let folder = if args.at.at.is_none() {
+        std::fs::create_dir_all(&args.to)?;
+        std::path::absolute(&args.to)?
+    } else if args.to.is_absolute() {
+        args.to.clone()
+    } else {
+        let why = "with --at the folder is one of the other host: name its whole path with --to";
+        return Err(io::Error::other(why));
+    };
     let text = folder.to_str().map(str::to_owned);
     text.ok_or_else(|| io::Error::other("its name is no Unicode text"))
 }
 
 /// Waits for the end of the record.
 fn recorded(args: &RecordArgs, folder: &str) -> Result<Option<RecordView>, ClientError> {
-    let mut client = remote::connect_here(args.app.as_deref())?;
+    let mut client = remote::connect_to(args.app.as_deref(), &args.at)?;
     client.ask(Request::Record(RecordRequest {
         folder: folder.to_owned(),
         channels: args.channels.clone(),
@@ -109,7 +129,7 @@ fn recorded(args: &RecordArgs, folder: &str) -> Result<Option<RecordView>, Clien
             Some(Answer::Recording(view)) => {
                 if !told {
                     told = true;
-                    stop_by_signal(client.app(), view.key);
+                    stop_by_signal(client.app(), &args.at, view.key);
                     begun(args, client.app(), &view);
                 }
             }
@@ -134,20 +154,24 @@ fn begun(args: &RecordArgs, app: &Socket, view: &RecordView) {
     }
 }
 
-/// Lets Ctrl-C and SIGTERM end the record, not this command before it.
-fn stop_by_signal(app: &Socket, key: u64) {
-    let app = app.clone();
-    let started = std::thread::Builder::new()
-        .name("signals".to_owned())
-        .spawn(move || {
-            if signalled().is_err() {
-                return;
-            }
+/// Lets Ctrl-C and SIGTERM end the record, not this command before it. From the return on, no signal is
+/// missed.
+fn stop_by_signal(app: &Socket, at: &AtArgs, key: u64) {
+    let (app, at) = (app.clone(), at.clone());
+    let started = Signals::heard().and_then(|signals| {
+        let waiting = std::thread::Builder::new().name("signals".to_owned());
+        waiting.spawn(move || {
+            signals.wait();
+            let client = match &at.at {
+                Some(_) => remote::connect_to(None, &at),
+                None => Client::connect(app, Duration::from_secs(5)),
+            };
             // An app that is not there any more has closed the record.
-            if let Ok(mut client) = Client::connect(app, Duration::from_secs(5)) {
+            if let Ok(mut client) = client {
                 let _ = client.get(Request::RecordStop { key });
             }
-        });
+        })
+    });
     if let Err(error) = started {
         show::say(&format!(
             "warning: Ctrl-C ends this command at once: {error}"
@@ -155,21 +179,39 @@ fn stop_by_signal(app: &Socket, key: u64) {
     }
 }
 
-/// Ends with the first signal that asks this process to end.
-fn signalled() -> io::Result<()> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
-    runtime.block_on(async {
-        let mut interrupt = signal(SignalKind::interrupt())?;
-        let mut terminate = signal(SignalKind::terminate())?;
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-        Ok(())
-    })
+/// The signals that ask this process to end.
+struct Signals {
+    runtime: Runtime,
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Signals {
+    /// From here on they do nothing but end [`Self::wait`].
+    fn heard() -> io::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()?;
+        let inside = runtime.enter();
+        let interrupt = signal(SignalKind::interrupt())?;
+        let terminate = signal(SignalKind::terminate())?;
+        drop(inside);
+        Ok(Self {
+            runtime,
+            interrupt,
+            terminate,
+        })
+    }
+
+    /// Ends with the first one.
+    fn wait(mut self) {
+        self.runtime.block_on(async {
+            tokio::select! {
+                _ = self.interrupt.recv() => {}
+                _ = self.terminate.recv() => {}
+            }
+        });
+    }
 }
 
 fn report(args: &RecordArgs, view: &RecordView) -> u8 {

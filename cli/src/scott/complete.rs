@@ -31,6 +31,8 @@ pub struct Known<'a> {
     pub classes: &'a [ClassInfo],
     /// Names of flavors and objects.
     pub names: &'a [String],
+    /// Names of daemons.
+    pub daemons: &'a [String],
     /// Names of variables.
     pub variables: &'a [String],
 }
@@ -52,8 +54,8 @@ impl<'a> Line<'a> {
         let mut done: Vec<&str> = done.split_ascii_whitespace().collect();
         // What is timed is a request like any other.
         match done.as_slice() {
-            ["time", next, ..] if !is_method(next) => drop(done.drain(..1)),
-            ["time"] => drop(done.drain(..1)),
+            ["time" | "trace", next, ..] if !is_method(next) => drop(done.drain(..1)),
+            ["time" | "trace"] => drop(done.drain(..1)),
             ["repeat", count, ..] if count.parse::<u64>().is_ok() => drop(done.drain(..2)),
             _ => {}
         }
@@ -92,8 +94,16 @@ fn variables(known: Known<'_>) -> Vec<Candidate> {
 
 fn offered(line: &Line<'_>, known: Known<'_>) -> Vec<Candidate> {
     match line.done.as_slice() {
+        [] if line.begun.contains('@') => at_daemons(line.begun, known),
         [] => beginnings(known),
         ["set", ..] | ["repeat"] => Vec::new(),
+        ["watch"] => {
+            let own = known.names.iter();
+            own.map(|name| candidate(name, "an object")).collect()
+        }
+        ["watch", ..] => ["--kind", "--slower", "--from", "--failed", "--count", "&"]
+            .map(|word| candidate(word, ""))
+            .to_vec(),
         ["expect", ..] => ["RET", "TMSG", "FMSG", "IMSG", "TDBX", "within"]
             .map(|word| candidate(word, ""))
             .to_vec(),
@@ -113,6 +123,16 @@ fn offered(line: &Line<'_>, known: Known<'_>) -> Vec<Candidate> {
         [_, "DBX", rest @ ..] => options(&describe::dbx_options(), rest),
         _ => Vec::new(),
     }
+}
+
+/// A name whose daemon is begun.
+fn at_daemons(begun: &str, known: Known<'_>) -> Vec<Candidate> {
+    let object = begun.split('@').next().unwrap_or_default();
+    let daemons = known.daemons.iter().map(String::as_str);
+    let places = daemons.chain(["self"]);
+    places
+        .map(|daemon| candidate(&format!("{object}@{daemon}"), "a daemon"))
+        .collect()
 }
 
 fn beginnings(known: Known<'_>) -> Vec<Candidate> {
@@ -309,6 +329,7 @@ mod tests {
         let known = Known {
             classes: &CLASSES,
             names: &names,
+            daemons: &[],
             variables: &variables,
         };
         let (start, found) = candidates(text, known);
@@ -320,6 +341,7 @@ mod tests {
         let known = Known {
             classes: &CLASSES,
             names: &[],
+            daemons: &[],
             variables: &[],
         };
         hint(text, known)

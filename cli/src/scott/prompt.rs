@@ -16,13 +16,14 @@ use reedline::{
     default_vi_normal_keybindings, default_vi_visual_keybindings,
 };
 use sorma::{
-    Reply,
+    ClassInfo,
     words::{self, WordError},
 };
 
 use super::{
+    backend::Backend,
     complete::{self, Known},
-    services::CLASSES,
+    follow,
     session::{Place, Session},
 };
 use crate::{exit, show};
@@ -38,6 +39,8 @@ const MENU: &str = "completion";
 struct Names {
     objects: Vec<String>,
     variables: Vec<String>,
+    classes: Vec<ClassInfo>,
+    daemons: Vec<String>,
 }
 
 type Shared = Arc<Mutex<Names>>;
@@ -47,15 +50,19 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     let names = Shared::default();
     let printer = ExternalPrinter::new(MESSAGES);
     log_above(printer.sender());
+    session.show_above(printer.sender());
+    if let Backend::App(app) = session.backend() {
+        follow::start(app.name().to_owned(), app.place(), printer.sender());
+    }
     let mut editor = editor(&names, vi).with_external_printer(printer);
-    let prompt = DefaultPrompt::new(
-        DefaultPromptSegment::Basic("scott".to_owned()),
-        DefaultPromptSegment::Empty,
-    );
     session.show_to_people();
     show::say("Tab completes, `NAME CTRL -help` tells what an object can do, Ctrl-D leaves.");
     loop {
         refresh(&names, session);
+        let prompt = DefaultPrompt::new(
+            DefaultPromptSegment::Basic(state(session.backend())),
+            DefaultPromptSegment::Empty,
+        );
         match editor.read_line(&prompt) {
             Ok(Signal::Success(text)) => {
                 let place = Place {
@@ -77,17 +84,23 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     }
 }
 
+/// Whom the prompt speaks to, and whether it is there.
+fn state(backend: &Backend) -> String {
+    match backend {
+        Backend::Local(_) => "scott".to_owned(),
+        Backend::App(app) if app.is_there() => format!("scott {}", app.name()),
+        Backend::App(app) => format!("scott {} (gone)", app.name()),
+    }
+}
+
 /// What there is now.
-fn refresh(names: &Shared, session: &Session) {
-    let mut objects = session.sorm().objects();
-    let listed = session.sorm().dispatch("dict CTRL -list");
-    let listed = listed.parse::<Reply>().map(|reply| reply.body.text);
-    let listed = words::split(&listed.unwrap_or_default()).unwrap_or_default();
-    objects.extend(listed.into_iter().map(|word| word.text));
-    objects.sort_unstable();
-    objects.dedup();
+fn refresh(names: &Shared, session: &mut Session) {
+    let (objects, classes) = session.backend().known();
+    let daemons = session.backend().daemons().to_vec();
     let mut names = names.lock().unwrap_or_else(PoisonError::into_inner);
     names.objects = objects;
+    names.classes = classes;
+    names.daemons = daemons;
     names.variables = session.variables().map(str::to_owned).collect();
 }
 
@@ -199,8 +212,9 @@ impl Hinter for Hints {
 
 fn known(names: &Names) -> Known<'_> {
     Known {
-        classes: &CLASSES,
+        classes: &names.classes,
         names: &names.objects,
+        daemons: &names.daemons,
         variables: &names.variables,
     }
 }

@@ -5,6 +5,8 @@
 //! expect RET 0             also TMSG, FMSG (within TOLERANCE), IMSG, TDBX: what the last reply must be
 //! time REQUEST             the reply and how long it took
 //! repeat 1000 REQUEST      the last reply, and the least, the median and the longest time
+//! trace REQUEST            everything that it leads to
+//! watch PATTERN            the requests that objects meet, with their replies
 //! REQUEST                  name EXEC|CTRL|DBX text
 //! ```
 //!
@@ -16,8 +18,10 @@ use std::collections::BTreeMap;
 use ctos::diagnostic::Finding;
 use sorma::{Reply, Transport, words};
 
+use super::watch::Wanted;
+
 /// The words that begin a statement other than a request.
-pub const STATEMENTS: [(&str, &str); 4] = [
+pub const STATEMENTS: [(&str, &str); 6] = [
     ("set", "set NAME = WORDS: a variable, used as $NAME"),
     (
         "expect",
@@ -27,6 +31,11 @@ pub const STATEMENTS: [(&str, &str); 4] = [
     (
         "repeat",
         "repeat 1000 REQUEST: least, median and longest time",
+    ),
+    ("trace", "trace REQUEST: everything that it leads to"),
+    (
+        "watch",
+        "watch PATTERN[@DAEMON] [--kind EXEC] [--slower 50ms] [--failed] [--count N] [&]",
     ),
 ];
 
@@ -56,6 +65,10 @@ pub enum Statement {
     Time(String),
     /// A request that is timed often.
     Repeat(u64, String),
+    /// A request that is followed.
+    Trace(String),
+    /// The requests of others.
+    Watch(Wanted),
 }
 
 /// What a reply must be; what is `None` may be anything.
@@ -102,6 +115,9 @@ pub fn read(line: &str) -> Result<Statement, String> {
         "time" if rest.is_empty() => Err("after time stands a request".to_owned()),
         "time" => Ok(Statement::Time(rest.to_owned())),
         "repeat" => repeat(rest),
+        "trace" if rest.is_empty() => Err("after trace stands a request".to_owned()),
+        "trace" => Ok(Statement::Trace(rest.to_owned())),
+        "watch" => Wanted::read(rest).map(Statement::Watch),
         _ => Ok(Statement::Request(line.to_owned())),
     }
 }

@@ -3,14 +3,20 @@
 use std::{
     fmt,
     io::{self, BufRead, Read},
+    sync::mpsc::SyncSender,
     time::Duration,
 };
 
 use ctos::time::Clock;
 use serde_json::{Value, json};
-use sorma::{Reply, Report, Sorm, Transport, report::code, words};
+use sorma::{Reply, Report, Transport, report::code, words};
 
-use super::script::{self, Expectation, Statement, Variables};
+use super::{
+    attach::{Interrupt, Interrupted},
+    backend::Backend,
+    script::{self, Expectation, Statement, Variables},
+    watch::{self, Wanted},
+};
 use crate::{exit, show};
 
 /// A longer line is refused and skipped, bytes.
@@ -18,7 +24,11 @@ pub const LONGEST_LINE: usize = 16 << 20;
 
 /// Runs statements.
 pub struct Session {
-    sorm: Sorm,
+    backend: Backend,
+    /// Counts the views of `watch` and `trace`.
+    views: u64,
+    /// Where lines go while one is being edited.
+    above: Option<SyncSender<String>>,
     clock: Clock,
     variables: Variables,
     last: Option<Transport>,
@@ -82,11 +92,13 @@ pub enum Flow {
 }
 
 impl Session {
-    /// A session with the objects of `sorm`.
+    /// A session with the objects of `backend`.
     #[must_use]
-    pub fn new(sorm: Sorm, json: bool, keep_going: bool) -> Self {
+    pub fn new(backend: Backend, json: bool, keep_going: bool) -> Self {
         Self {
-            sorm,
+            backend,
+            views: 0,
+            above: None,
             clock: Clock::real(),
             variables: Variables::new(),
             last: None,
@@ -103,10 +115,14 @@ impl Session {
         self.for_people = true;
     }
 
-    /// The manager.
-    #[must_use]
-    pub fn sorm(&self) -> &Sorm {
-        &self.sorm
+    /// Lines of what goes on beside the prompt are sent there from now on.
+    pub fn show_above(&mut self, above: SyncSender<String>) {
+        self.above = Some(above);
+    }
+
+    /// Whom it asks.
+    pub fn backend(&mut self) -> &mut Backend {
+        &mut self.backend
     }
 
     /// Names of the variables.
@@ -192,10 +208,12 @@ impl Session {
                 Flow::On
             }
             Statement::Expect(expected) => self.expect(place, &expected),
-            Statement::Request(request) => {
-                let reply = self.sorm.dispatch(&request);
-                self.replied(place, &reply, None)
-            }
+            Statement::Request(request) => match self.backend.dispatch(&request, 0) {
+                Ok(reply) => self.replied(place, &reply, None),
+                Err(Interrupted) => self.cancelled(place),
+            },
+            Statement::Trace(request) => self.trace(place, &request),
+            Statement::Watch(wanted) => self.watch(place, &wanted),
             Statement::Time(request) => self.timed(place, &request, None),
             Statement::Repeat(count, request) => self.timed(place, &request, Some(count)),
         }
@@ -246,7 +264,10 @@ impl Session {
         let mut reply = String::new();
         for _ in 0..count.unwrap_or(1) {
             let start = self.clock.now();
-            reply = self.sorm.dispatch(request);
+            reply = match self.backend.dispatch(request, 0) {
+                Ok(reply) => reply,
+                Err(Interrupted) => return self.cancelled(place),
+            };
             times.push(self.clock.now() - start);
             let good = reply.parse::<Reply>().is_ok_and(|reply| reply.body.is_ok());
             if !good {
@@ -262,6 +283,81 @@ impl Session {
             longest: at(times.len().saturating_sub(1)),
         };
         self.replied(place, &reply, Some(&told))
+    }
+
+    /// The user has pressed Ctrl-C: nothing more is done, whatever was to be kept going.
+    fn cancelled(&mut self, place: &Place<'_>) -> Flow {
+        let why = "cancelled; the app may still be at it, and what was locked for this session is free again";
+        let _ = self.fail(place, why, exit::INTERRUPTED);
+        Flow::Stop
+    }
+
+    /// Has a request met and shows everything that it led to.
+    fn trace(&mut self, place: &Place<'_>, request: &str) -> Flow {
+        self.views += 1;
+        let (reply, all) = match watch::trace(&mut self.backend, request, self.views) {
+            Ok(traced) => traced,
+            Err(Interrupted) => return self.cancelled(place),
+        };
+        let all = match all {
+            Ok(all) => all,
+            Err(why) => {
+                show::say(&format!("{place}: not everything could be traced: {why}"));
+                Vec::new()
+            }
+        };
+        let begin_s = all.first().map_or(0.0, |first| first.at_s);
+        for seen in &all {
+            let line = match self.json {
+                true => watch::as_json(seen).to_string(),
+                false if self.for_people => watch::nested_line(seen, begin_s),
+                // A script reads the reply; what it led to stands beside it as a comment.
+                false => format!("# {}", watch::nested_line(seen, begin_s)),
+            };
+            if show::data(&line).is_err() {
+                return Flow::Stop;
+            }
+        }
+        self.replied(place, &reply, None)
+    }
+
+    /// Shows the requests that others make.
+    fn watch(&mut self, place: &Place<'_>, wanted: &Wanted) -> Flow {
+        self.views += 1;
+        let (number, json) = (self.views, self.json);
+        let Backend::App(app) = &self.backend else {
+            let why = "watch shows what a running app is asked; here is nobody else who asks";
+            return self.fail(place, why, exit::FAILED);
+        };
+        // What goes on beside the prompt is not ended by what ends a request.
+        let interrupt = match wanted.beside && self.above.is_some() {
+            true => Interrupt::default(),
+            false => app.interrupt().clone(),
+        };
+        let mut app = match app.again(interrupt) {
+            Ok(app) => app,
+            Err(error) => return self.fail(place, &error.to_string(), exit::UNREACHABLE),
+        };
+        let shown = move |seen: &sorma::watching::Seen| match json {
+            true => watch::as_json(seen).to_string(),
+            false => watch::line(seen),
+        };
+        if let (true, Some(above)) = (wanted.beside, self.above.clone()) {
+            let wanted = wanted.clone();
+            std::thread::spawn(move || {
+                let say = |text: &str| drop(above.send(text.to_owned()));
+                let show = |seen: &_| above.send(shown(seen)).is_ok();
+                if let Err(why) = watch::watch(&mut app, &wanted, number, show, say) {
+                    say(&why);
+                }
+            });
+            return Flow::On;
+        }
+        let show = |seen: &_| show::data(&shown(seen)).is_ok();
+        match watch::watch(&mut app, wanted, number, show, show::say) {
+            Ok(()) => Flow::On,
+            Err(why) => self.fail(place, &why, exit::FAILED),
+        }
     }
 
     fn replied(&mut self, place: &Place<'_>, text: &str, times: Option<&Times>) -> Flow {
@@ -381,7 +477,7 @@ fn exit_of(ret: i32) -> u8 {
 }
 
 /// How long requests took.
-struct Times {
+pub(crate) struct Times {
     repeats: Option<usize>,
     least: Duration,
     median: Duration,
@@ -404,7 +500,7 @@ impl Times {
 }
 
 /// A reply as one JSON object; floats that JSON does not have are texts as in the textual form.
-fn as_json(reply: &Reply, times: Option<&Times>) -> Value {
+pub(crate) fn as_json(reply: &Reply, times: Option<&Times>) -> Value {
     let float = |float: &f64| match serde_json::Number::from_f64(*float) {
         Some(number) => Value::Number(number),
         None => json!(format!("{float:?}").to_lowercase()),

@@ -354,8 +354,7 @@ impl Chassis {
             pending.answer(Err(self.peer_down_fault(peer)));
         }
         self.directory.forget_chassis(peer);
-        let leaving = self.leaving.load(Ordering::Acquire);
-        if leaving || (self.is_stopping() && peer != 0) {
+        if !self.tells_of(peer) {
             return;
         }
         let chassis = self.name_of(peer).to_owned();
@@ -368,6 +367,13 @@ impl Chassis {
                 },
             );
         }
+    }
+
+    /// Whether it is news to the tasks here that `peer` is gone. While the app is taken down the others go
+    /// in their turn, and the boot once this chassis has been told to end.
+    fn tells_of(&self, peer: u8) -> bool {
+        let leaving = self.leaving.load(Ordering::Acquire);
+        !leaving && (peer == 0 || !self.is_stopping())
     }
 
     pub(super) fn peer_down_fault(&self, peer: u8) -> Fault {
@@ -390,4 +396,28 @@ fn body_of(data: Data) -> Result<Body, Fault> {
         return Err(Fault::BadPayload { text });
     }
     Ok(body)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{config::load_texts, registry::Registry, time::Clock};
+
+    #[test]
+    fn tasks_are_told_that_a_chassis_is_gone_until_their_own_was_told_to_end() {
+        let text = "[chassis.cell]\n[task.arm]\nhandler = \"arm\"\non = \"cell\"\n";
+        let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
+        let registry = Arc::new(Registry::new());
+        let chassis = Chassis::new(1, Arc::new(app), registry, Clock::real());
+        let told = || [0, 2].map(|peer| chassis.tells_of(peer));
+        assert_eq!(told(), [true, true]);
+        chassis.set_stopping();
+        assert_eq!(told(), [true, false], "the others go in their turn");
+        chassis.set_leaving();
+        assert_eq!(
+            told(),
+            [false, false],
+            "the boot may go after the answer to its order"
+        );
+    }
 }

@@ -5,20 +5,21 @@
 //! metrics, `hosts` those of other hosts. Knows no handler: whether a
 //! handler exists and takes its arguments is for the registry to say.
 
+mod tasks;
+
 use super::app::{
-    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, HostConfig,
-    OnTaskFailure, ProcessorConfig, SemaphoreConfig, TaskConfig, TimeMode,
+    App, BarrierConfig, ChassisConfig, HostConfig, ProcessorConfig, SemaphoreConfig, TimeMode,
 };
 use super::fields::{Fields, FlagOr, check_name};
 use super::hosts;
 use super::links;
 use super::node::{Entry, Node};
 use super::observe;
+use super::policies::supervision;
 use super::trail::Trail;
-use super::{Expander, GeneratedTask, zenoh};
+use super::{Expander, zenoh};
 use crate::diagnostic::{Finding, Findings, Place};
 use crate::semaphore::Scope;
-use crate::supervise::{Policy, When};
 use crate::sync::Overrun;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -442,223 +443,6 @@ impl Builder<'_> {
         });
         read.collect()
     }
-
-    fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
-        let entries = self.named(root, "task");
-        entries
-            .iter()
-            .filter_map(|entry| self.task(entry, chassis))
-            .collect()
-    }
-
-    fn task(&mut self, entry: &Entry, chassis: &[ChassisConfig]) -> Option<TaskConfig> {
-        let place = self.place_of(entry);
-        let what = format!("task `{}`", entry.key);
-        let mut fields = Fields::new(Some(&entry.value), what, TASK_KEYS, self.findings);
-        let handler = fields.required(
-            "handler",
-            "add handler = \"NAME\", the handler that this task runs",
-        );
-        let on = fields.required("on", "add on = \"CHASSIS\" or on = \"CHASSIS/PROCESSOR\"");
-        let queue = fields.integer("queue", 1..=65_536_usize).unwrap_or(QUEUE);
-        let restart = restart(&mut fields);
-        let call_deadline = fields.seconds("call_deadline_s", 86_400.0);
-        let handler_limit = fields.seconds("handler_limit_s", 86_400.0);
-        let args = fields.table("args").cloned();
-        let args = args.unwrap_or_else(|| Node::table().placed(&place));
-        let (handler, handler_place) = handler?;
-        let (on, on_place) = on?;
-        let (chassis, processor) = self.find_processor(on, &on_place, chassis)?;
-        Some(TaskConfig {
-            name: entry.key.clone(),
-            handler: handler.to_owned(),
-            handler_place,
-            chassis,
-            processor,
-            on_place,
-            queue,
-            restart,
-            handler_limit,
-            call_deadline,
-            args,
-            place,
-        })
-    }
-
-    /// Resolves `CHASSIS` or `CHASSIS/PROCESSOR`.
-    fn find_processor(
-        &mut self,
-        on: &str,
-        place: &Place,
-        all: &[ChassisConfig],
-    ) -> Option<(String, String)> {
-        let (name, processor) = match on.split_once('/') {
-            Some((name, processor)) => (name, Some(processor)),
-            None => (on, None),
-        };
-        let Some(chassis) = all.iter().find(|chassis| chassis.name == name) else {
-            let finding = Finding::error(
-                "ctos::config::unknown_chassis",
-                format!("there is no chassis `{name}`"),
-            )
-            .at(place.clone());
-            self.findings.push(if all.is_empty() {
-                finding.help(format!("declare it: [chassis.{name}]"))
-            } else {
-                finding.suggest(name, all.iter().map(|chassis| chassis.name.as_str()))
-            });
-            return None;
-        };
-        let names = || chassis.processors.iter().map(|known| known.name.as_str());
-        let found = match processor {
-            None => names().next(),
-            Some(wanted) => names().find(|known| *known == wanted),
-        };
-        if found.is_none() {
-            let wanted = processor.unwrap_or_default();
-            let finding = Finding::error(
-                "ctos::config::unknown_processor",
-                format!("chassis `{name}` has no processor `{wanted}`"),
-            );
-            self.findings
-                .push(finding.suggest(wanted, names()).at(place.clone()));
-        }
-        found.map(|found| (chassis.name.clone(), found.to_owned()))
-    }
-
-    fn expand(
-        &mut self,
-        root: &Node,
-        expanders: &[(&'static str, &dyn Expander)],
-        chassis: &[ChassisConfig],
-        tasks: &mut Vec<TaskConfig>,
-    ) {
-        for (table, expander) in expanders {
-            let Some(entry) = root.entry(table) else {
-                continue;
-            };
-            for generated in expander.expand(&entry.value, self.findings) {
-                self.generated(generated, chassis, tasks);
-            }
-        }
-    }
-
-    fn generated(
-        &mut self,
-        task: GeneratedTask,
-        chassis: &[ChassisConfig],
-        tasks: &mut Vec<TaskConfig>,
-    ) {
-        let place = task.place;
-        check_name("task", &task.name, &place, self.findings);
-        if let Some(other) = tasks.iter().find(|other| other.name == task.name) {
-            let finding = Finding::error(
-                "ctos::config::same_name",
-                format!(
-                    "a task called `{}` is generated here, but `{}` is declared at {} already",
-                    task.name, task.name, other.place
-                ),
-            )
-            .help("rename one of them");
-            self.findings.push(finding.at(place));
-            return;
-        }
-        let Some((chassis, processor)) = self.find_processor(&task.on, &place, chassis) else {
-            return;
-        };
-        tasks.push(TaskConfig {
-            name: task.name,
-            handler: task.handler,
-            handler_place: place.clone(),
-            chassis,
-            processor,
-            on_place: place.clone(),
-            queue: QUEUE,
-            restart: Policy::default(),
-            handler_limit: None,
-            call_deadline: None,
-            args: task.args.placed(&place),
-            place,
-        });
-    }
-
-    fn idle_chassis(&mut self, chassis: &[ChassisConfig], tasks: &[TaskConfig]) {
-        for one in chassis {
-            // With errors, the task that belongs there may be the one that could not be read.
-            let used = tasks.iter().any(|task| task.chassis == one.name);
-            if !used && !self.findings.has_errors() {
-                let finding = Finding::warning(
-                    "ctos::config::idle_chassis",
-                    format!("no task is on chassis `{}`", one.name),
-                );
-                self.findings.push(finding.at(one.place.clone()));
-            }
-        }
-    }
-
-    /// `until` must name a task, also one that has other mistakes.
-    fn check_until(&mut self, until: &str, place: Place, root: &Node, tasks: &[TaskConfig]) {
-        let declared = root
-            .entry("task")
-            .map_or(&[][..], |entry| entry.value.entries());
-        let names = || {
-            let declared = declared.iter().map(|entry| entry.key.as_str());
-            let made = tasks.iter().map(|task| task.name.as_str());
-            declared.chain(made)
-        };
-        if !names().any(|name| name == until) {
-            let finding = Finding::error(
-                "ctos::config::unknown_task",
-                format!("`until` waits for the task `{until}`, which does not exist"),
-            );
-            let mut known: Vec<_> = names().collect();
-            known.sort_unstable();
-            known.dedup();
-            self.findings.push(finding.suggest(until, known).at(place));
-        }
-    }
-}
-
-/// The keys of a chassis that say what happens when it fails.
-fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {
-    let defaults = ChassisSupervision::default();
-    let restart = match fields.choice("restart", &["never", "on-failure", "always"]) {
-        Some("on-failure") => ChassisRestart::OnFailure,
-        Some("always") => ChassisRestart::Always,
-        _ => ChassisRestart::Never,
-    };
-    let max_restarts = fields.integer("max_restarts", 1..=1_000_000_u32);
-    let window = fields.seconds("restart_window_s", 86_400.0);
-    let backoff = fields.seconds("restart_backoff_s", 3600.0);
-    let on_task_failure = match fields.choice("on_task_failure", &["app", "restart-chassis"]) {
-        Some("restart-chassis") => OnTaskFailure::RestartChassis,
-        _ => OnTaskFailure::App,
-    };
-    if restart == ChassisRestart::Never {
-        let mut idle = vec!["max_restarts", "restart_window_s", "restart_backoff_s"];
-        if on_task_failure == OnTaskFailure::RestartChassis {
-            idle.push("on_task_failure");
-        }
-        for key in idle {
-            if let Some(place) = fields.place(key) {
-                fields.push(
-                    Finding::warning(
-                        "ctos::config::no_effect",
-                        format!("`{key}` has no effect on a chassis that is never restarted"),
-                    )
-                    .help("add restart = \"on-failure\" or restart = \"always\"")
-                    .at(place),
-                );
-            }
-        }
-    }
-    ChassisSupervision {
-        restart,
-        max_restarts: max_restarts.unwrap_or(defaults.max_restarts),
-        window: window.unwrap_or(defaults.window),
-        backoff: backoff.unwrap_or(defaults.backoff),
-        on_task_failure,
-    }
 }
 
 /// Who shares a semaphore or barrier.
@@ -666,42 +450,5 @@ fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
     match fields.choice("scope", &["chassis", "app"])? {
         "app" => Some(Scope::App),
         _ => Some(Scope::Chassis),
-    }
-}
-
-/// `restart` and the keys that go with it.
-fn restart(fields: &mut Fields<'_, '_>) -> Policy {
-    let when = match fields.choice("restart", &["never", "on-failure", "always"]) {
-        Some("on-failure") => When::OnFailure,
-        Some("always") => When::Always,
-        _ => When::Never,
-    };
-    let usual = Policy::default();
-    let max = fields.integer("max_restarts", 1..=1_000_000_u32);
-    let window = fields.seconds("restart_window_s", 86_400.0);
-    let backoff = fields.seconds("restart_backoff_s", 3_600.0);
-    if when == When::Never {
-        for (key, given) in [
-            ("max_restarts", max.is_some()),
-            ("restart_window_s", window.is_some()),
-            ("restart_backoff_s", backoff.is_some()),
-        ] {
-            if let (true, Some(place)) = (given, fields.place(key)) {
-                fields.push(
-                    Finding::warning(
-                        "ctos::config::no_effect",
-                        format!("`{key}` has no effect where nothing is restarted"),
-                    )
-                    .help("add restart = \"on-failure\" or restart = \"always\"")
-                    .at(place),
-                );
-            }
-        }
-    }
-    Policy {
-        when,
-        max: max.unwrap_or(usual.max),
-        window: window.unwrap_or(usual.window),
-        backoff: backoff.unwrap_or(usual.backoff),
     }
 }

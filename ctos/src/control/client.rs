@@ -198,6 +198,8 @@ pub struct Client {
     app: Socket,
     limit: Duration,
     stream: BufReader<Box<dyn Wire>>,
+    /// What has come of the next answer.
+    begun: Vec<u8>,
     /// What it may mean when the other end hangs up.
     hung_up: Option<&'static str>,
     /// It has answered anything.
@@ -276,6 +278,7 @@ impl Client {
                 app,
                 limit,
                 stream: BufReader::new(stream),
+                begun: Vec::new(),
                 hung_up,
                 heard: false,
             }),
@@ -328,15 +331,44 @@ impl Client {
     /// # Errors
     /// [`ClientError`], also [`ClientError::Refused`] when the answer is an error.
     pub fn read(&mut self) -> Result<Option<Answer>, ClientError> {
-        let mut line = String::new();
-        match self.stream.read_line(&mut line) {
-            Ok(0) if self.hung_up.is_some() && !self.heard => {
-                return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
-            }
-            Ok(0) => return Ok(None),
+        match self.stream.read_until(b'\n', &mut self.begun) {
             Ok(_) => {}
             Err(error) => return Err(self.failed(error)),
         }
+        self.whole()
+    }
+
+    /// The next answer if it comes within `limit`. What has come of it by then is kept, so that one may ask
+    /// again.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_within(&mut self, limit: Duration) -> Result<Within, ClientError> {
+        let set = self.stream.get_ref().read_within(Some(limit));
+        set.map_err(|error| self.failed(error))?;
+        let read = self.stream.read_until(b'\n', &mut self.begun);
+        let usual = self.stream.get_ref().read_within(Some(self.limit));
+        usual.map_err(|error| self.failed(error))?;
+        match read {
+            Ok(_) => Ok(match self.whole()? {
+                Some(answer) => Within::Answer(Box::new(answer)),
+                None => Within::Closed,
+            }),
+            Err(error) if is_late(&error) => Ok(Within::NotYet),
+            Err(error) => Err(self.failed(error)),
+        }
+    }
+
+    /// The answer that has been read to its end.
+    fn whole(&mut self) -> Result<Option<Answer>, ClientError> {
+        let bytes = std::mem::take(&mut self.begun);
+        if bytes.is_empty() {
+            if self.hung_up.is_some() && !self.heard {
+                return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
+            }
+            return Ok(None);
+        }
+        let line = String::from_utf8_lossy(&bytes);
         let answer = serde_json::from_str(&line);
         // What is no line of an app at all is the end of an attempt to speak TLS.
         let is_line = line.starts_with('{');
@@ -369,7 +401,7 @@ impl Client {
     fn failed(&self, error: io::Error) -> ClientError {
         let (app, pid) = (self.app.app.clone(), self.app.pid);
         match error.kind() {
-            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => ClientError::TimedOut {
+            _ if is_late(&error) => ClientError::TimedOut {
                 app,
                 pid,
                 limit: self.limit,
@@ -388,6 +420,25 @@ impl Client {
             _ => ClientError::Unreachable { app, pid, error },
         }
     }
+}
+
+/// What came within a time limit.
+#[derive(Debug)]
+pub enum Within {
+    /// An answer.
+    Answer(Box<Answer>),
+    /// Nothing whole.
+    NotYet,
+    /// The app has closed the connection.
+    Closed,
+}
+
+/// Whether the time was over before anything came.
+fn is_late(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut
+    )
 }
 
 /// Calls the first address of `at` that answers.

@@ -69,6 +69,24 @@ pub enum Request {
         /// `CHASSIS` or `CHASSIS:PROCESSOR`.
         to: String,
     },
+    /// Says a line of text to a task that takes such lines, for example one with the handler
+    /// `sorma.daemon`: [`Answer::Said`]. Needs the role `control`. When the connection ends, the tasks that
+    /// were spoken to over it are told that who spoke is gone.
+    Say(SayRequest),
+}
+
+/// A line of text for a task.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SayRequest {
+    /// The task's name.
+    pub task: String,
+    /// The line.
+    pub line: String,
+    /// The number by which the request is followed; 0 when it is not.
+    pub trace: u64,
+    /// How long its answer is waited for, s; ten minutes when it is left out.
+    pub limit_s: Option<f64>,
 }
 
 /// What is to be recorded.
@@ -149,6 +167,11 @@ pub enum Answer {
     Moving(MoveView),
     /// It is there.
     Moved(MoveView),
+    /// What a task answered to a line of text.
+    Said {
+        /// Its line.
+        line: String,
+    },
     /// That was all.
     Done {},
     /// It could not be done.

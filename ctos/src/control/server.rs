@@ -1,10 +1,14 @@
 //! The boot's end of the control socket.
 
 use std::{
+    collections::BTreeSet,
     io,
     os::unix::fs::PermissionsExt,
     path::PathBuf,
-    sync::{Arc, atomic::Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
     time::Duration,
 };
 
@@ -26,14 +30,16 @@ use crate::{
         place,
         protocol::{
             Answer, Ask, EndView, ErrorCode, ErrorView, LogRequest, ProcessLog, REQUEST_LIMIT,
-            RecordRequest, Request, StatusView, VERSION,
+            RecordRequest, Request, SayRequest, StatusView, VERSION,
         },
         recording::{Recording, Recordings},
         view,
     },
     link::transport::Listener,
+    message::Tid,
     security::Role,
     system::{self, Interrupt, RestartChassis, RestartTask},
+    text::{Gone, Say},
 };
 
 /// Where a client is read, and where it is answered.
@@ -52,6 +58,10 @@ const CLIENTS: usize = 64;
 const BEHIND: usize = 1024;
 /// How long clients may take to hear how the app ended.
 const FAREWELL: Duration = Duration::from_secs(1);
+/// How long the answer to a line of text is waited for, unless the request says otherwise.
+const SAY_LIMIT: Duration = Duration::from_secs(600);
+/// The longest that a request may have its answer waited for, s.
+const MOST_SAY_LIMIT_S: f64 = 86_400.0;
 /// How many of its last lines the status of a chassis shows of each process.
 const STATUS_LINES: usize = 10;
 
@@ -106,6 +116,7 @@ impl Server {
             logs: logs.clone(),
             ticker: ticker.clone(),
             recordings: Arc::default(),
+            speakers: AtomicU64::new(0),
         });
         let mut serving = Vec::new();
         if let Some(listener) = listener {
@@ -253,6 +264,15 @@ pub(super) struct Desk {
     logs: Arc<LogStore>,
     ticker: Ticker,
     recordings: Arc<Recordings>,
+    /// Counts the clients, so that no two have the same name.
+    speakers: AtomicU64,
+}
+
+/// A client, as the tasks know it that it says lines to.
+struct Speaker {
+    name: String,
+    /// Those that it has spoken to.
+    heard: BTreeSet<Tid>,
 }
 
 impl Desk {
@@ -277,10 +297,30 @@ impl Desk {
         Some(error(ErrorCode::NotAllowed, text))
     }
 
-    /// Serves one client until it goes.
+    /// Serves one client until it goes, and tells so whom it has spoken to.
     pub(super) async fn client(
         &self,
         client: &Client,
+        reader: Reader,
+        writer: Writer,
+    ) -> io::Result<()> {
+        let number = self.speakers.fetch_add(1, Ordering::Relaxed) + 1;
+        let mut speaker = Speaker {
+            name: format!("{}-{number}@boot", client.who.replace(' ', "-")),
+            heard: BTreeSet::new(),
+        };
+        let served = self.serve(client, &mut speaker, reader, writer).await;
+        for task in speaker.heard {
+            let who = speaker.name.clone();
+            self.chassis.post_system(task, Gone { who });
+        }
+        served
+    }
+
+    async fn serve(
+        &self,
+        client: &Client,
+        speaker: &mut Speaker,
         reader: Reader,
         mut writer: Writer,
     ) -> io::Result<()> {
@@ -317,7 +357,7 @@ impl Desk {
                     tell(&mut writer, &refused).await?;
                 }
                 Ok(ask) => {
-                    let answered = std::pin::pin!(self.answer(ask.request, &mut writer));
+                    let answered = std::pin::pin!(self.answer(ask.request, speaker, &mut writer));
                     tokio::select! {
                         biased;
                         answered = answered => answered?,
@@ -332,8 +372,17 @@ impl Desk {
         }
     }
 
-    async fn answer(&self, request: Request, writer: &mut Writer) -> io::Result<()> {
+    async fn answer(
+        &self,
+        request: Request,
+        speaker: &mut Speaker,
+        writer: &mut Writer,
+    ) -> io::Result<()> {
         match request {
+            Request::Say(request) => {
+                let answer = self.say(request, speaker).await;
+                tell(writer, &answer).await
+            }
             Request::Ps {} => {
                 let answer = view::app(&self.chassis, &self.logs).await;
                 let answer = answer.map_or_else(|fault| failed(&fault), Answer::App);
@@ -490,6 +539,54 @@ impl Desk {
                 || here && line.is_about(name)
         });
         level && since && name
+    }
+
+    /// Says a line to a task, in the name of a client.
+    async fn say(&self, request: SayRequest, speaker: &mut Speaker) -> Answer {
+        let limit = match request.limit_s {
+            None => SAY_LIMIT,
+            Some(limit) if (0.0..=MOST_SAY_LIMIT_S).contains(&limit) => {
+                Duration::from_secs_f64(limit)
+            }
+            Some(limit) => {
+                let text = format!("`limit_s` is 0 to {MOST_SAY_LIMIT_S} s, not {limit}");
+                return error(ErrorCode::BadRequest, text);
+            }
+        };
+        let query = system::QueryTid {
+            name: request.task.clone(),
+        };
+        let found = view::ask(&self.chassis, system::TID_SERVER, query, SAY_LIMIT).await;
+        let task = match found {
+            Ok(Ok(task)) => task,
+            Ok(Err(_)) if self.chassis.app.task(&request.task).is_some() => {
+                let text = format!(
+                    "task `{}` is not there just now: its chassis is being started again, or it has ended",
+                    request.task
+                );
+                return error(ErrorCode::Failed, text);
+            }
+            Ok(Err(_)) => return self.no_such_name(&request.task),
+            Err(fault) => return failed(&fault),
+        };
+        speaker.heard.insert(task);
+        let say = Say {
+            line: request.line,
+            from: speaker.name.clone(),
+            trace: request.trace,
+        };
+        match view::ask(&self.chassis, task, say, limit).await {
+            Ok(line) => Answer::Said { line },
+            Err(Fault::UnknownCommand { takes }) => {
+                let text = format!(
+                    "task `{}` takes no lines of text; it takes {}",
+                    request.task,
+                    takes.join(", ")
+                );
+                error(ErrorCode::Failed, text)
+            }
+            Err(fault) => failed(&fault),
+        }
     }
 
     async fn stop(&self, now: bool, writer: &mut Writer) -> io::Result<()> {

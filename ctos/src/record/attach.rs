@@ -117,6 +117,9 @@ impl Guest {
         let mut run = run_of(chassis);
         let now = chassis.clock.now().as_nanos();
         run.insert("attached_ns".to_owned(), now.to_string());
+        // Each process has its own disk, where a tool on another host cannot make anything.
+        std::fs::create_dir_all(&request.folder)
+            .map_err(|error| format!("{}: {error}", request.folder))?;
         let place = Place::new(path, config.max_bytes, config.keep);
         let parts = Parts::open(place, run).map_err(|error| error.to_string())?;
         let writer = Writer::new(names, parts).choosing(request.channels.clone());

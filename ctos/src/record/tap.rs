@@ -36,6 +36,8 @@ pub(crate) struct Tap {
     visited: AtomicBool,
     /// Recorders that came while the chassis ran, and may go before it does.
     guests: RwLock<Vec<Arc<Recorder>>>,
+    /// How many recorders have come so far.
+    came: AtomicU64,
     /// Numbers messages while there are guests alone.
     next_id: AtomicU64,
 }
@@ -103,14 +105,21 @@ impl Tap {
 
     /// From now on everything goes to `recorder`. The first call counts.
     pub(crate) fn record(&self, recorder: Arc<Recorder>) {
+        self.came.fetch_add(1, Ordering::AcqRel);
         let _ = self.first.set(Target::Record(recorder));
     }
 
     /// From now on everything goes to `recorder` too.
     pub(super) fn admit(&self, recorder: Arc<Recorder>) {
+        self.came.fetch_add(1, Ordering::AcqRel);
         let mut guests = self.guests.write().unwrap_or_else(PoisonError::into_inner);
         guests.push(recorder);
         self.visited.store(true, Ordering::Release);
+    }
+
+    /// How many recorders have come so far.
+    pub(crate) fn came(&self) -> u64 {
+        self.came.load(Ordering::Acquire)
     }
 
     /// From now on nothing goes to `recorder` any more.

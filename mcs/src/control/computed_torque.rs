@@ -43,6 +43,12 @@ impl ComputedTorque {
 impl ControlLaw for ComputedTorque {
     fn reset(&mut self, _readings: &[SlotReading]) {}
 
+    fn tune(&mut self, bandwidth: f64, damping: f64) {
+        let natural = TAU * bandwidth;
+        self.stiffness = natural * natural;
+        self.damping = 2.0 * damping * natural;
+    }
+
     fn torques(
         &mut self,
         setpoint: &Setpoint,

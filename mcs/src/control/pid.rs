@@ -75,6 +75,10 @@ impl ControlLaw for PidGravity {
         self.integral = [0.0; DOF];
     }
 
+    fn tune(&mut self, bandwidth: f64, damping: f64) {
+        self.gains = JointGains::by_bandwidth(&self.model, bandwidth, damping);
+    }
+
     fn torques(
         &mut self,
         setpoint: &Setpoint,

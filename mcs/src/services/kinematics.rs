@@ -273,7 +273,7 @@ fn wrist_is_singular(posture: &IkSolution) -> bool {
 }
 
 /// The pose of 16 numbers, with a warning when its rotation had to be rounded.
-fn pose(io: &mut Transport) -> Result<Isometry3<f64>, Report> {
+pub(super) fn pose(io: &mut Transport) -> Result<Isometry3<f64>, Report> {
     let wrong = |text: String| Report::error(code::NO_POSE, text);
     let at = |row: usize, column: usize| io.floats.get(4 * row + column).copied().unwrap_or(0.0);
     let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];

@@ -353,3 +353,134 @@ proptest! {
         prop_assert!(reply.floats.iter().all(|float| float.is_finite()));
     }
 }
+
+/// The reply of an object that may wait, in a process without an app.
+fn tell(sorm: &Sorm, line: &str) -> Transport {
+    use futures_util::FutureExt as _;
+    let told = sorm.tell(&sorma::Alone, line, "").now_or_never().unwrap();
+    told.parse::<Reply>().unwrap().body
+}
+
+fn done(sorm: &Sorm, line: &str) -> Vec<f64> {
+    let reply = tell(sorm, line);
+    assert!(reply.is_ok(), "{line}: {:?}", reply.reports);
+    reply.floats
+}
+
+fn angles(joints: &[f64]) -> String {
+    let words: Vec<String> = joints.iter().map(|joint| format!("{joint:?}")).collect();
+    format!("FMSG {} {}", words.len(), words.join(" "))
+}
+
+#[test]
+fn the_arm_of_the_process_goes_where_it_is_told_and_pino_sees_it_there() {
+    let sorm = manager();
+    let goal = [0.3, 0.9, -1.2, 0.1, 0.6, -0.4];
+    let moved = done(&sorm, &format!("mvpos EXEC joints {}", angles(&goal)));
+    near(&moved[..6], &goal, 1e-12);
+    assert!(moved[6] > 0.0);
+    // What it says of its tool is what kinematics say.
+    let seen = done(&sorm, "pino EXEC state");
+    near(&seen[..6], &goal, 1e-12);
+    let expected = floats(&sorm, "kin.puma560 EXEC TMSG fkine", &goal);
+    near(&seen[6..], &expected, 1e-9);
+    // On by a bit and back again is where it was.
+    let by = [0.1, -0.2, 0.3, -0.1, 0.2, 0.5];
+    let there = done(&sorm, &format!("mvpos EXEC by {}", angles(&by)));
+    near(
+        &there[..6],
+        &std::array::from_fn::<f64, 6, _>(|i| goal[i] + by[i]),
+        1e-12,
+    );
+    let back = by.map(|joint: f64| -joint);
+    let there = done(&sorm, &format!("mvpos EXEC by {}", angles(&back)));
+    near(&there[..6], &goal, 1e-12);
+}
+
+#[test]
+fn cartesian_motions_move_the_tool_as_said() {
+    let sorm = manager();
+    let before = done(&sorm, "mvpos EXEC where");
+    tell(&sorm, "mvpos CTRL -path line");
+    done(&sorm, "mvpos EXEC shift FMSG 6 0.05 -0.04 0.03 0 0 0");
+    let after = done(&sorm, "mvpos EXEC where");
+    for (index, by) in [(9, 0.05), (13, -0.04), (17, 0.03)] {
+        assert!((after[index] - before[index] - by).abs() < 1e-9);
+    }
+    for index in [6, 7, 8, 10, 11, 12, 14, 15, 16] {
+        assert!((after[index] - before[index]).abs() < 1e-9, "it turned");
+    }
+    let pose = angles(&before[6..]);
+    done(&sorm, &format!("mvpos EXEC pose {pose}"));
+    let back = done(&sorm, "mvpos EXEC where");
+    near(&back[6..], &before[6..], 1e-8);
+    let [x, y, z] = [before[9], before[13], before[17]];
+    done(
+        &sorm,
+        &format!("mvpos EXEC place FMSG 6 {x} {y} {z} 0.1 3 0.2"),
+    );
+    let turned = done(&sorm, "mvpos EXEC where");
+    let expected = nalgebra::UnitQuaternion::from_euler_angles(0.1, 3.0, 0.2);
+    let expected = expected.to_rotation_matrix();
+    for row in 0..3 {
+        for column in 0..3 {
+            let found = turned[6 + 4 * row + column];
+            assert!((found - expected[(row, column)]).abs() < 1e-8);
+        }
+    }
+}
+
+#[test]
+fn positions_have_names_and_a_flavor_has_one_of_its_own() {
+    let sorm = manager();
+    let ready = done(&sorm, "mvpos EXEC ready");
+    near(&ready[..2], &[0.0, std::f64::consts::FRAC_PI_2], 1e-12);
+    let home = done(&sorm, "mvpos.home EXEC");
+    tell(
+        &sorm,
+        "dict CTRL -add position.shelf '0.1 0.8 -1.5 0 0.7 0.2'",
+    );
+    let shelf = done(&sorm, "mvpos EXEC shelf");
+    near(&shelf[..6], &[0.1, 0.8, -1.5, 0.0, 0.7, 0.2], 1e-12);
+    near(&done(&sorm, "mvpos EXEC home")[..6], &home[..6], 1e-12);
+    // One that is planned is where it was.
+    tell(&sorm, "mvpos.try CTRL -plan -speed 0.1");
+    let slow = done(&sorm, "mvpos.try EXEC shelf");
+    tell(&sorm, "mvpos.try CTRL -speed 0.5");
+    let fast = done(&sorm, "mvpos.try EXEC shelf");
+    assert!(slow[6] > 2.0 * fast[6]);
+    assert_eq!(slow[..6], fast[..6]);
+    near(&done(&sorm, "mvpos EXEC where")[..6], &home[..6], 1e-12);
+}
+
+#[test]
+fn a_motion_that_cannot_be_made_moves_nothing_and_says_what_is_in_the_way() {
+    let sorm = manager();
+    let before = done(&sorm, "mvpos EXEC where");
+    let refused = |line: &str| {
+        let reply = tell(&sorm, line);
+        assert!(!reply.is_ok() && reply.floats.is_empty(), "{line}");
+        (reply.code, reply.reports.last().unwrap().text.clone())
+    };
+    let (far, text) = refused("mvpos EXEC joints FMSG 6 0 0 0 0 2 0");
+    assert_eq!(far, code::MOTION);
+    assert!(text.contains("joint 5"), "{text}");
+    let (away, _) = refused("mvpos EXEC place FMSG 6 3 0 0 0 0 0");
+    assert_eq!(away, code::MOTION);
+    let (name, text) = refused("mvpos EXEC redy");
+    assert_eq!(name, code::NO_POSITION);
+    assert!(text.contains("position.ready"), "{text}");
+    assert_eq!(refused("mvpos EXEC").0, code::NO_POSITION);
+    tell(&sorm, "dict CTRL -add position.half '1 2 3'");
+    assert_eq!(refused("mvpos EXEC half").0, code::NO_POSITION);
+    for wrong in [
+        "mvpos EXEC joints FMSG 5 0 0 0 0 0",
+        "mvpos EXEC joints FMSG 6 0 0 nan 0 0 0",
+        "mvpos EXEC joints",
+        "pino EXEC set FMSG 1 8",
+        "pino EXEC sing",
+    ] {
+        assert!(refused(wrong).0 < 100, "{wrong}");
+    }
+    assert_eq!(done(&sorm, "mvpos EXEC where"), before);
+}

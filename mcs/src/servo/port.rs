@@ -36,6 +36,13 @@ pub enum ServoCommand {
     Stop,
     /// Drive power off in the next tick (category 0), latched until [`Self::Reset`].
     EmergencyStop,
+    /// Other parameters for the control law: the position loop's natural frequency, Hz, and damping ratio.
+    Tune {
+        /// Hz.
+        bandwidth: f64,
+        /// Of critical damping.
+        damping: f64,
+    },
     /// Clears a fault. Power stays off.
     Reset,
 }

@@ -68,6 +68,11 @@ pub struct ServoArgs {
     pub tool_rpy: [f64; 3],
 }
 
+/// Above a twentieth of the servo rate the sampled loop comes near its limit of stability.
+pub(super) fn most_bandwidth_hz(period: Duration) -> f64 {
+    0.05 / period.as_secs_f64()
+}
+
 fn period_ms() -> f64 {
     4.5
 }
@@ -107,8 +112,9 @@ impl ServoArgs {
         within("setpoint_every", f64::from(args.setpoint_every), 1.0, 100.0);
         within("damping", args.damping, 0.1, 5.0);
         within("following_error_rad", args.following_error_rad, 1e-4, 3.2);
-        // Above a twentieth of the servo rate the sampled loop comes near its limit of stability.
-        let top = 50.0 / args.period_ms.max(0.1);
+        let top = most_bandwidth_hz(Duration::from_secs_f64(
+            args.period_ms.clamp(0.1, 1e3) / 1e3,
+        ));
         within("bandwidth_hz", args.bandwidth_hz, 0.1, top);
         within("settling.error", args.settling.error, 1e-6, 1.0);
         within("settling.speed", args.settling.speed, 1e-6, 10.0);

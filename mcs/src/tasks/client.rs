@@ -15,8 +15,8 @@ use super::servo::{ReadServo, StopKind, StopServo};
 use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
-    Acquire, EmergencyStop, Move, Plan, Position, ReadPosition, Release, Reset, Status,
-    StatusReport, Stop,
+    Acquire, EmergencyStop, Move, Plan, Position, ReadControl, ReadPosition, Release, Reset,
+    SetControl, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -35,6 +35,8 @@ pub(super) fn register(registry: &mut Registry) {
         Status::INFO,
         EmergencyStop::INFO,
         Reset::INFO,
+        ReadControl::INFO,
+        SetControl::INFO,
     ];
     registry
         .handler(CLIENT, &commands, |cx| {
@@ -170,6 +172,14 @@ impl EventHandler for ClientTask {
                 let (EmergencyStop {}, reply) = message.open::<EmergencyStop>()?;
                 self.halt(cx, StopKind::Emergency).await?;
                 reply.ok(())
+            }
+            ReadControl::CODE => {
+                let (request, reply) = message.open::<ReadControl>()?;
+                reply.ok(Self::ask(cx, &self.parts()?.servo, request).await?)
+            }
+            SetControl::CODE => {
+                let (request, reply) = message.open::<SetControl>()?;
+                reply.ok(Self::ask(cx, &self.parts()?.servo, request).await?)
             }
             Status::CODE => {
                 let (Status {}, reply) = message.open::<Status>()?;

@@ -5,15 +5,16 @@ use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
 use ctos::diagnostic::{Finding, Findings};
-use ctos::message::{Command, Message};
+use ctos::message::{Command, CommandInfo, Message};
 use ctos::registry::Registry;
 use ctos::sync::{CyclicHandle, Tick};
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
 use serde::{Deserialize, Serialize};
 
-use super::args::{Law, ServoArgs};
+use super::args::{self, Law, ServoArgs};
 use super::{Link, SERVO, rows};
 use crate::arm::{DynamicsOptions, Joints};
+use crate::client::{ControlReport, ReadControl, SetControl};
 use crate::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
 use crate::driver::DriverRegistry;
 use crate::servo::{Servo, ServoCommand, ServoStatus};
@@ -53,12 +54,18 @@ ctos::command! {
     } => (), 0x0322, "stop_servo"
 }
 
+/// What the servo's task takes.
+const COMMANDS: [CommandInfo; 4] = [
+    ReadServo::INFO,
+    StopServo::INFO,
+    ReadControl::INFO,
+    SetControl::INFO,
+];
+
 pub(super) fn register(registry: &mut Registry, drivers: Arc<DriverRegistry>) {
     let known = Arc::clone(&drivers);
     registry
-        .handler(SERVO, &[ReadServo::INFO, StopServo::INFO], move |cx| {
-            ServoTask::new(cx, &drivers)
-        })
+        .handler(SERVO, &COMMANDS, move |cx| ServoTask::new(cx, &drivers))
         .check_in_app(move |task, app, findings| check(task, app, &known, findings));
 }
 
@@ -98,6 +105,7 @@ struct ServoTask {
     /// Waits here for the first phase.
     servo: Option<Servo>,
     cyclic: Option<CyclicHandle>,
+    control: ControlReport,
     /// It has said that it stops because a chassis is gone.
     bereft: bool,
 }
@@ -150,6 +158,15 @@ impl ServoTask {
             servo: Some(servo),
             cyclic: None,
             bereft: false,
+            control: ControlReport {
+                law: match args.law {
+                    Law::Pid => "pid".to_owned(),
+                    Law::ComputedTorque => "computed_torque".to_owned(),
+                },
+                bandwidth_hz: args.bandwidth_hz,
+                damping: args.damping,
+                following_error_rad: args.following_error_rad,
+            },
         })
     }
 
@@ -161,6 +178,32 @@ impl ServoTask {
             fault: self.link.fault(),
             base_t_tool: rows(&self.link.planner.tool_pose(&position)),
         }
+    }
+
+    /// Gives the control law other parameters, when they can be and nothing moves.
+    fn tune(&mut self, request: &SetControl) -> Result<ControlReport, HandlerError> {
+        let most_hz = args::most_bandwidth_hz(self.link.config.period);
+        let given = [
+            ("bandwidth_hz", request.bandwidth_hz, 0.1, most_hz),
+            ("damping", request.damping, 0.1, 5.0),
+        ];
+        for (what, value, low, high) in given {
+            if !(low..=high).contains(&value) {
+                return Err(format!("`{what}` is {low} to {high:.3}, not {value}").into());
+            }
+        }
+        if !self.link.port.status().motion.phase.is_over() {
+            return Err(
+                "the arm is on its way; set the control parameters when it has arrived".into(),
+            );
+        }
+        self.link.port.order(ServoCommand::Tune {
+            bandwidth: request.bandwidth_hz,
+            damping: request.damping,
+        })?;
+        self.control.bandwidth_hz = request.bandwidth_hz;
+        self.control.damping = request.damping;
+        Ok(self.control.clone())
     }
 
     /// Rest, brakes, power off. With the loop not on schedule there is nothing that could move.
@@ -186,6 +229,17 @@ impl EventHandler for ServoTask {
                     StopKind::Emergency => self.link.port.emergency_stop(),
                 }
                 reply.ok(())
+            }
+            ReadControl::CODE => {
+                let (ReadControl {}, reply) = message.open::<ReadControl>()?;
+                reply.ok(self.control.clone())
+            }
+            SetControl::CODE => {
+                let (request, reply) = message.open::<SetControl>()?;
+                match self.tune(&request) {
+                    Ok(control) => reply.ok(control),
+                    Err(error) => reply.fail(error),
+                }
             }
             _ => cx.default_processing(message),
         }

@@ -47,6 +47,9 @@ on = "ws"
 [task.other]
 handler = "test.bystander"
 on = "ws"
+[task.objects]
+handler = "sorma.daemon"
+on = "ws"
 "#;
 
 type Script =
@@ -91,6 +94,12 @@ fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
         Ok(Box::new(TestArm::new(ArmModel::puma560(), false, &for_arm)))
     });
     register(&mut registry, drivers);
+    let mut dictionary = sorma::Dictionary::new();
+    let shipped = ctos::diagnostic::Source::new("mcs", crate::services::DICTIONARY);
+    dictionary.load(&shipped).unwrap();
+    sorma::daemon::register(&mut registry, dictionary, |_, sorm| {
+        crate::services::register(sorm);
+    });
     let knobs = Arc::clone(knobs);
     registry.handler("test.user", &[], move |_| {
         Ok(User(script, Arc::clone(&knobs)))
@@ -429,4 +438,100 @@ fn wrong_arguments_are_found_before_anything_starts() {
         assert!(found.contains(expected), "{set}: {found}");
         assert!(found.contains(':'), "{found}");
     }
+}
+
+/// What an object of the app answers to a line of text.
+async fn told(cx: &Context, line: &str) -> Result<sorma::Transport, HandlerError> {
+    let objects = cx.task("objects").await?;
+    let say = sorma::daemon::Say {
+        line: line.to_owned(),
+        from: "a person".to_owned(),
+        trace: 0,
+    };
+    let reply = asked(cx, &objects, say).await?;
+    let reply = reply.parse::<sorma::Reply>();
+    Ok(reply
+        .map_err(|error| HandlerError::new(error.to_string()))?
+        .body)
+}
+
+#[test]
+fn one_line_of_text_moves_the_arm_of_the_app_and_gives_it_back() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            let moved = told(&cx, "mvpos EXEC joints FMSG 6 -0.6 1.4 -2.9 -0.4 0.2 1.1").await?;
+            assert!(moved.is_ok(), "{:?}", moved.reports);
+            for (found, goal) in moved.floats.iter().zip(GOAL) {
+                assert!((found - goal).abs() < 1e-3, "{moved:?}");
+            }
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            let seen = told(&cx, "pino EXEC state").await?;
+            assert!(
+                seen.text.starts_with("cold, held by nobody, motion"),
+                "{}",
+                seen.text
+            );
+            assert!((seen.floats[0] - GOAL[0]).abs() < 1e-3);
+            assert!(seen.ints[0] > 0);
+            // Kept, it can be moved again at once, and nobody else can.
+            told(&cx, "mvpos CTRL -keep").await?;
+            let on = told(&cx, "mvpos EXEC by FMSG 6 0.1 0 0 0 0 0").await?;
+            assert!(on.is_ok(), "{:?}", on.reports);
+            let refused = refusal(&cx, &mcs, Acquire {}).await?;
+            assert!(refused.contains("reserved by task `objects`"), "{refused}");
+            told(&cx, "mvpos EXEC release").await?;
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            // What the app refuses is said in its words.
+            let refused = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 2 0").await?;
+            assert_eq!(refused.code, sorma::report::code::REFUSED);
+            assert!(refused.reports[0].text.contains("joint 5"), "{refused:?}");
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn a_person_stops_the_arm_while_another_request_moves_it() {
+    text_of(|cx, _, _| {
+        Box::pin(async move {
+            let slow = "mvpos CTRL -speed 0.05";
+            told(&cx, slow).await?;
+            let own = cx.clone();
+            let moving = async move { told(&own, "mvpos EXEC ready").await };
+            let stopping = async {
+                cx.sleep(Duration::from_secs(1)).await;
+                told(&cx, "pino EXEC stop").await
+            };
+            let (moved, stopped) = futures_util::future::join(moving, stopping).await;
+            assert!(stopped?.is_ok());
+            let text = moved?.reports[0].text.clone();
+            assert!(text.contains("protective stop"), "{text}");
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn control_parameters_are_read_and_set_and_a_softer_loop_follows_worse() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            let control = told(&cx, "pino EXEC control").await?;
+            assert_eq!(
+                (control.text.as_str(), &control.floats[..2]),
+                ("pid", &[8.0, 1.0][..])
+            );
+            asked(&cx, &mcs, Acquire {}).await?;
+            let stiff = asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            let set = told(&cx, "pino EXEC set FMSG 2 4 1").await?;
+            assert_eq!(set.floats[0], 4.0, "{:?}", set.reports);
+            let soft = asked(&cx, &mcs, to(Target::Joints([0.0; 6]))).await?;
+            assert!(soft.max_tracking_error_rad > 2.0 * stiff.max_tracking_error_rad);
+            let refused = told(&cx, "pino EXEC set FMSG 2 400 1").await?;
+            assert_eq!(refused.code, sorma::report::code::REFUSED);
+            assert_eq!(told(&cx, "pino EXEC control").await?.floats[0], 4.0);
+            asked(&cx, &mcs, Release {}).await?;
+            Ok(String::new())
+        })
+    });
 }

@@ -326,6 +326,32 @@ fn each_rule_inside_a_net_has_its_finding() {
         "n.net:4:9",
     );
     one(
+        "transition t\n  in a\n  reset c\n",
+        "pnt::net::unknown_place",
+        "n.net:5:9",
+    );
+    one(
+        "transition t\n  in a\n  reset b, b\n",
+        "pnt::net::duplicate",
+        "n.net:5:12",
+    );
+    one("safe c\n", "pnt::net::unknown_place", "n.net:3:6");
+    one(
+        "place c = 6 capacity 5\n",
+        "pnt::net::over_capacity",
+        "n.net:3:7",
+    );
+    one(
+        "transition t\n  in a\n  idempotent\n",
+        "pnt::net::cannot_fail",
+        "n.net:3:12",
+    );
+    one(
+        "coordinator c : x\ntransition t\n  in a\n  ask c x\n  idempotent\n",
+        "pnt::net::cannot_fail",
+        "n.net:4:12",
+    );
+    one(
         "transition t\n  out a\n",
         "pnt::net::no_input",
         "n.net:3:12",

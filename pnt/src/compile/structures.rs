@@ -68,11 +68,8 @@ pub(super) fn expand(draft: &Draft, findings: &mut Findings) -> Expanded {
 
 impl Expanded {
     fn place(&mut self, name: Word, tokens: u32) {
-        let place = DraftPlace {
-            name,
-            tokens,
-            data: None,
-        };
+        let mut place = DraftPlace::new(name);
+        place.tokens = tokens;
         self.places.push((place, Role::Coordination));
     }
 
@@ -104,6 +101,7 @@ impl Expanded {
         start.name = name("start");
         start.action = None;
         start.within = None;
+        start.idempotent = false;
         start.inputs.push(here("SI"));
         start.inhibitors.extend([here("O"), here("OF")]);
         let outputs = mem::replace(&mut start.outputs, vec![active.clone()]);
@@ -204,6 +202,19 @@ fn check_ask(
             .suggest(&request.text, side.requests.iter().map(|r| r.text.as_str())),
         ),
         Some(_) => {}
+    }
+    if transition.idempotent {
+        findings.push(
+            Finding::error(
+                "pnt::net::cannot_fail",
+                format!(
+                    "transition `{}` has an `idempotent` line and only asks a coordinator",
+                    transition.name
+                ),
+            )
+            .at(transition.name.at.clone())
+            .help("put the `idempotent` line on the action in the coordinator's net"),
+        );
     }
     if transition.within.is_some() {
         findings.push(

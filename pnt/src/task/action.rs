@@ -8,11 +8,12 @@ use ctos::{
     task::{Context, HandlerError},
 };
 
-use super::engine::Engine;
+use super::{engine::Engine, journal::Phase};
 use crate::{
     exec::{FireError, FiringId},
     library::{Acted, Action},
     net::{self, TransitionId},
+    stream::EventPhase,
 };
 
 /// How often an action without failure branch is tried before the net gives up.
@@ -65,15 +66,21 @@ impl<S: 'static> Engine<S> {
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
         let (phase, text) = match &acted {
-            Ok(()) => ("completed", String::new()),
-            Err(error) => ("failed", error.to_string()),
+            Ok(()) => (EventPhase::Completed, String::new()),
+            Err(error) => (EventPhase::Failed, error.to_string()),
         };
         let effects = match acted {
             Ok(()) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
         };
         let (remote, written) = (effects.remote.to_vec(), effects.written);
-        self.log(&mut core, cx, id, phase, &text);
+        let phase = Phase {
+            transition: id,
+            firing: Some(firing),
+            phase,
+            text: &text,
+        };
+        self.log(&mut core, cx, &phase);
         drop(core);
         self.carry_out(cx, id, &remote, written);
         Ok(())
@@ -93,12 +100,12 @@ impl<S: 'static> Engine<S> {
                 Some(net::Action::Message {
                     task,
                     command,
-                    input,
-                    output,
+                    inputs,
+                    outputs,
                     ..
                 }) => {
                     let limit = transition.within.unwrap_or(DEFAULT_DEADLINE);
-                    let objects = (input.as_deref(), output.as_deref());
+                    let objects = (inputs.as_slice(), outputs.as_slice());
                     self.message(&action, (task, command), objects, limit).await
                 }
                 None => Ok(()),
@@ -114,20 +121,24 @@ impl<S: 'static> Engine<S> {
         &self,
         action: &Action<S>,
         (task, command): (&str, &str),
-        (input, output): (Option<&str>, Option<&str>),
+        (inputs, outputs): (&[String], &[String]),
         limit: Duration,
     ) -> Acted {
         let cx = &action.cx;
         let info = cx.registry().command_of(cx.app(), task, command)?;
         let to = cx.task(task).await?;
-        let request = match input {
-            Some(object) => action.get_data(object).await?,
-            None => Vec::new(),
-        };
+        // Fields that stand one after the other are how postcard encodes a structure.
+        let mut request = Vec::new();
+        for object in inputs {
+            request.extend(action.get_data(object).await?);
+        }
         let reply = cx.call_raw(&to, info, request, limit).await?;
-        match output {
-            Some(object) => action.put_data(object, reply).await,
-            None => Ok(()),
+        match outputs {
+            [] => Ok(()),
+            [object] => action.put_data(object, reply).await,
+            _ => Err(HandlerError::new(format!(
+                "the reply to `{command}` cannot be stored as several objects"
+            ))),
         }
     }
 }

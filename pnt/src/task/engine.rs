@@ -10,20 +10,19 @@ use std::{
 
 use ctos::{
     message::Replier,
-    record::Number,
     task::{Context, Handled, HandlerError},
 };
 use futures_util::future::try_join_all;
-use serde::Serialize;
 
 use super::{
-    journal::Journal,
-    messages::{FiringEvent, PutTape, Snapshot, TapeAnswer, Tokens},
+    journal::{Journal, Phase},
+    messages::{PutTape, Snapshot, TapeAnswer, Tokens},
 };
 use crate::{
     exec::{Conflicts, Execution, FireError, Written},
     library::{Acted, Action, CommandLine, DataStore, Library},
     net::{Net, PlaceId, RemoteArc, TransitionId},
+    stream::{EventPhase, Happened, NetView, Source},
 };
 
 /// Firings without any action between them after which a net is taken to run in a circle.
@@ -34,13 +33,15 @@ pub(super) struct Engine<S> {
     pub(super) net: Arc<Net>,
     pub(super) library: Library<S>,
     data: Option<Rc<dyn DataStore>>,
+    /// What displays and records are told of the net once.
+    pub(super) view: NetView,
     pub(super) core: RefCell<Core>,
 }
 
 pub(super) struct Core {
     pub(super) execution: Execution,
     conflicts: Conflicts,
-    journal: Journal,
+    pub(super) journal: Journal,
     begun: bool,
     halted: Option<String>,
     /// Who waits for which command's answer.
@@ -78,7 +79,7 @@ impl<S: 'static> Engine<S> {
             core: RefCell::new(Core {
                 execution: Execution::new(Arc::clone(&net)),
                 conflicts,
-                journal: Journal::default(),
+                journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),
                 begun: false,
                 halted: None,
                 waiting: BTreeMap::new(),
@@ -90,6 +91,7 @@ impl<S: 'static> Engine<S> {
                 failures: vec![0; net.transitions().len()],
             }),
             cx,
+            view: NetView::new(&net),
             net,
             library,
             data,
@@ -108,6 +110,7 @@ impl<S: 'static> Engine<S> {
     /// Everybody is connected: fire.
     pub(super) fn begin(self: &Rc<Self>, cx: &Context) {
         self.core.borrow_mut().begun = true;
+        self.published(&mut self.core.borrow_mut(), cx);
         self.advance(cx);
     }
 
@@ -125,9 +128,12 @@ impl<S: 'static> Engine<S> {
                     self.net.name()
                 ));
             }
+            let arguments = request.arguments.join(" ");
             let number = core
                 .execution
                 .put_symbol(&request.symbol, request.arguments)?;
+            let asked = Happened::Asked(request.symbol, arguments);
+            self.note(&mut core, cx, asked);
             core.waiting.insert(number, reply);
             core.commands.insert(number, cx.clone());
         }
@@ -143,6 +149,10 @@ impl<S: 'static> Engine<S> {
                 return Err(HandlerError::new(text));
             }
             core.execution.put_all(&tokens.tokens)?;
+            let put = tokens.tokens.iter();
+            let put = put.filter_map(|(place, count)| Some((self.net.place(place)?, *count)));
+            let put = Happened::Tokens(EventPhase::Received, put.collect(), tokens.from.clone());
+            self.note(&mut core, cx, put);
         }
         self.advance(cx);
         Ok(())
@@ -169,7 +179,7 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Something went wrong: the net stops for good and tells everybody who waits for an answer.
-    pub(super) fn halt(&self, why: &str) {
+    pub(super) fn halt(self: &Rc<Self>, why: &str) {
         if self.core.borrow().halted.is_none() {
             tracing::error!(target: "pnt::net", net = self.net.name(), why, "net halted");
             self.stop(why);
@@ -177,14 +187,15 @@ impl<S: 'static> Engine<S> {
     }
 
     /// The net fires no more; everybody who waits for an answer is told why.
-    pub(super) fn stop(&self, why: &str) {
+    pub(super) fn stop(self: &Rc<Self>, why: &str) {
         let waiting = {
             let mut core = self.core.borrow_mut();
             if core.halted.is_some() {
                 return;
             }
             core.halted = Some(why.to_owned());
-            core.journal.stopped(self.cx.now(), why);
+            let stopped = Happened::Net(EventPhase::Stopped, why.to_owned());
+            self.note(&mut core, &self.cx, stopped);
             core.commands.clear();
             std::mem::take(&mut core.waiting)
         };
@@ -222,7 +233,7 @@ impl<S: 'static> Engine<S> {
         self.tell_data(&cx);
     }
 
-    fn choose(&self) -> Option<TransitionId> {
+    fn choose(self: &Rc<Self>) -> Option<TransitionId> {
         let mut unknown = None;
         let chosen = {
             let mut core = self.core.borrow_mut();
@@ -262,7 +273,13 @@ impl<S: 'static> Engine<S> {
         let effects = core.execution.fire(id)?;
         let (remote, written) = (effects.remote.to_vec(), effects.written);
         core.take_up(read, written.as_ref(), cx);
-        self.log(&mut core, cx, id, "fired", "");
+        let phase = Phase {
+            transition: id,
+            firing: None,
+            phase: EventPhase::Fired,
+            text: "",
+        };
+        self.log(&mut core, cx, &phase);
         drop(core);
         self.carry_out(cx, id, &remote, written);
         Ok(())
@@ -277,7 +294,13 @@ impl<S: 'static> Engine<S> {
             .map(|on_tape| on_tape.number);
         let firing = core.execution.start(id)?;
         core.take_up(read, None, cx);
-        self.log(&mut core, cx, id, "started", "");
+        let phase = Phase {
+            transition: id,
+            firing: Some(firing),
+            phase: EventPhase::Started,
+            text: "",
+        };
+        self.log(&mut core, cx, &phase);
         let command = core.execution.tape().current().map(|on_tape| CommandLine {
             symbol: self.net[on_tape.command].symbol.clone(),
             arguments: on_tape.arguments.clone(),
@@ -301,23 +324,12 @@ impl<S: 'static> Engine<S> {
         Ok(())
     }
 
-    pub(super) fn log(
-        &self,
-        core: &mut Core,
-        cx: &Context,
-        id: TransitionId,
-        phase: &str,
-        text: &str,
-    ) {
-        let name = &self.net[id].name;
-        let event = core
-            .journal
-            .firing(cx.now(), self.net.name(), name, phase, text);
-        if cx.is_recording() {
-            let channel = format!("/firing/{}", self.net.name());
-            let trace = Number::of_trace(cx.trace());
-            cx.record(&channel, &Recorded { event, trace });
-        }
+    pub(super) fn log(self: &Rc<Self>, core: &mut Core, cx: &Context, phase: &Phase) {
+        let Core {
+            journal, execution, ..
+        } = core;
+        journal.firing(cx.now(), cx.trace(), execution, phase);
+        self.published(core, cx);
         core.note_validity(&self.net);
     }
 
@@ -430,15 +442,6 @@ impl<S: 'static> Engine<S> {
         try_join_all(tell).await?;
         Ok(())
     }
-}
-
-/// A phase of a firing as it stands in a record.
-#[derive(Serialize)]
-struct Recorded<'e> {
-    #[serde(flatten)]
-    event: &'e FiringEvent,
-    /// That of the message that made the firing possible; what its action sends bears it too.
-    trace: Number,
 }
 
 async fn deliver(cx: &Context, net: &str, tokens: Tokens) -> Acted {

@@ -1,65 +1,97 @@
-//! What happened in a net, most recent last: for snapshots, and as log lines of their own target.
-
-use std::collections::VecDeque;
+//! What happened in a net: the source of its stream, of its snapshots, and log lines of their own target.
 
 use ctos::time::Instant;
 
 use super::messages::FiringEvent;
+use crate::{
+    exec::{Execution, FiringId},
+    net::TransitionId,
+    stream::{Event, EventPhase, Happened, Source},
+};
 
-/// Events that are kept.
-const KEPT: usize = 256;
+/// Events of a [`Snapshot`](super::Snapshot).
+const SHOWN: usize = 256;
 
-#[derive(Debug, Default)]
-pub(super) struct Journal {
-    events: VecDeque<FiringEvent>,
-    ended: u64,
+/// One phase of a firing.
+pub(super) struct Phase<'p> {
+    pub(super) transition: TransitionId,
+    pub(super) firing: Option<FiringId>,
+    pub(super) phase: EventPhase,
+    /// Why it failed; empty otherwise.
+    pub(super) text: &'p str,
 }
 
+pub(super) struct Journal {
+    pub(super) stream: Source,
+    /// How many recorders there had been when the net was last put into the record as a whole.
+    recorders: u64,
+    /// How many events were recorded since.
+    recorded: u64,
+}
+
+/// After so many recorded events the net stands in the record as a whole again, so that no reader must
+/// begin at the beginning.
+const WHOLE_EVERY: u64 = 4096;
+
 impl Journal {
-    /// Notes one phase of a firing; returns it as it is kept.
+    pub(super) fn new(stream: Source) -> Self {
+        Self {
+            stream,
+            recorders: 0,
+            recorded: 0,
+        }
+    }
+
+    /// Notes one phase of a firing.
     pub(super) fn firing(
         &mut self,
         now: Instant,
-        net: &str,
-        transition: &str,
-        phase: &str,
-        text: &str,
-    ) -> &FiringEvent {
+        trace: u64,
+        execution: &Execution,
+        phase: &Phase,
+    ) {
+        let net = execution.net();
+        let (name, transition) = (net.name(), &net[phase.transition].name);
+        let (word, text) = (phase.phase.word(), phase.text);
         if text.is_empty() {
-            tracing::info!(target: "pnt::firing", net, transition, phase);
+            tracing::info!(target: "pnt::firing", net = name, transition, phase = word);
         } else {
-            tracing::info!(target: "pnt::firing", net, transition, phase, text);
+            tracing::info!(target: "pnt::firing", net = name, transition, phase = word, text);
         }
-        if phase != "started" {
-            self.ended += 1;
-        }
-        self.keep(now, transition, phase, text)
+        let text = text.to_owned();
+        let what = Happened::Transition(phase.transition, phase.phase, phase.firing, text);
+        self.stream.note(now, trace, what, execution);
     }
 
-    /// Notes the end of the net.
-    pub(super) fn stopped(&mut self, now: Instant, why: &str) {
-        self.keep(now, "", "stopped", why);
-    }
-
-    fn keep(&mut self, now: Instant, transition: &str, phase: &str, text: &str) -> &FiringEvent {
-        if self.events.len() == KEPT {
-            self.events.pop_front();
+    /// Whether the record lacks the net as a whole, where `recorders` have come so far.
+    pub(super) fn lacks_whole(&mut self, recorders: u64) -> bool {
+        self.recorded += 1;
+        let lacks = self.recorders != recorders || self.recorded > WHOLE_EVERY;
+        if lacks {
+            self.recorders = recorders;
+            self.recorded = 0;
         }
-        self.events.push_back_mut(FiringEvent {
-            at_ns: now.as_nanos(),
-            transition: transition.to_owned(),
-            phase: phase.to_owned(),
-            text: text.to_owned(),
-        })
+        lacks
     }
 
-    /// The kept events.
+    /// The latest firings and the end of the net, oldest first.
     pub(super) fn events(&self) -> Vec<FiringEvent> {
-        self.events.iter().cloned().collect()
+        let shown =
+            |event: &Event| !event.transition.is_empty() || event.phase == EventPhase::Stopped;
+        let short = |event: Event| FiringEvent {
+            at_ns: event.at_ns,
+            transition: event.transition,
+            phase: event.phase.word().to_owned(),
+            text: event.text,
+        };
+        let latest = self.stream.latest(2 * SHOWN).filter(shown).map(short);
+        let mut latest: Vec<FiringEvent> = latest.collect();
+        latest.drain(..latest.len().saturating_sub(SHOWN));
+        latest
     }
 
     /// Firings ended since the start.
     pub(super) fn ended(&self) -> u64 {
-        self.ended
+        self.stream.firings()
     }
 }

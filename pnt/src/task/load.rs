@@ -4,15 +4,17 @@ use std::{path::Path, sync::Arc};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings, Source},
+    diagnostic::{Finding, Findings, Severity, Source},
     registry::Registry,
 };
 
 use crate::{
     check::{self, FunctionNames, Report},
     compile,
+    layout::{LayoutFile, beside},
     net::{Action, Net},
     space::Limits,
+    stream::NetView,
     task::COMMANDS,
 };
 
@@ -64,16 +66,21 @@ pub fn settings(task: &TaskConfig) -> Result<Settings, Finding> {
 /// # Errors
 /// All findings about the file and its text.
 pub fn load(path: &Path) -> Result<Net, Findings> {
-    compile::net(&Source::read(path)?)
+    let folder = path.parent().unwrap_or(Path::new(""));
+    compile::net_with(&Source::read(path)?, &mut |file| {
+        Source::read(&folder.join(file))
+    })
 }
 
 /// The net of a task; findings about it are those of [`check_args`].
 fn net_of(task: &TaskConfig, app: &App) -> Result<Net, Findings> {
-    let source = app.read(settings(task)?.net).map_err(|finding| {
+    let file = settings(task)?.net;
+    let source = app.read(&file).map_err(|finding| {
         let place = task.args.get("net").and_then(|net| net.place().cloned());
         finding.at(place.unwrap_or_else(|| task.place.clone()))
     })?;
-    compile::net(&source)
+    let folder = Path::new(&file).parent().unwrap_or(Path::new(""));
+    compile::net_with(&source, &mut |included| app.read(folder.join(included)))
 }
 
 /// Checks one net task: its arguments, its net by itself, and that its library has every function
@@ -87,6 +94,7 @@ pub fn check_args(
     match net_of(task, app) {
         Ok(net) => {
             check::functions(&net, functions, findings);
+            check_layout(&net, task, app, findings);
             if net.name() != task.name {
                 findings.push(
                     Finding::error(
@@ -105,6 +113,27 @@ pub fn check_args(
             }
         }
         Err(found) => findings.extend(found),
+    }
+}
+
+/// What is wrong with a layout file stops nothing: a net runs without it.
+fn check_layout(net: &Net, task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let Ok(settings) = settings(task) else { return };
+    let path = app.folder.join(settings.net);
+    let mut found = Findings::new();
+    let file = LayoutFile::of_net(&path, &mut found);
+    for mut finding in found.into_sorted() {
+        finding.severity = Severity::Warning;
+        findings.push(finding);
+    }
+    let mut view = NetView::new(net);
+    let known: Vec<String> = view.names().map(str::to_owned).collect();
+    for name in file.pin(&mut view) {
+        let message = format!("net `{}` has no node `{name}` to draw there", net.name());
+        let finding = Finding::warning("pnt::layout::unknown_node", message)
+            .suggest(&name, known.iter().map(String::as_str))
+            .label(format!("its drawing is {}", beside(&path).display()));
+        findings.push(finding.at(task.place.clone()));
     }
 }
 

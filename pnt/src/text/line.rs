@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use ctos::diagnostic::{Place as At, Source};
+
 /// A piece of a line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Symbol {
@@ -31,6 +33,14 @@ impl Symbol {
 pub(super) struct Token {
     pub(super) symbol: Symbol,
     pub(super) range: Range<usize>,
+    /// The text: arguments of subnets come from elsewhere than the line they stand in.
+    pub(super) source: Source,
+}
+
+impl Token {
+    pub(super) fn at(&self) -> At {
+        self.source.at(self.range.clone())
+    }
 }
 
 /// What cannot be read, with its bytes of the whole text.
@@ -42,8 +52,23 @@ pub(super) struct BadSymbol {
 
 const MARKS: [&str; 10] = ["->", ",", "=", "*", "@", ":", ";", ".", "(", ")"];
 
-/// Cuts a line (without its end) that starts at byte `start` of the text into tokens.
-pub(super) fn cut(line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
+/// The byte at which a line's comment begins; nothing if it has none.
+pub(super) fn comment(line: &str) -> Option<usize> {
+    let (mut quoted, mut escaped) = (false, false);
+    line.char_indices()
+        .find(|(_, character)| {
+            let begins = *character == '#' && !quoted;
+            if *character == '"' && !escaped {
+                quoted = !quoted;
+            }
+            escaped = quoted && *character == '\\' && !escaped;
+            begins
+        })
+        .map(|(at, _)| at)
+}
+
+/// Cuts a line (without its end) that starts at byte `start` of the source into tokens.
+pub(super) fn cut(source: &Source, line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
     let mut tokens = Vec::new();
     let mut rest = line;
     loop {
@@ -62,6 +87,7 @@ pub(super) fn cut(line: &str, start: usize) -> Result<Vec<Token>, BadSymbol> {
         tokens.push(Token {
             symbol,
             range: at..at + length,
+            source: source.clone(),
         });
         rest = rest.get(length..).unwrap_or_default();
     }
@@ -84,14 +110,7 @@ fn symbol(rest: &str, first: char) -> Result<(Symbol, usize), (String, usize)> {
         return Ok((Symbol::Number(text), length));
     }
     if first == '"' {
-        let inner = rest.get(1..).unwrap_or_default();
-        return match inner.find('"') {
-            Some(end) => {
-                let text = inner.get(..end).unwrap_or_default();
-                Ok((Symbol::Quoted(text.to_owned()), end + 2))
-            }
-            None => Err(("this quotation has no end on its line".into(), rest.len())),
-        };
+        return quoted(rest);
     }
     for mark in MARKS {
         if rest.starts_with(mark) {
@@ -102,4 +121,46 @@ fn symbol(rest: &str, first: char) -> Result<(Symbol, usize), (String, usize)> {
         format!("`{first}` has no meaning in net text"),
         first.len_utf8(),
     ))
+}
+
+/// Text between quotes, from the first of them; `\"`, `\\`, `\n`, `\r`, `\t` and `\u{...}` stand for
+/// what they usually do.
+fn quoted(rest: &str) -> Result<(Symbol, usize), (String, usize)> {
+    let mut text = String::new();
+    let mut characters = rest.char_indices().skip(1);
+    while let Some((at, character)) = characters.next() {
+        match character {
+            '"' => return Ok((Symbol::Quoted(text), at + 1)),
+            '\\' => {
+                let after = rest.get(at + 1..).unwrap_or_default();
+                let Some((meant, taken)) = escape(after) else {
+                    let bad = "a backslash in quotes is followed by one of `\" \\ n r t u{...}`";
+                    return Err((bad.to_owned(), rest.len()));
+                };
+                text.push(meant);
+                for _ in 0..taken {
+                    characters.next();
+                }
+            }
+            other => text.push(other),
+        }
+    }
+    Err(("this quotation has no end on its line".into(), rest.len()))
+}
+
+/// What an escape means, without its backslash, and how many characters it has.
+fn escape(text: &str) -> Option<(char, usize)> {
+    match text.chars().next()? {
+        plain @ ('"' | '\\') => Some((plain, 1)),
+        'n' => Some(('\n', 1)),
+        'r' => Some(('\r', 1)),
+        't' => Some(('\t', 1)),
+        'u' => {
+            let (digits, _) = text.strip_prefix("u{")?.split_once('}')?;
+            let number = u32::from_str_radix(digits, 16).ok()?;
+            // `u`, the two braces and the digits, all of which are ASCII.
+            Some((char::from_u32(number)?, digits.len() + 3))
+        }
+        _ => None,
+    }
 }

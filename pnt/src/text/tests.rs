@@ -1,9 +1,12 @@
-use std::time::Duration;
+use std::{num::NonZeroU32, time::Duration};
 
 use proptest::{collection::vec, option, prelude::*};
 
 use super::*;
-use crate::draft::DraftArc;
+use crate::{
+    draft::DraftArc,
+    timing::{Servers, Timing},
+};
 
 /// The findings about a text, one line each.
 fn findings(text: &str) -> Vec<String> {
@@ -21,7 +24,9 @@ fn findings(text: &str) -> Vec<String> {
 fn every_line_of_the_grammar_is_read() {
     let text = r#"
 net dispatcher "Translates commands" # and a comment
-place a = 2, b, c data path
+place a = 2 capacity 5, b, c data path
+safe a*2, b
+safe c
 command go -> gone, not_gone
 coordinator vision : find_spot, find_blob
 serves planner : plan ; done plan_done ; failed plan_failed
@@ -29,23 +34,38 @@ transition t
   in a*2, b
   read c
   inhibit c*3
+  reset b, c
   tape go
   when not more
-  send operator.report(path -> receipt)
+  send operator.report(path, speed -> receipt, stamp)
+  idempotent
   out p1@other, p2@other*2, b
   fail a
   write gone
   priority 7
   within 1.5 s
+  weight 0.5
+  time normal 2 s spread 300 ms
+  servers 2
 transition u
   in a
   when more
   ask vision find_spot
   out b
+transition "3 \"x\""
+  in a
+  time exponential 2 min
+  servers many
+transition w
+  in a
+  time 1 h
 "#;
     let draft = parse(&Source::new("a.net", text)).unwrap();
     assert_eq!(draft.title.as_deref(), Some("Translates commands"));
     assert_eq!(draft.places[0].tokens, 2);
+    assert_eq!(draft.places[0].capacity, Some(5));
+    assert_eq!(draft.safe[0][0].weight, 2);
+    assert_eq!(draft.safe[1][0].place.text, "c");
     assert_eq!(draft.places[2].data.as_ref().unwrap().text, "path");
     assert_eq!(draft.serves[0].failed.as_ref().unwrap().text, "plan_failed");
     let t = &draft.transitions[0];
@@ -54,6 +74,21 @@ transition u
     assert!(t.when.as_ref().unwrap().negated);
     assert_eq!(t.within, Some(Duration::from_millis(1500)));
     assert_eq!(t.priority, 7);
+    assert_eq!(t.resets.len(), 2);
+    assert!(t.idempotent && t.weight < 0.6);
+    let timing = Timing::Normal {
+        mean: Duration::from_secs(2),
+        spread: Duration::from_millis(300),
+    };
+    assert_eq!(t.timing, timing);
+    assert_eq!(t.servers, NonZeroU32::new(2).map(Servers::Limit));
+    let quoted = &draft.transitions[2];
+    assert_eq!(quoted.name.text, "3 \"x\"");
+    let mean = Duration::from_secs(120);
+    assert_eq!(quoted.timing, Timing::Exponential { mean });
+    assert_eq!(quoted.servers, Some(Servers::Many));
+    let hour = Timing::Deterministic(Duration::from_secs(3600));
+    assert_eq!(draft.transitions[3].timing, hour);
     assert_eq!(
         parse(&Source::new("b.net", draft.to_string())).unwrap(),
         draft
@@ -102,7 +137,7 @@ fn numbers_that_cannot_be_meant_are_refused() {
         "-2",
         "18446744073709551616",
         "1.5",
-        "1000001",
+        "1000000001",
         "1e3",
         "0x10",
     ] {
@@ -121,8 +156,171 @@ fn windows_line_ends_and_a_missing_last_one_do_not_matter() {
     assert_eq!(draft.transitions[0].inputs[0].place.text, "a");
 }
 
+const GRIPPER: &str = "subnet gripper(free, task, tries, limit)
+place open = tries, closed
+transition close
+  in open, free
+  send task.close
+  out closed
+  within limit
+transition give_back   # the place of the net around it
+  in closed
+  out free, open
+end
+";
+
+fn parsed(text: &str) -> String {
+    let draft = parse(&Source::new("a.net", text)).unwrap_or_else(|f| panic!("{f}"));
+    draft.to_string()
+}
+
+#[test]
+fn an_instance_is_the_subnet_with_its_arguments_and_its_name() {
+    let text = format!(
+        "net n\nplace hand = 1\nuse gripper(hand, left_hand, 2, 3 s) as left\n{GRIPPER}transition t\n  in left.closed*2, hand\n  reset left.open\n  out left.open\n"
+    );
+    assert_eq!(
+        parsed(&text),
+        "net n
+place hand = 1
+place \"left.open\" = 2
+place \"left.closed\"
+transition \"left.close\"
+  in \"left.open\", hand
+  send left_hand.close
+  out \"left.closed\"
+  within 3 s
+transition \"left.give_back\"
+  in \"left.closed\"
+  out hand, \"left.open\"
+transition t
+  in \"left.closed\"*2, hand
+  reset \"left.open\"
+  out \"left.open\"
+"
+    );
+}
+
+#[test]
+fn subnets_use_each_other_and_stand_in_included_files() {
+    let pair = "subnet pair(free)\nuse gripper(free, a, 1, 1 s) as one\nuse gripper(free, b, 1, 1 s) as two\nend\ninclude \"gripper.net\"\n";
+    let net = Source::new(
+        "n.net",
+        "net n\ninclude \"pair.net\"\nplace hand\nuse pair(hand) as p\n",
+    );
+    let draft = parse_with(&net, &mut |file| match file {
+        "pair.net" => Ok(Source::new(file, pair)),
+        _ => Ok(Source::new(file, GRIPPER)),
+    });
+    let names: Vec<String> = draft
+        .unwrap()
+        .places
+        .into_iter()
+        .map(|p| p.name.text)
+        .collect();
+    assert_eq!(
+        names,
+        [
+            "hand",
+            "p.one.open",
+            "p.one.closed",
+            "p.two.open",
+            "p.two.closed"
+        ]
+    );
+}
+
+#[test]
+fn what_is_wrong_with_subnets_is_told_at_its_place() {
+    let one = |rest: &str, start: &str| {
+        let found = findings(&format!("net n\nplace p\n{rest}{GRIPPER}"));
+        assert!(
+            found.len() == 1 && found[0].starts_with(start),
+            "{found:#?}\nshould be {start}"
+        );
+    };
+    one(
+        "use griper(p, a, 1, 1 s) as g\n",
+        "a.net:3:5: error: there is no subnet `griper` (did you mean `gripper`?)",
+    );
+    one(
+        "use gripper(p, a) as g\n",
+        "a.net:3:5: error: subnet `gripper` takes 4 arguments, not 2",
+    );
+    one(
+        "use gripper(p, a, 1, 1 s)\n",
+        "a.net:3:26: error: expected `as`",
+    );
+    // An argument that fits nowhere is told where it was given.
+    one(
+        "use gripper(p, a, x, 1 s) as g\n",
+        "a.net:3:19: error: expected the initial tokens, found `x`",
+    );
+    one(
+        "place open\nuse gripper(open, a, 1, 1 s) as g\n",
+        "a.net:4:13: error: the subnet has a place `open` of its own",
+    );
+    one(
+        "subnet s\nuse s as t\nend\nuse s as u\n",
+        "a.net:4:5: error: subnet `s` uses itself: s uses s",
+    );
+    one(
+        "subnet s\ncommand a -> b\nend\nuse s as u\n",
+        "a.net:4:1: error: a subnet has no `command` lines",
+    );
+    one(
+        "subnet s\n",
+        "a.net:4:1: error: subnet `s` is not ended yet",
+    );
+    one("end\n", "a.net:3:1: error: there is no subnet to end here");
+    one(
+        "subnet gripper\nend\n",
+        "a.net:5:8: error: subnet `gripper` is there twice; the first is at a.net:3:8",
+    );
+    one(
+        "subnet s(a, a)\n",
+        "a.net:3:13: error: parameter `a` is there twice",
+    );
+    one(
+        "include \"x.net\"\n",
+        "a.net:3:9: error: `x.net` cannot be included here",
+    );
+    assert!(
+        findings("net n\nsubnet s\nplace p\n")[0]
+            .starts_with("a.net:2:8: error: subnet `s` has no end")
+    );
+}
+
+#[test]
+fn files_that_include_each_other_and_subnets_that_multiply_are_refused() {
+    let source = Source::new("a.net", "net n\ninclude \"b.net\"\n");
+    let found = parse_with(&source, &mut |file| {
+        let other = if file == "b.net" { "c.net" } else { "b.net" };
+        Ok(Source::new(file, format!("include \"{other}\"\n")))
+    })
+    .unwrap_err();
+    assert!(
+        found.to_string().contains("`b.net` includes itself"),
+        "{found}"
+    );
+
+    let mut text = "net n\nuse s0 as a\n".to_owned();
+    for level in 0..30 {
+        let next = level + 1;
+        text.push_str(&format!(
+            "subnet s{level}\nuse s{next} as a\nuse s{next} as b\nend\n"
+        ));
+    }
+    text.push_str("subnet s30\nplace p\nend\n");
+    assert!(
+        findings(&text)[0].contains("the instances have more than"),
+        "not bounded"
+    );
+}
+
 fn name() -> impl Strategy<Value = Word> {
-    "[a-z_][a-zA-Z0-9_]{0,8}".prop_map(|text| Word::from(text.as_str()))
+    let any = prop_oneof![4 => "[a-z_][a-zA-Z0-9_]{0,8}", 1 => "(?s).{1,6}"];
+    any.prop_map(|text| Word::from(text.as_str()))
 }
 
 fn arc() -> impl Strategy<Value = DraftArc> {
@@ -140,14 +338,34 @@ fn an_action() -> impl Strategy<Value = DraftAction> {
             coordinator,
             request
         }),
-        (name(), name(), option::of(name()), option::of(name())).prop_map(
-            |(task, command, input, output)| DraftAction::Send {
+        (name(), name(), vec(name(), 0..3), vec(name(), 0..3)).prop_map(
+            |(task, command, inputs, outputs)| DraftAction::Send {
                 task,
                 command,
-                input,
-                output
+                inputs,
+                outputs
             }
         ),
+    ]
+}
+
+fn a_time() -> impl Strategy<Value = Duration> {
+    (1_u64..360_000_000_000_000).prop_map(Duration::from_micros)
+}
+
+fn a_timing() -> impl Strategy<Value = Timing> {
+    prop_oneof![
+        Just(Timing::Immediate),
+        a_time().prop_map(Timing::Deterministic),
+        a_time().prop_map(|mean| Timing::Exponential { mean }),
+        (a_time(), a_time()).prop_map(|(mean, spread)| Timing::Normal { mean, spread }),
+    ]
+}
+
+fn some_servers() -> impl Strategy<Value = Servers> {
+    prop_oneof![
+        Just(Servers::Many),
+        (1_u32..9).prop_map(|most| NonZeroU32::new(most).map_or(Servers::ONE, Servers::Limit)),
     ]
 }
 
@@ -160,12 +378,16 @@ prop_compose! {
         action in option::of(an_action()),
         priority in 0_u32..4,
         within in option::of(1_u64..86_400_000_000),
+        (resets, idempotent) in (vec(name(), 0..3), any::<bool>()),
+        (timing, servers) in (a_timing(), option::of(some_servers())),
+        weight in prop_oneof![Just(1.0), 1.0e-9..1.0e9],
     ) -> DraftTransition {
         DraftTransition {
             name,
             inputs,
             reads,
             inhibitors,
+            resets,
             tape,
             when: when.map(|(function, negated)| DraftWhen { function, negated }),
             action,
@@ -174,15 +396,20 @@ prop_compose! {
             write,
             priority,
             within: within.map(Duration::from_micros),
+            timing,
+            weight,
+            servers,
+            idempotent,
         }
     }
 }
 
 prop_compose! {
-    fn a_draft()(
+    pub(crate) fn a_draft()(
         name in name(),
-        title in option::of("[^\"\\r\\n]{0,20}"),
-        places in vec((name(), 0_u32..4, option::of(name())), 0..5),
+        title in option::of("(?s).{0,20}"),
+        places in vec((name(), 0_u32..4, option::of(1_u32..9), option::of(name())), 0..5),
+        safe in vec(vec(arc(), 1..3), 0..3),
         commands in vec((name(), vec(name(), 1..3)), 0..3),
         coordinators in vec((name(), vec(name(), 1..3)), 0..3),
         serves in vec((name(), vec(name(), 1..3), name(), option::of(name())), 0..2),
@@ -193,7 +420,12 @@ prop_compose! {
             title,
             places: places
                 .into_iter()
-                .map(|(name, tokens, data)| DraftPlace { name, tokens, data })
+                .map(|(name, tokens, capacity, data)| DraftPlace {
+                    name,
+                    tokens,
+                    capacity,
+                    data,
+                })
                 .collect(),
             commands: commands
                 .into_iter()
@@ -212,6 +444,7 @@ prop_compose! {
                     failed,
                 })
                 .collect(),
+            safe,
             transitions,
         }
     }
@@ -235,7 +468,7 @@ proptest! {
             "net ", "place ", "command ", "coordinator ", "serves ", "transition ", "in ", "read ",
             "inhibit ", "tape ", "when ", "not ", "do ", "ask ", "send ", "out ", "fail ", "write ",
             "priority ", "within ", "a", "b", ", ", "*2", "@", ": ", "; ", "done ", "failed ", "-> ",
-            "(", ")", ".", "= 1", "3 s", "\n", "\n", "\n", "\"", "#", "ä",
+            "(", ")", ".", "= 1", "subnet ", "end ", "use ", "as ", "include ", "3 s", "\n", "\n", "\n", "\"", "#", "ä",
         ]), 0..60),
     ) {
         let text = format!("net n\n{}", words.concat());

@@ -1,14 +1,24 @@
 //! Reading one line's tokens from left to right: names, lists, numbers, arcs.
 
-use std::time::Duration;
+use std::{num::NonZeroU32, time::Duration};
 
 use ctos::diagnostic::{Finding, Place as At, Source};
 
 use super::line::{Symbol, Token};
-use crate::draft::{DraftArc, Word};
+use crate::{
+    draft::{DraftArc, Word},
+    timing::{Servers, Timing},
+};
 
-/// Weights and initial tokens above this are taken for slips of the keyboard.
-const MOST_TOKENS: u32 = 1_000_000;
+/// The most that a weight, a capacity or an initial marking can say; a few of them still add up to
+/// something that can be counted.
+pub(crate) const MOST_TOKENS: u32 = 1_000_000_000;
+
+/// The longest limit of an action, microseconds: a day.
+const DAY_US: f64 = 86_400.0e6;
+
+/// The longest time of a transition, microseconds: 100,000 hours, as breakdowns may take.
+const LONGEST_US: f64 = 100_000.0 * 3600.0e6;
 
 /// What is left of a line.
 pub(super) struct Words<'a> {
@@ -39,7 +49,7 @@ impl<'a> Words<'a> {
 
     fn expected(&self, what: &str) -> Finding {
         let (found, at) = match self.rest.first() {
-            Some(token) => (token.symbol.shown(), self.source.at(token.range.clone())),
+            Some(token) => (token.symbol.shown(), token.at()),
             None => (
                 "the end of the line".to_owned(),
                 self.source.at(self.end..self.end),
@@ -52,19 +62,70 @@ impl<'a> Words<'a> {
         .at(at)
     }
 
-    /// A name, called `what` when it is missing.
+    /// A name, called `what` when it is missing: an identifier, or anything in quotes.
     pub(super) fn name(&mut self, what: &str) -> Result<Word, Finding> {
         match self.rest.first() {
-            Some(Token {
-                symbol: Symbol::Name(text),
-                range,
-            }) => {
-                let word = Word::new(text.clone(), self.source.at(range.clone()));
+            Some(
+                token @ Token {
+                    symbol: Symbol::Name(text) | Symbol::Quoted(text),
+                    ..
+                },
+            ) => {
+                if text.is_empty() {
+                    return Err(Finding::error("pnt::text::expected", "a name is not empty")
+                        .at(token.at())
+                        .help("write at least one character between the quotes"));
+                }
+                let word = Word::new(text.clone(), token.at());
                 self.next();
                 Ok(word)
             }
             _ => Err(self.expected(what)),
         }
+    }
+
+    /// The word that begins a statement; a name in quotes is none.
+    pub(super) fn first(&mut self) -> Result<Word, Finding> {
+        match self.rest.first() {
+            Some(Token {
+                symbol: Symbol::Name(_),
+                ..
+            }) => self.name("a keyword"),
+            _ => Err(self.expected("a keyword")),
+        }
+    }
+
+    /// A place, which in an instance of a subnet has the instance's name and a point before it.
+    pub(super) fn place(&mut self, what: &str) -> Result<Word, Finding> {
+        let mut place = self.name(what)?;
+        while self.take(".") {
+            let part = self.name("a place of the instance")?;
+            let whole = format!("{place}.{part}");
+            place.text = whole;
+            place.at.range.end = part.at.range.end.max(place.at.range.start);
+        }
+        Ok(place)
+    }
+
+    /// One or more places with commas between them.
+    pub(super) fn places(&mut self) -> Result<Vec<Word>, Finding> {
+        let mut places = vec![self.place("a place")?];
+        while self.take(",") {
+            places.push(self.place("a place")?);
+        }
+        Ok(places)
+    }
+
+    /// An argument of a subnet: everything up to a comma or the closing parenthesis.
+    pub(super) fn argument(&mut self) -> Result<Vec<Token>, Finding> {
+        let ends = |token: &Token| matches!(token.symbol, Symbol::Mark("," | ")" | "("));
+        let length = self.rest.iter().position(ends).unwrap_or(self.rest.len());
+        let (argument, rest) = self.rest.split_at(length);
+        if argument.is_empty() {
+            return Err(self.expected("an argument"));
+        }
+        self.rest = rest;
+        Ok(argument.to_vec())
     }
 
     /// One or more names with commas between them.
@@ -128,12 +189,14 @@ impl<'a> Words<'a> {
 
     fn number(&mut self, what: &str) -> Result<(&'a str, At), Finding> {
         match self.rest.first() {
-            Some(Token {
-                symbol: Symbol::Number(text),
-                range,
-            }) => {
+            Some(
+                token @ Token {
+                    symbol: Symbol::Number(text),
+                    ..
+                },
+            ) => {
                 self.next();
-                Ok((text, self.source.at(range.clone())))
+                Ok((text, token.at()))
             }
             _ => Err(self.expected(what)),
         }
@@ -158,7 +221,7 @@ impl<'a> Words<'a> {
     pub(super) fn arcs(&mut self) -> Result<Vec<DraftArc>, Finding> {
         let mut arcs = Vec::new();
         loop {
-            let place = self.name("a place")?;
+            let place = self.place("a place")?;
             let net = if self.take("@") {
                 Some(self.name("the net of the remote place")?)
             } else {
@@ -176,32 +239,91 @@ impl<'a> Words<'a> {
         }
     }
 
-    /// A time: a number and `ms`, `s` or `min`, kept to the microsecond.
+    /// The limit of an action, up to a day.
     pub(super) fn duration(&mut self) -> Result<Duration, Finding> {
-        const DAY_US: f64 = 86_400.0e6;
+        self.time("a limit", DAY_US)
+    }
+
+    /// A transition's time: `2 s`, `exponential 2 s` or `normal 2 s spread 0.3 s`.
+    pub(super) fn timing(&mut self) -> Result<Timing, Finding> {
+        if self.keyword("exponential") {
+            let mean = self.time("a mean", LONGEST_US)?;
+            return Ok(Timing::Exponential { mean });
+        }
+        if self.keyword("normal") {
+            let mean = self.time("a mean", LONGEST_US)?;
+            self.expect_keyword("spread")?;
+            let spread = self.time("a spread", LONGEST_US)?;
+            return Ok(Timing::Normal { mean, spread });
+        }
+        if let Some(
+            token @ Token {
+                symbol: Symbol::Name(other),
+                ..
+            },
+        ) = self.rest.first()
+        {
+            return Err(Finding::error(
+                "pnt::text::expected",
+                format!("`{other}` is no kind of time"),
+            )
+            .at(token.at())
+            .help("write `time 2 s`, `time exponential 2 s` or `time normal 2 s spread 0.3 s`"));
+        }
+        Ok(Timing::Deterministic(self.time("a time", LONGEST_US)?))
+    }
+
+    /// How many firings may go on at once: a number or `many`.
+    pub(super) fn servers(&mut self) -> Result<Servers, Finding> {
+        if self.keyword("many") {
+            return Ok(Servers::Many);
+        }
+        let most = self.whole("the number of servers", 1)?;
+        Ok(NonZeroU32::new(most).map_or(Servers::ONE, Servers::Limit))
+    }
+
+    /// A share in conflicts.
+    pub(super) fn weight(&mut self) -> Result<f64, Finding> {
+        let (text, at) = self.number("the weight")?;
+        match text.parse::<f64>() {
+            Ok(weight) if (1.0e-9..=1.0e9).contains(&weight) => Ok(weight),
+            _ => Err(
+                Finding::error("pnt::text::number", format!("the weight cannot be {text}"))
+                    .at(at)
+                    .help("write a number from 0.000000001 to 1000000000"),
+            ),
+        }
+    }
+
+    /// A time of at most `most_us` microseconds: a number and its unit, kept to the microsecond.
+    fn time(&mut self, what: &str, most_us: f64) -> Result<Duration, Finding> {
         let (text, at) = self.number("a time")?;
-        let unit = self.name("the unit `ms`, `s` or `min`")?;
+        let unit = self.name("the unit `ms`, `s`, `min` or `h`")?;
         let unit_us = match unit.text.as_str() {
             "ms" => 1.0e3,
             "s" => 1.0e6,
             "min" => 60.0e6,
+            "h" => 3600.0e6,
             _ => {
                 return Err(Finding::error(
                     "pnt::text::unit",
                     format!("`{unit}` is no unit of time here"),
                 )
                 .at(unit.at)
-                .help("write `ms`, `s` or `min`"));
+                .help("write `ms`, `s`, `min` or `h`"));
             }
         };
         let micros = (text.parse::<f64>().unwrap_or(f64::NAN) * unit_us).round();
-        if !(1.0..=DAY_US).contains(&micros) {
+        if !(1.0..=most_us).contains(&micros) {
             return Err(Finding::error(
                 "pnt::text::number",
-                format!("a limit of {text} {unit} cannot be kept"),
+                format!("{what} of {text} {unit} cannot be kept"),
             )
             .at(at)
-            .help("write a time from 0.001 ms to 1440 min"));
+            .help(format!(
+                "write a time from 0.001 ms to {} h",
+                most_us / 3600.0e6
+            )));
         }
         // In range by the test above, so the conversion is exact.
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]

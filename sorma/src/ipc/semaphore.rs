@@ -77,6 +77,12 @@ impl Semaphore {
         self.last
     }
 
+    /// Gives back all that those have who are gone.
+    fn forget(&mut self, now: Instant, gone: impl Fn(&str) -> bool) {
+        self.holds.retain(|hold| !gone(&hold.holder.who));
+        self.waiting.lapse(now, |holder| gone(&holder.who));
+    }
+
     fn held_by(&self, now: Instant) -> String {
         let mut text = String::new();
         for hold in &self.holds {
@@ -211,9 +217,7 @@ impl ServiceObject for SemaphoreObject {
                 empty(io);
             }),
             ["forget", who] => {
-                let semaphore = &mut self.semaphore;
-                semaphore.holds.retain(|hold| hold.holder.who != who);
-                semaphore.waiting.lapse(now, |holder| holder.who == who);
+                self.semaphore.forget(now, |holder| holder == who);
                 empty(io);
                 Ok(())
             }
@@ -239,6 +243,12 @@ impl ServiceObject for SemaphoreObject {
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         OPTIONS.ctrl(&mut self.semaphore, io);
         Ok(())
+    }
+
+    fn forget(&mut self, gone: &dyn Fn(&str) -> bool) -> bool {
+        let now = self.host.now();
+        self.semaphore.forget(now, gone);
+        false
     }
 
     fn dump(&self) -> String {

@@ -509,7 +509,7 @@ fn the_segments_lie_where_the_host_says() {
         .iter()
         .map(|class| class.name().to_owned())
         .collect();
-    assert!(known.iter().all(|class| registered.contains(class)) && known.len() == 6);
+    assert!(known.iter().all(|class| registered.contains(class)) && known.len() == 8);
     let segments = desk.host.place().unwrap().segments().unwrap();
     assert_eq!((segments[0].name.as_str(), segments[0].head), ("pose", 1));
     assert!(desk.clock.now() > Instant::START);

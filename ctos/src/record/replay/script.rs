@@ -206,6 +206,12 @@ impl Reader<'_> {
         } else if topic.starts_with("/message/") {
             self.output(entry)?;
         } else if topic.strip_prefix("/began/") == Some(self.task) {
+            if !self.steps.iter().any(|step| step.what == What::Built) {
+                return Err(incomplete(format!(
+                    "it does not hold the beginning of `{}`: it was begun while the app ran, or leaves out the channel /phase; record the whole run with `ctos boot --record FILE`",
+                    self.task
+                )));
+            }
             let line: BeganLine = parsed(entry)?;
             if let Some(before) = self.tid.replace(Tid::from_bits(line.tid))
                 && before != Tid::from_bits(line.tid)

@@ -1,0 +1,40 @@
+//! `ctos net`: the tools of whoever writes nets, a file each.
+
+pub mod check;
+pub mod convert;
+pub mod fmt;
+
+use clap::{Args, Subcommand};
+use ctos::registry::Registry;
+
+/// Check nets, and other tools of whoever writes them
+#[derive(Debug, Args)]
+pub struct NetArgs {
+    /// What to do
+    #[command(subcommand)]
+    pub command: NetCommand,
+}
+
+/// What can be done with nets.
+#[derive(Debug, Subcommand)]
+pub enum NetCommand {
+    /// Prove nets sound, or show a firing sequence by which they are not
+    Check(check::CheckArgs),
+    /// Write a net in another form
+    ///
+    /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
+    /// everything; what another form has no words for is told.
+    Convert(convert::ConvertArgs),
+    /// Lay out net text in the one usual way
+    Fmt(fmt::FmtArgs),
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
+    match &args.command {
+        NetCommand::Check(args) => check::run(args, registry),
+        NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Fmt(args) => fmt::run(args),
+    }
+}

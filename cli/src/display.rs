@@ -1,0 +1,26 @@
+//! The net display: an event handler that anyone can put into an app, `pnt.display`. It follows the streams
+//! of nets ([`pnt::stream`]) and serves a page that shows them, to any number of browsers up to a limit.
+//!
+//! Between the task, which lives on its processor, and the server, which lives on a thread of its own,
+//! stands the [`hub`]: what is known of all nets, and the messages about what is new. A browser that is
+//! slow loses messages there and is told everything anew; no net is ever asked on its behalf.
+
+mod args;
+pub(crate) mod assets;
+pub(crate) mod hub;
+mod orders;
+pub(crate) mod overview;
+pub(crate) mod server;
+mod task;
+pub(crate) mod wire;
+
+pub use args::{DEFAULT_LISTEN, HANDLER};
+
+use ctos::registry::Registry;
+
+/// Registers the handler.
+pub fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &[], task::NetDisplay::new)
+        .check_in_app(args::check);
+}

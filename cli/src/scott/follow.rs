@@ -1,0 +1,73 @@
+//! What an app says while somebody sits at the prompt: its warnings and errors, and that it is gone or back, above the
+//! line that is being edited.
+
+use std::{
+    sync::mpsc::{RecvTimeoutError, SyncSender, channel},
+    thread,
+    time::Duration,
+};
+
+use ctos::control::{
+    Level, LogLine,
+    client::{Client, ClientError},
+    protocol::{Answer, LogRequest, Request},
+};
+
+use super::attach::Where;
+use crate::commands::remote::connect_to;
+
+/// How often it is looked whether an app that is gone is back.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// Sends what the app says, line by line, until nobody takes it any more.
+pub fn start(name: String, place: Where, above: SyncSender<String>) {
+    thread::spawn(move || {
+        // Nothing is ever sent: it is what pauses.
+        let (_never, pause) = channel::<()>();
+        let mut was_gone = false;
+        loop {
+            let connected = connect_to(place.app.as_deref(), &place.at);
+            if let Ok(mut client) = connected {
+                if was_gone && above.send(format!("-- app `{name}` is back --")).is_err() {
+                    return;
+                }
+                was_gone = false;
+                // How it ended is seen from here alike.
+                let _ = follow(&mut client, &above);
+            }
+            if !was_gone && above.send(format!("-- app `{name}` is gone --")).is_err() {
+                return;
+            }
+            was_gone = true;
+            if pause.recv_timeout(LOOK) == Err(RecvTimeoutError::Disconnected) {
+                return;
+            }
+        }
+    });
+}
+
+/// Until the app closes the connection.
+fn follow(client: &mut Client, above: &SyncSender<String>) -> Result<(), ClientError> {
+    client.ask(Request::Logs(LogRequest {
+        level: Some(Level::Warn),
+        last: Some(0),
+        follow: true,
+        ..LogRequest::default()
+    }))?;
+    client.wait_for_ever()?;
+    while let Some(answer) = client.read()? {
+        let line = match answer {
+            Answer::Log(line) => shown(&line),
+            Answer::Lost { lines } => format!("… {lines} lines of the log were lost"),
+            _ => return Ok(()),
+        };
+        if above.send(line).is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+fn shown(line: &LogLine) -> String {
+    format!("{} │ {}", line.chassis, crate::commands::status::text(line))
+}

@@ -1,0 +1,136 @@
+//! The arm of a process without an app: it goes exactly where the planner says, in a time of its own that passes only
+//! with its motions. It has kinematics, limits and a planner, but no dynamics, no servo and nothing to bump into.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use nalgebra::Isometry3;
+
+use crate::arm::{ArmModel, Elbow, Joints};
+use crate::client::{PathKind, Target};
+use crate::trajectory::{CartesianLimits, PlanError, Planner};
+
+/// Where it begins, rad: the elbow bent, with room on all sides.
+const START: Joints = [
+    0.0,
+    std::f64::consts::FRAC_PI_4,
+    -std::f64::consts::PI,
+    0.0,
+    std::f64::consts::FRAC_PI_4,
+    0.0,
+];
+/// Lines are checked every so many seconds, as with the usual servo.
+const CHECK_PERIOD_S: f64 = 0.018;
+/// The control parameters that a servo has unless its configuration says otherwise: Hz, and damping ratio.
+const CONTROL: [f64; 2] = [8.0, 1.0];
+
+/// The arm.
+#[derive(Debug)]
+pub(super) struct LocalArm {
+    planner: Planner,
+    pub(super) joints: Joints,
+    /// How long it has moved so far, s.
+    pub(super) time_s: f64,
+    /// Bandwidth of the position loop, Hz, and its damping ratio. Nothing follows from them here.
+    pub(super) control: [f64; 2],
+    pub(super) motions: u64,
+}
+
+/// The arm that all objects of a process share.
+#[derive(Debug, Clone)]
+pub(super) struct SharedArm(Arc<Mutex<LocalArm>>);
+
+impl SharedArm {
+    pub(super) fn new() -> Self {
+        let model = Arc::new(ArmModel::puma560());
+        let planner = Planner::new(
+            model,
+            Isometry3::identity(),
+            CartesianLimits::default(),
+            CHECK_PERIOD_S,
+        );
+        Self(Arc::new(Mutex::new(LocalArm {
+            planner,
+            joints: START,
+            time_s: 0.0,
+            control: CONTROL,
+            motions: 0,
+        })))
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, LocalArm> {
+        // It is changed in whole steps, so one who panicked has left it whole.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl LocalArm {
+    /// `base_t_6`, row by row.
+    pub(super) fn pose(&self) -> Isometry3<f64> {
+        self.planner.tool_pose(&self.joints)
+    }
+
+    /// Where a motion would end, and how long it would take, s.
+    pub(super) fn plan(
+        &self,
+        target: &Goal,
+        path: PathKind,
+        speed: f64,
+        elbow: Option<Elbow>,
+    ) -> Result<(Joints, f64), PlanError> {
+        let start = &self.joints;
+        let planner = &self.planner;
+        let segment = match (path, target) {
+            (PathKind::Joint, Goal::Joints(joints)) => planner.joint(start, joints, speed)?,
+            (PathKind::Joint, Goal::Pose(pose)) => {
+                let joints = planner.joints_for(pose, start, elbow)?;
+                planner.joint(start, &joints, speed)?
+            }
+            (PathKind::StraightLine, Goal::Joints(joints)) => {
+                planner.check_joints(joints)?;
+                planner.line(start, &planner.tool_pose(joints), speed)?
+            }
+            (PathKind::StraightLine, Goal::Pose(pose)) => planner.line(start, pose, speed)?,
+        };
+        let near = match segment.path() {
+            crate::trajectory::Path::Line(line) => line.end_joints,
+            crate::trajectory::Path::Joint { end, .. } => *end,
+        };
+        let end = segment.end(&near).map_err(|reason| PlanError::Line {
+            percent: 100.0,
+            reason,
+        })?;
+        Ok((end, segment.duration()))
+    }
+
+    /// Is there, and so much later.
+    pub(super) fn moved(&mut self, joints: Joints, duration_s: f64) {
+        self.joints = joints;
+        self.time_s += duration_s;
+        self.motions += 1;
+    }
+}
+
+/// Where to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Goal {
+    /// Joint positions, rad.
+    Joints(Joints),
+    /// `base_t_tool`.
+    Pose(Isometry3<f64>),
+}
+
+impl Goal {
+    /// The same for the client interface.
+    pub(super) fn target(&self) -> Target {
+        match self {
+            Self::Joints(joints) => Target::Joints(*joints),
+            Self::Pose(pose) => Target::Pose(rows(pose)),
+        }
+    }
+}
+
+/// A pose as 16 numbers, row by row.
+pub(super) fn rows(pose: &Isometry3<f64>) -> [f64; 16] {
+    let matrix = pose.to_homogeneous();
+    std::array::from_fn(|index| matrix[(index / 4, index % 4)])
+}

@@ -1,0 +1,389 @@
+//! The class `mvpos`: moves the arm. In an app it asks the client interface of MCS; in a process without one it
+//! moves the arm that the process holds for itself.
+
+use std::{sync::LazyLock, time::Duration};
+
+use futures_util::future::LocalBoxFuture;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use sorma::{
+    Context, Form, Method, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting, words,
+};
+
+use super::kinematics;
+use super::local::{Goal, SharedArm, rows};
+use super::{code, ended, joints};
+use crate::arm::{Elbow, Joints};
+use crate::client::{Acquire, Move, PathKind, Plan, Position, ReadPosition, Release, Status};
+use crate::state::State;
+
+/// A motion is answered at its end.
+const LONGEST_MOVE: Duration = Duration::from_secs(3600);
+/// Anything else is answered at once, but for coming to rest.
+const SOON: Duration = Duration::from_secs(30);
+
+const FORMS: &[Form] = &[
+    Form {
+        text: "joints",
+        floats: 6,
+        takes: "joint positions q1 to q6, rad",
+        gives: "7 floats: joint positions at the end, rad, and how long it took, s",
+        help: "moves the joints there",
+    },
+    Form {
+        text: "by",
+        floats: 6,
+        takes: "how far each joint turns, rad",
+        gives: "7 floats, as joints",
+        help: "moves the joints on from where they are",
+    },
+    Form {
+        text: "pose",
+        floats: 16,
+        takes: "base_T_tool, row by row, m",
+        gives: "7 floats, as joints",
+        help: "moves the tool to a pose",
+    },
+    Form {
+        text: "place",
+        floats: 6,
+        takes: "x y z, m, and roll pitch yaw about the base's x, y and z, rad",
+        gives: "7 floats, as joints",
+        help: "moves the tool to a place in the base frame",
+    },
+    Form {
+        text: "shift",
+        floats: 6,
+        takes: "dx dy dz, m, and roll pitch yaw about the base's axes, rad",
+        gives: "7 floats, as joints",
+        help: "moves the tool on from where it is, and turns it about itself, both along the base's axes",
+    },
+    Form {
+        text: "where",
+        floats: 0,
+        takes: "",
+        gives: "22 floats: joint positions, rad, and base_T_tool, row by row, m",
+        help: "tells where the arm is",
+    },
+    Form {
+        text: "release",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        help: "switches power off and gives the arm back after -keep",
+    },
+    Form {
+        text: "POSITION",
+        floats: 0,
+        takes: "",
+        gives: "7 floats, as joints",
+        help: "moves to a position that the dictionary names: `position.NAME q1 .. q6`, rad",
+    },
+    Form {
+        text: "",
+        floats: 0,
+        takes: "",
+        gives: "7 floats, as joints",
+        help: "moves to the flavor's own position, -to",
+    },
+];
+
+#[derive(Debug, Clone)]
+pub(super) struct Options {
+    client: String,
+    to: Vec<f64>,
+    path: String,
+    speed: f64,
+    elbow: String,
+    plan: bool,
+    keep: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            client: "mcs".to_owned(),
+            to: Vec::new(),
+            path: "joint".to_owned(),
+            speed: 0.3,
+            elbow: "nearest".to_owned(),
+            plan: false,
+            keep: false,
+        }
+    }
+}
+
+pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    OptionTable::new("moves an arm")
+        .exec(FORMS)
+        .float(
+            "speed",
+            0.001..=1.0,
+            "",
+            "fraction of full speed; accelerations are scaled alike",
+            |options: &mut Options| &mut options.speed,
+        )
+        .choice(
+            "path",
+            &["joint", "line"],
+            "whether all joints turn in proportion, or the tool goes along a straight line",
+            |options| &mut options.path,
+        )
+        .choice(
+            "elbow",
+            &["nearest", "above", "below"],
+            "posture at a pose; nearest to where the joints are",
+            |options| &mut options.elbow,
+        )
+        .floats(
+            "to",
+            &["Q1", "Q2", "Q3", "Q4", "Q5", "Q6"],
+            -10.0..=10.0,
+            "rad",
+            "the position of a flavor, to which EXEC without a text moves",
+            |options| &mut options.to,
+        )
+        .flag(
+            "plan",
+            "only tells where a motion would end and how long it would take",
+            |options| &mut options.plan,
+        )
+        .flag(
+            "keep",
+            "keeps the arm and its power after a motion, until EXEC release",
+            |options| &mut options.keep,
+        )
+        .word(
+            "client",
+            "TASK",
+            "the app's task with the client interface of MCS",
+            |options| &mut options.client,
+        )
+});
+
+/// An object of class `mvpos`.
+pub(super) struct MvPos {
+    options: Options,
+    arm: SharedArm,
+}
+
+impl MvPos {
+    pub(super) fn new(arm: &SharedArm) -> Self {
+        Self {
+            options: Options::default(),
+            arm: arm.clone(),
+        }
+    }
+
+    fn path(&self) -> PathKind {
+        match self.options.path.as_str() {
+            "line" => PathKind::StraightLine,
+            _ => PathKind::Joint,
+        }
+    }
+
+    fn elbow(&self) -> Option<Elbow> {
+        match self.options.elbow.as_str() {
+            "above" => Some(Elbow::Above),
+            "below" => Some(Elbow::Below),
+            _ => None,
+        }
+    }
+
+    async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        let form = TABLE.form(io)?;
+        match form.text {
+            "where" => {
+                let (joints, pose) = self.position(cx).await?;
+                answer(io, &joints, &pose);
+                Ok(())
+            }
+            "release" => {
+                io.floats.clear();
+                if cx.is_in_app() {
+                    cx.call_task(&self.options.client, Release {}, SOON).await?;
+                }
+                Ok(())
+            }
+            _ => {
+                let goal = self.goal(form.text, cx, io).await?;
+                let (joints, duration_s) = match cx.is_in_app() {
+                    true => self.ask(cx, &goal).await?,
+                    false => self.move_here(&goal)?,
+                };
+                io.floats.clear();
+                io.floats.extend(joints);
+                io.floats.push(duration_s);
+                Ok(())
+            }
+        }
+    }
+
+    /// Where the request wants it to go.
+    async fn goal(&self, form: &str, cx: &Waiting<'_>, io: &mut Transport) -> Result<Goal, Report> {
+        let given = joints(&io.floats, 0);
+        Ok(match form {
+            "joints" => Goal::Joints(given),
+            "pose" => Goal::Pose(kinematics::pose(io)?),
+            "place" => Goal::Pose(place(&given)),
+            "by" => {
+                let (now, _) = self.position(cx).await?;
+                Goal::Joints(std::array::from_fn(|index| now[index] + given[index]))
+            }
+            "shift" => {
+                let (_, now) = self.position(cx).await?;
+                let by = place(&given);
+                Goal::Pose(Isometry3::from_parts(
+                    Translation3::from(now.translation.vector + by.translation.vector),
+                    by.rotation * now.rotation,
+                ))
+            }
+            "" if self.options.to.len() == given.len() => Goal::Joints(joints(&self.options.to, 0)),
+            "" => {
+                let text = format!(
+                    "`{}` has no position of its own; set -to, or say where: EXEC joints FMSG 6 ..",
+                    cx.name()
+                );
+                return Err(Report::error(code::NO_POSITION, text));
+            }
+            _ => Goal::Joints(named(cx.here(), io)?),
+        })
+    }
+
+    /// Where the arm is: its joints and its tool.
+    async fn position(&self, cx: &Waiting<'_>) -> Result<(Joints, Isometry3<f64>), Report> {
+        if !cx.is_in_app() {
+            let arm = self.arm.lock();
+            return Ok((arm.joints, arm.pose()));
+        }
+        let client = &self.options.client;
+        let Position {
+            joints,
+            base_t_tool,
+            ..
+        } = cx.call_task(client, ReadPosition {}, SOON).await?;
+        let mut pose = Transport::floats(base_t_tool);
+        Ok((joints, kinematics::pose(&mut pose)?))
+    }
+
+    /// Moves the arm of this process.
+    fn move_here(&self, goal: &Goal) -> Result<(Joints, f64), Report> {
+        let mut arm = self.arm.lock();
+        let planned = arm.plan(goal, self.path(), self.options.speed, self.elbow());
+        let (joints, duration_s) =
+            planned.map_err(|error| Report::error(code::MOTION, error.to_string()))?;
+        if !self.options.plan {
+            arm.moved(joints, duration_s);
+        }
+        Ok((joints, duration_s))
+    }
+
+    /// Has the app's arm move.
+    async fn ask(&self, cx: &Waiting<'_>, goal: &Goal) -> Result<(Joints, f64), Report> {
+        let (client, speed) = (&self.options.client, self.options.speed);
+        let (target, path, elbow) = (goal.target(), self.path(), self.elbow());
+        if self.options.plan {
+            let plan = Plan {
+                target,
+                path,
+                speed,
+                elbow,
+            };
+            let planned = cx.call_task(client, plan, SOON).await?;
+            return Ok((planned.joints, planned.duration_s));
+        }
+        let status = cx.call_task(client, Status {}, SOON).await?;
+        let acquires = status.state == State::Cold;
+        if acquires {
+            cx.call_task(client, Acquire {}, SOON).await?;
+        }
+        let order = Move {
+            target,
+            path,
+            speed,
+            elbow,
+        };
+        let moved = cx.call_task(client, order, LONGEST_MOVE).await;
+        if acquires && !self.options.keep {
+            // Whatever became of the motion: nobody else could have the arm.
+            let released = cx.call_task(client, Release {}, SOON).await;
+            let moved = moved?;
+            released?;
+            return Ok((moved.joints, moved.duration_s));
+        }
+        let moved = moved?;
+        Ok((moved.joints, moved.duration_s))
+    }
+}
+
+/// x y z and roll pitch yaw as a pose.
+fn place(numbers: &Joints) -> Isometry3<f64> {
+    let [x, y, z, roll, pitch, yaw] = *numbers;
+    Isometry3::from_parts(
+        Translation3::from(Vector3::new(x, y, z)),
+        UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+    )
+}
+
+/// Joint positions that the dictionary has under the name in the request.
+fn named(cx: &Context<'_>, io: &mut Transport) -> Result<Joints, Report> {
+    let name = io.text.clone();
+    if let Some(form) = FORMS.iter().find(|form| form.text == name) {
+        let text = format!(
+            "EXEC {name} takes {} floats ({}): write FMSG {} and the numbers",
+            form.floats, form.takes, form.floats
+        );
+        return Err(Report::error(sorma::report::code::VALUE, text));
+    }
+    let wrong = |text: String| Report::error(code::NO_POSITION, text);
+    let index = words::word(&format!("position.{name}"));
+    let query = Transport::text(format!("-query {index}"));
+    let mut said = Transport::default();
+    let found = cx.call("dict", Method::Ctrl, query, &mut said);
+    let found = found.map_err(|_| {
+        let why = said.reports.first().map_or("", |report| report.text.as_str());
+        wrong(format!(
+            "there is no position `{name}`: {why}; a position is an entry `position.{name} q1 .. q6` of the dictionary, rad"
+        ))
+    })?;
+    let numbers: Option<Vec<f64>> = found
+        .text
+        .split_whitespace()
+        .map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
+        .collect();
+    match numbers.as_deref() {
+        Some(&[a, b, c, d, e, f]) => Ok([a, b, c, d, e, f]),
+        _ => Err(wrong(format!(
+            "the dictionary's entry `position.{name}` must be 6 joint positions, rad, not `{}`",
+            found.text
+        ))),
+    }
+}
+
+/// Joint positions and a pose.
+pub(super) fn answer(io: &mut Transport, joints: &Joints, pose: &Isometry3<f64>) {
+    io.floats.clear();
+    io.floats.extend(joints);
+    io.floats.extend(rows(pose));
+}
+
+impl ServiceObject for MvPos {
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = self.job(cx, io).await;
+            ended(io, outcome)
+        }))
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        TABLE.ctrl(&mut self.options, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        TABLE.dump(&self.options)
+    }
+}

@@ -1,0 +1,218 @@
+//! The class `pino`: how the arm is, its control parameters, and how to stop it. Never kept waiting by a motion, which is
+//! another object's.
+
+use std::{sync::LazyLock, time::Duration};
+
+use futures_util::future::LocalBoxFuture;
+use sorma::{Context, Form, OptionTable, Outcome, ServiceObject, Transport, Waiting};
+
+use super::ended;
+use super::local::SharedArm;
+use super::mvpos::answer;
+use crate::client::{EmergencyStop, ReadControl, ReadPosition, Reset, SetControl, Status, Stop};
+
+/// Everything here is answered at once, but for coming to rest.
+const SOON: Duration = Duration::from_secs(30);
+
+const FORMS: &[Form] = &[
+    Form {
+        text: "state",
+        floats: 0,
+        takes: "",
+        gives: "text: state, holder, motion, fault; 22 floats: joint positions, rad, and base_T_tool, row by row, m; \
+                2 ints: servo ticks, ticks missed",
+        help: "tells how the arm is",
+    },
+    Form {
+        text: "",
+        floats: 0,
+        takes: "",
+        gives: "as state",
+        help: "tells how the arm is",
+    },
+    Form {
+        text: "control",
+        floats: 0,
+        takes: "",
+        gives: "3 floats: bandwidth of the position loop, Hz; its damping ratio; following error that is an emergency, rad",
+        help: "tells the control parameters; the text is the control law",
+    },
+    Form {
+        text: "set",
+        floats: 2,
+        takes: "bandwidth of the position loop, Hz, and damping ratio",
+        gives: "3 floats, as control",
+        help: "sets the control parameters; the arm must not be on its way",
+    },
+    Form {
+        text: "stop",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        help: "protective stop: brakes along the path to rest, then holds",
+    },
+    Form {
+        text: "estop",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        help: "emergency stop: takes drive power away now",
+    },
+    Form {
+        text: "reset",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        help: "leaves the estopped state",
+    },
+];
+
+#[derive(Debug, Clone)]
+pub(super) struct Options {
+    client: String,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            client: "mcs".to_owned(),
+        }
+    }
+}
+
+pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
+    OptionTable::new("the state and the control parameters of an arm")
+        .exec(FORMS)
+        .word(
+            "client",
+            "TASK",
+            "the app's task with the client interface of MCS",
+            |options: &mut Options| &mut options.client,
+        )
+});
+
+/// An object of class `pino`.
+pub(super) struct Pino {
+    options: Options,
+    arm: SharedArm,
+}
+
+impl Pino {
+    pub(super) fn new(arm: &SharedArm) -> Self {
+        Self {
+            options: Options::default(),
+            arm: arm.clone(),
+        }
+    }
+
+    async fn in_app(&self, form: &str, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        let client = &self.options.client;
+        match form {
+            "control" => {
+                let control = cx.call_task(client, ReadControl {}, SOON).await?;
+                control_answer(io, &control.law, control.numbers());
+            }
+            "set" => {
+                let (bandwidth_hz, damping) = numbers(io);
+                let set = SetControl {
+                    bandwidth_hz,
+                    damping,
+                };
+                let control = cx.call_task(client, set, SOON).await?;
+                control_answer(io, &control.law, control.numbers());
+            }
+            "stop" => cx.call_task(client, Stop {}, SOON).await?,
+            "estop" => cx.call_task(client, EmergencyStop {}, SOON).await?,
+            "reset" => drop(cx.call_task(client, Reset {}, SOON).await?),
+            _ => {
+                let status = cx.call_task(client, Status {}, SOON).await?;
+                let position = cx.call_task(client, ReadPosition {}, SOON).await?;
+                let holder = status.holder.as_deref().unwrap_or("nobody");
+                io.text = format!(
+                    "{}, held by {holder}, motion {:?}",
+                    status.state, status.motion
+                );
+                if let Some(fault) = status.fault {
+                    io.text.push_str(&format!(", fault: {fault}"));
+                }
+                io.floats.extend(position.joints);
+                io.floats.extend(position.base_t_tool);
+                let whole = |count: u64| i64::try_from(count).unwrap_or(i64::MAX);
+                io.ints = vec![whole(status.ticks), whole(status.missed)];
+            }
+        }
+        Ok(())
+    }
+
+    fn here(&self, form: &str, io: &mut Transport) {
+        let mut arm = self.arm.lock();
+        match form {
+            "control" | "set" => {
+                if form == "set" {
+                    let (bandwidth_hz, damping) = numbers(io);
+                    arm.control = [bandwidth_hz, damping];
+                }
+                let [bandwidth, damping] = arm.control;
+                control_answer(io, "none: it goes as planned", [bandwidth, damping, 0.0]);
+            }
+            // It never is on its way, and has no power to be taken away.
+            "stop" | "estop" | "reset" => {}
+            _ => {
+                io.text = format!(
+                    "an arm of this process, kinematic only: {} motions, {:.3} s of them",
+                    arm.motions, arm.time_s
+                );
+                answer(io, &arm.joints, &arm.pose());
+            }
+        }
+    }
+}
+
+fn numbers(io: &Transport) -> (f64, f64) {
+    let at = |index: usize| io.floats.get(index).copied().unwrap_or_default();
+    (at(0), at(1))
+}
+
+fn control_answer(io: &mut Transport, law: &str, numbers: [f64; 3]) {
+    law.clone_into(&mut io.text);
+    io.floats = numbers.to_vec();
+}
+
+impl ServiceObject for Pino {
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let form = match TABLE.form(io) {
+                Ok(form) => form.text,
+                Err(report) => return ended(io, Err(report)),
+            };
+            io.text.clear();
+            if form != "set" {
+                io.floats.clear();
+            }
+            let outcome = match cx.is_in_app() {
+                true => self.in_app(form, cx, io).await,
+                false => {
+                    self.here(form, io);
+                    Ok(())
+                }
+            };
+            if outcome.is_err() {
+                return ended(io, outcome);
+            }
+            Ok(())
+        }))
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        TABLE.ctrl(&mut self.options, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        TABLE.dump(&self.options)
+    }
+}

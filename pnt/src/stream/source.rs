@@ -1,0 +1,472 @@
+//! The end of the stream in the net's task: the latest events in a short form, and those who wait for the
+//! next ones. It knows no task and no timer; [`crate::task`] calls it and answers in its name.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+    time::Duration,
+};
+
+use ctos::{message::Replier, record::Number, task::HandlerError, time::Instant};
+
+use super::{
+    Batch, Event, EventPhase, Follow, MOST_EVENTS, MOST_FOLLOWERS, MOST_PATIENCE_MS, Mark, Running,
+    Sent, State, view,
+};
+use crate::{
+    exec::{Execution, FiringId, OnTape},
+    net::{self, Net, PlaceId, TransitionId},
+};
+
+/// Events that are kept: for whoever is a little behind.
+const KEPT: usize = 4 * MOST_EVENTS;
+
+/// The least time between two answers to those who follow: one display, and more for each further one, so
+/// that what many displays cost together is bounded too.
+const INTERVAL: Duration = Duration::from_millis(4);
+const INTERVAL_EACH: Duration = Duration::from_millis(1);
+
+/// Places, with so many tokens each.
+type Tokens = Vec<(PlaceId, u32)>;
+
+/// What is kept of an event: the net says the rest.
+#[derive(Debug, Clone)]
+struct Kept {
+    at_ns: u64,
+    trace: u64,
+    what: Happened,
+    /// Whether a symbol that was read went back to the front of the tape.
+    unread: bool,
+    /// What reset arcs took.
+    emptied: Tokens,
+}
+
+/// What happened.
+#[derive(Debug, Clone)]
+pub(crate) enum Happened {
+    /// To a transition, in one of its firings, and why.
+    Transition(TransitionId, EventPhase, Option<FiringId>, String),
+    /// To the tokens of places alone, and who did it.
+    Tokens(EventPhase, Tokens, String),
+    /// A symbol came, with arguments.
+    Asked(String, String),
+    /// To the net, and why.
+    Net(EventPhase, String),
+}
+
+struct Follower {
+    after: Option<Mark>,
+    until: Instant,
+    reply: Replier<Follow>,
+}
+
+/// The stream of one net's task.
+pub(crate) struct Source {
+    net: Arc<Net>,
+    run: u64,
+    seq: u64,
+    kept: VecDeque<Kept>,
+    since: BTreeMap<FiringId, u64>,
+    ended: Vec<u64>,
+    failed: Vec<u64>,
+    busy_ns: Vec<u64>,
+    paused: Option<String>,
+    stopped: Option<String>,
+    /// The command in progress after the latest event.
+    current: Option<u64>,
+    /// The marking after the latest event; kept where there are reset arcs only.
+    marking: Vec<u32>,
+    resets: bool,
+    followers: Vec<Follower>,
+    /// When followers were answered last.
+    answered: Option<Instant>,
+    /// Whether somebody is on the way to answer.
+    called: bool,
+    /// Whether somebody watches over the patience of followers.
+    watched: bool,
+}
+
+impl Source {
+    /// The stream of a task that begins now.
+    pub(crate) fn new(net: Arc<Net>, now: Instant) -> Self {
+        let count = net.transitions().len();
+        let resets = net.transitions().iter().any(|one| !one.resets.is_empty());
+        let marking = net.places().iter().map(|place| place.tokens).collect();
+        Self {
+            net,
+            run: now.as_nanos(),
+            seq: 0,
+            kept: VecDeque::new(),
+            since: BTreeMap::new(),
+            ended: vec![0; count],
+            failed: vec![0; count],
+            busy_ns: vec![0; count],
+            paused: None,
+            stopped: None,
+            current: None,
+            marking,
+            resets,
+            followers: Vec::new(),
+            answered: None,
+            called: false,
+            watched: false,
+        }
+    }
+
+    /// Firings that ended, well or not.
+    pub(crate) fn firings(&self) -> u64 {
+        self.ended.iter().chain(&self.failed).sum()
+    }
+
+    /// Notes an event, after which the net is as `execution`.
+    pub(crate) fn note(&mut self, now: Instant, trace: u64, what: Happened, execution: &Execution) {
+        let at_ns = now.as_nanos();
+        let current = execution.tape().current().map(|on_tape| on_tape.number);
+        let unread = self.current.is_some()
+            && current.is_none()
+            && matches!(
+                what,
+                Happened::Transition(_, EventPhase::Failed | EventPhase::Cancelled, ..)
+            );
+        self.current = current;
+        let emptied = self.emptied(&what, execution);
+        match &what {
+            Happened::Transition(id, phase, firing, _) => {
+                self.count(*id, *phase, *firing, at_ns);
+            }
+            Happened::Net(EventPhase::Paused, why) => self.paused = Some(why.clone()),
+            Happened::Net(EventPhase::Resumed, _) => self.paused = None,
+            Happened::Net(EventPhase::Stopped, why) => self.stopped = Some(why.clone()),
+            _ => {}
+        }
+        if self.kept.len() == KEPT {
+            self.kept.pop_front();
+        }
+        self.seq += 1;
+        self.kept.push_back(Kept {
+            at_ns,
+            trace,
+            what,
+            unread,
+            emptied,
+        });
+    }
+
+    /// What the reset arcs of a transition took.
+    fn emptied(&mut self, what: &Happened, execution: &Execution) -> Tokens {
+        if !self.resets {
+            return Tokens::new();
+        }
+        let before = std::mem::replace(&mut self.marking, execution.marking().to_vec());
+        let Happened::Transition(id, EventPhase::Fired | EventPhase::Started, ..) = what else {
+            return Tokens::new();
+        };
+        let one = &self.net[*id];
+        let taken = |place: PlaceId| -> u32 {
+            let of_place = one.inputs.iter().filter(|arc| arc.place == place);
+            of_place.map(|arc| arc.weight).sum()
+        };
+        let left = |place: &PlaceId| {
+            let held = before.get(place.index()).copied().unwrap_or(0);
+            (*place, held.saturating_sub(taken(*place)))
+        };
+        let resets = one.resets.iter().map(left);
+        resets.filter(|(_, tokens)| *tokens > 0).collect()
+    }
+
+    fn count(&mut self, id: TransitionId, phase: EventPhase, firing: Option<FiringId>, now: u64) {
+        if let Some(firing) = firing {
+            if phase == EventPhase::Started {
+                self.since.insert(firing, now);
+            } else if let Some(since) = self.since.remove(&firing)
+                && let Some(busy) = self.busy_ns.get_mut(id.index())
+            {
+                *busy += now.saturating_sub(since);
+            }
+        }
+        let counted = match phase {
+            EventPhase::Fired | EventPhase::Completed => self.ended.get_mut(id.index()),
+            EventPhase::Failed => self.failed.get_mut(id.index()),
+            _ => None,
+        };
+        if let Some(counted) = counted {
+            *counted += 1;
+        }
+    }
+
+    /// The latest events, at most `most`, oldest first.
+    pub(crate) fn latest(&self, most: usize) -> impl Iterator<Item = Event> {
+        self.from(self.kept.len().saturating_sub(most))
+    }
+
+    /// The latest event.
+    pub(crate) fn last(&self) -> Option<Event> {
+        self.latest(1).last()
+    }
+
+    /// The kept events from the `index`th on.
+    fn from(&self, index: usize) -> impl Iterator<Item = Event> {
+        let first = self.seq + 1 - self.kept.len() as u64;
+        let kept = self.kept.iter().enumerate().skip(index);
+        kept.map(move |(index, kept)| self.event(first + index as u64, kept))
+    }
+
+    /// The net as it is now.
+    pub(crate) fn state(&self, now: Instant, execution: &Execution) -> State {
+        let symbol = |on_tape: &OnTape| self.net[on_tape.command].symbol.clone();
+        State {
+            net: self.net.name().to_owned(),
+            seq: self.seq,
+            at_ns: now.as_nanos(),
+            places: execution.marking().to_vec(),
+            running: execution
+                .running()
+                .map(|(firing, id)| Running {
+                    transition: self.net[id].name.clone(),
+                    firing: firing.number(),
+                    since_ns: self.since.get(&firing).copied().unwrap_or(now.as_nanos()),
+                })
+                .collect(),
+            tape: execution.tape().waiting().map(symbol).collect(),
+            in_progress: execution.tape().current().map(symbol),
+            ended: self.ended.clone(),
+            failed: self.failed.clone(),
+            busy_ns: self.busy_ns.clone(),
+            paused: self.paused.clone(),
+            stopped: self.stopped.clone(),
+        }
+    }
+
+    // -- those who follow -------------------------------------------------------------------
+
+    /// Takes in one who follows; it is answered by [`Self::answer`].
+    ///
+    /// # Errors
+    /// There are too many already; they have been answered so.
+    pub(crate) fn follow(
+        &mut self,
+        now: Instant,
+        request: &Follow,
+        reply: Replier<Follow>,
+    ) -> Result<(), HandlerError> {
+        if self.followers.len() >= MOST_FOLLOWERS {
+            return reply.fail(format!(
+                "net `{}` is followed by {MOST_FOLLOWERS} displays already",
+                self.net.name()
+            ));
+        }
+        let patience = request.patience_ms.min(MOST_PATIENCE_MS);
+        self.followers.push(Follower {
+            after: request.after,
+            until: now + Duration::from_millis(patience.into()),
+            reply,
+        });
+        Ok(())
+    }
+
+    /// When those who follow are to be answered, if there is something to answer and nobody is on the
+    /// way to do it; whoever asks has to.
+    pub(crate) fn call(&mut self, now: Instant) -> Option<Instant> {
+        if self.called || self.followers.is_empty() {
+            return None;
+        }
+        let here = self.mark();
+        let news = |one: &Follower| one.after != Some(here);
+        if !self.followers.iter().any(news) {
+            return None;
+        }
+        self.called = true;
+        let further = u32::try_from(self.followers.len() - 1).unwrap_or(u32::MAX);
+        let interval = INTERVAL + INTERVAL_EACH.saturating_mul(further);
+        let at = self.answered.map_or(now, |last| last + interval);
+        Some(if at < now { now } else { at })
+    }
+
+    /// Whether somebody must begin to watch over the patience of those who follow.
+    pub(crate) fn watch(&mut self) -> bool {
+        !std::mem::replace(&mut self.watched, true)
+    }
+
+    /// Answers those whose patience is over; whether there are others left to watch over.
+    pub(crate) fn expire(&mut self, now: Instant) -> bool {
+        let (over, left) = std::mem::take(&mut self.followers)
+            .into_iter()
+            .partition(|one: &Follower| one.until <= now);
+        self.followers = left;
+        for one in over {
+            let batch = Batch {
+                mark: one.after.unwrap_or(self.mark()),
+                state: None,
+                skipped: 0,
+                events: Arc::default(),
+            };
+            // Answering never fails; a display that is gone needs no answer.
+            let _ = one.reply.ok(batch);
+        }
+        self.watched = !self.followers.is_empty();
+        self.watched
+    }
+
+    /// Answers those for whom there is something new.
+    pub(crate) fn answer(&mut self, now: Instant, execution: &Execution) {
+        self.called = false;
+        self.answered = Some(now);
+        let here = self.mark();
+        let mut shared: BTreeMap<u64, Batch> = BTreeMap::new();
+        let mut whole: Option<Batch> = None;
+        let followers = std::mem::take(&mut self.followers);
+        let (waiting, due): (Vec<_>, Vec<_>) = followers
+            .into_iter()
+            .partition(|one| one.after == Some(here));
+        self.followers = waiting;
+        for one in due {
+            let behind = one
+                .after
+                .filter(|mark| mark.run == self.run)
+                .and_then(|mark| self.seq.checked_sub(mark.seq));
+            let few = behind.filter(|behind| *behind as usize <= MOST_EVENTS.min(self.kept.len()));
+            let batch = match few {
+                Some(behind) => shared
+                    .entry(behind)
+                    .or_insert_with(|| Batch {
+                        mark: here,
+                        state: None,
+                        skipped: 0,
+                        events: Arc::new(self.latest(behind as usize).collect()),
+                    })
+                    .clone(),
+                None => Batch {
+                    skipped: behind.unwrap_or(0),
+                    ..whole
+                        .get_or_insert_with(|| Batch {
+                            mark: here,
+                            state: Some(self.state(now, execution)),
+                            skipped: 0,
+                            events: Arc::default(),
+                        })
+                        .clone()
+                },
+            };
+            // Answering never fails; a display that is gone needs no answer.
+            let _ = one.reply.ok(batch);
+        }
+    }
+
+    fn mark(&self) -> Mark {
+        Mark {
+            run: self.run,
+            seq: self.seq,
+        }
+    }
+
+    // -- from the short form to the whole one ------------------------------------------------
+
+    fn event(&self, seq: u64, kept: &Kept) -> Event {
+        let net = &*self.net;
+        let mut event = Event {
+            seq,
+            at_ns: kept.at_ns,
+            net: net.name().to_owned(),
+            transition: String::new(),
+            phase: EventPhase::Stopped,
+            text: String::new(),
+            firing: None,
+            consumed: Vec::new(),
+            produced: Vec::new(),
+            sent: Vec::new(),
+            read: None,
+            wrote: None,
+            target: String::new(),
+            trace: trace(kept.trace),
+        };
+        match &kept.what {
+            Happened::Transition(id, phase, firing, text) => {
+                event.phase = *phase;
+                event.text.clone_from(text);
+                event.firing = firing.map(FiringId::number);
+                fill(net, &net[*id], &mut event);
+                let named = |(id, count): &(PlaceId, u32)| (net[*id].name.clone(), *count);
+                event.consumed.extend(kept.emptied.iter().map(named));
+                if kept.unread {
+                    event.read = net[*id].tape.map(|id| net[id].symbol.clone());
+                }
+            }
+            Happened::Tokens(phase, tokens, text) => {
+                event.phase = *phase;
+                event.text.clone_from(text);
+                let tokens = tokens
+                    .iter()
+                    .map(|(id, count)| (net[*id].name.clone(), *count));
+                if *phase == EventPhase::Taken {
+                    event.consumed = tokens.collect();
+                } else {
+                    event.produced = tokens.collect();
+                }
+            }
+            Happened::Asked(symbol, arguments) => {
+                event.phase = EventPhase::Asked;
+                event.read = Some(symbol.clone());
+                event.text.clone_from(arguments);
+            }
+            Happened::Net(phase, text) => {
+                event.phase = *phase;
+                event.text.clone_from(text);
+            }
+        }
+        event
+    }
+}
+
+/// What the phase of a transition moves, which the net says.
+fn fill(net: &Net, one: &net::Transition, event: &mut Event) {
+    let tokens = |arcs: &[net::Arc]| -> Vec<(String, u32)> {
+        let named = |arc: &net::Arc| (net[arc.place].name.clone(), arc.weight);
+        arcs.iter().map(named).collect()
+    };
+    let sent = |arcs: &[net::RemoteArc]| -> Vec<Sent> {
+        let sent = |arc: &net::RemoteArc| Sent {
+            net: arc.net.clone(),
+            place: arc.place.clone(),
+            tokens: arc.weight,
+        };
+        arcs.iter().map(sent).collect()
+    };
+    event.transition.clone_from(&one.name);
+    event.target = view::target(one.action.as_ref());
+    let (starts, ends) = match event.phase {
+        EventPhase::Fired => (true, true),
+        EventPhase::Started => (true, false),
+        _ => (false, true),
+    };
+    if starts {
+        event.consumed = tokens(&one.inputs);
+        event.read = one.tape.map(|id| net[id].symbol.clone());
+    }
+    if ends {
+        let back;
+        let outputs = match (event.phase, &one.fail) {
+            (EventPhase::Fired | EventPhase::Completed, _) => {
+                event.wrote.clone_from(&one.write);
+                &one.outputs
+            }
+            (EventPhase::Failed, Some(branch)) => branch,
+            _ => {
+                back = net::Outputs {
+                    local: one.inputs.clone(),
+                    remote: Vec::new(),
+                };
+                &back
+            }
+        };
+        event.produced = tokens(&outputs.local);
+        event.sent = sent(&outputs.remote);
+    }
+}
+
+fn trace(trace: u64) -> String {
+    if trace == 0 {
+        String::new()
+    } else {
+        Number::of_trace(trace).to_string()
+    }
+}

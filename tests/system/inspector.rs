@@ -1,0 +1,283 @@
+//! `scott` at a running app with two daemons, in processes of their own.
+
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::harness::{CTOS, Ended, Run, SCOTT, Scratch};
+
+fn up(scratch: &Scratch) -> Run<'_> {
+    let mut run = scratch.start(CTOS, &["boot", "configs/objects.toml"], &[]);
+    run.wait_for("phase 3");
+    run
+}
+
+/// What a statement prints, which must not fail.
+#[track_caller]
+fn said(scratch: &Scratch, statement: &str) -> String {
+    let ended = scratch.scott(&["objects", "-c", statement]);
+    ended.must_exit_leaving(0);
+    ended.stdout.trim_end().to_owned()
+}
+
+/// Asks again until the answer is as wanted; the watchdog of a run ends what never comes.
+fn until(mut run: impl FnMut() -> Ended, wanted: impl Fn(&Ended) -> bool) -> Ended {
+    loop {
+        let ended = run();
+        if wanted(&ended) {
+            return ended;
+        }
+    }
+}
+
+#[test]
+fn a_running_app_is_asked_by_lines_of_text_wherever_its_daemons_are() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    let breakfast = "TMSG \"breakfast in the kitchen, presto\"";
+    let plain = said(&scratch, "foo.a EXEC");
+    assert!(
+        plain.starts_with("foo.a RET 0 TMSG breakfast in the kitchen"),
+        "{plain} {breakfast}"
+    );
+    let named = said(&scratch, "foo.a@d2 EXEC");
+    assert_eq!(named, plain.replacen("foo.a", "foo.a@d2", 1));
+    // An upper-case class means the daemon that the dictionary of the first one names.
+    said(&scratch, "QUEUE.jobs EXEC put 'pick up' FMSG 2 0.5 nan");
+    let taken = said(&scratch, "queue.jobs@d2 EXEC take");
+    assert_eq!(taken, "queue.jobs@d2 RET 0 TMSG pick up FMSG 2 0.5 NaN");
+    assert_eq!(
+        said(&scratch, "queue.jobs EXEC take"),
+        "queue.jobs RET 0 TMSG not yet"
+    );
+    // Another daemon may be the first.
+    let ended = scratch.scott(&["--daemon", "d2", "--json", "-c", "sorm CTRL -list"]);
+    ended.must_exit_leaving(0);
+    assert!(
+        ended.json()["text"]
+            .as_str()
+            .unwrap()
+            .contains("queue.jobs")
+    );
+    // The arm of a process without MCS is refused by name.
+    let ended = scratch.scott(&["-c", "mvpos EXEC where"]);
+    ended.must_exit_leaving(5).must_say("mcs");
+}
+
+#[test]
+fn every_way_to_ask_wrongly_has_its_exit_code() {
+    let scratch = Scratch::new();
+    let code = |arguments: &[&str], code: i32, text: &str| {
+        scratch
+            .scott(arguments)
+            .must_exit_leaving(code)
+            .must_say(text);
+    };
+    code(&["-c", "foo.a EXEC"], 5, "no app is running");
+    code(&["--local", "objects"], 2, "cannot be used");
+    let _run = up(&scratch);
+    code(&["cell", "-c", "foo.a EXEC"], 4, "objects-");
+    code(&["--daemon", "d3", "-c", "foo.a EXEC"], 4, "it has d1, d2");
+    code(&["-c", "fog.a EXEC"], 4, "did you mean `foo`");
+    code(&["-c", "foo.a@d3 EXEC"], 5, "d3");
+    code(&["-c", "foo.a CTRL -speed"], 1, "unknown option");
+    code(&["-c", "watch"], 2, "write: watch PATTERN");
+    code(&["-c", "watch foo.*@d3"], 1, "it has d1, d2");
+    // A task that is none takes no lines: its app has nobody to ask.
+    scratch.edit(
+        "configs/objects.toml",
+        "name = \"objects\"",
+        "name = \"others\"",
+    );
+    let text = scratch.read("configs/hello.toml");
+    assert!(!text.contains("sorma.daemon"));
+}
+
+#[test]
+fn others_requests_are_watched_with_replies_and_durations() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    let wanted = "watch foo.* --kind EXEC --from its-user* --count 3";
+    let watching = scratch.start(SCOTT, &["objects", "--json", "-c", wanted], &[]);
+    for daemon in ["d1", "d2"] {
+        let list = format!("sorm@{daemon} CTRL -list");
+        until(
+            || scratch.scott(&["-c", &list]),
+            |ended| ended.stdout.contains("watch.scott-"),
+        );
+    }
+    said(&scratch, "foo.a EXEC");
+    said(&scratch, "foo.a CTRL -dump");
+    said(&scratch, "bar EXEC");
+    said(&scratch, "foo.b@d2 EXEC");
+    scratch
+        .scott(&["-c", "foo.a EXEC nonsense"])
+        .must_exit_leaving(1);
+    let ended = watching.end();
+    ended.must_exit_leaving(0);
+    let mut seen = ended.json_lines();
+    // The two daemons are asked in turn.
+    seen.sort_by(|a, b| {
+        a["at_s"]
+            .as_f64()
+            .unwrap()
+            .total_cmp(&b["at_s"].as_f64().unwrap())
+    });
+    let told: Vec<(&str, &str, i64)> = seen
+        .iter()
+        .map(|seen| {
+            let text = |key: &str| seen[key].as_str().unwrap();
+            (
+                text("process"),
+                text("request"),
+                seen["code"].as_i64().unwrap(),
+            )
+        })
+        .collect();
+    let nonsense = seen[2]["code"].as_i64().unwrap();
+    assert_ne!(nonsense, 0);
+    assert_eq!(
+        told,
+        [
+            ("desk", "foo.a EXEC", 0),
+            ("cage", "foo.b EXEC", 0),
+            ("desk", "foo.a EXEC TMSG nonsense", nonsense),
+        ]
+    );
+    for one in &seen {
+        assert!(one["took_s"].as_f64().unwrap() >= 0.0);
+        assert!(one["reply"].as_str().unwrap().contains(" RET "));
+    }
+    // Nobody watches any more.
+    let list = scratch.scott(&["-c", "sorm CTRL -list"]);
+    assert!(!list.stdout.contains("watch."), "{}", list.told);
+}
+
+#[test]
+fn a_request_is_traced_through_the_calls_that_it_leads_to() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    let statements = [
+        "-c",
+        "foo.a CTRL -drink bar",
+        "-c",
+        "trace foo.a EXEC",
+        "-c",
+        "trace QUEUE.jobs EXEC put x",
+    ];
+    let ended = scratch.scott(&[&["objects", "--json"], &statements[..]].concat());
+    ended.must_exit_leaving(0);
+    let lines = ended.json_lines();
+    let calls: Vec<(i64, &str, &str)> = lines
+        .iter()
+        .filter(|line| line["depth"].is_i64())
+        .map(|line| {
+            let text = |key: &str| line[key].as_str().unwrap();
+            (
+                line["depth"].as_i64().unwrap(),
+                text("process"),
+                text("object"),
+            )
+        })
+        .collect();
+    assert_eq!(
+        calls,
+        [
+            (0, "desk", "foo.a"),
+            (1, "desk", "bar"),
+            (0, "cage", "queue.jobs")
+        ]
+    );
+}
+
+#[test]
+fn what_was_kept_for_a_client_is_free_when_it_is_gone() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    // In one session the permit is held, and the lock holds.
+    let held = scratch.scott(&[
+        "objects",
+        "-c",
+        "semaphore.arm EXEC acquire",
+        "-c",
+        "sorm CTRL -lock foo.a 1000",
+        "-c",
+        "semaphore.arm EXEC free",
+        "-c",
+        "expect IMSG 2 0 0",
+    ]);
+    held.must_exit_leaving(0);
+    // Its end is noticed at once, if perhaps not before the next one asks.
+    let free = ["-c", "semaphore.arm EXEC free", "-c", "expect IMSG 2 1 0"];
+    until(|| scratch.scott(&free), |ended| ended.code == Some(0));
+    until(
+        || scratch.scott(&["-c", "foo.a EXEC"]),
+        |ended| ended.code == Some(0),
+    );
+    // What was acquired in somebody's name stays his.
+    said(&scratch, "semaphore.arm EXEC acquire anna");
+    assert_eq!(
+        said(&scratch, "semaphore.arm EXEC free"),
+        "semaphore.arm RET 0 IMSG 2 0 0"
+    );
+}
+
+#[test]
+fn a_chassis_that_dies_is_an_error_with_names_and_the_next_request_finds_it_again() {
+    let scratch = Scratch::new();
+    let run = up(&scratch);
+    said(&scratch, "blackboard.x@d2 EXEC set lamp on");
+    run.kill("cage");
+    let again = until(
+        || scratch.scott(&["-c", "foo.a@d2 EXEC"]),
+        |ended| ended.code == Some(0),
+    );
+    assert!(again.stdout.starts_with("foo.a@d2 RET 0"), "{}", again.told);
+}
+
+#[test]
+fn a_watcher_finds_an_app_again_that_was_started_anew() {
+    let scratch = Scratch::new();
+    let run = up(&scratch);
+    let mut watching = scratch.start(
+        SCOTT,
+        &["objects", "--json", "-c", "watch foo.* --count 1"],
+        &[],
+    );
+    until(
+        || scratch.scott(&["-c", "sorm CTRL -list"]),
+        |ended| ended.stdout.contains("watch.scott-"),
+    );
+    run.signal(Signal::INT);
+    watching.wait_for("the answer of app `objects` was lost");
+    run.end();
+    let _anew = up(&scratch);
+    watching.wait_for("app `objects` is watched again");
+    said(&scratch, "foo.b EXEC");
+    let ended = watching.end();
+    ended.must_exit_leaving(0);
+    let lines: Vec<Value> = ended.json_lines();
+    assert_eq!(lines[0]["request"], "foo.b EXEC");
+}
+
+#[test]
+fn classes_are_described_by_the_app_itself() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    let ended = scratch.scott(&["--json", "-c", "sorm CTRL -describe"]);
+    ended.must_exit_leaving(0);
+    let text = ended.json()["text"].as_str().unwrap().to_owned();
+    let names: Vec<String> = text
+        .lines()
+        .map(|line| {
+            let class: Value = serde_json::from_str(line).unwrap();
+            assert!(class["options"].is_array() && class["forms"].is_array());
+            class["name"].as_str().unwrap().to_owned()
+        })
+        .collect();
+    for class in ["dict", "mvpos", "pino", "queue", "sorm", "spot", "watch"] {
+        assert!(
+            names.iter().any(|name| name == class),
+            "{class} of {names:?}"
+        );
+    }
+}
