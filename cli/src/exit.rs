@@ -37,7 +37,10 @@ pub const CODES: [(u8, &str); 11] = [
         UNREACHABLE,
         "an app or a chassis cannot be started or reached",
     ),
-    (TIMED_OUT, "it took too long"),
+    (
+        TIMED_OUT,
+        "it took too long, or more memory or steps than its limits permit",
+    ),
     (
         LIMIT,
         "stopped by a breakpoint or a limit that was asked for",

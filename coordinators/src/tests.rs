@@ -4,7 +4,10 @@
 use std::sync::Arc;
 
 use ctos::diagnostic::Findings;
-use pnt::{check, space::Limits, task};
+use pnt::{
+    check::{self, Limits},
+    task,
+};
 use proptest::prelude::*;
 
 use crate::rig::{self, Answer, NETS, Rig, Run, Shared, lock, run};

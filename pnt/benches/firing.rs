@@ -1,6 +1,6 @@
-//! Firings per second of the executor, for chains of transitions with tokens flowing through, and
-//! markings per second of the state space. The executor must not get slower with the net's size or
-//! the number of tokens.
+//! Firings per second of the executor, beside what a hand-written loop over the same marking takes (the
+//! limit of memory and arithmetic). A firing must cost the
+//! same in small and in large nets, with few tokens and with many.
 
 #![allow(
     clippy::unwrap_used,
@@ -13,11 +13,17 @@ use ctos::diagnostic::Source;
 use divan::{Bencher, black_box, counter::ItemsCount};
 use pnt::{
     compile,
-    compose::System,
-    exec::{Conflicts, Execution},
+    exec::{Conflicts, Execution, Race},
     net::Net,
-    space::{Limits, explore},
 };
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+/// Firings of one sample.
+const FIRINGS: usize = 1_000_000;
+
+/// Events that are kept while the log is on.
+const LOG_ROOM: usize = 1024;
 
 fn main() {
     divan::main();
@@ -27,72 +33,116 @@ fn net(text: &str) -> Arc<Net> {
     Arc::new(compile::net(&Source::new("bench.net", text)).unwrap())
 }
 
-fn chain(length: usize, tokens: usize) -> Arc<Net> {
-    let mut text = format!("net chain\nplace p0 = {tokens}\n");
+/// A ring of transitions with its tokens spread evenly over the places.
+fn ring(length: usize, tokens: usize, more: &str) -> Arc<Net> {
+    let mut text = String::from("net ring\n");
     for index in 0..length {
-        let next = index + 1;
+        let here = (index + 1) * tokens / length - index * tokens / length;
+        let next = (index + 1) % length;
         let _ = writeln!(
             text,
-            "place p{next}\ntransition t{index}\n  in p{index}\n  out p{next}"
+            "place p{index} = {here}\ntransition t{index}\n  in p{index}\n  out p{next}\n{more}"
         );
     }
     net(&text)
 }
 
-/// Every token goes through the whole chain, one firing after the other.
-#[divan::bench(args = [(10, 1), (10, 100), (10, 10_000), (100, 1), (100, 100), (100, 10_000), (1000, 1), (1000, 100)])]
-fn chain_of_transitions_and_tokens(bencher: Bencher, (length, tokens): (usize, usize)) {
-    let start = Execution::new(chain(length, tokens));
-    bencher
-        .counter(ItemsCount::new(length * tokens))
-        .with_inputs(|| start.clone())
-        .bench_local_refs(|execution| {
-            let mut conflicts = Conflicts::Declared;
-            while let Some(id) = execution.choose(&mut conflicts, |_| true) {
-                black_box(execution.fire(id).unwrap());
-            }
-        });
+/// Fires whatever is chosen.
+fn run(execution: &mut Execution, conflicts: &mut Conflicts, firings: usize) {
+    for _ in 0..firings {
+        if let Some(id) = execution.choose(conflicts, |_| true) {
+            black_box(execution.fire(id).unwrap());
+        }
+    }
 }
 
-/// The same in two phases: every firing is started and completed.
-#[divan::bench(args = [(10, 100), (1000, 100)])]
+const SIZES: [(usize, usize); 9] = [
+    (10, 1),
+    (10, 100),
+    (10, 100_000),
+    (100, 10),
+    (1_000, 1),
+    (1_000, 1_000),
+    (10_000, 100),
+    (100_000, 1),
+    (100_000, 100_000),
+];
+
+/// Recording off; arguments are transitions and tokens.
+#[divan::bench(args = SIZES, sample_count = 5)]
+fn inline(bencher: Bencher, (length, tokens): (usize, usize)) {
+    let mut execution = Execution::new(ring(length, tokens, ""));
+    bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+        run(&mut execution, &mut Conflicts::Declared, FIRINGS);
+    });
+}
+
+/// With the event log.
+#[divan::bench(args = SIZES, sample_count = 5)]
+fn inline_with_log(bencher: Bencher, (length, tokens): (usize, usize)) {
+    let mut execution = Execution::new(ring(length, tokens, ""));
+    execution.record_events(LOG_ROOM);
+    bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+        run(&mut execution, &mut Conflicts::Declared, FIRINGS);
+    });
+}
+
+/// Conflicts decided by chance among all enabled ones.
+#[divan::bench(args = SIZES, sample_count = 5)]
+fn by_chance(bencher: Bencher, (length, tokens): (usize, usize)) {
+    let mut execution = Execution::new(ring(length, tokens, ""));
+    let mut conflicts = Conflicts::Random(Box::new(ChaCha8Rng::seed_from_u64(1)));
+    bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+        run(&mut execution, &mut conflicts, FIRINGS);
+    });
+}
+
+/// Every firing is started and completed.
+#[divan::bench(args = SIZES, sample_count = 5)]
 fn two_phases(bencher: Bencher, (length, tokens): (usize, usize)) {
-    let start = Execution::new(chain(length, tokens));
-    bencher
-        .counter(ItemsCount::new(length * tokens))
-        .with_inputs(|| start.clone())
-        .bench_local_refs(|execution| {
-            let mut conflicts = Conflicts::Declared;
-            while let Some(id) = execution.choose(&mut conflicts, |_| true) {
+    let mut execution = Execution::new(ring(length, tokens, "  do something\n"));
+    bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+        for _ in 0..FIRINGS {
+            if let Some(id) = execution.choose(&mut Conflicts::Declared, |_| true) {
                 let firing = execution.start(id).unwrap();
                 black_box(execution.complete(firing).unwrap());
             }
-        });
+        }
+    });
 }
 
-/// Four-cell Kanban system; items are markings (published numbers).
-#[divan::bench(args = [(2, 4_600), (3, 58_400), (4, 454_475)], sample_count = 5)]
-fn kanban_markings(bencher: Bencher, (cards, markings): (usize, usize)) {
-    let mut text = String::from("net kanban\n");
-    for i in 1..=4 {
-        let _ = write!(
-            text,
-            "place pm{i}, pback{i}, pout{i}, pkan{i} = {cards}
-transition tok{i}\n  in pm{i}\n  out pout{i}
-transition tredo{i}\n  in pm{i}\n  out pback{i}
-transition tback{i}\n  in pback{i}\n  out pm{i}\n"
-        );
-    }
-    text.push_str(
-        "transition tin1\n  in pkan1\n  out pm1
-transition tsynch1\n  in pout1, pkan2, pkan3\n  out pkan1, pm2, pm3
-transition tsynch2\n  in pout2, pout3, pkan4\n  out pkan2, pkan3, pm4
-transition tout4\n  in pout4\n  out pkan4\n",
-    );
-    let (system, _) = System::compose(&[net(&text)]);
-    bencher.counter(ItemsCount::new(markings)).bench_local(|| {
-        let space = explore(&system, &Limits::default());
-        assert_eq!(space.markings, markings);
-        space
+/// Every transition takes an exponential time; the race decides.
+#[divan::bench(args = [(10, 1), (10, 100), (1_000, 100), (100_000, 10)], sample_count = 5)]
+fn timed(bencher: Bencher, (length, tokens): (usize, usize)) {
+    let mut execution = Execution::new(ring(length, tokens, "  time exponential 1 ms\n"));
+    let mut race = Race::new(&execution, ChaCha8Rng::seed_from_u64(1));
+    bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+        for _ in 0..FIRINGS {
+            race.refresh(&mut execution, |_| true);
+            let next = race.next(&execution).unwrap();
+            execution.advance_to(next.due_ns);
+            let id = race.pop(&execution).unwrap();
+            black_box(execution.fire(id).unwrap());
+        }
+    });
+}
+
+/// What the same ring costs when a loop is written for it by hand: which transition fires is known
+/// before, and nothing but the marking is kept.
+#[divan::bench(args = [(10, 1), (1_000, 1), (100_000, 1)], sample_count = 5)]
+fn by_hand(bencher: Bencher, (length, tokens): (usize, u32)) {
+    let mut marking = vec![0_u32; length];
+    marking[0] = tokens;
+    bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+        let mut at = 0;
+        for _ in 0..FIRINGS {
+            let next = if at + 1 == length { 0 } else { at + 1 };
+            let marking = black_box(&mut marking);
+            if marking[at] > 0 {
+                marking[at] -= 1;
+                marking[next] += 1;
+            }
+            at = next;
+        }
     });
 }

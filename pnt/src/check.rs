@@ -2,6 +2,8 @@
 //! of use, rest always within reach, every command answered by one of its output symbols. What they
 //! do not prove becomes findings that point into the net texts.
 
+pub mod commands;
+
 #[cfg(test)]
 mod tests;
 
@@ -9,11 +11,21 @@ use std::{collections::BTreeSet, sync::Arc};
 
 use ctos::diagnostic::{Finding, Findings, Place as At};
 
+use commands::Workflow;
+
 use crate::{
-    compose::{Phase, Stands, System, SystemPlace},
+    analysis::{
+        cover::{Cover, cover},
+        explicit::{Progress, Reached},
+        model::{Model, TransitionNumber},
+        question::{Answer, Question},
+        verdict::{Engines, Looked, Verdict, list, look},
+    },
+    compose::{Stands, Step, System, SystemPlace},
     net::{Action, Net, Part},
-    space::{self, Limits, Space},
 };
+
+pub use crate::analysis::explicit::Limits;
 
 /// Steps of a firing sequence that are shown; the ones before are counted.
 const SHOWN_STEPS: usize = 16;
@@ -22,9 +34,9 @@ const SHOWN_STEPS: usize = 16;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Report {
     /// Reachable markings.
-    pub markings: usize,
+    pub markings: u128,
     /// Edges between them.
-    pub edges: usize,
+    pub edges: u128,
     /// Whether these are all, so that no error means a proof.
     pub proved: bool,
 }
@@ -69,36 +81,201 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
     }
 }
 
+/// What a net must be to be sound.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rule {
+    /// Nets at rest until a command comes: bounded; no end but rest; rest always within reach; every
+    /// command answered once. A transition that never fires is only a warning: an app may have no use
+    /// for part of a coordinator.
+    Rest,
+    /// A plain net, which nothing comes to from outside: bounded, no dead marking, no dead transition.
+    /// It need not return to its initial marking.
+    Closed,
+}
+
+impl Rule {
+    /// [`Rule::Closed`] for nets without commands.
+    #[must_use]
+    pub fn of(nets: &[Arc<Net>]) -> Self {
+        if nets.iter().any(|net| !net.commands().is_empty()) {
+            Self::Rest
+        } else {
+            Self::Closed
+        }
+    }
+}
+
+/// What was proved about composed nets.
+#[derive(Debug)]
+pub struct Proof {
+    /// The nets as one system.
+    pub system: System,
+    /// Its model; transitions are the system's steps in order.
+    pub model: Model,
+    /// What holds.
+    pub verdict: Verdict,
+    /// Why they are not sound; and warnings.
+    pub findings: Findings,
+    /// Of nets without bound, what they can cover, where that can be told.
+    pub cover: Option<Cover>,
+    /// Answers to the questions that were asked, in order.
+    pub answers: Vec<Answered>,
+    /// Each command by itself, if that was asked.
+    pub workflows: Vec<Workflow>,
+}
+
+/// What to prove, and how.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// What makes the nets sound.
+    pub rule: Rule,
+    /// How far to look.
+    pub limits: Limits,
+    /// What to look with; questions and tapes need the markings one by one.
+    pub engines: Engines,
+    /// Questions whether something can ever be.
+    pub can: Vec<String>,
+    /// Questions whether something always stays possible.
+    pub always: Vec<String>,
+    /// Whether to look at each command by itself as well.
+    pub workflows: bool,
+}
+
+impl Options {
+    /// The check that nets have before they run: nothing is asked, one marking comes after the other.
+    #[must_use]
+    pub fn new(rule: Rule, limits: Limits) -> Self {
+        Self {
+            rule,
+            limits,
+            engines: Engines::Explicit,
+            can: Vec::new(),
+            always: Vec::new(),
+            workflows: false,
+        }
+    }
+}
+
+/// A question and its answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Answered {
+    /// The question as it was asked.
+    pub question: String,
+    /// Whether it was asked if this always stays possible, not only if it can ever be.
+    pub always: bool,
+    /// The answer.
+    pub answer: Answer,
+}
+
+impl Answered {
+    /// Yes or no; nothing when a limit came first.
+    #[must_use]
+    pub fn yes(&self) -> Option<bool> {
+        match self.answer {
+            Answer::Unknown => None,
+            Answer::Witness(_) => Some(!self.always),
+            Answer::Proved(_) => Some(self.always),
+        }
+    }
+}
+
+/// States that a coverability graph may have; it serves only nets that are not sound anyway.
+const COVER_NODES: usize = 50_000;
+
+/// Composes nets and explores what can happen.
+///
+/// # Errors
+/// All findings about nets that do not fit together, and about questions; then nothing is explored.
+pub fn prove(
+    nets: &[Arc<Net>],
+    options: &Options,
+    progress: &mut dyn FnMut(&Progress),
+) -> Result<Proof, Findings> {
+    let (system, mut findings) = System::compose(nets);
+    if findings.has_errors() {
+        return Err(findings);
+    }
+    let model = Model::of_system(&system);
+    let mut questions = Vec::new();
+    let can = options.can.iter().map(|text| (text, false));
+    for (text, always) in can.chain(options.always.iter().map(|text| (text, true))) {
+        questions.extend(
+            findings
+                .keep(Question::parse(text, &model))
+                .map(|q| (q, always)),
+        );
+    }
+    if findings.has_errors() {
+        return Err(findings);
+    }
+    let Options { rule, limits, .. } = *options;
+    // What is told about nets with a tape needs the markings one by one.
+    let looked = if rule == Rule::Rest || !questions.is_empty() {
+        list(&model, &limits, progress)
+    } else {
+        look(&model, &limits, options.engines, progress)
+    };
+    let answered = |(question, always): (Question, bool)| Answered {
+        answer: match always {
+            false => question.can_be(&looked.explored),
+            true => question.stays_possible(&looked.explored, limits.bytes),
+        },
+        question: question.to_string(),
+        always,
+    };
+    let answers = questions.into_iter().map(answered).collect();
+    let grows = looked.explored.growth.is_some();
+    let judge = Judge {
+        system: &system,
+        model: &model,
+        rule,
+        looked: &looked,
+    };
+    findings.extend(judge.findings());
+    let verdict = looked.verdict;
+    Ok(Proof {
+        cover: grows.then(|| cover(&model, COVER_NODES)).flatten(),
+        workflows: match options.workflows {
+            true => commands::workflows(&system, &limits),
+            false => Vec::new(),
+        },
+        answers,
+        system,
+        model,
+        verdict,
+        findings,
+    })
+}
+
 /// Composes the nets of an app and checks them. The markings are only explored when the nets fit
 /// together.
 #[must_use]
 pub fn check(nets: &[Arc<Net>], limits: &Limits) -> (Report, Findings) {
-    let (system, mut findings) = System::compose(nets);
-    if findings.has_errors() {
-        let report = Report {
-            markings: 0,
-            edges: 0,
-            proved: false,
-        };
-        return (report, findings);
+    match prove(nets, &Options::new(Rule::Rest, *limits), &mut |_| {}) {
+        Ok(proof) => {
+            let report = Report {
+                markings: proof.verdict.markings,
+                edges: proof.verdict.edges,
+                proved: proof.verdict.reversible.is_some(),
+            };
+            (report, proof.findings)
+        }
+        Err(findings) => {
+            let report = Report {
+                markings: 0,
+                edges: 0,
+                proved: false,
+            };
+            (report, findings)
+        }
     }
-    let space = space::explore(&system, limits);
-    let judge = Judge {
-        system: &system,
-        space: &space,
-    };
-    findings.extend(judge.findings());
-    let report = Report {
-        markings: space.markings,
-        edges: space.edges,
-        proved: space.complete,
-    };
-    (report, findings)
 }
 
 struct Judge<'a> {
     system: &'a System,
-    space: &'a Space,
+    model: &'a Model,
+    rule: Rule,
+    looked: &'a Looked<'a>,
 }
 
 impl Judge<'_> {
@@ -114,22 +291,27 @@ impl Judge<'_> {
         for finding in errors.into_iter().flatten() {
             findings.push(finding);
         }
-        if self.space.complete {
+        if self.looked.verdict.complete {
             self.never(&mut findings);
         }
         findings
     }
 
-    fn steps(&self, path: &[usize]) -> String {
+    /// A shortest way to a marking that was found, in words.
+    fn way_to(&self, marking: &[u32]) -> String {
+        self.steps(&self.looked.explored.path(marking).unwrap_or_default())
+    }
+
+    fn steps(&self, path: &[TransitionNumber]) -> String {
         if path.is_empty() {
             return "nothing".to_owned();
         }
         let skipped = path.len().saturating_sub(SHOWN_STEPS);
-        let names: Vec<String> = path
+        let names: Vec<&str> = path
             .iter()
             .skip(skipped)
-            .filter_map(|number| self.system.steps().get(*number))
-            .map(|step| self.system.step_name(step).to_string())
+            .filter_map(|number| self.model.transitions.get(*number as usize))
+            .map(|transition| transition.name.as_str())
             .collect();
         let before = match skipped {
             0 => String::new(),
@@ -180,8 +362,8 @@ impl Judge<'_> {
     }
 
     fn growth(&self) -> Option<Finding> {
-        let growth = self.space.growth.as_ref()?;
-        let place = self.system.places().get(growth.place)?;
+        let growth = self.looked.explored.growth.as_ref()?;
+        let place = self.system.places().get(growth.place as usize)?;
         Some(
             Finding::error(
                 "pnt::check::unbounded",
@@ -198,48 +380,85 @@ impl Judge<'_> {
         )
     }
 
+    /// Dead markings; other than rest where that may well have nothing to do.
+    fn dead_ends(&self) -> impl Iterator<Item = &Reached> {
+        let nearest = usize::from(self.rule == Rule::Rest);
+        let dead = self.looked.explored.dead.iter();
+        dead.filter(move |dead| dead.distance >= nearest)
+    }
+
     fn dead(&self) -> Option<Finding> {
-        let dead = *self.space.dead.first()?;
-        let path = self.space.path(dead);
-        let marking = Space::replay(self.system, &path);
-        let others = match self.space.dead.len() {
+        if let Some((sequence, marking)) = &self.looked.deadlock {
+            let others = match self.looked.verdict.deadlocks {
+                1 => String::new(),
+                count => format!(" ({count} such markings in all)"),
+            };
+            return Some(self.dead_finding(&self.steps(sequence), marking, &others));
+        }
+        let dead = self.dead_ends().next()?;
+        let rest = self
+            .looked
+            .explored
+            .dead
+            .iter()
+            .any(|dead| dead.distance == 0);
+        let rest = rest && self.rule == Rule::Rest;
+        let others = match self.looked.explored.dead_count - u64::from(rest) {
             1 => String::new(),
             count => format!(" ({count} such markings in all)"),
         };
+        Some(self.dead_finding(&self.way_to(&dead.marking), &dead.marking, &others))
+    }
+
+    fn dead_finding(&self, way: &str, marking: &[u32], others: &str) -> Finding {
         let finding = Finding::error(
             "pnt::check::deadlock",
             format!(
-                "the nets can stop short of rest: after {} the marking is {}, and no transition is sure to fire{others}",
-                self.steps(&path),
-                self.system.marking_name(&marking)
+                "{}: after {way} the marking is {}, and no transition is sure to fire{others}",
+                match self.rule {
+                    Rule::Rest => "the nets can stop short of rest",
+                    Rule::Closed => "there is a deadlock",
+                },
+                self.system.marking_name(marking)
             ),
         )
         .help("give this marking a way on; a single `when` may stay false for ever, so pair it with its negation");
-        Some(self.at_marking(finding, &marking))
+        self.at_marking(finding, marking)
     }
 
     fn trapped(&self) -> Option<Finding> {
         // A dead end is the clearer finding.
-        if !self.space.dead.is_empty() {
+        if self.rule == Rule::Closed || self.dead_ends().next().is_some() {
             return None;
         }
-        let path = self.space.path(self.space.trapped?);
-        let marking = Space::replay(self.system, &path);
+        let marking = self.looked.returns.as_ref()?.no_return.as_ref()?;
         let finding = Finding::error(
             "pnt::check::no_return",
             format!(
                 "rest can get out of reach: after {} the marking is {}, and no way leads back to the initial marking",
-                self.steps(&path),
-                self.system.marking_name(&marking)
+                self.way_to(marking),
+                self.system.marking_name(marking)
             ),
         )
         .help("look for a token that is lost or left over, or a command that gets no answer");
-        Some(self.at_marking(finding, &marking))
+        Some(self.at_marking(finding, marking))
+    }
+
+    /// The nearest marking and step that writes an output symbol nobody asked for.
+    fn unasked_step(&self) -> Option<(Reached, &Step)> {
+        let steps = (0..)
+            .zip(self.system.steps())
+            .zip(&self.looked.explored.seen);
+        let unasked = steps.filter(|((_, step), seen)| step.unasked && **seen);
+        let nearest =
+            |((number, step), _)| Some((self.looked.explored.nearest_enabled(number)?, step));
+        unasked
+            .filter_map(nearest)
+            .min_by(|(a, _), (b, _)| a.cmp(b))
     }
 
     fn unasked(&self) -> Option<Finding> {
-        let (marking, number) = self.space.unasked?;
-        let step = self.system.steps().get(number)?;
+        let (reached, step) = self.unasked_step()?;
         let transition = &self.system.nets().get(step.net)?[step.transition?];
         let symbol = transition.write.as_deref().unwrap_or_default();
         Some(
@@ -248,7 +467,7 @@ impl Judge<'_> {
                 format!(
                     "transition `{}` can write `{symbol}` when no command waits for it: after {}",
                     transition.name,
-                    self.steps(&self.space.path(marking))
+                    self.way_to(&reached.marking)
                 ),
             )
             .at(transition.at.clone())
@@ -259,17 +478,23 @@ impl Judge<'_> {
     }
 
     fn unproved(&self) -> Option<Finding> {
-        if self.space.complete || self.space.growth.is_some() {
+        let returns = self.rule == Rule::Closed || self.looked.returns.is_some();
+        let proved = self.looked.verdict.complete && returns;
+        if proved || self.looked.explored.growth.is_some() {
             return None;
         }
-        let place = self.system.places().iter().zip(&self.space.bounds);
+        let place = self
+            .system
+            .places()
+            .iter()
+            .zip(&self.looked.explored.bounds);
         let (place, bound) = place.max_by_key(|(_, bound)| **bound)?;
         Some(
             Finding::error(
                 "pnt::check::not_proved",
                 format!(
                     "not proved: more than {} markings; `{}` has held up to {bound} tokens so far",
-                    self.space.markings, place.name
+                    self.looked.explored.markings, place.name
                 ),
             )
             .at(place.at.clone())
@@ -281,29 +506,20 @@ impl Judge<'_> {
 
     /// Transitions of no use: never enabled at any reachable marking.
     fn never(&self, findings: &mut Findings) {
-        let nets = self.system.nets();
-        let mut fired: BTreeSet<(usize, usize)> = BTreeSet::new();
-        for (step, seen) in self.system.steps().iter().zip(&self.space.seen) {
-            let begins = matches!(step.phase, Phase::Fire | Phase::Start);
-            if let (true, true, Some(id)) = (*seen, begins, step.transition) {
-                fired.insert((step.net, id.index()));
+        let transitions = self.system.nets().iter().flat_map(|net| net.transitions());
+        let all = transitions.zip(&self.looked.verdict.seen);
+        for (transition, _) in all.filter(|(_, seen)| !**seen) {
+            if matches!(transition.part, Part::Return | Part::Fail { branch: false }) {
+                continue;
             }
-        }
-        for (net_index, net) in nets.iter().enumerate() {
-            for (index, transition) in net.transitions().iter().enumerate() {
-                let generated =
-                    matches!(transition.part, Part::Return | Part::Fail { branch: false });
-                if !generated && !fired.contains(&(net_index, index)) {
-                    findings.push(
-                        Finding::warning(
-                            "pnt::check::never_fires",
-                            format!("transition `{}` can never fire", transition.name),
-                        )
-                        .at(transition.at.clone())
-                        .help("nothing ever marks its input places together; check their names and weights"),
-                    );
-                }
-            }
+            let text = format!("transition `{}` can never fire", transition.name);
+            let finding = match self.rule {
+                Rule::Rest => Finding::warning("pnt::check::never_fires", text),
+                Rule::Closed => Finding::error("pnt::check::never_fires", text),
+            };
+            findings.push(finding.at(transition.at.clone()).help(
+                "nothing ever marks its input places together; check their names and weights",
+            ));
         }
     }
 }

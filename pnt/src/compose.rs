@@ -41,6 +41,8 @@ pub struct SystemPlace {
     pub at: At,
     /// Tokens at rest.
     pub tokens: u32,
+    /// What it holds at most.
+    pub capacity: Option<u32>,
 }
 
 /// Which part of a firing a step is.
@@ -67,15 +69,20 @@ pub struct Step {
     pub transition: Option<TransitionId>,
     /// Which part of its firing.
     pub phase: Phase,
-    /// Tokens that must be there (taken or read).
-    pub needs: Vec<(SystemPlaceId, u32)>,
+    /// Tokens that it takes.
+    pub takes: Vec<(SystemPlaceId, u32)>,
+    /// Tokens that it needs and leaves.
+    pub reads: Vec<(SystemPlaceId, u32)>,
     /// Enabled only while the place holds fewer.
     pub forbids: Vec<(SystemPlaceId, u32)>,
-    /// Change per place, no zeros.
-    pub changes: Vec<(SystemPlaceId, i64)>,
+    /// Places that it empties, after taking.
+    pub resets: Vec<SystemPlaceId>,
+    /// Tokens that it puts.
+    pub puts: Vec<(SystemPlaceId, u32)>,
     /// Enabling function (numbered over the system) and whether it is negated.
     pub when: Option<(usize, bool)>,
-    /// The transition's priority, for steps that the net chooses among.
+    /// Its urgency, for steps that the net chooses among: the transition's priority, and above all
+    /// priorities of timed transitions if it is an immediate one beside such.
     pub priority: Option<u32>,
     /// Whether it writes an output symbol that answers no command in progress.
     pub unasked: bool,

@@ -7,6 +7,8 @@ use std::{fmt, time::Duration};
 
 use ctos::diagnostic::{Place as At, Source};
 
+pub(crate) use print::InText;
+
 use crate::timing::{Servers, Timing};
 
 /// A name and where it stands. Two words are equal when they read the same.

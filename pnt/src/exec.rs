@@ -1,29 +1,44 @@
 //! One net in motion: marking, input tape, two-phase firing (architecture report, section 6). A
 //! transition takes its tokens when it starts and puts tokens when its action is complete or has
 //! failed. The caller runs actions, calls enabling functions and carries tokens to other nets; this
-//! module only says which. It knows no clock and no task.
+//! module only says which. It knows no clock and no task: the time of time limits is what the caller
+//! says it is ([`Execution::advance_to`]), and transitions that take time fire when the caller fires
+//! them, at the times that [`Race`] gives.
 //!
-//! Only transitions around a changed place are looked at again, so a firing costs the same in a net
-//! of ten transitions and in one of ten thousand.
+//! A net is flat arrays here, and only transitions whose conditions a changed place decides are looked
+//! at again: a firing costs the same in a net of ten transitions and in one of a hundred thousand, with
+//! one token or a million, and allocates nothing.
 
+mod choice;
 mod enabling;
+mod error;
+mod events;
+mod outside;
+mod race;
+mod running;
+mod shares;
+mod state;
 mod tape;
 mod wiring;
 
 #[cfg(test)]
 mod tests;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
-use rand::RngExt as _;
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use crate::net::{Net, PlaceId, RemoteArc, TransitionId, When};
+use crate::net::{CommandId, Net, RemoteArc, TransitionId};
+pub use choice::Conflicts;
 use enabling::Enabling;
+pub use error::FireError;
+pub use events::{End, Event, Happened, Wrote};
+use events::{Entry, EventLog, Kind};
+pub use race::{Clock, Race};
+use running::{AllRunning, Running};
+pub use state::{RestoreError, RunningFiring, State};
 pub use tape::{OnTape, Tape};
-use wiring::Wiring;
+use wiring::{Changes, Wiring};
 
 /// Number of one firing of a transition, counted from the start of the execution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -35,41 +50,6 @@ impl FiringId {
     pub fn number(self) -> u64 {
         self.0
     }
-}
-
-/// Why nothing was fired or put. The execution is as it was before.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum FireError {
-    /// The transition's inputs, inhibitors or tape do not allow it.
-    #[error("transition `{0}` is not enabled")]
-    NotEnabled(String),
-    /// The transition has an action and cannot fire in one step.
-    #[error("transition `{0}` has an action: start it and complete it")]
-    HasAction(String),
-    /// No such firing is going on.
-    #[error("no firing {0} is going on")]
-    NotRunning(u64),
-    /// A place would hold more tokens than can be counted.
-    #[error("place `{0}` would hold more than {max} tokens", max = u32::MAX)]
-    TooManyTokens(String),
-    /// The symbol is not in the net's input alphabet.
-    #[error("net `{net}` takes no command `{symbol}`; it takes: {accepted}")]
-    UnknownSymbol {
-        /// The net.
-        net: String,
-        /// What was put.
-        symbol: String,
-        /// What could be put, with commas.
-        accepted: String,
-    },
-    /// The place is not in the net.
-    #[error("net `{net}` has no place `{place}`")]
-    UnknownPlace {
-        /// The net.
-        net: String,
-        /// What was asked for.
-        place: String,
-    },
 }
 
 /// What a transition wrote to the output tape.
@@ -90,29 +70,12 @@ pub enum Written {
 }
 
 /// What the caller must do after a firing.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, Default, PartialEq)]
 pub struct Effects<'a> {
     /// Tokens to carry to other nets.
     pub remote: &'a [RemoteArc],
     /// What was written to the output tape.
     pub written: Option<Written>,
-}
-
-/// Who wins when several transitions of the same priority are enabled.
-#[derive(Debug, Clone)]
-pub enum Conflicts {
-    /// The one declared first.
-    Declared,
-    /// Each with the same probability.
-    Random(Box<ChaCha8Rng>),
-}
-
-/// A firing between start and end.
-#[derive(Debug, Clone)]
-struct Running {
-    transition: TransitionId,
-    /// The command that it read from the tape.
-    command: Option<u64>,
 }
 
 /// A net, its marking and its tape.
@@ -122,23 +85,37 @@ pub struct Execution {
     wiring: Arc<Wiring>,
     enabling: Enabling,
     tape: Tape,
-    running: BTreeMap<FiringId, Running>,
+    tape_room: usize,
+    running: AllRunning,
     firings: u64,
+    log: Option<Box<EventLog>>,
+    /// Number of the next event, while none are recorded.
+    events: u64,
+    now_ns: u64,
 }
 
 impl Execution {
-    /// A net at its initial marking.
+    /// A net at its initial marking. Its tape has no limit, and it records no events.
     #[must_use]
     pub fn new(net: Arc<Net>) -> Self {
         let wiring = Arc::new(Wiring::new(&net));
         Self {
             enabling: Enabling::new(&net, &wiring),
             tape: Tape::default(),
-            running: BTreeMap::new(),
+            tape_room: usize::MAX,
+            running: AllRunning::default(),
             firings: 0,
+            log: None,
+            events: 0,
+            now_ns: 0,
             wiring,
             net,
         }
+    }
+
+    /// Lets at most `room` commands wait on the tape.
+    pub fn limit_tape(&mut self, room: usize) {
+        self.tape_room = room;
     }
 
     /// The net.
@@ -150,7 +127,7 @@ impl Execution {
     /// Tokens of every place, in order of place number.
     #[must_use]
     pub fn marking(&self) -> &[u32] {
-        &self.enabling.marking
+        self.enabling.marking()
     }
 
     /// The input tape.
@@ -163,11 +140,11 @@ impl Execution {
     pub fn running(&self) -> impl Iterator<Item = (FiringId, TransitionId)> {
         self.running
             .iter()
-            .map(|(id, running)| (*id, running.transition))
+            .map(|running| (running.firing, running.transition))
     }
 
     /// Transitions whose tokens and tape symbol are there, in the order in which they would be
-    /// chosen; their enabling functions are not asked.
+    /// chosen, timed ones last; their enabling functions are not asked.
     pub fn enabled(&self) -> impl Iterator<Item = TransitionId> {
         let mut from = 0;
         std::iter::from_fn(move || {
@@ -177,66 +154,97 @@ impl Execution {
         })
     }
 
-    /// The transition to fire next: of the highest priority among the enabled ones, by declared
-    /// order or at random. `asks` evaluates an enabling function (not its negation).
-    pub fn choose(
-        &self,
-        conflicts: &mut Conflicts,
-        mut asks: impl FnMut(&When) -> bool,
-    ) -> Option<TransitionId> {
-        let mut allowed = self.enabled().filter(|id| {
-            let when = self.net[*id].when.as_ref();
-            when.is_none_or(|when| asks(when) != when.negated)
-        });
-        let first = allowed.next()?;
-        let Conflicts::Random(rng) = conflicts else {
-            return Some(first);
-        };
-        let priority = self.net[first].priority;
-        let mut equals = vec![first];
-        equals.extend(allowed.take_while(|id| self.net[*id].priority == priority));
-        let index = rng.random_range(0..equals.len());
-        equals.get(index).copied()
+    /// Whether a transition's tokens and tape symbol are there; its enabling function is not asked.
+    #[must_use]
+    pub fn is_enabled(&self, id: TransitionId) -> bool {
+        let fire = self.wiring.fires.get(id.index());
+        fire.is_some_and(|fire| self.enabling.is_enabled(*fire))
     }
 
-    fn require_enabled(&self, id: TransitionId) -> Result<(), FireError> {
-        if self.enabling.is_enabled(id) {
-            return Ok(());
-        }
+    #[cold]
+    fn not_enabled(&self, id: TransitionId) -> FireError {
         let name = self.net.transitions().get(id.index());
         let name = name.map_or_else(|| format!("number {}", id.index()), |t| t.name.clone());
-        Err(FireError::NotEnabled(name))
+        FireError::NotEnabled(name)
     }
+
+    // -- firing -----------------------------------------------------------------------------
 
     /// Fires a transition that has no action, in one step.
     ///
     /// # Errors
     /// It is not enabled, has an action, or would overflow a place.
+    #[inline]
     pub fn fire(&mut self, id: TransitionId) -> Result<Effects<'_>, FireError> {
-        self.require_enabled(id)?;
-        let transition = &self.net[id];
-        if transition.action.is_some() {
-            return Err(FireError::HasAction(transition.name.clone()));
+        let Some(fire) = self.wiring.fires.get(id.index()).copied() else {
+            return Err(self.not_enabled(id));
+        };
+        if !self.enabling.is_enabled(fire) {
+            return Err(self.not_enabled(id));
         }
-        self.require_room(&transition.outputs.local)?;
-        self.take(id);
-        Ok(self.put(id))
+        if !fire.plain {
+            return self.fire_with_more(id, fire.changes);
+        }
+        self.require_room(fire.changes)?;
+        self.enabling.apply(&self.wiring, fire.changes);
+        if let Some(log) = &mut self.log {
+            log.push(self.now_ns, Entry::new(Kind::Fired, id.0, 0));
+        }
+        Ok(Effects::default())
     }
 
-    /// Takes the tokens and the tape symbol of a transition; its action may begin.
+    /// The same with resets, tape and tokens for other nets.
+    fn fire_with_more(
+        &mut self,
+        id: TransitionId,
+        changes: Changes,
+    ) -> Result<Effects<'_>, FireError> {
+        if self.net[id].action.is_some() {
+            return Err(FireError::HasAction(self.net[id].name.clone()));
+        }
+        self.require_room(changes)?;
+        let emptied = self.empty(id, true);
+        self.enabling.apply(&self.wiring, changes);
+        let read = self.read(id);
+        let written = self.write(id);
+        self.log(|| Entry {
+            tape: read,
+            answers: answered(written.as_ref()),
+            emptied: emptied.filter(|emptied| !emptied.is_empty()),
+            ..Entry::new(Kind::Fired, id.0, 0)
+        });
+        Ok(Effects {
+            remote: &self.net[id].outputs.remote,
+            written,
+        })
+    }
+
+    /// Takes the tokens and the tape symbol of a transition; its action may begin. Its time limit
+    /// begins to run.
     ///
     /// # Errors
     /// It is not enabled.
     pub fn start(&mut self, id: TransitionId) -> Result<FiringId, FireError> {
-        self.require_enabled(id)?;
-        let command = self.take(id);
+        if !self.is_enabled(id) {
+            return Err(self.not_enabled(id));
+        }
+        let Some(phases) = self.wiring.phases.get(id.index()).copied() else {
+            return Err(self.not_enabled(id));
+        };
+        self.enabling.apply(&self.wiring, phases.start);
+        let emptied = self.empty(id, false);
+        let command = self.read(id);
         let firing = FiringId(self.firings);
         self.firings += 1;
-        let running = Running {
-            transition: id,
-            command,
-        };
-        self.running.insert(firing, running);
+        let deadline_ns = phases
+            .within_ns
+            .map(|within_ns| self.now_ns.saturating_add(within_ns));
+        self.running.push(firing, id, command, deadline_ns);
+        self.log(|| Entry {
+            tape: command,
+            emptied: emptied.filter(|emptied| !emptied.is_empty()),
+            ..Entry::new(Kind::Started, id.0, firing.0)
+        });
         Ok(firing)
     }
 
@@ -245,10 +253,20 @@ impl Execution {
     /// # Errors
     /// No such firing is going on, or a place would overflow; then the firing still goes on.
     pub fn complete(&mut self, firing: FiringId) -> Result<Effects<'_>, FireError> {
-        let transition = self.running_transition(firing)?;
-        self.require_room(&self.net[transition].outputs.local)?;
-        self.running.remove(&firing);
-        Ok(self.put(transition))
+        let (running, phases) = self.phases(firing)?;
+        self.require_room(phases.complete)?;
+        self.running.remove(firing);
+        self.enabling.apply(&self.wiring, phases.complete);
+        let id = running.transition;
+        let written = self.write(id);
+        self.log(|| Entry {
+            answers: answered(written.as_ref()),
+            ..Entry::new(Kind::Ended(End::Completed), id.0, firing.0)
+        });
+        Ok(Effects {
+            remote: &self.net[id].outputs.remote,
+            written,
+        })
     }
 
     /// Ends a firing whose action has failed: its failure branch, or else everything goes back.
@@ -256,129 +274,148 @@ impl Execution {
     /// # Errors
     /// No such firing is going on, or a place would overflow; then the firing still goes on.
     pub fn fail(&mut self, firing: FiringId) -> Result<Effects<'_>, FireError> {
-        let id = self.running_transition(firing)?;
-        let transition = &self.net[id];
-        let back = match &transition.fail {
-            Some(branch) => &branch.local,
-            None => &transition.inputs,
-        };
-        self.require_room(back)?;
-        self.enabling.put(&self.wiring, back);
-        let command = self
-            .running
-            .remove(&firing)
-            .and_then(|running| running.command);
-        if let (None, Some(command)) = (&self.net[id].fail, command) {
-            self.with_tape(|tape| tape.unread(command));
-        }
-        let branch = self.net[id].fail.as_ref();
+        self.end(firing, End::Failed)
+    }
+
+    /// Ends a firing as if it had never started: what it took goes back, whatever its failure branch
+    /// says; only what a reset arc has emptied stays empty. The caller ends the action.
+    ///
+    /// # Errors
+    /// No such firing is going on, or a place would overflow; then the firing still goes on.
+    pub fn cancel(&mut self, firing: FiringId) -> Result<(), FireError> {
+        self.end(firing, End::Cancelled).map(|_| ())
+    }
+
+    fn end(&mut self, firing: FiringId, end: End) -> Result<Effects<'_>, FireError> {
+        let (running, phases) = self.phases(firing)?;
+        let id = running.transition;
+        let branch = end != End::Cancelled && self.net[id].fail.is_some();
+        let changes = if branch { phases.fail } else { phases.cancel };
+        self.require_room(changes)?;
+        self.running.remove(firing);
+        self.enabling.apply(&self.wiring, changes);
+        let back = running.command.filter(|_| !branch);
+        let unread = back.filter(|command| self.with_tape(|tape| tape.unread(*command)));
+        self.log(|| Entry {
+            tape: unread,
+            ..Entry::new(Kind::Ended(end), id.0, firing.0)
+        });
+        let branch = self.net[id].fail.as_ref().filter(|_| branch);
         Ok(Effects {
             remote: branch.map_or(&[], |branch| &branch.remote),
             written: None,
         })
     }
 
-    /// Puts tokens that came from another net, all or none.
-    ///
-    /// # Errors
-    /// The net has no such place, or it would overflow.
-    pub fn put_all(&mut self, tokens: &[(String, u32)]) -> Result<(), FireError> {
-        let mut added: BTreeMap<PlaceId, u32> = BTreeMap::new();
-        for (place, count) in tokens {
-            let Some(id) = self.wiring.place_names.get(place).copied() else {
-                return Err(FireError::UnknownPlace {
-                    net: self.net.name().to_owned(),
-                    place: place.clone(),
-                });
-            };
-            let sum = added.entry(id).or_default();
-            *sum = sum
-                .checked_add(*count)
-                .ok_or_else(|| FireError::TooManyTokens(place.clone()))?;
-        }
-        let arcs: Vec<crate::net::Arc> = added
-            .into_iter()
-            .map(|(place, weight)| crate::net::Arc { place, weight })
-            .collect();
-        self.require_room(&arcs)?;
-        self.enabling.put(&self.wiring, &arcs);
-        Ok(())
+    // -- time limits ------------------------------------------------------------------------
+
+    /// Says what time it is, in ns since a beginning of the caller's choice. Time does not go back: an
+    /// earlier time is passed over.
+    pub fn advance_to(&mut self, now_ns: u64) {
+        self.now_ns = self.now_ns.max(now_ns);
     }
 
-    /// Puts tokens into one place, as [`Self::put_all`].
-    ///
-    /// # Errors
-    /// The net has no such place, or it would overflow.
-    pub fn put_tokens(&mut self, place: &str, count: u32) -> Result<(), FireError> {
-        self.put_all(&[(place.to_owned(), count)])
+    /// The time that the execution was last told, in ns.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.now_ns
     }
 
-    /// Puts a symbol at the end of the input tape and returns its number. A symbol becomes readable
-    /// when all before it are read and answered.
+    /// When the next time limit of a running action is over, in ns, and whose it is.
+    pub fn next_deadline(&mut self) -> Option<(u64, FiringId)> {
+        self.running.next_limit()
+    }
+
+    /// Ends the firing whose time limit was over first, if one is: as failed. The caller ends the
+    /// action and asks again until there is none.
     ///
     /// # Errors
-    /// The symbol is not one of the net's commands.
-    pub fn put_symbol(&mut self, symbol: &str, arguments: Vec<String>) -> Result<u64, FireError> {
-        let Some(command) = self.net.command(symbol) else {
-            let accepted: Vec<&str> = self
-                .net
-                .commands()
-                .iter()
-                .map(|c| c.symbol.as_str())
-                .collect();
-            return Err(FireError::UnknownSymbol {
-                net: self.net.name().to_owned(),
-                symbol: symbol.to_owned(),
-                accepted: if accepted.is_empty() {
-                    "none".to_owned()
-                } else {
-                    accepted.join(", ")
-                },
-            });
+    /// A place would overflow; then the firing still goes on.
+    pub fn expire(&mut self) -> Result<Option<(FiringId, TransitionId, Effects<'_>)>, FireError> {
+        let Some((deadline_ns, firing)) = self.running.next_limit() else {
+            return Ok(None);
         };
-        Ok(self.with_tape(|tape| tape.put(command, arguments)))
+        if deadline_ns > self.now_ns {
+            return Ok(None);
+        }
+        let id = self.phases(firing)?.0.transition;
+        let effects = self.end(firing, End::TimedOut)?;
+        Ok(Some((firing, id, effects)))
     }
 
-    fn running_transition(&self, firing: FiringId) -> Result<TransitionId, FireError> {
-        self.running
-            .get(&firing)
-            .map(|running| running.transition)
+    #[inline]
+    fn log(&mut self, entry: impl FnOnce() -> Entry) {
+        if let Some(log) = &mut self.log {
+            log.push(self.now_ns, entry());
+        }
+    }
+
+    // -- parts ------------------------------------------------------------------------------
+
+    fn phases(&self, firing: FiringId) -> Result<(Running, wiring::Phases), FireError> {
+        let running = self.running.get(firing);
+        running
+            .and_then(|running| {
+                let phases = self.wiring.phases.get(running.transition.index())?;
+                Some((*running, *phases))
+            })
             .ok_or(FireError::NotRunning(firing.0))
     }
 
-    fn require_room(&self, arcs: &[crate::net::Arc]) -> Result<(), FireError> {
-        match self.enabling.without_room(arcs) {
+    #[inline]
+    fn require_room(&self, changes: Changes) -> Result<(), FireError> {
+        match self.enabling.without_room(&self.wiring, changes) {
             Some(place) => Err(FireError::TooManyTokens(self.net[place].name.clone())),
             None => Ok(()),
         }
     }
 
-    /// Takes what an enabled transition takes; returns the number of the command that it read.
-    fn take(&mut self, id: TransitionId) -> Option<u64> {
-        let transition = &self.net[id];
-        self.enabling.take(&self.wiring, &transition.inputs);
-        transition.tape?;
+    /// Empties the places that a transition's reset arcs name, once its inputs are taken; at once puts
+    /// what it puts there if it fires in one step. Returns what was thrown away, if events are recorded.
+    fn empty(&mut self, id: TransitionId, at_once: bool) -> Option<Box<[crate::net::Arc]>> {
+        let wiring = Arc::clone(&self.wiring);
+        let resets = wiring.resets(wiring.phases.get(id.index())?);
+        if resets.is_empty() {
+            return None;
+        }
+        let mut emptied = Vec::new();
+        for reset in resets {
+            let before = self.enabling.counter(reset.place.0);
+            let (taken, put) = if at_once {
+                (reset.takes, reset.completes)
+            } else {
+                (0, 0)
+            };
+            let by = put.wrapping_sub(before);
+            self.enabling.add(&wiring, reset.place.0, by);
+            if let Some(filled) = reset.filled {
+                self.enabling.add(&wiring, filled, by);
+            }
+            let weight = before.saturating_sub(taken);
+            if weight > 0 && self.log.is_some() {
+                emptied.push(crate::net::Arc {
+                    place: reset.place,
+                    weight,
+                });
+            }
+        }
+        Some(emptied.into_boxed_slice())
+    }
+
+    /// Reads the command that a transition reads; returns its number on the tape.
+    fn read(&mut self, id: TransitionId) -> Option<u64> {
+        self.net[id].tape?;
         self.with_tape(Tape::read)
     }
 
-    /// Puts what a completed transition puts, and says what it leaves to the caller.
-    fn put(&mut self, id: TransitionId) -> Effects<'_> {
-        self.enabling.put(&self.wiring, &self.net[id].outputs.local);
-        let written = self.net[id].write.clone().map(|symbol| self.write(symbol));
-        Effects {
-            remote: &self.net[id].outputs.remote,
-            written,
-        }
-    }
-
-    fn write(&mut self, symbol: String) -> Written {
+    fn write(&mut self, id: TransitionId) -> Option<Written> {
         let net = Arc::clone(&self.net);
-        let answered =
-            self.with_tape(|tape| tape.answer(|command| net[command].answers.contains(&symbol)));
-        match answered {
+        let symbol = net[id].write.clone()?;
+        let answers = |command: CommandId| net[command].answers.contains(&symbol);
+        Some(match self.with_tape(|tape| tape.answer(answers)) {
             Some(command) => Written::Answer { command, symbol },
             None => Written::Unasked { symbol },
-        }
+        })
     }
 
     /// Changes the tape and what the transitions that read it lack.
@@ -387,13 +424,20 @@ impl Execution {
         let result = change(&mut self.tape);
         let after = self.tape.head();
         if before != after {
-            for (head, met) in [(before, false), (after, true)] {
-                let readers = head.and_then(|command| self.wiring.readers.get(command.index()));
-                for transition in readers.into_iter().flatten() {
-                    self.enabling.condition(&self.wiring, *transition, met);
+            for (head, readable) in [(before, 0), (after, 1)] {
+                if let Some(command) = head {
+                    let counter = self.wiring.command(command.index());
+                    self.enabling.set(&self.wiring, counter, readable);
                 }
             }
         }
         result
+    }
+}
+
+fn answered(written: Option<&Written>) -> Option<u64> {
+    match written? {
+        Written::Answer { command, .. } => Some(*command),
+        Written::Unasked { .. } => None,
     }
 }

@@ -8,9 +8,10 @@
 //! - [`pnml`] and [`tina`]: nets of other tools; [`format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
-//! - [`compose`]: all nets of an app as one system; [`space`]: its markings, one by one;
-//!   [`check`]: what they prove, as findings that point into the net texts;
-//! - [`invariants`]: what no firing can change.
+//! - [`compose`]: all nets of an app as one system; [`analysis`]: what can be proved about it;
+//!   [`check`]: that as findings that point into the net texts;
+//! - [`invariants`]: what no firing of a net by itself can change;
+//! - [`stochastic`]: how fast a net goes that says what its transitions take.
 //!
 //! These know no clock, no task, no link and no robot; of the runtime they use only the findings. On
 //! top of them, and on the runtime:
@@ -19,6 +20,7 @@
 //!   [`stream`]: what a net does, as numbered events for displays and records;
 //!   [`layout`]: where its nodes are drawn.
 
+pub mod analysis;
 pub mod check;
 pub mod compile;
 pub mod compose;
@@ -31,7 +33,7 @@ pub mod library;
 pub mod net;
 pub mod pnml;
 mod ready;
-pub mod space;
+pub mod stochastic;
 pub mod stream;
 pub mod task;
 pub mod text;

@@ -2,7 +2,9 @@
 //! once, each with its place and what to do. Knows how text looks, not what a net means.
 
 mod format;
+pub mod grammar;
 mod line;
+pub mod outline;
 mod subnet;
 mod words;
 
@@ -14,7 +16,7 @@ use ctos::diagnostic::{Finding, Findings, Source};
 use crate::{
     draft::{
         Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
-        DraftTransition, DraftWhen, Word,
+        DraftTransition, DraftWhen, InText, Word,
     },
     format::enough,
 };
@@ -60,6 +62,12 @@ const CLAUSES: [&str; 18] = [
     "servers",
     "within",
 ];
+
+/// A name as net text has it: as it is, or in quotes where it is no identifier.
+#[must_use]
+pub fn name_in_text(name: &str) -> String {
+    InText(name).to_string()
+}
 
 /// Whether lines of net text begin with `word`.
 pub(crate) fn is_keyword(word: &str) -> bool {

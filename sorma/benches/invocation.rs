@@ -102,19 +102,3 @@ fn s_text_with_ten_floats(bencher: Bencher) {
     let line = "nop@self EXEC FMSG 10 0.1 -2.5 3.25e-3 4 5.125 -6.0625 7e7 0.3333333333333333 9 3.141592653589793";
     bencher.bench_local(|| sorm.dispatch(black_box(line)));
 }
-
-/// Finding one of so many flavors.
-#[divan::bench(args = [1, 100, 10_000])]
-fn lookup(bencher: Bencher, flavors: usize) {
-    let mut dictionary = Dictionary::new();
-    for index in 0..flavors {
-        dictionary.add(format!("nop.f{index}"), Vec::new());
-    }
-    let sorm = Sorm::new(dictionary);
-    sorm.register(Class::new("nop", "1.0", |_, _| Ok(Box::new(Nop))));
-    for index in 0..flavors {
-        sorm.get(&format!("nop.f{index}")).unwrap();
-    }
-    let name = format!("nop.f{}", flavors / 2);
-    bencher.bench_local(|| sorm.get(black_box(&name)).unwrap());
-}

@@ -1,14 +1,38 @@
 //! The seam to other daemons: what carries requests, and waits. This crate's own carrier over tasks is
 //! in [`crate::daemon`]; a program of one process needs none.
 
-use crate::name::Location;
+use crate::name::{Location, ObjectName};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::Request;
+use crate::results::{Keep, Sample};
 use crate::transport::Transport;
 use ctos::message::CommandInfo;
+use futures_util::FutureExt as _;
 use futures_util::future::LocalBoxFuture;
+use std::rc::Rc;
 use std::time::Duration;
+
+/// Work that goes on while whoever began it does something else; it is given a carrier of its own.
+pub type Job = Box<dyn FnOnce(Rc<dyn Comm>) -> LocalBoxFuture<'static, ()>>;
+
+/// Why there is no answer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NoAnswer {
+    /// What happened.
+    pub report: Report,
+    /// Whether the request may have been executed; when not, it may be asked of somebody else.
+    pub perhaps_executed: bool,
+}
+
+/// What a daemon has for a subscriber.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Taken {
+    /// The results after the one that was named, the oldest first; none if none came for a while.
+    Samples(Vec<Sample>),
+    /// The daemon knows no such subscriber: it was started anew, or was not asked for long.
+    Unknown,
+}
 
 /// What reaches other daemons (the report's COMM and its connection objects, sections 1.4.1 and 1.4.3).
 pub trait Comm {
@@ -25,6 +49,92 @@ pub trait Comm {
 
     /// Waits.
     fn sleep(&self, time: Duration) -> LocalBoxFuture<'_, ()>;
+
+    /// [`Self::ask`], once only, and with whether the request may have been executed.
+    fn ask_once<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<Transport, NoAnswer>> {
+        Box::pin(async move {
+            let answer = self.ask(at, request).await;
+            answer.map_err(|report| NoAnswer {
+                report,
+                perhaps_executed: true,
+            })
+        })
+    }
+
+    /// How often more a request may be asked when it is lost; 0 unless the caller has said that
+    /// executing it twice does no harm.
+    fn retries(&self) -> u32 {
+        0
+    }
+
+    /// Gives the daemon a request whose answer nobody wants; done when the daemon has taken it.
+    fn tell<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<(), Report>> {
+        Box::pin(async move { self.ask(at, request).await.map(|_| ()) })
+    }
+
+    /// Begins some work at once and goes on with it while whoever asked does something else.
+    ///
+    /// # Errors
+    /// There is nothing here that could go on with it.
+    fn spawn(&self, job: Job) -> Result<(), Report> {
+        drop(job);
+        Err(raise!(
+            code::UNSUPPORTED,
+            "nothing goes on beside a call here; ask in an app that runs"
+        ))
+    }
+
+    /// The daemons that could be asked, for trading.
+    fn daemons(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Subscribes to the results of an object of another daemon; answers the subscriber's number there and
+    /// the number of the last result before.
+    fn subscribe<'a>(
+        &'a self,
+        at: &'a Location,
+        name: &'a ObjectName,
+        keep: Keep,
+    ) -> LocalBoxFuture<'a, Result<(u64, u64), Report>> {
+        let _ = keep;
+        Box::pin(async move { Err(unreachable(at, name)) })
+    }
+
+    /// Waits a while for results after number `after`, and says that those before have arrived.
+    fn take<'a>(
+        &'a self,
+        at: &'a Location,
+        name: &'a ObjectName,
+        subscriber: u64,
+        after: u64,
+    ) -> LocalBoxFuture<'a, Result<Taken, Report>> {
+        let _ = (subscriber, after);
+        Box::pin(async move { Err(unreachable(at, name)) })
+    }
+
+    /// Ends a subscription.
+    fn leave<'a>(&'a self, at: &'a Location, subscriber: u64) -> LocalBoxFuture<'a, ()> {
+        let _ = (at, subscriber);
+        Box::pin(std::future::ready(()))
+    }
+
+    /// Waits until a daemon that is gone is there again, as long as anybody would.
+    ///
+    /// # Errors
+    /// It did not come back.
+    fn back<'a>(&'a self, at: &'a Location) -> LocalBoxFuture<'a, Result<(), Report>> {
+        let _ = at;
+        Box::pin(std::future::ready(Ok(())))
+    }
 
     /// Whether there is an app with tasks.
     fn is_in_app(&self) -> bool {
@@ -60,16 +170,26 @@ impl Comm for Alone {
         at: &'a Location,
         request: Request,
     ) -> LocalBoxFuture<'a, Result<Transport, Report>> {
-        Box::pin(async move { Err(unreachable(at, &request)) })
+        Box::pin(async move { Err(unreachable(at, &request.name)) })
     }
 
     fn sleep(&self, _time: Duration) -> LocalBoxFuture<'_, ()> {
         Box::pin(std::future::ready(()))
     }
+
+    /// Does what can be done at once.
+    fn spawn(&self, job: Job) -> Result<(), Report> {
+        job(Rc::new(Self)).now_or_never().ok_or_else(|| {
+            raise!(
+                code::UNSUPPORTED,
+                "this waits for something else, and nothing else goes on here; ask in an app that runs"
+            )
+        })
+    }
 }
 
-fn unreachable(at: &Location, request: &Request) -> Report {
-    let name = request.name.local();
+fn unreachable(at: &Location, name: &ObjectName) -> Report {
+    let name = name.local();
     match at {
         Location::Alias(alias) => raise!(
             code::DAEMON,

@@ -4,32 +4,42 @@
 //! dictionary says otherwise. The runtime finds it, wherever it is, and finds it again when its chassis
 //! was started anew.
 
-use crate::comm::Comm;
+mod address;
+mod offers;
+mod streams;
+
+use crate::comm::{Comm, Job, NoAnswer, Taken};
 use crate::dictionary::Dictionary;
-use crate::name::Location;
+use crate::name::{Location, ObjectName};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::{Method, Request};
+use crate::results::Keep;
 use crate::sorm::Sorm;
 use crate::transport::Transport;
 use crate::watching::Trace;
 use ctos::call::{CallError, Fault};
+use ctos::diagnostic::Findings;
 use ctos::message::{Command, CommandInfo, Replier};
 use ctos::registry::Registry;
-use ctos::task::{Context, Handled, HandlerError, NameError};
+use ctos::task::{Context, Handled, HandlerError, NameError, TaskRef};
 use ctos::text::Gone;
 /// Asks by one line of text: a request `name EXEC|CTRL|DBX ...`, and the reply has the same form.
 pub use ctos::text::Say;
+use futures_util::FutureExt as _;
 use futures_util::future::LocalBoxFuture;
+use offers::Offers;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use std::rc::Rc;
 use std::time::Duration;
+use streams::{Leave, Subscribe, Subscribers, Take};
 
 /// The handler's name, as configurations write it.
 pub const HANDLER: &str = "sorma.daemon";
 
 /// What a daemon and its callers must agree in.
-const VERSION: u32 = 2;
+pub const VERSION: u32 = 2;
 
 /// How long a caller waits for a daemon that is being started again, before it asks once more.
 const BACK_WITHIN: Duration = Duration::from_secs(30);
@@ -50,6 +60,19 @@ pub struct Ask {
     body: Transport,
 }
 
+impl Ask {
+    /// What to say to a caller of another version.
+    fn foreign(&self) -> Option<String> {
+        (self.version != VERSION).then(|| {
+            format!(
+                "the caller speaks version {} of service objects, this daemon {VERSION}: \
+                 run the same program on both sides",
+                self.version
+            )
+        })
+    }
+}
+
 /// Arguments of the handler.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -57,11 +80,25 @@ struct Arguments {
     /// Files of the dictionary, the later ones over the earlier.
     #[serde(default)]
     dictionary: Vec<String>,
+    /// By which number, besides its name, it is found on its host: `foo.a@host:11`.
+    #[serde(default)]
+    number: Option<u32>,
+    /// What it offers to whoever trades, by class.
+    #[serde(default)]
+    offers: Offers,
+}
+
+/// Does what [`Ask`] does, and answers nothing.
+#[derive(Debug, Serialize, Deserialize, Command)]
+#[command(name = "tell", code = 0x0013)]
+pub struct Tell {
+    ask: Ask,
 }
 
 /// A task that serves the objects of its process.
 pub struct Daemon {
     sorm: Sorm,
+    subscribers: Rc<Subscribers>,
 }
 
 /// Registers the handler. `shipped` is the dictionary that comes with the program, under those that a
@@ -74,7 +111,10 @@ pub fn register(
     registry.handler(HANDLER, &Daemon::COMMANDS, move |cx| {
         let sorm = manager(cx, shipped.clone())?;
         classes(cx, &sorm);
-        Ok(Daemon { sorm })
+        Ok(Daemon {
+            sorm,
+            subscribers: Rc::default(),
+        })
     });
 }
 
@@ -89,36 +129,56 @@ pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> 
         let path = cx.path(file);
         load(&mut dictionary, &path)?;
     }
+    dictionary
+        .load_environment(environment())
+        .map_err(|findings| wrong(&findings))?;
     let chassis = cx.chassis();
-    Ok(Sorm::of(
-        chassis.name(),
-        chassis.clock().clone(),
-        dictionary,
-    ))
+    let sorm = Sorm::of(chassis.name(), chassis.clock().clone(), dictionary);
+    if let Some(number) = arguments.number {
+        tracing::info!(task = cx.name(), number, "found by its number too");
+    }
+    for (class, attributes) in arguments.offers.read() {
+        sorm.offer(&class, attributes);
+    }
+    Ok(sorm)
+}
+
+/// The process's environment, as far as it is text.
+fn environment() -> impl Iterator<Item = (String, String)> {
+    std::env::vars_os()
+        .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
 }
 
 fn load(dictionary: &mut Dictionary, path: &Path) -> Result<(), HandlerError> {
-    dictionary.load_file(path).map_err(|findings| {
-        let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
-        HandlerError::new(lines.join("\n"))
-    })
+    dictionary
+        .load_file(path)
+        .map_err(|findings| wrong(&findings))
+}
+
+fn wrong(findings: &Findings) -> HandlerError {
+    let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
+    HandlerError::new(lines.join("\n"))
+}
+
+/// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
+/// beside the task, so that an object that waits keeps no other waiting.
+fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
+    let mut work = Box::pin(work);
+    if work.as_mut().now_or_never().is_none() {
+        cx.spawn(work);
+    }
 }
 
 #[ctos::handler]
 impl Daemon {
     #[command]
     fn ask(&mut self, cx: &Context, request: Ask, reply: Replier<Ask>) -> Handled {
-        if request.version != VERSION {
-            return reply.fail(format!(
-                "the caller speaks version {} of service objects, this daemon {VERSION}: \
-                 run the same program on both sides",
-                request.version
-            ));
+        if let Some(text) = request.foreign() {
+            return reply.fail(text);
         }
         let name = request.object.parse()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
-        // An object that waits must not keep the others waiting.
-        cx.spawn(async move {
+        begin(cx, async move {
             let request = Request {
                 name,
                 method: request.method,
@@ -132,9 +192,51 @@ impl Daemon {
     }
 
     #[command]
+    fn tell(&mut self, cx: &Context, request: Tell) -> Result<(), HandlerError> {
+        let request = request.ask;
+        if let Some(text) = request.foreign() {
+            return Err(HandlerError::new(text));
+        }
+        let name: ObjectName = request.object.parse()?;
+        let (sorm, here) = (self.sorm.clone(), cx.clone());
+        begin(cx, async move {
+            let request = Request {
+                name: name.clone(),
+                method: request.method,
+                body: request.body,
+            };
+            let answer = sorm.ask(&Tasks::of(&here), request).await;
+            sorm.unheard(&name, &answer.body);
+        });
+        Ok(())
+    }
+
+    #[command]
+    fn subscribe(&mut self, cx: &Context, request: Subscribe) -> Result<(u64, u64), HandlerError> {
+        self.subscribers.add(&self.sorm, cx, &request)
+    }
+
+    #[command]
+    fn take(&mut self, cx: &Context, request: Take, reply: Replier<Take>) -> Handled {
+        let (subscribers, here) = (Rc::clone(&self.subscribers), cx.clone());
+        cx.spawn(async move {
+            let taken = subscribers.take(&here, &request).await;
+            // Whoever asked may be gone.
+            let _ = reply.ok(taken);
+        });
+        Ok(())
+    }
+
+    #[command]
+    fn leave(&mut self, request: Leave) -> Result<(), HandlerError> {
+        self.subscribers.leave(request.subscriber);
+        Ok(())
+    }
+
+    #[command]
     fn say(&mut self, cx: &Context, request: Say, reply: Replier<Say>) -> Handled {
         let (sorm, here) = (self.sorm.clone(), cx.clone());
-        cx.spawn(async move {
+        begin(cx, async move {
             let comm = Tasks::of(&here);
             let trace = Trace {
                 id: request.trace,
@@ -156,6 +258,7 @@ impl Daemon {
     #[chassis_down]
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         let suffix = format!("@{chassis}");
+        self.subscribers.gone(&suffix);
         self.forget(cx, move |from| from.ends_with(&suffix));
         Ok(())
     }
@@ -191,10 +294,10 @@ impl Daemon {
 pub async fn rebuild(sorm: &Sorm, cx: &Context, chassis: &str) {
     let comm = Tasks::of(cx);
     for (at, names) in sorm.proxies() {
-        let Location::Alias(daemon) = &at else {
+        let Ok(daemon) = address::task_at(cx.app(), &at, &"it") else {
             continue;
         };
-        let task = cx.app().task(daemon);
+        let task = cx.app().task(&daemon);
         if task.is_none_or(|task| task.chassis != chassis) {
             continue;
         }
@@ -266,21 +369,48 @@ impl Tasks {
         self
     }
 
-    async fn once(&self, daemon: &str, request: &Ask) -> Result<Transport, NoAnswer> {
-        let task = match self.cx.task(daemon).await {
-            // It is of this app, so its chassis is being started again. Nothing was asked yet.
+    /// The daemon's task. One of this app that is not there is being started again, which is waited for:
+    /// nothing was asked of it yet.
+    async fn found(&self, daemon: &str) -> Result<TaskRef, NameError> {
+        match self.cx.task(daemon).await {
             Err(NameError::Unknown { .. }) if self.cx.app().task(daemon).is_some() => {
-                self.cx.wait_for_task(daemon, BACK_WITHIN).await?
+                self.cx.wait_for_task(daemon, BACK_WITHIN).await
             }
-            found => found?,
+            found => found,
+        }
+    }
+
+    /// Who asks.
+    fn from(&self) -> String {
+        format!("{}@{}", self.cx.name(), self.cx.chassis().name())
+    }
+
+    fn request(&self, request: Request) -> Ask {
+        let mut ask = Ask {
+            version: VERSION,
+            object: request.name.to_string(),
+            method: request.method,
+            body: request.body,
         };
+        if ask.body.from.is_empty() {
+            ask.body.from = self.from();
+        }
+        ask
+    }
+
+    async fn once(&self, daemon: &str, request: &Ask) -> Result<Transport, Lost> {
+        let task = self.found(daemon).await?;
+        self.at(&task, request).await
+    }
+
+    async fn at(&self, task: &TaskRef, request: &Ask) -> Result<Transport, Lost> {
         let ask = Ask {
             version: request.version,
             object: request.object.clone(),
             method: request.method,
             body: request.body.clone(),
         };
-        let call = self.cx.call(&task, ask);
+        let call = self.cx.call(task, ask);
         let answer = match self.deadline {
             Some(deadline) => call.deadline(deadline).await,
             None => call.await,
@@ -291,20 +421,50 @@ impl Tasks {
 
 /// Why a daemon gave no answer.
 #[derive(Debug, thiserror::Error)]
-enum NoAnswer {
+enum Lost {
     #[error(transparent)]
     Name(#[from] NameError),
-    #[error(transparent)]
-    Call(#[from] CallError),
+    #[error("{error}{}", of_another_version(.error))]
+    Call {
+        #[from]
+        error: CallError,
+    },
 }
 
-impl NoAnswer {
+/// What most often is behind data that one of the two cannot read.
+fn of_another_version(error: &CallError) -> &'static str {
+    match error.fault {
+        Fault::BadPayload { .. } | Fault::UnknownCommand { .. } => {
+            "; one of the two may be of another version: run the same program on both sides"
+        }
+        _ => "",
+    }
+}
+
+impl Lost {
     /// Whether the daemon, or the way to it, went while it was asked.
     fn is_loss(&self) -> bool {
         match self {
             Self::Name(_) => false,
-            Self::Call(error) => matches!(error.fault, Fault::PeerDown { .. } | Fault::UnknownTask),
+            Self::Call { error } => {
+                matches!(error.fault, Fault::PeerDown { .. } | Fault::UnknownTask)
+            }
         }
+    }
+
+    /// Whether the request may have been executed all the same.
+    fn perhaps_executed(&self) -> bool {
+        match self {
+            Self::Name(_) => false,
+            Self::Call { error } => !matches!(
+                error.fault,
+                Fault::Full { .. } | Fault::LinkFull { .. } | Fault::UnknownCommand { .. }
+            ),
+        }
+    }
+
+    fn report(&self, object: &impl std::fmt::Display, daemon: &str) -> Report {
+        raise!(code::DAEMON, "`{object}@{daemon}`: {self}")
     }
 }
 
@@ -315,38 +475,21 @@ impl Comm for Tasks {
         request: Request,
     ) -> LocalBoxFuture<'a, Result<Transport, Report>> {
         Box::pin(async move {
-            let object = request.name.to_string();
-            let Location::Alias(daemon) = at else {
-                return Err(raise!(
-                    code::DAEMON,
-                    "`{object}`: daemons of an app are found by the names of their tasks, not by an address; \
-                     write `{object}@TASK`"
-                ));
-            };
-            let mut ask = Ask {
-                version: VERSION,
-                object,
-                method: request.method,
-                body: request.body,
-            };
-            if ask.body.from.is_empty() {
-                ask.body.from = format!("{}@{}", self.cx.name(), self.cx.chassis().name());
-            }
+            let daemon = address::task_at(self.cx.app(), at, &request.name)?;
+            let ask = self.request(request);
             let mut left = self.retries;
             loop {
-                match self.once(daemon, &ask).await {
+                match self.once(&daemon, &ask).await {
                     Ok(answer) => return Ok(answer),
                     Err(lost) if left > 0 && lost.is_loss() => {
                         tracing::warn!(daemon, object = ask.object, error = %lost, "asks again");
                         left -= 1;
-                        let back = self.cx.wait_for_task(daemon, BACK_WITHIN).await;
+                        let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
                         back.map_err(|error| {
                             raise!(code::DAEMON, "`{}@{daemon}`: {lost}; {error}", ask.object)
                         })?;
                     }
-                    Err(error) => {
-                        return Err(raise!(code::DAEMON, "`{}@{daemon}`: {error}", ask.object));
-                    }
+                    Err(error) => return Err(error.report(&ask.object, &daemon)),
                 }
             }
         })
@@ -354,6 +497,118 @@ impl Comm for Tasks {
 
     fn sleep(&self, time: Duration) -> LocalBoxFuture<'_, ()> {
         Box::pin(self.cx.sleep(time))
+    }
+
+    fn ask_once<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<Transport, NoAnswer>> {
+        Box::pin(async move {
+            let not_asked = |report| NoAnswer {
+                report,
+                perhaps_executed: false,
+            };
+            let daemon = address::task_at(self.cx.app(), at, &request.name).map_err(not_asked)?;
+            let ask = self.request(request);
+            let asked = async { self.at(&self.cx.task(&daemon).await?, &ask).await };
+            asked.await.map_err(|lost: Lost| NoAnswer {
+                report: lost.report(&ask.object, &daemon),
+                perhaps_executed: lost.perhaps_executed(),
+            })
+        })
+    }
+
+    fn retries(&self) -> u32 {
+        self.retries
+    }
+
+    fn tell<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<(), Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, &request.name)?;
+            let ask = self.request(request);
+            let object = ask.object.clone();
+            let told = async {
+                let task = self.found(&daemon).await?;
+                Ok(self.cx.send(&task, Tell { ask }).await?)
+            };
+            told.await
+                .map_err(|lost: Lost| lost.report(&object, &daemon))
+        })
+    }
+
+    fn spawn(&self, job: Job) -> Result<(), Report> {
+        begin(&self.cx, job(Rc::new(self.clone())));
+        Ok(())
+    }
+
+    fn daemons(&self) -> Vec<String> {
+        let tasks = self.cx.app().tasks.iter();
+        let daemons = tasks.filter(|task| task.handler == HANDLER);
+        daemons.map(|task| task.name.clone()).collect()
+    }
+
+    fn subscribe<'a>(
+        &'a self,
+        at: &'a Location,
+        name: &'a ObjectName,
+        keep: Keep,
+    ) -> LocalBoxFuture<'a, Result<(u64, u64), Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, name)?;
+            let request = Subscribe::new(name, keep, self.from());
+            let asked = async {
+                let task = self.found(&daemon).await?;
+                Ok(self.cx.call(&task, request).await?)
+            };
+            asked.await.map_err(|lost: Lost| lost.report(name, &daemon))
+        })
+    }
+
+    fn take<'a>(
+        &'a self,
+        at: &'a Location,
+        name: &'a ObjectName,
+        subscriber: u64,
+        after: u64,
+    ) -> LocalBoxFuture<'a, Result<Taken, Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, name)?;
+            let request = Take { subscriber, after };
+            let asked = async {
+                let task = self.cx.task(&daemon).await?;
+                let call = self.cx.call(&task, request).deadline(streams::PATIENCE);
+                Ok(call.await?)
+            };
+            let taken = asked.await;
+            let taken = taken.map_err(|lost: Lost| lost.report(name, &daemon))?;
+            Ok(taken.map_or(Taken::Unknown, Taken::Samples))
+        })
+    }
+
+    fn leave<'a>(&'a self, at: &'a Location, subscriber: u64) -> LocalBoxFuture<'a, ()> {
+        Box::pin(async move {
+            let Ok(daemon) = address::task_at(self.cx.app(), at, &"it") else {
+                return;
+            };
+            // A daemon that is gone knows of nobody any more.
+            if let Ok(task) = self.cx.task(&daemon).await {
+                let _ = self.cx.send(&task, Leave { subscriber }).await;
+            }
+        })
+    }
+
+    fn back<'a>(&'a self, at: &'a Location) -> LocalBoxFuture<'a, Result<(), Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, &"it")?;
+            let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
+            back.map(|_| ())
+                .map_err(|error| raise!(code::DAEMON, "`@{daemon}`: {error}"))
+        })
     }
 
     fn is_in_app(&self) -> bool {

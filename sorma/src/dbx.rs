@@ -107,6 +107,7 @@ struct About {
     version: String,
     audit: String,
     statistics: String,
+    subscribers: usize,
 }
 
 /// What a program may know about the options that DBX takes.
@@ -140,6 +141,12 @@ static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {
             "how often it was called: EXEC, CTRL, errors",
             |asked, _| Ok(asked.about.statistics.clone()),
         )
+        .action(
+            "subscribers",
+            &[],
+            "how many subscribe to its results",
+            |asked, _| Ok(asked.about.subscribers.to_string()),
+        )
         .action("test", &[], "has it test itself", |asked, _| {
             asked.test = true;
             Ok(String::new())
@@ -161,6 +168,7 @@ pub(crate) fn dbx(body: &mut Body, cx: &Context<'_>, io: &mut Transport) -> Outc
                 "exec {} ctrl {} errors {}",
                 meta.execs, meta.ctrls, meta.errors
             ),
+            subscribers: cx.slot.subscribers(),
         },
     };
     DBX.ctrl(&mut asked, io);

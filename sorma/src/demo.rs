@@ -32,8 +32,8 @@ foo   -transferSpeed 0.8
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let foo = Class::new("foo", VERSION, |_, _| Ok(Box::new(Foo(Meal::default()))));
-    sorm.register(foo.described(MEAL.class("foo", VERSION)));
+    let meal = Class::new("foo", VERSION, |_, _| Ok(Box::new(Foo(Meal::default()))));
+    sorm.register(meal.described(MEAL.class("foo", VERSION)));
     let bar = Class::new("bar", VERSION, |_, _| Ok(Box::new(Bar(Drink::default()))));
     let bar = bar.described(DRINK.class("bar", VERSION));
     sorm.register(bar.codes(code::PROTOTYPES));

@@ -5,6 +5,7 @@
 //! manager that builds objects from their names. Other daemons are reached over the seam in [`comm`];
 //! [`daemon`] carries it by the tasks of CTOS.
 
+pub mod asynchronous;
 pub mod class;
 pub mod clock;
 pub mod comm;
@@ -13,7 +14,10 @@ mod dbx;
 pub mod demo;
 pub mod describe;
 pub mod dictionary;
+#[cfg(test)]
+mod fuzz;
 pub mod ipc;
+pub mod later;
 mod manager;
 pub mod name;
 pub mod object;
@@ -23,10 +27,13 @@ pub mod process;
 pub mod report;
 pub mod request;
 mod reserve;
+pub mod results;
 mod slot;
 pub mod snapshot;
 pub mod sorm;
+pub mod stream;
 pub mod together;
+pub mod trade;
 pub mod transport;
 pub mod waiting;
 pub mod watching;
@@ -36,13 +43,16 @@ pub use class::Class;
 pub use comm::{Alone, Comm};
 pub use describe::{ClassInfo, Form};
 pub use dictionary::Dictionary;
+pub use later::Deferred;
 pub use name::{Location, NameError, ObjectName};
 pub use object::{Context, Outcome, ServiceObject, TwoStep};
 pub use options::OptionTable;
 pub use report::{Prototype, Report, Severity};
 pub use request::{Method, Reply, Request, RequestError};
+pub use results::{Keep, Sample};
 pub use slot::{Claim, Handle, Owned};
 pub use sorm::Sorm;
+pub use stream::Stream;
 pub use transport::Transport;
 pub use waiting::Waiting;
 

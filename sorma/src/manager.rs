@@ -8,6 +8,7 @@ use crate::report::{Report, code};
 use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::together::COMMIT_WITHIN;
+use crate::trade::{self, Attributes};
 use crate::transport::Transport;
 use crate::words;
 use std::sync::LazyLock;
@@ -37,6 +38,10 @@ enum Order {
     Prepare(String, String),
     Commit(String),
     Abort(String),
+    Offers,
+    Offer(String, Attributes),
+    Withdraw(String),
+    Market,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -156,6 +161,30 @@ static ORDERS: LazyLock<OptionTable<Orders>> = LazyLock::new(|| {
             "second step: none does it",
             |now, words| now.add(Order::Abort(word(words, 0))),
         )
+        .action(
+            "offer",
+            &["CLASS", "'ATTRIBUTE=VALUE ...'"],
+            "offers a class to whoever trades, in place of an earlier offer of it",
+            |now, words| {
+                let attributes = trade::attributes(&word(words, 1))?;
+                now.add(Order::Offer(word(words, 0), attributes))
+            },
+        )
+        .action(
+            "withdraw",
+            &["CLASS"],
+            "offers a class no more",
+            |now, words| now.add(Order::Withdraw(word(words, 0))),
+        )
+        .action("offers", &[], "answers what is offered here", |now, _| {
+            now.add(Order::Offers)
+        })
+        .action(
+            "market",
+            &[],
+            "answers what is known about the daemons that were asked for offers",
+            |now, _| now.add(Order::Market),
+        )
 });
 
 impl ServiceObject for ManagerObject {
@@ -233,6 +262,16 @@ fn obey(cx: &Context<'_>, order: Order, io: &mut Transport) -> Result<String, Re
         Order::Abort(commitment) => sorm
             .abort_in(Some(cx), &commitment, &from)
             .map(|()| String::new()),
+        Order::Offers => Ok(sorm.offers().join("\n")),
+        Order::Offer(class, attributes) => {
+            if !sorm.classes().iter().any(|known| known.name() == class) {
+                return Err(raise!(code::UNKNOWN_CLASS, "there is no class `{class}`"));
+            }
+            sorm.offer(&class, attributes);
+            Ok(String::new())
+        }
+        Order::Withdraw(class) => there(sorm.withdraw(&class), "offer of", &class),
+        Order::Market => Ok(sorm.market().join("\n")),
     }
 }
 

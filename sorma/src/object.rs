@@ -111,6 +111,12 @@ impl Context<'_> {
         self.sorm
     }
 
+    /// Gives those who subscribe to this object's results something without having been asked: what has
+    /// happened, in the form that the class says. (What an EXEC answers they get anyway.) Waits for nobody.
+    pub fn publish(&self, body: &Transport) {
+        self.slot.publish(self.sorm, body);
+    }
+
     /// Calls another object by name. Its reports are added to `io`, so that they reach the first
     /// caller; an error of it is an error here, naming both.
     ///

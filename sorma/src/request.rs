@@ -332,11 +332,9 @@ impl Request {
     /// The request as one line.
     ///
     /// # Errors
-    /// When the body holds opaque bytes.
+    /// When the body holds opaque bytes, or the line could not be read back for its length.
     pub fn to_text(&self) -> Result<String, RequestError> {
-        let mut out = format!("{} {}", self.name, self.method);
-        write_body(&mut out, &self.body)?;
-        Ok(out)
+        written(format!("{} {}", self.name, self.method), &self.body)
     }
 }
 
@@ -344,21 +342,25 @@ impl Reply {
     /// The reply as one line.
     ///
     /// # Errors
-    /// When the body holds opaque bytes.
+    /// As [`Request::to_text`].
     pub fn to_text(&self) -> Result<String, RequestError> {
-        let mut out = format!("{} RET {}", self.name, self.body.code);
-        write_body(&mut out, &self.body)?;
-        Ok(out)
+        written(format!("{} RET {}", self.name, self.body.code), &self.body)
     }
 }
 
-fn write_body(out: &mut String, body: &Transport) -> Result<(), RequestError> {
+fn written(mut out: String, body: &Transport) -> Result<String, RequestError> {
     if !body.opaque.is_empty() {
         return Err(RequestError::Opaque(body.opaque.len()));
     }
+    if body.floats.len().max(body.ints.len()) > words::MOST_WORDS / 4 {
+        return Err(WordError::Many.into());
+    }
     // Writing to a `String` cannot fail.
-    let _ = write_parts(out, body);
-    Ok(())
+    let _ = write_parts(&mut out, body);
+    if out.len() > words::LONGEST {
+        return Err(WordError::Long(out.len()).into());
+    }
+    Ok(out)
 }
 
 fn write_parts(out: &mut String, body: &Transport) -> fmt::Result {

@@ -10,12 +10,13 @@ use crate::raise;
 use crate::report::{Report, code};
 use crate::request::Method;
 use crate::reserve::Reservation;
+use crate::results::Results;
 use crate::sorm::Sorm;
 use crate::transport::Transport;
 use parking_lot::{Mutex, MutexGuard};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// How long a call waits for one from another thread to end.
@@ -26,6 +27,8 @@ pub(crate) struct Slot {
     name: String,
     /// Whose turn it is, at an object that waits for others.
     turn: Option<tokio::sync::Mutex<()>>,
+    /// Where its results go, if anybody has ever wanted them.
+    results: OnceLock<Arc<Results>>,
     body: Mutex<Body>,
 }
 
@@ -150,6 +153,7 @@ impl Slot {
     pub(crate) fn new(name: String, object: Box<dyn ServiceObject>, meta: Meta) -> Self {
         Self {
             turn: meta.class.is_waiting().then(tokio::sync::Mutex::default),
+            results: OnceLock::new(),
             name,
             body: Mutex::new(Body {
                 object,
@@ -166,6 +170,26 @@ impl Slot {
     /// Whether its EXEC waits for others.
     pub(crate) fn waits(&self) -> bool {
         self.turn.is_some()
+    }
+
+    /// From now on its results go there.
+    pub(crate) fn feed(&self, results: &Arc<Results>) {
+        self.results.get_or_init(|| Arc::clone(results));
+    }
+
+    /// How many subscribe to its results.
+    pub(crate) fn subscribers(&self) -> usize {
+        self.results
+            .get()
+            .map_or(0, |results| results.subscribers())
+    }
+
+    /// Gives whoever subscribes to the object's results a copy.
+    #[inline]
+    pub(crate) fn publish(&self, sorm: &Sorm, body: &Transport) {
+        if let Some(results) = self.results.get() {
+            results.publish(sorm.now(), body);
+        }
     }
 
     /// Waits until nobody else is served.
@@ -310,6 +334,7 @@ impl Slot {
         if outcome.is_err() || io.reports.len() != before || io.code != 0 {
             self.collect(body, sorm, before, outcome, io);
         }
+        self.publish(sorm, io);
     }
 
     #[cold]

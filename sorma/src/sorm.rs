@@ -4,22 +4,28 @@
 //! One process, any thread; an object is called by reference at the cost of a virtual call.
 
 use crate::class::Class;
-use crate::comm::Comm;
+use crate::comm::{Alone, Comm};
 use crate::dictionary::{Dictionary, DictionaryObject};
 use crate::manager::ManagerObject;
 use crate::name::{Location, ObjectName, suggestion};
 use crate::raise;
 use crate::report::{Prototype, Report, code};
 use crate::request::{Method, Reply, Request, RequestError};
+use crate::results::Results;
 use crate::slot::{Handle, Slot};
+use crate::trade::{Market, Wanted};
 use crate::transport::Transport;
 use crate::watching::{Trace, Watch, Watchers};
 use crate::words;
 use ctos::time::{Clock, Instant};
+use futures_util::FutureExt as _;
 use parking_lot::{Mutex, ReentrantMutex, RwLock};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+
+/// The word of the dictionary by which a daemon is sought among those that offer the class.
+const TRADE: &str = "trade";
 
 /// The manager of one process's service objects. Clones are the same manager.
 #[derive(Clone)]
@@ -35,6 +41,9 @@ pub(crate) struct Inner {
     aliases: RwLock<BTreeMap<String, String>>,
     /// What is in use of other daemons.
     proxies: Mutex<BTreeMap<Location, BTreeSet<ObjectName>>>,
+    /// The results that are subscribed to, by the local names of the objects.
+    results: Mutex<BTreeMap<String, Arc<Results>>>,
+    pub(crate) market: Mutex<Market>,
     /// Who watches the requests that are met here.
     watchers: Arc<Watchers>,
     pub(crate) dictionary: Arc<RwLock<Dictionary>>,
@@ -47,6 +56,8 @@ pub(crate) struct Inner {
 pub(crate) enum Place {
     Here,
     There(Location),
+    /// Whoever offers the class best.
+    Traded(Wanted),
 }
 
 impl std::fmt::Debug for Sorm {
@@ -76,6 +87,8 @@ impl Sorm {
                 objects: RwLock::default(),
                 aliases: RwLock::default(),
                 proxies: Mutex::default(),
+                results: Mutex::default(),
+                market: Mutex::default(),
                 watchers: Arc::default(),
                 dictionary: Arc::clone(&dictionary),
                 building: ReentrantMutex::default(),
@@ -235,7 +248,7 @@ impl Sorm {
 
     /// The object of that name in this process.
     pub(crate) fn resolve(&self, name: &ObjectName) -> Result<Handle, Report> {
-        if let Place::There(_) = self.place(name)? {
+        if self.place(name)? != Place::Here {
             return Err(raise!(
                 code::DAEMON,
                 "`{name}` is served by another daemon: it is asked with `Sorm::ask`, over a link"
@@ -259,6 +272,9 @@ impl Sorm {
             return Ok(Handle { slot });
         }
         let slot = Arc::new(self.build(name, &building)?);
+        if let Some(results) = self.inner.results.lock().get(slot.name()) {
+            slot.feed(results);
+        }
         let mut objects = self.inner.objects.write();
         objects.insert(slot.name().to_owned(), Arc::clone(&slot));
         Ok(Handle { slot })
@@ -275,7 +291,10 @@ impl Sorm {
         };
         let dictionary = self.inner.dictionary.read();
         let found = match dictionary.entry(index) {
-            Some([word]) => Location::parse(word),
+            Some([word]) if word != TRADE => Location::parse(word),
+            Some([first, wanted @ ..]) if first == TRADE => {
+                return Wanted::read(index, wanted).map(Place::Traded);
+            }
             _ => given,
         };
         match found {
@@ -284,9 +303,20 @@ impl Sorm {
             None => Err(raise!(
                 code::DAEMON,
                 "`{name}`: the dictionary names no daemon for `{index}`; \
-                 add a line `{index} self`, `{index} ALIAS` or `{index} host:number`"
+                 add a line `{index} self`, `{index} ALIAS`, `{index} host:number` or `{index} trade`"
             )),
         }
+    }
+
+    /// Where the results of the object of that local name go.
+    pub(crate) fn results(&self, name: &str) -> Arc<Results> {
+        let mut results = self.inner.results.lock();
+        if !results.contains_key(name) {
+            // What neither an object nor a subscriber has is nobody's.
+            results
+                .retain(|_, results| Arc::strong_count(results) > 1 || results.subscribers() > 0);
+        }
+        Arc::clone(results.entry(name.to_owned()).or_default())
     }
 
     /// Notes that an object of another daemon is in use here.
@@ -335,6 +365,9 @@ impl Sorm {
             mut body,
         } = request;
         match self.resolve(&name) {
+            Ok(handle) if handle.slot.waits() && method == Method::Exec => {
+                return self.request_alone(Request { name, method, body });
+            }
             Ok(handle) => {
                 if handle.slot.call_contained(self, method, &mut body) {
                     // Nobody knows what state it is in.
@@ -344,6 +377,20 @@ impl Sorm {
             Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
+    }
+
+    /// A request to an object that may wait for others, as far as nobody has to be waited for.
+    fn request_alone(&self, request: Request) -> Reply {
+        let (name, from) = (request.name.clone(), request.body.from.clone());
+        self.ask(&Alone, request).now_or_never().unwrap_or_else(|| {
+            let mut body = Transport::default().from(from);
+            let report = raise!(
+                code::UNSUPPORTED,
+                "`{name}` asks other objects and waits for them: it is asked with `Sorm::ask`, in an app that runs"
+            );
+            self.refuse(&mut body, report);
+            Reply { name, body }
+        })
     }
 
     /// One line of text in, one line of text out. A line that is no request is answered in the name

@@ -102,6 +102,7 @@ impl Sorm {
             if holds(&body, from, commitment) {
                 body.reserved = None;
             }
+            slot.publish(self, &io);
             replies.push((slot.name().to_owned(), io));
         }
         Ok(replies)

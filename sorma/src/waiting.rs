@@ -14,7 +14,7 @@ use crate::sorm::{Place, Sorm};
 use crate::transport::Transport;
 use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
-use futures_util::future::{Either, select};
+use futures_util::future::{Either, LocalBoxFuture, select};
 use std::panic::AssertUnwindSafe;
 use std::pin::pin;
 use std::time::Duration;
@@ -69,8 +69,7 @@ impl<'a> Waiting<'a> {
                 sub
             },
         };
-        let asked = self.cx.sorm.ask_in(self.comm, Some(self), request);
-        let mut sub = Box::pin(asked).await.body;
+        let mut sub = self.ask(request).await.body;
         io.reports.append(&mut sub.reports);
         if sub.is_ok() {
             return Ok(sub);
@@ -81,6 +80,17 @@ impl<'a> Waiting<'a> {
             self.name(),
             sub.code
         ))
+    }
+
+    /// Has a request met, wherever its object is, and leaves its reports and its code in the reply.
+    pub fn ask(&self, request: Request) -> LocalBoxFuture<'_, Reply> {
+        Box::pin(self.cx.sorm.ask_in(self.comm, Some(self), request))
+    }
+
+    /// What reaches other daemons from here, for [`Sorm::ask_later`], [`Sorm::subscribe`] and the like.
+    #[must_use]
+    pub fn comm(&self) -> &'a dyn Comm {
+        self.comm
     }
 
     /// Asks a task of the app that is no daemon, in the name of the task that this object is carried by.
@@ -158,6 +168,10 @@ impl Sorm {
             Ok(Place::There(at)) => {
                 self.ask_daemon(comm, &at, &name, method, &mut body).await;
             }
+            Ok(Place::Traded(wanted)) => {
+                self.ask_traded(comm, &wanted, &name, method, &mut body)
+                    .await;
+            }
             Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
@@ -180,13 +194,16 @@ impl Sorm {
         self.used(at, &request.name);
         match comm.ask(at, request).await {
             Ok(answer) => *body = answer,
-            Err(mut report) => {
-                if report.object.is_empty() {
-                    report.object = name.to_string();
-                }
-                self.refuse(body, report);
-            }
+            Err(report) => self.unanswered(name, body, report),
         }
+    }
+
+    /// Answers in place of an object that gave no answer.
+    pub(crate) fn unanswered(&self, name: &ObjectName, body: &mut Transport, mut report: Report) {
+        if report.object.is_empty() {
+            report.object = name.to_string();
+        }
+        self.refuse(body, report);
     }
 }
 
@@ -261,5 +278,6 @@ impl Slot {
         };
         body.meta.execs += 1;
         self.collect(body, sorm, before, outcome, io);
+        self.publish(sorm, io);
     }
 }

@@ -34,7 +34,21 @@ pub enum WordError {
          (single quotes take everything literally)"
     )]
     Escape(usize),
+    /// Longer than anybody writes; what is that long goes by reference.
+    #[error(
+        "{0} bytes are too long for a text, which has at most {LONGEST}; send numbers and bytes by reference"
+    )]
+    Long(usize),
+    /// More words than anybody writes.
+    #[error("more than {MOST_WORDS} words; send numbers and bytes by reference")]
+    Many,
 }
+
+/// The longest line that is split, bytes.
+pub const LONGEST: usize = 16 << 20;
+
+/// The most words of a line: what is made of them takes far more memory than the line.
+pub const MOST_WORDS: usize = 1_000_000;
 
 /// Splits a line.
 ///
@@ -56,7 +70,13 @@ pub fn split_commented(line: &str) -> Result<(Vec<Word>, usize), WordError> {
 fn split_until(line: &str, comment: Option<char>) -> Result<(Vec<Word>, usize), WordError> {
     let mut words = Vec::new();
     let mut at = 0;
+    if line.len() > LONGEST {
+        return Err(WordError::Long(line.len()));
+    }
     while let Some(start) = next_word(line, at) {
+        if words.len() >= MOST_WORDS {
+            return Err(WordError::Many);
+        }
         if comment.is_some_and(|mark| line[start..].starts_with(mark)) {
             return Ok((words, start));
         }

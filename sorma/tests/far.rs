@@ -17,7 +17,7 @@ use ctos::time::Instant;
 use sorma::daemon::{self, Tasks};
 use sorma::ipc::{self, Host};
 use sorma::{Dictionary, Request, Sorm, Transport};
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -113,11 +113,11 @@ async fn job(cx: &TaskContext, sorm: &Sorm) -> Result<String, String> {
     ))
 }
 
-fn host(cx: &TaskContext, root: &PathBuf) -> Host {
+fn host(cx: &TaskContext, root: &Path) -> Host {
     Host {
         app: cx.chassis().name().to_owned(),
         clock: cx.chassis().clock().clone(),
-        root: Some(root.clone()),
+        root: Some(root.to_owned()),
     }
 }
 

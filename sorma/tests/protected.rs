@@ -2,232 +2,28 @@
 //! becomes of them when the daemon dies. In virtual time, over simulated links.
 
 #![allow(
-    clippy::panic,
     clippy::unwrap_used,
     reason = "helpers of tests stand outside test functions"
 )]
 
-use ctos::boot::{BootEvent, End, Mishap, Observer, simulate};
-use ctos::config::load_texts;
-use ctos::registry::Registry;
-use ctos::system::AppResult;
-use ctos::task::{Context as TaskContext, Handled, Phase};
-use ctos::time::Instant;
-use futures_util::future::LocalBoxFuture;
-use sorma::daemon::{self, Tasks};
+mod app;
+
+use app::{App, Scenario, ask, kill};
+use ctos::boot::Mishap;
+use sorma::daemon::Tasks;
 use sorma::report::code;
-use sorma::{
-    Class, Context, Dictionary, Method, OptionTable, Outcome, Report, Request, ServiceObject, Sorm,
-    Transport, Waiting, raise,
-};
+use sorma::{Request, Transport};
 use std::rc::Rc;
-use std::sync::{Arc, LazyLock};
 use std::time::Duration;
-
-#[derive(Debug, Clone)]
-struct Scale {
-    factor: f64,
-}
-
-impl Default for Scale {
-    fn default() -> Self {
-        Self { factor: 1.0 }
-    }
-}
-
-static SCALE: LazyLock<OptionTable<Scale>> = LazyLock::new(|| {
-    OptionTable::new("multiplies what it is given").float(
-        "factor",
-        -10.0..=10.0,
-        "",
-        "by how much",
-        |scale: &mut Scale| &mut scale.factor,
-    )
-});
-
-impl ServiceObject for Scale {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        if io.floats.is_empty() {
-            return Err(raise!(code::VALUE, "takes at least one float"));
-        }
-        if io.text == "burn" {
-            panic!("it burns");
-        }
-        if self.factor < 0.0 {
-            io.report(Report::warning(101, "turns the sign"));
-        }
-        for float in &mut io.floats {
-            *float *= self.factor;
-        }
-        io.opaque.reverse();
-        Ok(())
-    }
-
-    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        SCALE.ctrl(self, io);
-        Ok(())
-    }
-
-    fn dump(&self) -> String {
-        SCALE.dump(self)
-    }
-}
-
-/// Asks two others, wherever they are.
-#[derive(Debug, Clone, Default)]
-struct Chain {
-    first: String,
-    second: String,
-}
-
-static CHAIN: LazyLock<OptionTable<Chain>> = LazyLock::new(|| {
-    OptionTable::new("has two objects work one after the other")
-        .word("first", "OBJECT", "who begins", |chain: &mut Chain| {
-            &mut chain.first
-        })
-        .word("second", "OBJECT", "who ends", |chain| &mut chain.second)
-});
-
-impl ServiceObject for Chain {
-    fn exec_waiting<'a>(
-        &'a mut self,
-        cx: &'a Waiting<'a>,
-        io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
-        Some(Box::pin(async move {
-            for name in [&self.first, &self.second] {
-                let sub = Transport::floats(io.floats.clone());
-                io.floats = cx.call(name, Method::Exec, sub, io).await?.floats;
-            }
-            Ok(())
-        }))
-    }
-
-    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        CHAIN.ctrl(self, io);
-        Ok(())
-    }
-
-    fn dump(&self) -> String {
-        CHAIN.dump(self)
-    }
-}
-
-/// Takes its time.
-struct Nap;
-
-impl ServiceObject for Nap {
-    fn exec_waiting<'a>(
-        &'a mut self,
-        cx: &'a Waiting<'a>,
-        _io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
-        Some(Box::pin(async move {
-            cx.sleep(Duration::from_secs(5)).await;
-            Ok(())
-        }))
-    }
-
-    fn ctrl(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
-        Ok(())
-    }
-
-    fn dump(&self) -> String {
-        String::new()
-    }
-}
-
-fn classes(sorm: &Sorm) {
-    sorm.register(Class::new("nap", "1.0", |_, _| Ok(Box::new(Nap))).waits());
-    sorm.register(Class::new("scale", "1.0", |_, _| {
-        Ok(Box::new(Scale::default()))
-    }));
-    let chain = Class::new("chain", "1.0", |_, _| Ok(Box::new(Chain::default())));
-    sorm.register(chain.waits());
-}
-
-/// What both processes cook from.
-const COOKBOOK: &str = "scale.two -factor 2\nscale.minus -factor -1\n\
-    chain.a -first scale.two -second scale.minus\nchain.loop -first chain.loop -second scale.two\n";
-
-type Scenario = fn(TaskContext, Sorm) -> LocalBoxFuture<'static, Result<String, String>>;
-
-/// A client, on another chassis than the daemon, that goes through a scenario.
-struct Client {
-    scenario: Scenario,
-    sorm: Sorm,
-}
-
-#[ctos::handler]
-impl Client {
-    #[phase]
-    async fn phase(&mut self, cx: &TaskContext, phase: Phase) -> Handled {
-        if phase != Phase::Run {
-            return Ok(());
-        }
-        let (here, sorm, scenario) = (cx.clone(), self.sorm.clone(), self.scenario);
-        cx.spawn(async move {
-            let (ok, text) = match scenario(here.clone(), sorm).await {
-                Ok(text) => (true, text),
-                Err(text) => (false, text),
-            };
-            let json = String::new();
-            here.finish(AppResult { ok, text, json });
-        });
-        Ok(())
-    }
-
-    #[chassis_up]
-    async fn chassis_up(&mut self, cx: &TaskContext, chassis: &str) -> Handled {
-        daemon::rebuild(&self.sorm, cx, chassis).await;
-        Ok(())
-    }
-}
 
 /// Runs a scenario; `here` is what the client's dictionary has besides the cookbook.
 fn run(scenario: Scenario, here: &'static str, mishaps: &[Mishap]) -> Result<String, String> {
-    let folder = tempfile::tempdir().unwrap();
-    let book = folder.path().join("cook.dict");
-    std::fs::write(&book, COOKBOOK).unwrap();
-    let app = format!(
-        r#"
-        app.until = "client"
-        [chassis.desk]
-        [chassis.cage]
-        restart = "on-failure"
-        [task.client]
-        handler = "client"
-        on = "desk"
-        [task.d1]
-        handler = "sorma.daemon"
-        on = "cage"
-        args.dictionary = [{:?}]
-    "#,
-        book.display().to_string()
-    );
-    let app = load_texts(&[("app.toml", &app)], &[], &[]).unwrap();
-    let mut registry = Registry::new();
-    daemon::register(&mut registry, Dictionary::new(), |_, sorm| classes(sorm));
-    registry.handler("client", &Client::COMMANDS, move |cx| {
-        let mut dictionary = Dictionary::new();
-        let texts = [COOKBOOK, here];
-        for text in texts {
-            dictionary
-                .load(&ctos::diagnostic::Source::new("cookbook", text))
-                .unwrap();
-        }
-        let chassis = cx.chassis();
-        let sorm = Sorm::of(chassis.name(), chassis.clock().clone(), dictionary);
-        classes(&sorm);
-        Ok(Client { scenario, sorm })
-    });
-    let observer: Observer = Arc::new(|_: &BootEvent| ());
-    let outcome = simulate(app, registry, mishaps, &observer).unwrap();
-    match outcome.end {
-        End::Finished(result) if result.ok => Ok(result.text),
-        End::Finished(result) => Err(result.text),
-        other => Err(format!("{other:?}")),
-    }
+    let app = App {
+        here,
+        mishaps: mishaps.to_vec(),
+        ..App::new(scenario)
+    };
+    app.run()
 }
 
 /// A case of the conformance suite: requests, and what comes back.
@@ -258,11 +54,6 @@ fn neutral(reply: sorma::Reply) -> String {
         report.process.clear();
     }
     format!("{body:?}")
-}
-
-async fn ask(sorm: &Sorm, cx: &TaskContext, line: &str) -> sorma::Reply {
-    let request: Request = line.parse().unwrap();
-    sorm.ask(&Tasks::of(cx), request).await
 }
 
 #[test]
@@ -394,11 +185,8 @@ fn locks_of_a_caller_end_with_its_chassis_and_hold_until_then() {
     assert!(text.contains("locked by `client@desk`"), "{text}");
 }
 
-fn kill_at(seconds: u64) -> [Mishap; 1] {
-    [Mishap::Kill {
-        chassis: "cage".to_owned(),
-        at: Instant::START + Duration::from_secs(seconds),
-    }]
+fn kill_at(seconds: f64) -> [Mishap; 1] {
+    [kill("cage", seconds)]
 }
 
 #[test]
@@ -426,7 +214,7 @@ fn a_daemon_that_dies_is_an_error_with_both_names_and_the_next_call_works() {
             Ok(String::new())
         })
     };
-    assert_eq!(run(scenario, "", &kill_at(2)), Ok(String::new()));
+    assert_eq!(run(scenario, "", &kill_at(2.0)), Ok(String::new()));
 }
 
 #[test]
@@ -443,7 +231,7 @@ fn only_who_says_that_it_does_no_harm_asks_again() {
             Ok(String::new())
         })
     };
-    assert_eq!(run(scenario, "", &kill_at(2)), Ok(String::new()));
+    assert_eq!(run(scenario, "", &kill_at(2.0)), Ok(String::new()));
 }
 
 #[test]

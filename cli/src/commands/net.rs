@@ -3,6 +3,8 @@
 pub mod check;
 pub mod convert;
 pub mod fmt;
+pub mod lsp;
+pub mod perf;
 
 use clap::{Args, Subcommand};
 use ctos::registry::Registry;
@@ -27,6 +29,13 @@ pub enum NetCommand {
     Convert(convert::ConvertArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
+    /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
+    ///
+    /// Speaks the Language Server Protocol on standard input and output; an editor starts it. With `--app` the tasks
+    /// of an app and their commands are offered, too.
+    Lsp(lsp::LspArgs),
+    /// Say how fast nets go whose transitions say what they take
+    Perf(perf::PerfArgs),
 }
 
 /// Runs the command.
@@ -36,5 +45,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
+        NetCommand::Lsp(args) => lsp::run(args, registry),
+        NetCommand::Perf(args) => perf::run(args),
     }
 }

@@ -7,11 +7,12 @@ use ctos::{
     time::Clock,
 };
 use sorma::ipc::{self, Host};
-use sorma::{ClassInfo, Dictionary, Sorm, demo, describe};
+use sorma::{ClassInfo, Dictionary, Sorm, asynchronous, demo, describe};
 
 /// What a program may know about all classes, by name.
 pub static CLASSES: LazyLock<Vec<ClassInfo>> = LazyLock::new(|| {
     let mut classes = describe::own_classes();
+    classes.extend(asynchronous::classes());
     classes.extend(demo::classes());
     classes.extend(ipc::classes());
     classes.extend(mcs::services::classes());
@@ -55,6 +56,7 @@ pub fn shipped() -> Result<Dictionary, Findings> {
 
 /// Registers all classes of the workspace with a manager, for the app of `host`.
 pub fn register(sorm: &Sorm, host: &Host) {
+    asynchronous::register(sorm);
     demo::register(sorm);
     ipc::register(sorm, host);
     mcs::services::register(sorm);

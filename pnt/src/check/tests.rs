@@ -80,15 +80,21 @@ transition do_y
     let nets = [net("a", requester), net("c", coordinator)];
     let (system, findings) = System::compose(&nets);
     assert!(findings.is_empty(), "{findings}");
-    let space = space::explore(&system, &Limits::default());
+    let model = Model::of_system(&system);
+    let space = crate::analysis::explicit::explore(&model, &Limits::default());
     let index = |name: &str| system.places().iter().position(|p| p.name == name).unwrap();
     let active = [index("a.ask_x_active"), index("a.ask_y_active")];
-    assert!(space.complete && space.dead.is_empty() && space.trapped.is_none());
-    for marking in 0..u32::try_from(space.markings).unwrap() {
-        let marking = Space::replay(&system, &space.path(marking));
-        let both = active.iter().all(|place| marking[*place] > 0);
-        assert!(!both || marking[index("a.O_c")] == 0);
-    }
+    assert!(space.complete() && space.dead.is_empty());
+    assert!(
+        crate::analysis::returns::returns(&space, usize::MAX)
+            .unwrap()
+            .reversible
+    );
+    // No marking has both requests active and an answer on its way.
+    let mixed = space.nearest(|marking| {
+        active.iter().all(|place| marking[*place] > 0) && marking[index("a.O_c")] > 0
+    });
+    assert_eq!(mixed, None);
 }
 
 #[test]

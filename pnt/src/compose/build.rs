@@ -67,6 +67,9 @@ impl Builder {
                 &place.at,
                 place.tokens,
             );
+            if let Some(last) = self.system.places.last_mut() {
+                last.capacity = place.capacity;
+            }
         }
         for (index, transition) in (0..).zip(net.transitions()) {
             if transition.action.is_some() {
@@ -97,6 +100,7 @@ impl Builder {
             name,
             at: at.clone(),
             tokens,
+            capacity: None,
         });
     }
 
@@ -123,6 +127,12 @@ impl Builder {
             .collect()
     }
 
+    fn resets(&self, transition: &Transition) -> Vec<SystemPlaceId> {
+        let base = self.base().places;
+        let places = transition.resets.iter();
+        places.map(|place| base + place.index()).collect()
+    }
+
     fn outputs(&self, outputs: &Outputs) -> Vec<(SystemPlaceId, u32)> {
         let mut puts = self.local(&outputs.local);
         for arc in &outputs.remote {
@@ -145,6 +155,7 @@ impl Builder {
             takes: self.local(&transition.inputs),
             reads: self.local(&transition.reads),
             forbids: self.local(&transition.inhibitors),
+            resets: self.resets(transition),
             puts: Vec::new(),
         };
         if let Some(command) = transition.tape {
@@ -253,16 +264,18 @@ impl Builder {
             let key = (self.net, when.function.clone());
             (*self.functions.entry(key).or_insert(next), when.negated)
         });
-        let (needs, changes) = draft.resolve();
+        let urgency = urgency(self.system.nets[self.net].transitions(), transition);
         self.system.steps.push(Step {
             net: self.net,
             transition: Some(id),
             phase,
-            needs,
+            takes: summed(&draft.takes),
+            reads: draft.reads,
             forbids: draft.forbids,
-            changes,
+            resets: draft.resets,
+            puts: summed(&draft.puts),
             when,
-            priority: chosen.then_some(transition.priority),
+            priority: chosen.then_some(urgency),
             unasked,
         });
     }
@@ -271,19 +284,15 @@ impl Builder {
     fn commander(&mut self, net: &Net) {
         for (index, _) in (0..).zip(net.commands()) {
             let command = CommandId(index);
-            let draft = Draft {
-                takes: vec![(self.idle(), 1)],
-                puts: vec![(self.on_tape(command), 1)],
-                ..Draft::default()
-            };
-            let (needs, changes) = draft.resolve();
             self.system.steps.push(Step {
                 net: self.net,
                 transition: None,
                 phase: Phase::Put(command),
-                needs,
+                takes: vec![(self.idle(), 1)],
+                reads: Vec::new(),
                 forbids: Vec::new(),
-                changes,
+                resets: Vec::new(),
+                puts: vec![(self.on_tape(command), 1)],
                 when: None,
                 priority: None,
                 unasked: false,
@@ -292,8 +301,19 @@ impl Builder {
     }
 }
 
-type Needs = Vec<(SystemPlaceId, u32)>;
-type Changes = Vec<(SystemPlaceId, i64)>;
+/// Added to the priority of immediate transitions of a net that has timed ones as well.
+const BEFORE_TIMED: u32 = 1 << 31;
+
+/// How urgent a transition is among all of its net.
+fn urgency(all: &[Transition], transition: &Transition) -> u32 {
+    // What has an action starts at once, whatever time it is taken to last.
+    let timed = |t: &Transition| !t.timing.is_immediate() && t.action.is_none();
+    if all.iter().any(timed) && !timed(transition) {
+        transition.priority.saturating_add(BEFORE_TIMED)
+    } else {
+        transition.priority.min(BEFORE_TIMED - 1)
+    }
+}
 
 /// A step before its arcs are added up.
 #[derive(Clone, Default)]
@@ -301,26 +321,16 @@ struct Draft {
     takes: Vec<(SystemPlaceId, u32)>,
     reads: Vec<(SystemPlaceId, u32)>,
     forbids: Vec<(SystemPlaceId, u32)>,
+    resets: Vec<SystemPlaceId>,
     puts: Vec<(SystemPlaceId, u32)>,
 }
 
-impl Draft {
-    /// What must be there, and what changes.
-    fn resolve(&self) -> (Needs, Changes) {
-        let mut needs: BTreeMap<SystemPlaceId, u32> = BTreeMap::new();
-        let mut changes: BTreeMap<SystemPlaceId, i64> = BTreeMap::new();
-        for (place, weight) in &self.takes {
-            *needs.entry(*place).or_default() += weight;
-            *changes.entry(*place).or_default() -= i64::from(*weight);
-        }
-        for (place, weight) in &self.reads {
-            let need = needs.entry(*place).or_default();
-            *need = (*need).max(*weight);
-        }
-        for (place, weight) in &self.puts {
-            *changes.entry(*place).or_default() += i64::from(*weight);
-        }
-        changes.retain(|_, change| *change != 0);
-        (needs.into_iter().collect(), changes.into_iter().collect())
+/// Arcs by place, those of the same place added up.
+fn summed(arcs: &[(SystemPlaceId, u32)]) -> Vec<(SystemPlaceId, u32)> {
+    let mut sums: BTreeMap<SystemPlaceId, u32> = BTreeMap::new();
+    for (place, weight) in arcs {
+        let sum = sums.entry(*place).or_default();
+        *sum = sum.saturating_add(*weight);
     }
+    sums.into_iter().collect()
 }

@@ -11,7 +11,7 @@ use super::{
 use crate::timing::{Servers, Timing};
 
 /// A name as net text has it: as it is, or in quotes where it is no identifier.
-struct InText<'a>(&'a str);
+pub(crate) struct InText<'a>(pub(crate) &'a str);
 
 impl fmt::Display for InText<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

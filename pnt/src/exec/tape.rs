@@ -3,10 +3,12 @@
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
+
 use crate::net::CommandId;
 
 /// A command on the tape.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OnTape {
     /// Its number, counted from the start of the execution.
     pub number: u64,
@@ -17,7 +19,7 @@ pub struct OnTape {
 }
 
 /// The input tape of one net.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tape {
     waiting: VecDeque<OnTape>,
     current: Option<OnTape>,
@@ -36,6 +38,18 @@ impl Tape {
         self.waiting.iter()
     }
 
+    /// How many commands have not been read.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Whether all commands have been read.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
     /// The symbol that can be read now.
     #[must_use]
     pub fn head(&self) -> Option<CommandId> {
@@ -43,6 +57,17 @@ impl Tape {
             Some(_) => None,
             None => self.waiting.front().map(|on_tape| on_tape.command),
         }
+    }
+
+    /// Whether the tape is one that puts and reads could have made, of commands below `commands`.
+    pub(super) fn is_sound(&self, commands: usize, most: u64) -> bool {
+        let numbers = self.current.iter().chain(&self.waiting);
+        let known = |on_tape: &OnTape| on_tape.command.index() < commands;
+        self.put <= most
+            && numbers
+                .clone()
+                .all(|on_tape| known(on_tape) && on_tape.number < self.put)
+            && numbers.is_sorted_by(|a, b| a.number < b.number)
     }
 
     pub(super) fn put(&mut self, command: CommandId, arguments: Vec<String>) -> u64 {
@@ -62,10 +87,14 @@ impl Tape {
     }
 
     /// Puts a command that was read back to the front, unless it has been answered.
-    pub(super) fn unread(&mut self, number: u64) {
-        if let Some(on_tape) = self.current.take_if(|on_tape| on_tape.number == number) {
+    /// Says whether it did.
+    pub(super) fn unread(&mut self, number: u64) -> bool {
+        let current = self.current.take_if(|on_tape| on_tape.number == number);
+        let is_back = current.is_some();
+        if let Some(on_tape) = current {
             self.waiting.push_front(on_tape);
         }
+        is_back
     }
 
     /// Ends the command in progress if `answers` says that the symbol answers it.

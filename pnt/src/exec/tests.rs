@@ -1,6 +1,9 @@
+mod model;
+
 use ctos::diagnostic::Source;
 use proptest::{collection::vec, prelude::*};
 use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::{compile, invariants};
@@ -78,8 +81,9 @@ fn weights_read_arcs_and_inhibitors_decide_what_is_enabled() {
 #[test]
 fn conflicts_go_to_priority_then_to_declared_order_or_to_chance() {
     let text = "net n\nplace a = 1, b\ntransition low\n  in a\ntransition first\n  in a\n  priority 1\ntransition second\n  in a\n  priority 1\n";
-    let execution = execution(text);
-    let name = |id: Option<TransitionId>| execution.net()[id.unwrap()].name.clone();
+    let mut execution = execution(text);
+    let net = Arc::clone(execution.net());
+    let name = |id: Option<TransitionId>| net[id.unwrap()].name.clone();
     assert_eq!(
         name(execution.choose(&mut Conflicts::Declared, |_| true)),
         "first"
@@ -95,7 +99,7 @@ fn conflicts_go_to_priority_then_to_declared_order_or_to_chance() {
 
 #[test]
 fn an_enabling_function_and_its_negation_let_exactly_one_through() {
-    let execution = execution(
+    let mut execution = execution(
         "net n\nplace a = 1\ntransition again\n  in a\n  when more\ntransition done\n  in a\n  when not more\n",
     );
     for (more, expected) in [(true, "again"), (false, "done")] {
@@ -306,5 +310,209 @@ proptest! {
             if choices.is_empty() { break; }
             execution.fire(*pick.get(&choices)).unwrap();
         }
+    }
+}
+
+#[test]
+fn weights_say_how_often_chance_chooses_each() {
+    let mut execution = execution(
+        "net n\nplace a = 1\ntransition seldom\n  in a\ntransition often\n  in a\n  weight 3\n",
+    );
+    let often = id(&execution, "often");
+    let mut random = Conflicts::Random(Box::new(ChaCha8Rng::seed_from_u64(1)));
+    let count = (0..10_000)
+        .filter(|_| execution.choose(&mut random, |_| true) == Some(often))
+        .count();
+    // Four standard deviations of a binomial with p = 3/4.
+    assert!((7_327..=7_673).contains(&count), "{count}");
+}
+
+#[test]
+fn chance_leaves_out_what_an_enabling_function_forbids_and_goes_on_to_lower_priorities() {
+    let mut execution = execution(
+        "net n\nplace a = 1\ntransition t\n  in a\n  when f\n  priority 1\ntransition u\n  in a\n  when not f\n  priority 1\ntransition v\n  in a\n  when f\n  priority 1\ntransition w\n  in a\n",
+    );
+    let net = Arc::clone(execution.net());
+    let mut random = Conflicts::Random(Box::new(ChaCha8Rng::seed_from_u64(2)));
+    let mut chosen = |say: &dyn Fn(bool) -> bool| -> Vec<String> {
+        let mut names: Vec<String> = (0..200)
+            .filter_map(|_| execution.choose(&mut random, |when| say(when.negated)))
+            .map(|id| net[id].name.clone())
+            .collect();
+        names.sort();
+        names.dedup();
+        names
+    };
+    assert_eq!(chosen(&|_| true), ["t", "v"]);
+    assert_eq!(chosen(&|_| false), ["u"]);
+    // A function that answers differently each time it is asked is no function; here it lets none pass.
+    assert_eq!(chosen(&|negated| negated), ["w"]);
+}
+
+#[test]
+fn an_action_that_takes_too_long_fails_at_its_limit_by_the_time_that_the_caller_tells() {
+    let text = ACTION.replace("  do something\n", "  do something\n  within 5 ms\n");
+    let mut execution = execution(&text);
+    let work = id(&execution, "work");
+    execution.advance_to(1_000);
+    let firing = execution.start(work).unwrap();
+    assert_eq!(execution.next_deadline(), Some((5_001_000, firing)));
+    execution.advance_to(5_000_999);
+    assert!(execution.expire().unwrap().is_none());
+    execution.advance_to(5_001_000);
+    execution.advance_to(7);
+    assert_eq!(execution.now_ns(), 5_001_000);
+    let (over, transition, _) = execution.expire().unwrap().unwrap();
+    assert_eq!((over, transition), (firing, work));
+    assert_eq!(execution.marking(), [0, 0, 1]);
+    assert!(execution.expire().unwrap().is_none());
+    assert_eq!(execution.next_deadline(), None);
+}
+
+#[test]
+fn a_cancelled_firing_puts_everything_back_whatever_its_failure_branch_says() {
+    let mut execution = execution(ACTION);
+    let work = id(&execution, "work");
+    let firing = execution.start(work).unwrap();
+    execution.cancel(firing).unwrap();
+    assert_eq!(execution.marking(), [2, 0, 0]);
+    assert_eq!(execution.cancel(firing), Err(FireError::NotRunning(0)));
+}
+
+#[test]
+fn room_in_a_place_is_kept_for_a_running_firing() {
+    let mut execution = execution(
+        "net n\nplace a = 2, b = 0 capacity 1\ntransition work\n  in a\n  do something\n  out b\ntransition clear\n  in b\n",
+    );
+    let work = id(&execution, "work");
+    let firing = execution.start(work).unwrap();
+    assert!(!execution.is_enabled(work), "the room of b is promised");
+    assert!(matches!(
+        execution.put_tokens("b", 1),
+        Err(FireError::Full {
+            tokens: 1,
+            capacity: 1,
+            more: 1,
+            ..
+        })
+    ));
+    execution.complete(firing).unwrap();
+    assert!(!execution.is_enabled(work), "b is full");
+    execution.fire(id(&execution, "clear")).unwrap();
+    assert!(execution.is_enabled(work));
+}
+
+#[test]
+fn limited_servers_limit_the_actions_that_go_on() {
+    let mut execution =
+        execution("net n\nplace a = 5\ntransition work\n  in a\n  do something\n  servers 2\n");
+    let work = id(&execution, "work");
+    let first = execution.start(work).unwrap();
+    execution.start(work).unwrap();
+    assert_eq!(
+        execution.start(work),
+        Err(FireError::NotEnabled("work".into()))
+    );
+    execution.fail(first).unwrap();
+    assert!(execution.start(work).is_ok());
+}
+
+#[test]
+fn a_full_tape_takes_no_more_commands() {
+    let mut execution = execution(TAPE);
+    execution.limit_tape(1);
+    execution.put_symbol("go", Vec::new()).unwrap();
+    let error = execution.put_symbol("stop", Vec::new()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the tape of net `n` is full: 1 commands wait"
+    );
+    // One that has been read waits no more.
+    execution.start(id(&execution, "begin")).unwrap();
+    assert!(execution.put_symbol("stop", Vec::new()).is_ok());
+}
+
+#[test]
+fn events_say_what_was_moved_and_keep_their_numbers_when_old_ones_are_forgotten() {
+    let mut execution = execution(
+        "net n\nplace a = 3, b, junk = 4\ntransition t\n  in a\n  reset junk\n  out b*2\n",
+    );
+    execution.record_events(2);
+    let t = id(&execution, "t");
+    for _ in 0..3 {
+        execution.fire(t).unwrap();
+    }
+    assert_eq!(execution.next_event(), 3);
+    let events: Vec<Event<'_>> = execution.events_since(0).collect();
+    assert_eq!(
+        events.iter().map(|event| event.number).collect::<Vec<_>>(),
+        [1, 2]
+    );
+    execution.record_events(8);
+    execution.put_tokens("a", 1).unwrap();
+    execution.put_tokens("junk", 4).unwrap();
+    execution.fire(t).unwrap();
+    let last = execution.events_since(5).next().unwrap();
+    let Happened::Fired {
+        consumed,
+        emptied,
+        produced,
+        ..
+    } = last.happened
+    else {
+        panic!("{last:?}")
+    };
+    let of = |arcs: &[crate::net::Arc]| -> Vec<(usize, u32)> {
+        arcs.iter()
+            .map(|arc| (arc.place.index(), arc.weight))
+            .collect()
+    };
+    assert_eq!(
+        (of(consumed), of(emptied), of(produced)),
+        (vec![(0, 1)], vec![(2, 4)], vec![(1, 2)])
+    );
+    execution.forget_events(6);
+    assert_eq!(execution.events_since(0).count(), 0);
+    assert_eq!(execution.next_event(), 6);
+}
+
+#[test]
+fn a_state_of_another_net_or_a_broken_one_is_refused() {
+    let execution = execution(TAPE);
+    let state = execution.state();
+    let restore = |state: State| Execution::restore(Arc::clone(execution.net()), state).map(|_| ());
+    assert_eq!(restore(state.clone()), Ok(()));
+    assert!(matches!(
+        restore(State {
+            net: "other".into(),
+            ..state.clone()
+        }),
+        Err(RestoreError::OtherNet { .. })
+    ));
+    assert!(matches!(
+        restore(State {
+            marking: vec![1],
+            ..state.clone()
+        }),
+        Err(RestoreError::Places { .. })
+    ));
+    let running = |firing, transition| RunningFiring {
+        firing: FiringId(firing),
+        transition: TransitionId(transition),
+        command: None,
+        deadline_ns: None,
+    };
+    for (running, firings) in [
+        (vec![running(0, 9)], 1),
+        (vec![running(0, 0)], 0),
+        (vec![running(1, 0), running(0, 0)], 2),
+        (Vec::new(), u64::MAX),
+    ] {
+        let broken = State {
+            running,
+            firings,
+            ..state.clone()
+        };
+        assert!(matches!(restore(broken), Err(RestoreError::Broken { .. })));
     }
 }

@@ -9,11 +9,10 @@ use ctos::{
 };
 
 use crate::{
-    check::{self, FunctionNames, Report},
+    check::{self, FunctionNames, Limits, Report},
     compile,
     layout::{LayoutFile, beside},
     net::{Action, Net},
-    space::Limits,
     stream::NetView,
     task::COMMANDS,
 };
@@ -153,6 +152,15 @@ fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
     })
 }
 
+/// The nets of an app, whichever handlers run them.
+///
+/// # Errors
+/// All findings about the first net that is wrong by itself.
+pub fn nets(app: &App, registry: &Registry) -> Result<Vec<Arc<Net>>, Findings> {
+    let tasks = app.tasks.iter().filter(|task| runs_net(task, registry));
+    tasks.map(|task| net_of(task, app).map(Arc::new)).collect()
+}
+
 /// Checks all nets of an app together, whichever handlers run them. Nothing is said when one of the
 /// nets is wrong by itself ([`check_args`] tells), or when there is none.
 pub fn check_app(
@@ -161,10 +169,7 @@ pub fn check_app(
     limits: &Limits,
     findings: &mut Findings,
 ) -> Option<Report> {
-    let tasks = app.tasks.iter().filter(|task| runs_net(task, registry));
-    let nets: Result<Vec<Arc<Net>>, Findings> =
-        tasks.map(|task| net_of(task, app).map(Arc::new)).collect();
-    let nets = nets.ok().filter(|nets| !nets.is_empty())?;
+    let nets = nets(app, registry).ok().filter(|nets| !nets.is_empty())?;
     for net in &nets {
         check_messages(net, app, registry, findings);
     }

@@ -1,0 +1,429 @@
+//! One open net text, and what an editor asks about it. Positions are those of the protocol: lines from
+//! 0, columns in UTF-16 units.
+
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use ctos::diagnostic::{Finding, Findings, Severity, Source};
+use pnt::{
+    compile,
+    text::{
+        self, grammar,
+        outline::{Kind, Occurrence, Outline},
+    },
+};
+use serde_json::{Value, json};
+
+use super::Offered;
+
+/// An open text.
+pub struct Document {
+    source: Source,
+    outline: Outline,
+    /// The file it is, if it is one.
+    path: Option<PathBuf>,
+}
+
+impl Document {
+    /// A text as the editor has it.
+    pub fn new(uri: &str, text: &str) -> Self {
+        let path = path_of(uri);
+        let name = path
+            .as_ref()
+            .map_or(uri.to_owned(), |path| path.display().to_string());
+        let source = Source::new(name, text);
+        Self {
+            outline: Outline::of(&source),
+            source,
+            path,
+        }
+    }
+
+    fn text(&self) -> &str {
+        self.source.text()
+    }
+
+    // -- positions --------------------------------------------------------------------------
+
+    /// The byte of a position; the end of its line or text when it lies behind that.
+    pub fn offset(&self, position: &Value) -> usize {
+        let number = |key: &str| {
+            let number = position[key].as_u64().unwrap_or_default();
+            usize::try_from(number).unwrap_or(usize::MAX)
+        };
+        let mut start = 0;
+        for (line, text) in self.text().split_inclusive('\n').enumerate() {
+            if line == number("line") {
+                let mut units = 0;
+                for (at, character) in text.trim_end_matches(['\n', '\r']).char_indices() {
+                    if units >= number("character") {
+                        return start + at;
+                    }
+                    units += character.len_utf16();
+                }
+                return start + text.trim_end_matches(['\n', '\r']).len();
+            }
+            start += text.len();
+        }
+        self.text().len()
+    }
+
+    fn position(&self, offset: usize) -> Value {
+        let before = self.text().get(..offset).unwrap_or(self.text());
+        let line = before.matches('\n').count();
+        let start = before.rfind('\n').map_or(0, |at| at + 1);
+        let column = before
+            .get(start..)
+            .unwrap_or_default()
+            .encode_utf16()
+            .count();
+        json!({ "line": line, "character": column })
+    }
+
+    fn range(&self, range: &Range<usize>) -> Value {
+        json!({ "start": self.position(range.start), "end": self.position(range.end) })
+    }
+
+    // -- findings ---------------------------------------------------------------------------
+
+    /// What is wrong with the text, as the protocol has it.
+    pub fn findings(&self) -> Vec<Value> {
+        let folder = self.path.as_deref().and_then(Path::parent);
+        let folder = folder.unwrap_or(Path::new("")).to_owned();
+        let mut include = |file: &str| Source::read(&folder.join(file));
+        let found = match compile::net_with(&self.source, &mut include) {
+            Ok(_) => Findings::new(),
+            Err(found) => found,
+        };
+        // A file of subnets only is included by others and is no net.
+        let library = self
+            .outline
+            .words()
+            .iter()
+            .any(|word| word.kind == Kind::Subnet && word.declared);
+        let found = found.into_sorted().into_iter();
+        found
+            .filter(|finding| !(library && finding.code == "pnt::text::no_net"))
+            .map(|finding| self.finding(&finding))
+            .collect()
+    }
+
+    fn finding(&self, finding: &Finding) -> Value {
+        let here = finding
+            .place
+            .as_ref()
+            .filter(|place| place.source == self.source);
+        let range = here.map_or(0..0, |place| place.range.clone());
+        let mut message = finding.message.clone();
+        if let (None, Some(place)) = (here, &finding.place) {
+            message = format!("{place}: {message}");
+        }
+        if let Some(help) = &finding.help {
+            message = format!("{message}\n{help}");
+        }
+        let severity = match finding.severity {
+            Severity::Error => 1,
+            Severity::Warning => 2,
+        };
+        json!({
+            "range": self.range(&range),
+            "severity": severity,
+            "code": finding.code,
+            "source": "ctos",
+            "message": message,
+        })
+    }
+
+    // -- words ------------------------------------------------------------------------------
+
+    fn word(&self, at: usize) -> Option<&Occurrence> {
+        self.outline.at(at)
+    }
+
+    /// What may stand at a place.
+    pub fn completions(&self, at: usize, offered: &Offered) -> Value {
+        let start = self
+            .text()
+            .get(..at)
+            .and_then(|text| text.rfind('\n'))
+            .map_or(0, |line| line + 1);
+        let line = self.text().get(start..at).unwrap_or_default().trim_start();
+        // The word that is being typed counts for nothing yet.
+        let typed = line
+            .rfind(|c: char| !(c.is_alphanumeric() || c == '_'))
+            .map_or(0, |last| {
+                last + line
+                    .get(last..)
+                    .and_then(|rest| rest.chars().next())
+                    .map_or(0, char::len_utf8)
+            });
+        let before = line.get(..typed).unwrap_or_default();
+        let open = self.outline.transition_at(start.saturating_sub(1));
+        let scope = self.scope(at);
+        let Some(keyword) = before
+            .split([' ', '\t'])
+            .next()
+            .filter(|word| !word.is_empty())
+        else {
+            let keywords = grammar::keywords(open.is_some());
+            let shown = keywords.map(|keyword| item(keyword.word, 14, keyword.form));
+            return Value::Array(shown.collect());
+        };
+        let names = |kind: Kind, code: u8, detail: &str| -> Vec<Value> {
+            let names = self.outline.names(kind, &scope);
+            names
+                .iter()
+                .map(|name| item(&in_text(name), code, detail))
+                .collect()
+        };
+        let words = before.split_whitespace().count();
+        let items = match keyword {
+            "in" | "read" | "inhibit" | "reset" | "out" | "fail" | "safe" => {
+                if before.ends_with('@') {
+                    names(Kind::Net, 9, "net")
+                } else {
+                    names(Kind::Place, 6, "place")
+                }
+            }
+            "tape" => names(Kind::Symbol, 20, "symbol of the input tape"),
+            "write" => names(Kind::Answer, 20, "symbol of the output tape"),
+            "do" => names(Kind::Function, 3, "local function"),
+            "when" => {
+                let mut items = names(Kind::Enabling, 3, "enabling function");
+                items.extend((words == 1).then(|| item("not", 14, "negation")));
+                items
+            }
+            "ask" if words == 1 => names(Kind::Net, 9, "coordinator"),
+            "ask" => names(Kind::Request, 23, "request"),
+            "send" => match before.trim_start_matches("send").trim().strip_suffix('.') {
+                Some(task) => {
+                    let of_app = offered
+                        .tasks
+                        .get(task.trim_matches('"'))
+                        .into_iter()
+                        .flatten();
+                    let mut items: Vec<Value> =
+                        of_app.map(|(name, help)| item(name, 2, help)).collect();
+                    items.extend(names(Kind::Command, 2, "command"));
+                    items
+                }
+                None if before.contains('(') => names(Kind::Data, 5, "data object"),
+                None => {
+                    let mut items: Vec<Value> = offered
+                        .tasks
+                        .keys()
+                        .map(|task| item(&in_text(task), 9, "task"))
+                        .collect();
+                    items.extend(names(Kind::Task, 9, "task"));
+                    items
+                }
+            },
+            "use" if words == 1 => names(Kind::Subnet, 7, "subnet"),
+            "use" => names(Kind::Place, 6, "place"),
+            "time" => vec![
+                item("exponential", 14, "by its mean"),
+                item("normal", 14, "by mean and spread"),
+            ],
+            "servers" => vec![item("many", 14, "as many as its tokens allow")],
+            _ => Vec::new(),
+        };
+        let mut seen = std::collections::BTreeSet::new();
+        let once = |item: &Value| seen.insert(item["label"].to_string());
+        Value::Array(items.into_iter().filter(once).collect())
+    }
+
+    /// The subnet whose lines hold a byte.
+    fn scope(&self, at: usize) -> String {
+        let mut scope = String::new();
+        for word in self
+            .outline
+            .words()
+            .iter()
+            .take_while(|word| word.range.start < at)
+        {
+            match (word.kind, word.name.as_str()) {
+                (Kind::Subnet, name) if word.declared => name.clone_into(&mut scope),
+                (Kind::Keyword, "end") => scope.clear(),
+                _ => {}
+            }
+        }
+        scope
+    }
+
+    /// What is known about a word.
+    pub fn hover(&self, at: usize) -> Value {
+        let Some(word) = self.word(at) else {
+            return Value::Null;
+        };
+        let text = match word.kind {
+            Kind::Keyword => match grammar::keyword_called(&word.name) {
+                Some(keyword) => format!("`{}`\n\n{}", keyword.form, keyword.meaning),
+                None => return Value::Null,
+            },
+            kind => self.told(word, kind),
+        };
+        json!({ "contents": { "kind": "markdown", "value": text }, "range": self.range(&word.range) })
+    }
+
+    /// The word, the line that declares it, and the transitions that use it.
+    fn told(&self, word: &Occurrence, kind: Kind) -> String {
+        let mut told = format!("{} `{}`", name_of(kind), word.name);
+        if let Some(declared) = self.outline.declaration(word) {
+            let line = self.line_at(declared.range.start);
+            told += &format!("\n\n```\n{}\n```", line.trim());
+        }
+        let used = self
+            .outline
+            .same(word)
+            .into_iter()
+            .filter(|word| !word.declared);
+        let mut users: Vec<&str> = used
+            .filter_map(|word| self.outline.transition_at(word.range.start))
+            .map(|transition| transition.name.as_str())
+            .collect();
+        users.dedup();
+        if !users.is_empty() && kind != Kind::Transition {
+            told += &format!("\n\nused by {}", users.join(", "));
+        }
+        told
+    }
+
+    fn line_at(&self, offset: usize) -> &str {
+        let before = self.text().get(..offset).unwrap_or_default();
+        let start = before.rfind('\n').map_or(0, |at| at + 1);
+        self.text()
+            .get(start..)
+            .and_then(|rest| rest.lines().next())
+            .unwrap_or_default()
+    }
+
+    fn location(&self, uri: &str, word: &Occurrence) -> Value {
+        json!({ "uri": uri, "range": self.range(&word.range) })
+    }
+
+    /// Where a word is declared.
+    pub fn definition(&self, uri: &str, at: usize) -> Value {
+        let declared = self
+            .word(at)
+            .and_then(|word| self.outline.declaration(word));
+        declared.map_or(Value::Null, |word| self.location(uri, word))
+    }
+
+    /// Everywhere where a word stands for the same thing.
+    pub fn references(&self, uri: &str, at: usize) -> Value {
+        let Some(word) = self.word(at) else {
+            return Value::Null;
+        };
+        let same = self.outline.same(word);
+        Value::Array(
+            same.into_iter()
+                .map(|word| self.location(uri, word))
+                .collect(),
+        )
+    }
+
+    /// Places, transitions and subnets, for an overview.
+    pub fn symbols(&self) -> Value {
+        let shown = |word: &Occurrence| {
+            let kind = match word.kind {
+                Kind::Place => 8,
+                Kind::Transition => 12,
+                Kind::Subnet => 5,
+                Kind::Symbol => 24,
+                _ => return None,
+            };
+            let range = self.range(&word.range);
+            word.declared.then(|| json!({ "name": word.name, "kind": kind, "range": range, "selectionRange": range }))
+        };
+        Value::Array(self.outline.words().iter().filter_map(shown).collect())
+    }
+
+    /// The whole text laid out; nothing when it cannot be read.
+    pub fn formatted(&self) -> Value {
+        match text::formatted(&self.source) {
+            Ok(text) if text != self.text() => {
+                let whole = self.range(&(0..self.text().len()));
+                json!([{ "range": whole, "newText": text }])
+            }
+            Ok(_) => json!([]),
+            Err(_) => Value::Null,
+        }
+    }
+
+    /// What would be renamed here.
+    pub fn renamed_range(&self, at: usize) -> Value {
+        let word = self.word(at).filter(|word| word.kind != Kind::Keyword);
+        word.map_or(Value::Null, |word| self.range(&word.range))
+    }
+
+    /// The edits by which a word gets another name everywhere in this text.
+    pub fn rename(&self, uri: &str, at: usize, name: &str) -> Result<Value, String> {
+        let word = self.word(at).filter(|word| word.kind != Kind::Keyword);
+        let word = word.ok_or("there is no name here")?;
+        if name.trim().is_empty() {
+            return Err("a name is not empty".to_owned());
+        }
+        let kind = match word.kind {
+            Kind::Argument => Kind::Place,
+            kind => kind,
+        };
+        let taken = self.outline.words().iter().any(|other| {
+            other.declared && other.kind == kind && other.scope == word.scope && other.name == name
+        });
+        if taken && name != word.name {
+            return Err(format!("there is a {} `{name}` already", name_of(kind)));
+        }
+        let new = in_text(name);
+        let edit = |word: &Occurrence| json!({ "range": self.range(&word.range), "newText": new });
+        let edits: Vec<Value> = self.outline.same(word).into_iter().map(edit).collect();
+        Ok(json!({ "changes": { uri: edits } }))
+    }
+}
+
+fn item(label: &str, kind: u8, detail: &str) -> Value {
+    json!({ "label": label, "kind": kind, "detail": detail })
+}
+
+/// A name as net text has it.
+fn in_text(name: &str) -> String {
+    text::name_in_text(name)
+}
+
+fn name_of(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Keyword => "keyword",
+        Kind::Net => "net",
+        Kind::Place | Kind::Argument => "place",
+        Kind::Transition => "transition",
+        Kind::Symbol => "symbol of the input tape",
+        Kind::Answer => "symbol of the output tape",
+        Kind::Request => "request",
+        Kind::Function => "local function",
+        Kind::Enabling => "enabling function",
+        Kind::Task => "task",
+        Kind::Command => "command",
+        Kind::Data => "data object",
+        Kind::Subnet => "subnet",
+        Kind::Instance => "instance",
+        Kind::Parameter => "parameter",
+    }
+}
+
+/// The path of a `file:` address.
+fn path_of(uri: &str) -> Option<PathBuf> {
+    let encoded = uri.strip_prefix("file://")?;
+    let mut bytes = Vec::with_capacity(encoded.len());
+    let mut rest = encoded.bytes();
+    while let Some(byte) = rest.next() {
+        if byte != b'%' {
+            bytes.push(byte);
+            continue;
+        }
+        let digits = [rest.next()?, rest.next()?];
+        let digits = std::str::from_utf8(&digits).ok()?;
+        bytes.push(u8::from_str_radix(digits, 16).ok()?);
+    }
+    String::from_utf8(bytes).ok().map(PathBuf::from)
+}

@@ -1,0 +1,24 @@
+//! Proofs about nets. From bottom to top:
+//!
+//! - [`model`]: a net as the analyses see it, numbers only;
+//! - [`explicit`]: its markings one by one; [`returns`]: where they lead in the end;
+//! - [`symbolic`]: the markings as a decision diagram;
+//! - [`cover`]: what an unbounded net can cover; [`structure`]: what follows from the arcs alone;
+//! - [`question`]: what an author asks about them;
+//! - [`verdict`]: all that in numbers;
+//!
+//! Knows no net text and no finding: [`crate::check`] says in words what is proved here.
+
+pub mod cover;
+pub mod explicit;
+mod layout;
+pub mod model;
+pub mod question;
+pub mod returns;
+mod store;
+pub mod structure;
+pub mod symbolic;
+pub mod verdict;
+
+#[cfg(test)]
+pub(crate) mod samples;

@@ -1,0 +1,430 @@
+//! Where markings lead in the end: the strongly connected components of the reachability graph that
+//! nothing leaves. From them follow liveness, home states and reversibility. Edges are not kept; a
+//! marking is expanded again when its successors are asked for.
+
+use super::{
+    explicit::{Explored, Scratch},
+    layout::linear,
+    model::TransitionNumber,
+};
+
+/// What the reachability graph says about the long run.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Returns {
+    /// Whether the initial marking can be reached from every reachable marking.
+    pub reversible: bool,
+    /// The nearest marking, by distance, from which there is no way back to the initial one.
+    pub no_return: Option<Vec<u32>>,
+    /// Terminal components: once a run is inside, it stays there.
+    pub terminal: usize,
+    /// Markings that can be reached from every reachable one; none unless there is one terminal
+    /// component.
+    pub home_states: usize,
+    /// Per label of the model, whether one of its transitions can become enabled again from every
+    /// reachable marking.
+    pub live: Vec<bool>,
+    /// Bytes that this took at most.
+    pub bytes: usize,
+}
+
+impl Returns {
+    /// Whether every transition is live.
+    #[must_use]
+    pub fn all_live(&self) -> bool {
+        self.live.iter().all(|live| *live)
+    }
+}
+
+/// Finds the terminal components of a complete reachability graph; nothing when that would take more
+/// bytes than permitted.
+#[must_use]
+pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
+    if explored.markings / 8 > bytes {
+        return None;
+    }
+    if let Some(bytes) = all_return(explored) {
+        return Some(Returns {
+            reversible: true,
+            no_return: None,
+            terminal: 1,
+            home_states: explored.markings,
+            live: {
+                let mut live = vec![false; explored.model.label_count()];
+                for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
+                    if let (Some(label), true) = (transition.label, seen) {
+                        live[label as usize] = true;
+                    }
+                }
+                live
+            },
+            bytes,
+        });
+    }
+    let needed = components_bytes(explored)?;
+    (needed <= bytes).then(|| Components::new(explored, &|_| true).find(needed))
+}
+
+/// Whether from every reachable marking one as wanted can be reached: if not, a marking from which none
+/// can. Nothing when the search was not complete, or more bytes than permitted would be needed.
+#[must_use]
+pub fn always_reachable(
+    explored: &Explored<'_>,
+    wanted: &dyn Fn(&[u32]) -> bool,
+    bytes: usize,
+) -> Option<Option<Vec<u32>>> {
+    if !explored.complete() || components_bytes(explored)? > bytes {
+        return None;
+    }
+    let mut components = Components::new(explored, wanted);
+    components.visit_all();
+    Some(components.without_wanted)
+}
+
+/// Index, lowest index, stack and call frame of every marking.
+fn components_bytes(explored: &Explored<'_>) -> Option<usize> {
+    explored.markings.checked_mul(4 + 4 + 4 + 12)
+}
+
+/// The markings of all workers numbered through, and the firings between them.
+struct Graph<'a> {
+    explored: &'a Explored<'a>,
+    /// The first number of each worker.
+    offsets: Vec<usize>,
+    scratch: Scratch,
+    /// Packed successor.
+    target: Vec<u64>,
+}
+
+impl<'a> Graph<'a> {
+    fn new(explored: &'a Explored<'a>) -> Self {
+        let mut next = 0;
+        let offsets = explored.stores().iter().map(|worker| {
+            let first = next;
+            next += worker.len();
+            first
+        });
+        Self {
+            offsets: offsets.collect(),
+            explored,
+            scratch: Scratch::default(),
+            target: vec![0; explored.rules.layout.words],
+        }
+    }
+
+    fn packed(&self, node: usize) -> &'a [u64] {
+        let worker = self
+            .offsets
+            .partition_point(|first| *first <= node)
+            .saturating_sub(1);
+        // A number within one worker has 32 bits.
+        self.explored.stores()[worker]
+            .store()
+            .get((node - self.offsets[worker]) as u32)
+    }
+
+    /// Looks at a marking: its sure firings are then `self.scratch.enabled`.
+    fn expand(&mut self, node: usize) {
+        let rules = &self.explored.rules;
+        rules
+            .layout
+            .unpack(self.packed(node), &mut self.scratch.marking);
+        rules.enabled(&mut self.scratch);
+        let mut sure = self.scratch.sure.iter();
+        self.scratch.enabled.retain(|_| sure.next() == Some(&true));
+    }
+
+    /// The marking that a firing leads to; nothing when the search had stopped before it was found.
+    fn successor(&mut self, node: usize, transition: TransitionNumber) -> Option<usize> {
+        let rules = &self.explored.rules;
+        let from = self.packed(node);
+        let packed = rules.packed.get(transition as usize)?;
+        let sum = packed.fire(&rules.layout, from, linear(from), &mut self.target);
+        let worker = self.explored.owner(sum);
+        let id = self.explored.stores()[worker]
+            .store()
+            .find(&self.target, sum)?;
+        Some(self.offsets[worker] + id as usize)
+    }
+
+    /// The number of the initial marking.
+    fn initial(&self) -> Option<usize> {
+        let mut packed = Vec::new();
+        self.explored
+            .rules
+            .layout
+            .pack(&self.explored.model.initial(), &mut packed);
+        let sum = linear(&packed);
+        let worker = self.explored.owner(sum);
+        let id = self.explored.stores()[worker].store().find(&packed, sum)?;
+        Some(self.offsets[worker] + id as usize)
+    }
+}
+
+/// A quick answer for most nets: walks from every marking until it meets one that is known to return.
+/// All markings on the walk return as well. The bytes it took, when all return; nothing when that is
+/// not so, or not found in this way.
+fn all_return(explored: &Explored<'_>) -> Option<usize> {
+    const UNKNOWN: u8 = 0;
+    const SEEN: u8 = 1;
+    const RETURNS: u8 = 2;
+    let mut graph = Graph::new(explored);
+    let mut state = vec![UNKNOWN; explored.markings];
+    state[graph.initial()?] = RETURNS;
+    let mut walk: Vec<(usize, u32)> = Vec::new();
+    let mut longest = 0;
+    for root in 0..explored.markings {
+        if state[root] != UNKNOWN {
+            continue;
+        }
+        state[root] = SEEN;
+        walk.push((root, 0));
+        while let Some((node, tried)) = walk.last().copied() {
+            graph.expand(node);
+            let enabled = std::mem::take(&mut graph.scratch.enabled);
+            let mut next = None;
+            for (position, transition) in (0_u32..).zip(&enabled).skip(tried as usize) {
+                let successor = graph.successor(node, *transition)?;
+                match state[successor] {
+                    RETURNS => {
+                        next = Some(None);
+                        break;
+                    }
+                    UNKNOWN if next.is_none() => next = Some(Some((position, successor))),
+                    _ => {}
+                }
+            }
+            graph.scratch.enabled = enabled;
+            match next {
+                Some(None) => {
+                    for (node, _) in walk.drain(..) {
+                        state[node] = RETURNS;
+                    }
+                }
+                Some(Some((position, successor))) => {
+                    if let Some(top) = walk.last_mut() {
+                        top.1 = position + 1;
+                    }
+                    state[successor] = SEEN;
+                    walk.push((successor, 0));
+                    longest = longest.max(walk.len());
+                }
+                // A dead end, or one among markings of the walk: the other way will tell.
+                None => return None,
+            }
+        }
+    }
+    Some(explored.markings + longest * size_of::<(usize, u32)>())
+}
+
+/// Tarjan's algorithm (1972) with a stack of its own.
+struct Components<'a> {
+    graph: Graph<'a>,
+    index: Vec<u32>,
+    low: Vec<u32>,
+    /// Nodes whose component is not complete.
+    open: Vec<u32>,
+    frames: Vec<Frame>,
+    next: u32,
+    live: Vec<bool>,
+    terminal: usize,
+    home_states: usize,
+    initial_component: Option<u32>,
+    wanted: &'a dyn Fn(&[u32]) -> bool,
+    /// A marking of a terminal component that has none as wanted.
+    without_wanted: Option<Vec<u32>>,
+}
+
+struct Frame {
+    node: u32,
+    position: u32,
+    /// Whether something leaves the part of the component found so far.
+    leaves: bool,
+}
+
+/// Not visited.
+const NEW: u32 = u32::MAX;
+/// In a component that is complete.
+const DONE: u32 = u32::MAX - 1;
+
+impl<'a> Components<'a> {
+    fn new(explored: &'a Explored<'a>, wanted: &'a dyn Fn(&[u32]) -> bool) -> Self {
+        Self {
+            graph: Graph::new(explored),
+            index: vec![NEW; explored.markings],
+            low: vec![NEW; explored.markings],
+            open: Vec::new(),
+            frames: Vec::new(),
+            next: 0,
+            live: vec![true; explored.model.label_count()],
+            terminal: 0,
+            home_states: 0,
+            initial_component: None,
+            wanted,
+            without_wanted: None,
+        }
+    }
+
+    fn find(mut self, bytes: usize) -> Returns {
+        let initial = self.visit_all();
+        let reversible = self.initial_component.is_some() && self.reversible();
+        let no_return = (!reversible).then(|| self.no_return(initial)).flatten();
+        Returns {
+            reversible,
+            no_return,
+            terminal: self.terminal,
+            home_states: if self.terminal == 1 {
+                self.home_states
+            } else {
+                0
+            },
+            live: self.live,
+            bytes,
+        }
+    }
+
+    /// All components. The number of the initial marking.
+    fn visit_all(&mut self) -> usize {
+        let initial = self.graph.initial().unwrap_or(0);
+        self.visit(initial);
+        while let Some(frame) = self.frames.last() {
+            let (node, position) = (frame.node, frame.position as usize);
+            self.graph.expand(node as usize);
+            let enabled = std::mem::take(&mut self.graph.scratch.enabled);
+            let mut rest = enabled.iter().skip(position);
+            if !rest.any(|transition| self.follow(node, *transition)) {
+                self.leave(initial);
+            }
+            self.graph.scratch.enabled = enabled;
+        }
+        initial
+    }
+
+    /// Whether the initial marking's component is the only one.
+    fn reversible(&self) -> bool {
+        let first = self.initial_component;
+        self.low.iter().all(|component| Some(*component) == first)
+    }
+
+    /// The nearest marking outside the component of the initial one, which no other leads back into:
+    /// all markings are reachable, so those that return are in it.
+    fn no_return(&self, initial: usize) -> Option<Vec<u32>> {
+        let own = self.low[initial];
+        let explored = self.graph.explored;
+        let mut best: Option<(usize, Vec<u32>)> = None;
+        for (worker, first) in explored.stores().iter().zip(&self.graph.offsets) {
+            let outside = (0..worker.len()).find(|id| self.low[first + id] != own);
+            if let Some(id) = outside {
+                // A number within one worker has 32 bits.
+                let id = id as u32;
+                let mut marking = Vec::new();
+                explored
+                    .rules
+                    .layout
+                    .unpack(worker.store().get(id), &mut marking);
+                let found = (worker.level_of(id), marking);
+                best = Some(best.map_or(found.clone(), |best| best.min(found)));
+            }
+        }
+        best.map(|(_, marking)| marking)
+    }
+
+    fn visit(&mut self, node: usize) {
+        self.index[node] = self.next;
+        self.low[node] = self.next;
+        self.next += 1;
+        // Fewer than 2^32 markings in all: their lists are in memory.
+        let node = node as u32;
+        self.open.push(node);
+        self.frames.push(Frame {
+            node,
+            position: 0,
+            leaves: false,
+        });
+    }
+
+    /// Follows a firing of the top frame's marking. Whether that leads to a marking not yet visited.
+    fn follow(&mut self, node: u32, transition: TransitionNumber) -> bool {
+        let successor = self.graph.successor(node as usize, transition);
+        let Some(frame) = self.frames.last_mut() else {
+            return false;
+        };
+        frame.position += 1;
+        let Some(successor) = successor else {
+            return false;
+        };
+        match self.index[successor] {
+            NEW => {
+                self.visit(successor);
+                return true;
+            }
+            DONE => frame.leaves = true,
+            index => {
+                let low = &mut self.low[node as usize];
+                *low = (*low).min(index);
+            }
+        }
+        false
+    }
+
+    /// All successors of the top frame are looked at.
+    fn leave(&mut self, initial: usize) {
+        let Some(frame) = self.frames.pop() else {
+            return;
+        };
+        let node = frame.node as usize;
+        let low = self.low[node];
+        let complete = low == self.index[node];
+        if complete {
+            self.complete(frame.node, frame.leaves, initial);
+        }
+        if let Some(parent) = self.frames.last_mut() {
+            if complete {
+                parent.leaves = true;
+            } else {
+                parent.leaves |= frame.leaves;
+                let above = &mut self.low[parent.node as usize];
+                *above = (*above).min(low);
+            }
+        }
+    }
+
+    /// The nodes from `root` up on the open stack are a component. From here on `low` is its name.
+    fn complete(&mut self, root: u32, leaves: bool, initial: usize) {
+        let name = self.index[root as usize];
+        let mut fires = (!leaves).then(|| vec![false; self.live.len()]);
+        let mut size = 0;
+        let mut wanted = false;
+        while let Some(node) = self.open.pop() {
+            size += 1;
+            self.index[node as usize] = DONE;
+            self.low[node as usize] = name;
+            if node as usize == initial {
+                self.initial_component = Some(name);
+            }
+            if let Some(fires) = &mut fires {
+                self.graph.expand(node as usize);
+                wanted |= (self.wanted)(&self.graph.scratch.marking);
+                let transitions = &self.graph.explored.model.transitions;
+                for transition in &self.graph.scratch.enabled {
+                    if let Some(label) = transitions[*transition as usize].label {
+                        fires[label as usize] = true;
+                    }
+                }
+            }
+            if node == root {
+                break;
+            }
+        }
+        if let Some(fires) = fires {
+            if !wanted {
+                self.graph.expand(root as usize);
+                self.without_wanted = Some(self.graph.scratch.marking.clone());
+            }
+            self.terminal += 1;
+            self.home_states = size;
+            for (live, fires) in self.live.iter_mut().zip(fires) {
+                *live &= fires;
+            }
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! Everything that one look at a model tells, in numbers, whichever engine found it.
+
+use super::{
+    explicit::{Explored, Limits, Progress, Stopped, explore_with},
+    model::{Model, TransitionNumber},
+    returns::{Returns, returns},
+    symbolic::{self, Counted},
+};
+
+/// Markings that are always listed one by one before anything else is tried.
+const LISTED_FIRST: usize = 200_000;
+
+/// Bytes that a decision diagram may take: one that works is small.
+const DIAGRAM_BYTES: usize = 256 << 20;
+
+/// The engine that found the reachable markings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Engine {
+    /// One marking after the other.
+    Explicit,
+    /// Sets of markings as decision diagrams.
+    Symbolic,
+}
+
+/// What is known about a model. Where something is `None`, a limit came first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Verdict {
+    /// What found it.
+    pub engine: Engine,
+    /// Reachable markings; those found so far when not `complete`.
+    pub markings: u128,
+    /// Pairs of a reachable marking and a transition enabled in it.
+    pub edges: u128,
+    /// The most tokens in each place.
+    pub bounds: Vec<u32>,
+    /// The most tokens in a marking.
+    pub most_tokens: u64,
+    /// Whether every place has a bound.
+    pub bounded: Option<bool>,
+    /// Whether no place ever holds more than one token.
+    pub safe: Option<bool>,
+    /// Markings that nothing is sure to leave.
+    pub deadlocks: u128,
+    /// Whether every transition can become enabled again from every reachable marking.
+    pub live: Option<bool>,
+    /// Whether the initial marking can be reached from every reachable one.
+    pub reversible: Option<bool>,
+    /// Markings that can be reached from every reachable one.
+    pub home_states: Option<u128>,
+    /// Per label of [`Model::labels`], whether one of its transitions is enabled somewhere.
+    pub seen: Vec<bool>,
+    /// Whether all reachable markings were found.
+    pub complete: bool,
+    /// What ended the search before.
+    pub stopped: Option<Stopped>,
+    /// Bytes for the markings and what finds them, at most at any time.
+    pub peak_bytes: usize,
+}
+
+/// What was explored one by one, and what follows for the long run.
+pub struct Looked<'a> {
+    /// The markings.
+    pub explored: Explored<'a>,
+    /// Where they lead, when all were found and memory permitted.
+    pub returns: Option<Returns>,
+    /// All of it in numbers.
+    pub verdict: Verdict,
+    /// A shortest firing sequence to the nearest dead marking, and that marking, where decision
+    /// diagrams found one.
+    pub deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
+}
+
+/// Which engines may be used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Engines {
+    /// What suits the net.
+    #[default]
+    Both,
+    /// One marking after the other.
+    Explicit,
+    /// Decision diagrams if the net permits it.
+    Symbolic,
+}
+
+/// Explores a model: lists its markings if they are few; else counts them by decision diagrams, where
+/// that is permitted and works; else lists them as far as the limits permit.
+#[must_use]
+pub fn look<'a>(
+    model: &'a Model,
+    limits: &Limits,
+    engines: Engines,
+    progress: &mut dyn FnMut(&Progress),
+) -> Looked<'a> {
+    let diagrams = engines == Engines::Both || engines == Engines::Symbolic;
+    if !diagrams || limits.markings <= LISTED_FIRST || !symbolic::fits(model) {
+        return list(model, limits, progress);
+    }
+    let few = Limits {
+        markings: if engines == Engines::Both {
+            LISTED_FIRST
+        } else {
+            1
+        },
+        ..*limits
+    };
+    let first = list(model, &few, progress);
+    if first.verdict.complete || first.verdict.bounded.is_some() {
+        return first;
+    }
+    match symbolic::count(model, limits.bytes.min(DIAGRAM_BYTES)) {
+        Some(counted) if counted.markings <= limits.markings as u128 => {
+            counted_look(first, counted)
+        }
+        _ => list(model, limits, progress),
+    }
+}
+
+/// The answer of the diagrams, beside the few markings that were listed.
+fn counted_look<'a>(first: Looked<'a>, counted: Counted) -> Looked<'a> {
+    let model = first.explored.model;
+    let verdict = Verdict {
+        engine: Engine::Symbolic,
+        markings: counted.markings,
+        edges: counted.edges,
+        most_tokens: counted.most_tokens,
+        bounded: Some(true),
+        safe: Some(counted.bounds.iter().all(|bound| *bound <= 1)),
+        bounds: counted.bounds,
+        deadlocks: counted.deadlocks,
+        live: counted.live,
+        reversible: counted.reversible,
+        home_states: (counted.reversible == Some(true)).then_some(counted.markings),
+        seen: by_label(model, &counted.seen),
+        complete: true,
+        stopped: None,
+        peak_bytes: first.verdict.peak_bytes.max(counted.bytes),
+    };
+    Looked {
+        verdict,
+        deadlock: counted.deadlock,
+        ..first
+    }
+}
+
+/// Lists the markings of a model one after the other.
+#[must_use]
+pub fn list<'a>(
+    model: &'a Model,
+    limits: &Limits,
+    progress: &mut dyn FnMut(&Progress),
+) -> Looked<'a> {
+    let explored = explore_with(model, limits, progress);
+    let left = limits.bytes.saturating_sub(explored.peak_bytes);
+    let complete = explored.complete();
+    let returns = complete.then(|| returns(&explored, left)).flatten();
+    let verdict = verdict(&explored, returns.as_ref());
+    Looked {
+        deadlock: None,
+        explored,
+        returns,
+        verdict,
+    }
+}
+
+/// Per label, whether one of its transitions is enabled somewhere.
+fn by_label(model: &Model, enabled: &[bool]) -> Vec<bool> {
+    let mut seen = vec![false; model.label_count()];
+    for (transition, enabled) in model.transitions.iter().zip(enabled) {
+        if let (Some(label), true) = (transition.label, enabled) {
+            seen[label as usize] = true;
+        }
+    }
+    seen
+}
+
+fn verdict(explored: &Explored<'_>, returns: Option<&Returns>) -> Verdict {
+    let complete = explored.complete();
+    let most = explored.bounds.iter().copied().max().unwrap_or(0);
+    let labels = explored.model.label_count();
+    Verdict {
+        engine: Engine::Explicit,
+        markings: explored.markings as u128,
+        edges: u128::from(explored.edges),
+        bounds: explored.bounds.clone(),
+        most_tokens: explored.most_tokens,
+        bounded: match (complete, &explored.growth) {
+            (true, _) => Some(true),
+            (false, Some(_)) => Some(false),
+            (false, None) => None,
+        },
+        safe: match (complete, most > 1) {
+            (_, true) => Some(false),
+            (true, false) => Some(true),
+            (false, false) => None,
+        },
+        deadlocks: u128::from(explored.dead_count),
+        live: match returns {
+            Some(returns) => Some(returns.all_live()),
+            // What cannot fire at some reachable marking, nor after it, is not live.
+            None if explored.dead_count > 0 && labels > 0 => Some(false),
+            None => None,
+        },
+        reversible: returns.map(|returns| returns.reversible),
+        home_states: returns.map(|returns| returns.home_states as u128),
+        seen: by_label(explored.model, &explored.seen),
+        complete,
+        stopped: explored.stopped,
+        peak_bytes: explored
+            .peak_bytes
+            .max(returns.map_or(0, |returns| explored.bytes() + returns.bytes)),
+    }
+}

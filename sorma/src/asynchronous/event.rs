@@ -1,0 +1,36 @@
+//! The class `event`: whoever asks it with EXEC notifies all who subscribe to it.
+
+use crate::object::{Context, Outcome, ServiceObject};
+use crate::options::OptionTable;
+use crate::transport::Transport;
+use std::sync::LazyLock;
+
+#[derive(Debug, Clone, Default)]
+pub(super) struct Event;
+
+pub(super) static OPTIONS: LazyLock<OptionTable<Event>> = LazyLock::new(|| {
+    OptionTable::new(
+        "notifies. EXEC with any data: all who subscribe to the object get the data (in code with `Sorm::subscribe`, \
+         in text with a `stream`); it answers the same data. A flavor of one's own, with an empty recipe, is an event \
+         of one's own",
+    )
+});
+
+#[derive(Default)]
+pub(super) struct EventObject(Event);
+
+impl ServiceObject for EventObject {
+    fn exec(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
+        // What an EXEC answers goes to all who subscribe: here that is what it was given.
+        Ok(())
+    }
+
+    fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        OPTIONS.ctrl(&mut self.0, io);
+        Ok(())
+    }
+
+    fn dump(&self) -> String {
+        String::new()
+    }
+}

@@ -1,0 +1,368 @@
+//! Everything of this crate that reads texts or bytes from outside, fed with mutations of a kept corpus.
+//!
+//! A target must answer any input with a value or an error: never with a panic, never without end; and what
+//! it reads it must print and read again as the same. The seed is fixed, so the short run of every test is the
+//! same each time; `CTOS_FUZZ_SECONDS` makes it longer (for all targets together) and then other. An
+//! input that fails is written into the corpus, where the next run begins with it.
+
+use crate::asynchronous;
+use crate::demo;
+use crate::dictionary::Dictionary;
+use crate::name::ObjectName;
+use crate::report::Report;
+use crate::request::{Reply, Request};
+use crate::results::Sample;
+use crate::sorm::Sorm;
+use crate::trade::{Wanted, attributes};
+use crate::transport::Transport;
+use crate::words;
+use ctos::diagnostic::Source;
+use ctos::message::Data;
+use ctos::time::Clock;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Seconds for all targets together.
+const SECONDS: f64 = 7.0;
+
+/// The longest input, bytes.
+const LONGEST: usize = 2048;
+
+/// What is done with an input.
+type Target = fn(&[u8]);
+
+const TARGETS: [(&str, Target); 7] = [
+    ("request", request),
+    ("reply", reply),
+    ("options", options),
+    ("dictionary", dictionary),
+    ("names", names),
+    ("dispatch", dispatch),
+    ("payload", payload),
+];
+
+/// Pieces that mean something to one target or another.
+const PIECES: [&str; 40] = [
+    " EXEC",
+    " CTRL",
+    " DBX",
+    " RET 0",
+    " RET -1",
+    " TMSG ",
+    " FMSG 2 1 -0.0",
+    " IMSG 1 7",
+    " TDBX ",
+    "FMSG 18446744073709551615",
+    "nan:7ff8000000000001",
+    "nan",
+    "-inf",
+    "1e-400",
+    "5e-324",
+    "'",
+    "\"",
+    "\\",
+    "\\u{1f600}",
+    "\\u{",
+    "\n",
+    "\t",
+    "\u{0}",
+    "é",
+    "@d1",
+    "@self",
+    "@h:0x14",
+    ".a",
+    "#",
+    " -SUBST foo.a",
+    " -tea 1.5",
+    " -where garden",
+    " -dump",
+    " -help",
+    "error 5 a b 1 c 2 \"d\"",
+    "trade",
+    "<=",
+    "!=",
+    " -least ",
+    "-9223372036854775808",
+];
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// What is read is printed, and read from that as the same.
+fn request(bytes: &[u8]) {
+    if let Ok(read) = text(bytes).parse::<Request>() {
+        let line = read.to_text().unwrap();
+        let again = line.parse::<Request>().unwrap();
+        assert_eq!(again.to_text().unwrap(), line);
+        assert_eq!(again.body.text, read.body.text);
+        assert_eq!(again.body.reports, read.body.reports);
+    }
+}
+
+fn reply(bytes: &[u8]) {
+    let text = text(bytes);
+    if let Ok(read) = text.parse::<Reply>() {
+        let line = read.to_text().unwrap();
+        let again = line.parse::<Reply>().unwrap();
+        assert_eq!(again.to_text().unwrap(), line);
+        assert_eq!(again.body.code, read.body.code);
+    }
+    for line in text.lines() {
+        let report = Report::from_line(line);
+        assert_eq!(Report::from_line(&report.to_line()), report);
+    }
+}
+
+fn kitchen() -> Sorm {
+    let mut dictionary = Dictionary::new();
+    dictionary
+        .load(&Source::new("demo", demo::DICTIONARY))
+        .unwrap();
+    let sorm = Sorm::new(dictionary);
+    demo::register(&sorm);
+    asynchronous::register(&sorm);
+    sorm
+}
+
+/// Options that are wrong leave the object as it was, and a dump is taken back.
+fn options(bytes: &[u8]) {
+    let sorm = kitchen();
+    for name in ["foo", "bar", "later", "stream"] {
+        let object = sorm.get(name).unwrap();
+        let before = object.dump();
+        let io = sorm.ctrl_text(&object.slot, &text(bytes));
+        let after = object.dump().unwrap();
+        if !io.is_ok() {
+            assert_eq!(before.as_ref(), Some(&after));
+        }
+        let options = after.lines().next().unwrap();
+        let io = sorm.ctrl_text(&object.slot, options);
+        assert!(io.is_ok(), "{options}: {:?}", io.reports);
+        assert_eq!(object.dump().unwrap(), after);
+    }
+}
+
+/// A file is read as a whole or not at all, and every recipe ends.
+fn dictionary(bytes: &[u8]) {
+    let source = Source::new("fuzz.dict", text(bytes));
+    let mut dictionary = Dictionary::new();
+    match dictionary.load(&source) {
+        Ok(()) => {
+            for index in dictionary.index() {
+                let _ = dictionary.recipe(index);
+                let words = dictionary.entry(index).unwrap();
+                let _ = Wanted::read(index, words);
+            }
+        }
+        Err(findings) => {
+            assert!(findings.iter().all(|finding| finding.place.is_some()));
+            assert_eq!(dictionary, Dictionary::new());
+        }
+    }
+    let variables = [("SORMA_foo__a".to_owned(), text(bytes))];
+    let _ = dictionary.load_environment(variables);
+}
+
+fn names(bytes: &[u8]) {
+    let text = text(bytes);
+    if let Ok(name) = text.parse::<ObjectName>() {
+        assert_eq!(name.to_string().parse::<ObjectName>().unwrap(), name);
+    }
+    if let Ok(split) = words::split(&text) {
+        let split: Vec<String> = split.into_iter().map(|word| word.text).collect();
+        let joined = words::join(split.iter().map(String::as_str));
+        let again = words::split(&joined).unwrap();
+        let again: Vec<String> = again.into_iter().map(|word| word.text).collect();
+        assert_eq!(again, split);
+        if let Ok(wanted) = Wanted::read("FOO", &split) {
+            let _ = wanted.is_met_by(&attributes(&text).unwrap_or_default());
+        }
+    }
+}
+
+/// Any line is answered by one that can be read, and the manager goes on.
+fn dispatch(bytes: &[u8]) {
+    let sorm = kitchen();
+    for line in text(bytes).lines() {
+        let first = line.split_whitespace().next().unwrap_or_default();
+        // Requests that would write files are none of this.
+        if line.contains("-save") || line.contains("-reload") || first.starts_with("flight") {
+            continue;
+        }
+        let answer = sorm.dispatch(line);
+        assert!(answer.parse::<Reply>().is_ok(), "{answer}");
+    }
+    assert!(sorm.dispatch("bar DBX -version").contains("RET 0"));
+}
+
+/// What a daemon and its callers send each other.
+fn payload(bytes: &[u8]) {
+    let data = || Data::Bytes(bytes.to_vec());
+    let _ = data().take::<crate::daemon::Ask>();
+    let _ = data().take::<crate::daemon::Tell>();
+    let _ = data().take::<crate::daemon::Say>();
+    let _ = data().take::<Transport>();
+    let _ = data().take::<Option<Vec<Sample>>>();
+}
+
+fn corpus(target: &str) -> PathBuf {
+    let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
+    tests.join("corpus").join(target)
+}
+
+/// What this version itself takes or writes for a target.
+fn own(target: &str) -> Vec<Vec<u8>> {
+    let texts: &[&str] = match target {
+        "request" => &[
+            "foo.a@d1 EXEC TMSG 'a b' FMSG 2 1.5 nan IMSG 1 -3 TDBX \"watch\\nthe ice\"",
+            "FOO CTRL -breakfast on -where garden",
+        ],
+        "reply" => {
+            &["foo.a RET 5 TMSG text FMSG 1 -0.0 TDBX \"error 5 foo.a cage 12 a.rs 7 \\\"no\\\"\""]
+        }
+        "options" => &[
+            "-tea 1.5 -ice crushed",
+            "-breakfast -where kitchen -dump",
+            "-from a -keep every -capacity 3",
+        ],
+        "dictionary" => &[
+            demo::DICTIONARY,
+            "FOO trade arm=left price<=3 -least price -among d1,d2\nd1 self # here\na \\\n -SUBST b\n",
+        ],
+        "names" => &[
+            "foo.a@druide:0x14",
+            "SCALE.two",
+            "arm=left 'note=two words' -most speed",
+        ],
+        "dispatch" => &[
+            "foo.a EXEC\nbar EXEC\nfoo.a CTRL -drink bar\nfoo.a EXEC",
+            "dict CTRL -add foo.c '-SUBST foo.a -tempo adagio'\nfoo.c EXEC\nsorm CTRL -list -free foo.c",
+            "later EXEC ask 'bar EXEC'\nlater EXEC collect 1\nfork EXEC 'bar EXEC' 'foo.a EXEC'",
+            "stream CTRL -from bar -keep every\nstream EXEC begin\nbar EXEC\nstream EXEC next\nstream EXEC status",
+            "sorm CTRL -lock bar 10 -prepare p 'bar EXEC' -abort p -offer bar 'a=1' -offers -market",
+        ],
+        _ => &[],
+    };
+    let mut own: Vec<Vec<u8>> = texts.iter().map(|text| text.as_bytes().to_vec()).collect();
+    if target == "payload" {
+        let mut body = Transport::floats([1.0, f64::NAN]).from("client@desk");
+        body.text = "fkine".to_owned();
+        body.report(Report::warning(101, "the glass is cold"));
+        own.push(Data::of(body).into_bytes().unwrap());
+    }
+    own
+}
+
+/// The inputs that a target begins with: its own, and those that are kept, by name.
+fn kept(target: &str) -> Vec<Vec<u8>> {
+    let mut files: Vec<PathBuf> = match std::fs::read_dir(corpus(target)) {
+        Ok(files) => files.map(|file| file.unwrap().path()).collect(),
+        Err(_) => Vec::new(),
+    };
+    files.sort();
+    let kept = files.iter().map(|file| std::fs::read(file).unwrap());
+    own(target).into_iter().chain(kept).collect()
+}
+
+/// An input that is like one of the corpus, but for one to six changes.
+fn mutated(corpus: &[Vec<u8>], rng: &mut impl Rng) -> Vec<u8> {
+    let mut input = corpus[rng.random_range(0..corpus.len())].clone();
+    for _ in 0..rng.random_range(1..=6) {
+        let place = rng.random_range(0..=input.len());
+        let end = rng.random_range(place..=input.len());
+        match rng.random_range(0..5) {
+            0 => drop(input.drain(place..end)),
+            1 => input.insert(place, rng.random()),
+            2 => {
+                let piece = PIECES[rng.random_range(0..PIECES.len())];
+                drop(input.splice(place..place, piece.bytes()));
+            }
+            3 => {
+                let again = input[place..end].to_vec();
+                drop(input.splice(place..place, again));
+            }
+            _ => {
+                let other = &corpus[rng.random_range(0..corpus.len())];
+                let from = rng.random_range(0..=other.len());
+                drop(input.splice(place.., other[from..].iter().copied()));
+            }
+        }
+        input.truncate(LONGEST);
+    }
+    input
+}
+
+fn fail(name: &str, input: &[u8]) -> ! {
+    let digest = input
+        .iter()
+        .fold(0xcbf2_9ce4_8422_2325_u64, |digest, byte| {
+            (digest ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+    std::fs::create_dir_all(corpus(name)).unwrap();
+    let file = corpus(name).join(format!("failed-{digest:016x}"));
+    std::fs::write(&file, input).unwrap();
+    panic!("`{name}` failed; its input is kept in {}", file.display());
+}
+
+fn play(name: &str) {
+    let (_, target) = TARGETS.iter().find(|(found, _)| *found == name).unwrap();
+    let wanted = std::env::var("CTOS_FUZZ_SECONDS").ok();
+    let wanted: Option<f64> = wanted.map(|text| text.parse().unwrap());
+    let share = Duration::from_secs_f64(wanted.unwrap_or(SECONDS)) / TARGETS.len() as u32;
+    let seed = if wanted.is_some() { rand::random() } else { 1 };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let corpus = kept(name);
+    let passes = |input: &[u8]| catch_unwind(AssertUnwindSafe(|| target(input))).is_ok();
+    for input in &corpus {
+        if !passes(input) {
+            fail(name, input);
+        }
+    }
+    let clock = Clock::real();
+    let end = clock.now() + share;
+    while clock.now() < end {
+        let input = mutated(&corpus, &mut rng);
+        if !passes(&input) {
+            fail(name, &input);
+        }
+    }
+}
+
+#[test]
+fn requests_take_any_text() {
+    play("request");
+}
+
+#[test]
+fn replies_and_reports_take_any_text() {
+    play("reply");
+}
+
+#[test]
+fn options_take_any_text() {
+    play("options");
+}
+
+#[test]
+fn dictionaries_take_any_text() {
+    play("dictionary");
+}
+
+#[test]
+fn names_and_requirements_take_any_text() {
+    play("names");
+}
+
+#[test]
+fn the_manager_answers_any_line() {
+    play("dispatch");
+}
+
+#[test]
+fn payloads_take_any_bytes() {
+    play("payload");
+}

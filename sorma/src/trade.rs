@@ -1,0 +1,183 @@
+//! Trading: several daemons offer a class, and a request goes to the one that suits it best (SORMA technical
+//! report, sections 1.4.3 and 3.5).
+//!
+//! What is traded is written where daemons are named: in the dictionary, `SCALE trade arm=left -least price`
+//! in place of `SCALE d1`. A daemon offers a class with attributes, in its configuration or by
+//! `sorm CTRL -offer`. The offers that meet the requirements are ranked: those of daemons that answer before
+//! those that do not or are slow, then by attributes, then whoever had the object before, then by how long
+//! the daemon's answers took. Every client measures for itself.
+
+mod market;
+mod wanted;
+
+pub use market::Ranked;
+pub(crate) use market::{Market, listed};
+pub use wanted::{Attributes, Wanted, attributes};
+
+use crate::comm::Comm;
+use crate::name::{Location, ObjectName};
+use crate::report::Report;
+use crate::request::{Method, Request};
+use crate::sorm::Sorm;
+use crate::transport::Transport;
+use ctos::time::Instant;
+use futures_util::future::{Either, join_all, select};
+use std::pin::pin;
+use std::time::Duration;
+
+/// A daemon is asked for its offers again when the last answer is older than this.
+const REFRESH: Duration = Duration::from_secs(1);
+
+/// How long one waits for the first answer of a daemon that one knows nothing about.
+const FIRST: Duration = Duration::from_secs(2);
+
+impl Sorm {
+    /// Offers a class to others, with attributes; an earlier offer of it is replaced.
+    pub fn offer(&self, class: &str, attributes: Attributes) {
+        self.inner.market.lock().offer(class, attributes);
+    }
+
+    /// Offers a class no more. Says whether it was offered.
+    pub fn withdraw(&self, class: &str) -> bool {
+        self.inner.market.lock().withdraw(class)
+    }
+
+    /// What this process offers: a line for each class, `class attribute=value ...`.
+    #[must_use]
+    pub fn offers(&self) -> Vec<String> {
+        listed(self.inner.market.lock().own())
+    }
+
+    /// What is known about the daemons that were asked for offers: a line for each.
+    #[must_use]
+    pub fn market(&self) -> Vec<String> {
+        self.inner.market.lock().lines(self.now())
+    }
+
+    /// The offers for an object, the best first. Daemons that are not known yet are asked and waited for,
+    /// the others are asked again beside it.
+    ///
+    /// # Errors
+    /// Nobody offers the class as it is wanted; what is missing is told.
+    pub async fn offers_for(
+        &self,
+        comm: &dyn Comm,
+        name: &ObjectName,
+        wanted: &Wanted,
+    ) -> Result<Vec<Ranked>, Report> {
+        let daemons = match wanted.among() {
+            [] => comm.daemons(),
+            among => among.to_vec(),
+        };
+        let (mut unknown, mut known) = (Vec::new(), Vec::new());
+        for daemon in &daemons {
+            let due = self.inner.market.lock().begin(daemon, self.now(), REFRESH);
+            match due {
+                Some(true) => known.push(daemon.clone()),
+                Some(false) => unknown.push(daemon.clone()),
+                None => {}
+            }
+        }
+        for daemon in known {
+            self.look_beside(comm, daemon).await;
+        }
+        if !unknown.is_empty() {
+            let asked = unknown.iter().map(|daemon| self.look(comm, daemon));
+            let asked = pin!(join_all(asked));
+            if let Either::Right(_) = select(asked, comm.sleep(FIRST)).await {
+                tracing::warn!(?unknown, "not all daemons have told what they offer");
+                let now = self.now();
+                self.inner.market.lock().given_up(&unknown, now);
+            }
+        }
+        let market = self.inner.market.lock();
+        let ranked = market.rank(&daemons, name, wanted, self.now());
+        if ranked.is_empty() {
+            return Err(wanted.unmet(name, &market.said(&daemons, name.class())));
+        }
+        Ok(ranked)
+    }
+
+    /// Asks a daemon what it offers while the caller goes on.
+    async fn look_beside(&self, comm: &dyn Comm, daemon: String) {
+        let (sorm, name) = (self.clone(), daemon.clone());
+        let begun = comm.spawn(Box::new(move |comm| {
+            Box::pin(async move { sorm.look(&*comm, &name).await })
+        }));
+        if begun.is_err() {
+            self.look(comm, &daemon).await;
+        }
+    }
+
+    /// Asks a daemon what it offers, and how long that takes.
+    async fn look(&self, comm: &dyn Comm, daemon: &str) {
+        let Ok(name) = "sorm".parse() else { return };
+        let request = Request {
+            name,
+            method: Method::Ctrl,
+            body: Transport::text("-offers"),
+        };
+        let asked = self.now();
+        let at = Location::Alias(daemon.to_owned());
+        let answer = comm.ask_once(&at, request).await;
+        let now = self.now();
+        let mut market = self.inner.market.lock();
+        match answer {
+            Ok(answer) if answer.is_ok() => market.heard(daemon, &answer.text, asked, now),
+            Ok(_) => market.heard(daemon, "", asked, now),
+            Err(_) => market.down(daemon, now),
+        }
+    }
+
+    /// Has a request met by whoever offers it best. When a daemon gives no answer the next one is asked, if
+    /// the request was certainly not executed, or if the caller has said that twice does no harm.
+    pub(crate) async fn ask_traded(
+        &self,
+        comm: &dyn Comm,
+        wanted: &Wanted,
+        name: &ObjectName,
+        method: Method,
+        body: &mut Transport,
+    ) {
+        let offers = match self.offers_for(comm, name, wanted).await {
+            Ok(offers) => offers,
+            Err(report) => return self.unanswered(name, body, report),
+        };
+        let mut left = comm.retries();
+        let mut last = None;
+        for offer in offers {
+            let at = Location::Alias(offer.daemon.clone());
+            let request = Request {
+                name: name.here(),
+                method,
+                body: body.clone(),
+            };
+            self.used(&at, &request.name);
+            match comm.ask_once(&at, request).await {
+                Ok(answer) => {
+                    *body = answer;
+                    let moved = self.inner.market.lock().chose(name, &offer.daemon);
+                    if let Some(from) = moved {
+                        tracing::info!(object = %name, from, to = offer.daemon, "its requests go to another daemon");
+                    }
+                    return;
+                }
+                Err(lost) => {
+                    self.lost(&offer.daemon);
+                    if lost.perhaps_executed && left == 0 {
+                        return self.unanswered(name, body, lost.report);
+                    }
+                    left -= u32::from(lost.perhaps_executed);
+                    last = Some(lost.report);
+                }
+            }
+        }
+        let report = last.unwrap_or_else(|| wanted.unmet(name, &[]));
+        self.unanswered(name, body, report);
+    }
+
+    fn lost(&self, daemon: &str) {
+        let now: Instant = self.now();
+        self.inner.market.lock().down(daemon, now);
+    }
+}
