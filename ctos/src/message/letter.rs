@@ -5,6 +5,11 @@
 //! those that give more than they take, through one store of the process. As with the caches of the
 //! allocator, nobody can tell from what a message does where its memory came from.
 
+#![allow(
+    clippy::vec_box,
+    reason = "letters are passed on by their boxes, which is what is kept"
+)]
+
 use std::{
     cell::RefCell,
     sync::{
