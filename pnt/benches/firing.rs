@@ -7,14 +7,21 @@
     reason = "a benchmark may end when its input is wrong"
 )]
 
-use std::{fmt::Write as _, sync::Arc};
+use std::{
+    fmt::Write as _,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
+use crossbeam_queue::ArrayQueue;
 use ctos::diagnostic::Source;
 use divan::{Bencher, black_box, counter::ItemsCount};
 use pnt::{
     compile,
-    exec::{Conflicts, Execution, Race},
-    net::Net,
+    exec::{Conflicts, Execution, FiringId, Race},
+    net::{Net, TransitionId},
 };
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -108,6 +115,47 @@ fn two_phases(bencher: Bencher, (length, tokens): (usize, usize)) {
                 black_box(execution.complete(firing).unwrap());
             }
         }
+    });
+}
+
+/// Actions that are done by worker threads (arguments: how many): the net's thread starts firings and
+/// completes those that come back, the workers take what is started. The actions themselves do nothing.
+#[divan::bench(args = [1, 2], sample_count = 5)]
+fn through_workers(bencher: Bencher, workers: usize) {
+    let mut execution = Execution::new(ring(100, 1_000, "  do something\n"));
+    let started: ArrayQueue<(FiringId, TransitionId)> = ArrayQueue::new(1024);
+    let ended: ArrayQueue<(FiringId, bool)> = ArrayQueue::new(1024);
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    while let Some((firing, id)) = started.pop() {
+                        let succeeded = black_box(id.index()) != usize::MAX;
+                        ended.push((firing, succeeded)).unwrap();
+                    }
+                    std::thread::yield_now();
+                }
+            });
+        }
+        bencher.counter(ItemsCount::new(FIRINGS)).bench_local(|| {
+            let (mut begun, mut done) = (0, 0);
+            while done < FIRINGS {
+                while begun < FIRINGS && begun - done < 1024 {
+                    let Some(id) = execution.choose(&mut Conflicts::Declared, |_| true) else {
+                        break;
+                    };
+                    started.push((execution.start(id).unwrap(), id)).unwrap();
+                    begun += 1;
+                }
+                while let Some((firing, succeeded)) = ended.pop() {
+                    assert!(succeeded);
+                    black_box(execution.complete(firing).unwrap());
+                    done += 1;
+                }
+            }
+        });
+        over.store(true, Ordering::Relaxed);
     });
 }
 

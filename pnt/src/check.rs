@@ -133,10 +133,8 @@ pub struct Options {
     pub limits: Limits,
     /// What to look with; questions and tapes need the markings one by one.
     pub engines: Engines,
-    /// Questions whether something can ever be.
-    pub can: Vec<String>,
-    /// Questions whether something always stays possible.
-    pub always: Vec<String>,
+    /// Questions about markings.
+    pub questions: Vec<(Asks, String)>,
     /// Whether to look at each command by itself as well.
     pub workflows: bool,
 }
@@ -149,11 +147,21 @@ impl Options {
             rule,
             limits,
             engines: Engines::Explicit,
-            can: Vec::new(),
-            always: Vec::new(),
+            questions: Vec::new(),
             workflows: false,
         }
     }
+}
+
+/// What is asked about markings of a kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asks {
+    /// Whether one can be reached.
+    Can,
+    /// Whether none can be reached.
+    Never,
+    /// Whether one can be reached from every reachable marking.
+    Always,
 }
 
 /// A question and its answer.
@@ -161,8 +169,8 @@ impl Options {
 pub struct Answered {
     /// The question as it was asked.
     pub question: String,
-    /// Whether it was asked if this always stays possible, not only if it can ever be.
-    pub always: bool,
+    /// What was asked.
+    pub asks: Asks,
     /// The answer.
     pub answer: Answer,
 }
@@ -173,8 +181,8 @@ impl Answered {
     pub fn yes(&self) -> Option<bool> {
         match self.answer {
             Answer::Unknown => None,
-            Answer::Witness(_) => Some(!self.always),
-            Answer::Proved(_) => Some(self.always),
+            Answer::Witness(_) => Some(self.asks == Asks::Can),
+            Answer::Proved(_) => Some(self.asks != Asks::Can),
         }
     }
 }
@@ -197,13 +205,9 @@ pub fn prove(
     }
     let model = Model::of_system(&system);
     let mut questions = Vec::new();
-    let can = options.can.iter().map(|text| (text, false));
-    for (text, always) in can.chain(options.always.iter().map(|text| (text, true))) {
-        questions.extend(
-            findings
-                .keep(Question::parse(text, &model))
-                .map(|q| (q, always)),
-        );
+    for (asks, text) in &options.questions {
+        let question = findings.keep(Question::parse(text, &model));
+        questions.extend(question.map(|question| (question, *asks)));
     }
     if findings.has_errors() {
         return Err(findings);
@@ -215,13 +219,13 @@ pub fn prove(
     } else {
         look(&model, &limits, options.engines, progress)
     };
-    let answered = |(question, always): (Question, bool)| Answered {
-        answer: match always {
-            false => question.can_be(&looked.explored),
-            true => question.stays_possible(&looked.explored, limits.bytes),
+    let answered = |(question, asks): (Question, Asks)| Answered {
+        answer: match asks {
+            Asks::Can | Asks::Never => question.can_be(&looked.explored),
+            Asks::Always => question.stays_possible(&looked.explored, limits.bytes),
         },
         question: question.to_string(),
-        always,
+        asks,
     };
     let answers = questions.into_iter().map(answered).collect();
     let grows = looked.explored.growth.is_some();

@@ -38,7 +38,7 @@ pub fn net_with(source: &Source, include: text::Include<'_>) -> Result<Net, Find
 }
 
 /// Compiles a net that is to be run, which must not fire for ever.
-fn runnable(draft: &Draft) -> Result<Net, Findings> {
+pub(crate) fn runnable(draft: &Draft) -> Result<Net, Findings> {
     let net = compile(draft)?;
     let mut findings = endless(&net);
     findings.extend(without_transitions(&net));

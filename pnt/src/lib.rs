@@ -4,6 +4,7 @@
 //! (architecture report, sections 6 and 7). From bottom to top:
 //!
 //! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
+//! - [`builder`]: a net made in Rust;
 //! - [`timing`]: when a transition fires;
 //! - [`pnml`] and [`tina`]: nets of other tools; [`format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
@@ -21,12 +22,15 @@
 //!   [`layout`]: where its nodes are drawn.
 
 pub mod analysis;
+pub mod builder;
 pub mod check;
 pub mod compile;
 pub mod compose;
 pub mod draft;
 pub mod exec;
 pub mod format;
+#[cfg(test)]
+mod fuzz;
 pub mod invariants;
 pub mod layout;
 pub mod library;

@@ -125,7 +125,7 @@ fn in_process() {
     );
     let folder = tempfile::tempdir().unwrap();
     let host = Host {
-        root: Some(folder.path().to_owned()),
+        root: Some(folder.path().join("shm")),
         ..Host::new("bench", Clock::real())
     };
     let mut dictionary = Dictionary::new();

@@ -250,7 +250,12 @@ impl Watchers {
             .filter_map(Weak::upgrade)
             .filter(|one| one.filter.read().wants(object, &word, io))
             .collect();
+        // One that was freed by the very request that it watched was still held then.
+        let has_gone = all.iter().any(|one| one.strong_count() == 0);
         drop(all);
+        if has_gone {
+            self.sweep();
+        }
         (!by.is_empty()).then(|| Begun {
             at: sorm.now(),
             object: object.to_owned(),

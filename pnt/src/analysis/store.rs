@@ -71,6 +71,14 @@ impl Store {
         &self.blocks[block][start..start + self.words]
     }
 
+    /// Whether a number is that of this marking. Most markings are one word.
+    fn is(&self, id: u32, marking: &[u64]) -> bool {
+        match marking {
+            [word] => self.blocks[id as usize / BLOCK][id as usize % BLOCK] == *word,
+            _ => self.get(id) == marking,
+        }
+    }
+
     /// First look at the table; those of several markings overlap in time.
     pub(super) fn probe(&self, sum: u64) -> Probe {
         // The upper bits decide which thread owns a marking; the lower ones its slot.
@@ -88,7 +96,7 @@ impl Store {
             if id == EMPTY {
                 return None;
             }
-            if self.get(id) == marking {
+            if self.is(id, marking) {
                 return Some(id);
             }
             slot = (slot + 1) & self.mask;
@@ -97,7 +105,7 @@ impl Store {
 
     /// The number of a marking and whether it is new. The probe may be older than the last insertion.
     pub(super) fn insert(&mut self, marking: &[u64], sum: u64, probe: Probe) -> (u32, bool) {
-        if probe.first != EMPTY && self.get(probe.first) == marking {
+        if probe.first != EMPTY && self.is(probe.first, marking) {
             return (probe.first, false);
         }
         if (self.count + 1) * 4 > self.table.len() * 3 {
@@ -109,7 +117,7 @@ impl Store {
             if id == EMPTY {
                 break;
             }
-            if self.get(id) == marking {
+            if self.is(id, marking) {
                 return (id, false);
             }
             slot = (slot + 1) & self.mask;

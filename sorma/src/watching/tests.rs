@@ -45,11 +45,12 @@ fn a_watcher_sees_what_it_wants_and_nothing_else() {
     assert_eq!(all, ["foo.a EXEC", "foo.b CTRL", "dict CTRL"]);
     let own = seen(&sorm, "watch.foo");
     assert_eq!(own.len(), 1);
-    assert_eq!(own[0].request, "foo.b CTRL -dump");
+    assert_eq!(own[0].request, "foo.b CTRL TMSG -dump");
     let reply: Reply = own[0].reply.parse().unwrap();
     assert!(reply.body.text.starts_with("-"), "{reply:?}");
     assert_eq!(seen(&sorm, "watch.all"), []);
     ask(&sorm, "sorm CTRL -free watch.all -free watch.foo");
+    ask(&sorm, "foo.a EXEC");
     assert_eq!(sorm.watchers().count.load(Ordering::Relaxed), 0);
 }
 

@@ -10,7 +10,7 @@ use ctos::{config::Selection, diagnostic::Findings, registry::Registry, time::Cl
 use indicatif::ProgressBar;
 use pnt::{
     analysis::{explicit::Progress, verdict::Engines},
-    check::{self, Limits, Options, Proof, Rule},
+    check::{self, Asks, Limits, Options, Proof, Rule},
     format,
     net::Net,
     task,
@@ -57,6 +57,9 @@ pub struct CheckArgs {
     /// Ask whether a marking like this can be reached, for example `--can "gripper & parts >= 2"` (can be repeated)
     #[arg(long, value_name = "QUESTION")]
     pub can: Vec<String>,
+    /// Ask whether no marking like this can be reached (can be repeated)
+    #[arg(long, value_name = "QUESTION")]
+    pub never: Vec<String>,
     /// Ask whether a marking like this can be reached from every reachable one (can be repeated)
     #[arg(long, value_name = "QUESTION")]
     pub always: Vec<String>,
@@ -211,8 +214,7 @@ fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
             threads: usize::from(args.threads),
         },
         engines: args.engine.into(),
-        can: args.can.clone(),
-        always: args.always.clone(),
+        questions: questions(args),
         workflows: rule == Rule::Rest,
     };
     let clock = Clock::real();
@@ -235,6 +237,18 @@ fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
         answer.text()
     });
     code
+}
+
+fn questions(args: &CheckArgs) -> Vec<(Asks, String)> {
+    let lists = [
+        (Asks::Can, &args.can),
+        (Asks::Never, &args.never),
+        (Asks::Always, &args.always),
+    ];
+    let asked = lists
+        .into_iter()
+        .flat_map(|(asks, texts)| texts.iter().map(move |t| (asks, t)));
+    asked.map(|(asks, text)| (asks, text.clone())).collect()
 }
 
 /// Not proved for want of room is no fault of the nets; a question may be answered all the same.

@@ -8,7 +8,7 @@ use pnt::{
         question::{self, Because},
         verdict::Engine,
     },
-    check::{Answered, Proof},
+    check::{Answered, Asks, Proof},
     net::Net,
 };
 use serde::Serialize;
@@ -79,7 +79,11 @@ impl Asked {
         };
         let mut asked = Self {
             question: answered.question.clone(),
-            asks: if answered.always { "always" } else { "can" },
+            asks: match answered.asks {
+                Asks::Can => "can",
+                Asks::Never => "never",
+                Asks::Always => "always",
+            },
             answer: answered.yes(),
             sequence: None,
             marking: None,

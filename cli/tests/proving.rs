@@ -1,0 +1,212 @@
+//! `ctos net check`: its page says what is so, its JSON object has what scripts rely on, and its exit codes
+//! are those of the list.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test ends when it cannot start"
+)]
+
+mod common;
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use common::root;
+use serde_json::Value;
+
+fn ctos(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_ctos"))
+        .current_dir(folder)
+        .args(arguments)
+        .output()
+        .expect("ctos runs")
+}
+
+/// The words of a command line; quotes keep words together.
+fn words(line: &str) -> Vec<String> {
+    let mut words = Vec::new();
+    for (number, part) in line.split('"').enumerate() {
+        if number % 2 == 1 {
+            words.push(part.to_owned());
+        } else {
+            words.extend(part.split_whitespace().map(str::to_owned));
+        }
+    }
+    words
+}
+
+#[test]
+fn the_page_about_proving_shows_what_the_command_prints() {
+    let page = fs::read_to_string(root().join("docs/proving.md")).expect("the page");
+    let folder = tempfile::tempdir().expect("a folder");
+    std::os::unix::fs::symlink(root().join("configs"), folder.path().join("configs"))
+        .expect("the configurations");
+    let mut now = page.clone();
+    let mut commands = 0;
+    for block in page.split("\n```").skip(1).step_by(2) {
+        let (head, body) = block.split_once('\n').expect("a block has lines");
+        if let Some(name) = head.strip_prefix("net ") {
+            fs::write(folder.path().join(name), format!("{body}\n")).expect("a net");
+        } else if head == "console" {
+            let (command, said) = body.split_once('\n').expect("a command and what it says");
+            let line = command.strip_prefix("$ ctos ").expect("a command of ctos");
+            let arguments = words(line);
+            let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+            let output = ctos(folder.path(), &arguments);
+            let out = String::from_utf8(output.stdout).expect("text");
+            now = now.replace(
+                &format!("{command}\n{said}"),
+                &format!("{command}\n{}", out.trim_end()),
+            );
+            commands += 1;
+        }
+    }
+    assert!(commands >= 5, "{commands}");
+    if std::env::var_os("UPDATE").is_some() {
+        fs::write(root().join("docs/proving.md"), &now).expect("the page is written");
+    } else {
+        assert_eq!(
+            page, now,
+            "UPDATE=1 cargo test -p cli --test proving writes the page anew"
+        );
+    }
+}
+
+/// The object in the last line of a check of this net, and the exit code.
+fn checked(text: &str, arguments: &[&str]) -> (Value, Option<i32>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("n.net"), text).expect("a net");
+    let all = [&["net", "check", "n.net", "--json"], arguments].concat();
+    let output = ctos(folder.path(), &all);
+    let out = String::from_utf8(output.stdout).expect("text");
+    let last = out.lines().last().unwrap_or("null");
+    (
+        serde_json::from_str(last).expect("JSON"),
+        output.status.code(),
+    )
+}
+
+const BUFFER: &str = "net pc
+place ready = 1, made, idle = 1, got, items, room = 3
+transition make\n  in ready\n  out made
+transition put\n  in made, room\n  out ready, items
+transition get\n  in idle, items\n  out got, room
+transition use\n  in got\n  out idle\n";
+
+#[test]
+fn a_sound_net_has_exit_code_0_and_every_number() {
+    let (object, code) = checked(BUFFER, &[]);
+    assert_eq!(code, Some(0), "{object}");
+    // 2 states each, and 0 to 3 items. Of the 16 markings, 8 enable `make`, 6 `put`, 6 `get`, 8 `use`.
+    let expected = [
+        ("places", 6),
+        ("transitions", 4),
+        ("arcs", 12),
+        ("markings", 16),
+        ("edges", 28),
+        ("max_tokens_in_place", 3),
+        ("max_tokens_in_marking", 5),
+        ("deadlocks", 0),
+    ];
+    for (key, number) in expected {
+        assert_eq!(object[key], number, "{key}");
+    }
+    for key in ["sound", "bounded", "live", "reversible", "complete"] {
+        assert_eq!(object[key], true, "{key}");
+    }
+    assert_eq!(object["safe"], false);
+    assert_eq!(object["dead_transitions"], serde_json::json!([]));
+    assert!(object["seconds"].is_f64() && object["peak_bytes"].is_u64());
+}
+
+#[test]
+fn what_is_not_sound_has_exit_code_1() {
+    let dead = BUFFER.replace("  out idle\n", "\n");
+    let (object, code) = checked(&dead, &[]);
+    assert_eq!(
+        (code, object["deadlocks"].as_u64()),
+        (Some(1), Some(1)),
+        "{object}"
+    );
+    let never = format!("{BUFFER}transition odd\n  in items*4\n  out items*4\n");
+    let (object, code) = checked(&never, &[]);
+    assert_eq!(code, Some(1));
+    assert_eq!(object["dead_transitions"], serde_json::json!(["odd"]));
+    let heap = BUFFER.replace("in made, room", "in made");
+    let (object, code) = checked(&heap, &[]);
+    assert_eq!(
+        (code, &object["bounded"]),
+        (Some(1), &Value::Bool(false)),
+        "{object}"
+    );
+    assert_eq!(
+        object["unbounded_places"],
+        serde_json::json!(["items", "room"])
+    );
+}
+
+#[test]
+fn a_limit_has_exit_code_6_and_says_so() {
+    for limit in [["--max-markings", "5"], ["--max-memory", "100"]] {
+        let large = BUFFER.replace("room = 3", "room = 30000");
+        let (object, code) = checked(&large, &limit);
+        assert_eq!(
+            (code, &object["complete"]),
+            (Some(6), &Value::Bool(false)),
+            "{object}"
+        );
+        assert!(object["bounded"].is_null() && object["live"].is_null());
+    }
+}
+
+#[test]
+fn a_wrong_file_or_question_has_exit_code_3() {
+    let (_, code) = checked("net n\nplase a\n", &[]);
+    assert_eq!(code, Some(3));
+    let (_, code) = checked(BUFFER, &["--can", "itmes"]);
+    assert_eq!(code, Some(3));
+}
+
+#[test]
+fn a_question_that_is_answered_with_no_has_exit_code_1() {
+    let (object, code) = checked(
+        BUFFER,
+        &["--can", "items >= 3", "--always", "got & items = 0"],
+    );
+    assert_eq!(code, Some(0), "{object}");
+    assert_eq!(
+        object["questions"][0]["sequence"].as_array().map(Vec::len),
+        Some(6)
+    );
+    let (object, code) = checked(BUFFER, &["--can", "items >= 4"]);
+    assert_eq!(code, Some(1));
+    assert_eq!(checked(BUFFER, &["--never", "items >= 4"]).1, Some(0));
+    assert_eq!(checked(BUFFER, &["--never", "items = 3"]).1, Some(1));
+    assert!(
+        object["questions"][0]["invariant"]["pc.items"].is_u64(),
+        "{object}"
+    );
+}
+
+#[test]
+fn the_engines_agree_and_threads_change_nothing() {
+    let (one, _) = checked(BUFFER, &["--engine", "explicit"]);
+    let (other, _) = checked(BUFFER, &["--engine", "symbolic"]);
+    let (many, _) = checked(BUFFER, &["--engine", "explicit", "--threads", "3"]);
+    assert_eq!(other["engine"], "symbolic");
+    for key in [
+        "markings",
+        "edges",
+        "live",
+        "reversible",
+        "max_tokens_in_marking",
+        "deadlocks",
+    ] {
+        assert_eq!(one[key], other[key], "{key}");
+        assert_eq!(one[key], many[key], "{key}");
+    }
+}
