@@ -6,6 +6,7 @@ pub mod chassis;
 pub mod check;
 pub mod completions;
 pub mod config;
+pub mod display;
 pub mod doctor;
 pub mod explain;
 pub mod keys;
@@ -83,6 +84,11 @@ pub enum Command {
     Sim(sim::SimArgs),
     /// Show what a configuration comes to, every key there is, or the schema for editors
     Config(config::ConfigArgs),
+    /// Show the nets of a recorded run in a browser, as text, or as a page of one file
+    ///
+    /// Serves the page that `ctos boot --display` serves for a running app, on the loopback, until Ctrl-C: the run can be
+    /// played, stepped and scrubbed. Several files of one run, one of each process, are shown together.
+    Display(display::DisplayArgs),
     /// Tell what this host permits, and whether that is enough for an app
     Doctor(doctor::DoctorArgs),
     /// Tell what a finding means and what to do about it
@@ -177,6 +183,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Keys(args) => keys::run(&args),
         Command::Sim(args) => sim::run(&args, registry),
         Command::Config(args) => config::run(&args),
+        Command::Display(args) => display::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Net(args) => net::run(&args, &registry),

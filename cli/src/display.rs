@@ -7,11 +7,14 @@
 
 mod args;
 pub(crate) mod assets;
+pub(crate) mod figure;
 pub(crate) mod hub;
 mod orders;
 pub(crate) mod overview;
+pub(crate) mod record;
 pub(crate) mod server;
 mod task;
+pub(crate) mod text;
 pub(crate) mod wire;
 
 pub use args::{DEFAULT_LISTEN, HANDLER};
@@ -23,4 +26,5 @@ pub fn register(registry: &mut Registry) {
     registry
         .handler(HANDLER, &[], task::NetDisplay::new)
         .check_in_app(args::check);
+    registry.app_check(HANDLER, args::check_overviews);
 }

@@ -5,6 +5,7 @@
 //! A program with event handlers of its own calls [`commands::main`] with its own registry.
 
 pub mod commands;
+pub mod display;
 pub mod exit;
 pub mod log;
 pub mod panel;

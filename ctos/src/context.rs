@@ -167,6 +167,12 @@ impl Context {
         &self.inner.chassis.registry
     }
 
+    /// The same, to be kept beside the task: by a thread of its own, say.
+    #[must_use]
+    pub fn shared_registry(&self) -> Arc<crate::registry::Registry> {
+        self.inner.chassis.registry.clone()
+    }
+
     // -- other tasks ------------------------------------------------------------------------
 
     /// Asks a task and waits for its reply. Ends with the reply or an error, always: 10 s after the

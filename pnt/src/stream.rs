@@ -13,6 +13,7 @@
 mod event;
 mod replica;
 mod source;
+mod standing;
 mod view;
 
 #[cfg(test)]
@@ -25,6 +26,7 @@ use serde::{Deserialize, Serialize};
 pub use event::{Event, EventPhase, Running, Sent, State};
 pub use replica::{Replica, ReplicaError};
 pub(crate) use source::{Happened, Source};
+pub use standing::Standing;
 pub use view::{
     ArcView, CommandView, NetView, PinView, PlaceView, RemoteView, RouteView, Side, TransitionView,
 };

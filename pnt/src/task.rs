@@ -31,7 +31,7 @@ use crate::{
     stream::{Describe, Follow},
 };
 use engine::Engine;
-pub use load::{Settings, check_app, check_args, check_nets, load, nets, settings};
+pub use load::{Settings, check_app, check_args, check_nets, load, net_tasks, nets, settings};
 pub use messages::{FiringEvent, Marking, PutTape, Snapshot, TapeAnswer, Tokens};
 
 /// The commands of every net task, for registration.

@@ -3,6 +3,7 @@
 use std::{
     ffi::OsString,
     io::Write,
+    net::SocketAddr,
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex, PoisonError,
@@ -26,6 +27,7 @@ use crate::{
   ctos boot configs/calibrate.toml
   ctos boot configs/calibrate.toml -v
   ctos boot configs/calibrate.toml --record run.mcap
+  ctos boot configs/calibrate.toml --display
   ctos boot configs/calibrate.toml --detach --log-file calibrate.log
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
 pub struct BootArgs {
@@ -41,6 +43,12 @@ pub struct BootArgs {
     /// Record messages, phases, firings and log lines to FILE; each process puts its name before the extension
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// Serve a page that shows the nets, from a chassis of its own; at ADDRESS, or on the loopback
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = DISPLAY)]
+    pub display: Option<SocketAddr>,
+    /// With `--display`: let whoever has the token of the page's address intervene
+    #[arg(long, requires = "display")]
+    pub allow_control: bool,
     /// Boot in the background: return when the app is up, and say where its log is and how to stop it
     #[arg(long)]
     pub detach: bool,
@@ -80,6 +88,19 @@ impl InjureArgs {
         let cuts = (!cuts.is_empty()).then(|| format!("injure.cut={cuts:?}"));
         [drop, delay, cuts].into_iter().flatten().collect()
     }
+}
+
+/// Where `--display` serves its page: the text of [`crate::display::DEFAULT_LISTEN`].
+const DISPLAY: &str = "127.0.0.1:8108";
+
+/// What a display is, as `--set` texts, which reach every chassis.
+fn display_sets(listen: SocketAddr, allow_control: bool) -> [String; 2] {
+    let handler = crate::display::HANDLER;
+    let args = format!("{{ listen = \"{listen}\", allow_control = {allow_control} }}");
+    [
+        "chassis.display={}".to_owned(),
+        format!("task.display={{ handler = \"{handler}\", on = \"display\", args = {args} }}"),
+    ]
 }
 
 /// When an app counts as ready.
@@ -122,6 +143,18 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
                 return exit::FAILED;
             }
         }
+    }
+    if let Some(listen) = args.display {
+        if args.allow_control
+            // What is wrong with the configuration is told below.
+            && let Ok(app) = program::app(&args.app.selection())
+        {
+            let nets = pnt::task::net_tasks(&app, &registry).into_iter();
+            let allow = nets.map(|net| format!("task.{net}.args.allow_control=true"));
+            args.app.sets.extend(allow);
+        }
+        let display = display_sets(listen, args.allow_control);
+        args.app.sets.extend(display);
     }
     let args = &args;
     let mut selection = args.app.selection();

@@ -2,6 +2,7 @@
 
 pub mod check;
 pub mod convert;
+pub mod draw;
 pub mod fmt;
 pub mod lsp;
 pub mod perf;
@@ -27,6 +28,11 @@ pub enum NetCommand {
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
     /// everything; what another form has no words for is told.
     Convert(convert::ConvertArgs),
+    /// Draw a net, or a moment of a recorded one
+    ///
+    /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
+    /// what these do not name is arranged by rule.
+    Draw(draw::DrawArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
     /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
@@ -44,6 +50,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
+        NetCommand::Draw(args) => draw::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry),
         NetCommand::Perf(args) => perf::run(args),

@@ -95,6 +95,8 @@ pub struct Drawing {
 
 /// Px that a letter of a name takes.
 const LETTER: f64 = 6.4;
+/// How far an arc leaves the straight line, px.
+const BOW: f64 = 11.0;
 /// Height of a node with its name.
 const NODE_HEIGHT: f64 = 44.0;
 
@@ -305,9 +307,39 @@ impl<'v> Sketch<'v> {
                 }
             }
         }
+        self.bow();
         Drawing {
             nodes: self.nodes,
             arcs: self.arcs,
+        }
+    }
+
+    /// Straight arcs between the same two nodes would lie on each other: each is bowed to its right.
+    fn bow(&mut self) {
+        let mut between: BTreeMap<(usize, usize), u32> = BTreeMap::new();
+        for arc in self.arcs.iter().filter(|arc| arc.via.is_empty()) {
+            let ends = (arc.from.min(arc.to), arc.from.max(arc.to));
+            *between.entry(ends).or_default() += 1;
+        }
+        let mut seen: BTreeMap<(usize, usize), u32> = BTreeMap::new();
+        for arc in self.arcs.iter_mut().filter(|arc| arc.via.is_empty()) {
+            let ends = (arc.from.min(arc.to), arc.from.max(arc.to));
+            let (Some(from), Some(to)) = (self.nodes.get(arc.from), self.nodes.get(arc.to)) else {
+                continue;
+            };
+            if between.get(&ends).is_none_or(|count| *count < 2) {
+                continue;
+            }
+            // Those in the same direction go further and further out.
+            let rank = seen.entry((arc.from, arc.to)).or_default();
+            *rank += 1;
+            let (dx, dy) = (to.x - from.x, to.y - from.y);
+            let length = dx.hypot(dy).max(1.0);
+            let out = BOW * f64::from(*rank) / length;
+            arc.via = vec![(
+                (f64::midpoint(from.x, to.x) - dy * out).round(),
+                (f64::midpoint(from.y, to.y) + dx * out).round(),
+            )];
         }
     }
 

@@ -14,6 +14,11 @@ pub(super) struct Vertex {
     pub(super) after: Vec<usize>,
 }
 
+/// Points of long arcs, for each node and for a net as a whole: a net of many arcs over many layers would
+/// have more points than anybody can follow, and they would cost the time of all the rest.
+const POINTS_PER_NODE: usize = 6;
+const POINTS: usize = 500;
+
 /// A graph in layers.
 #[derive(Debug)]
 pub(super) struct Layers {
@@ -57,8 +62,14 @@ impl Layers {
             count,
             points: vec![Vec::new(); arcs.len()],
         };
+        let spans = (0..arcs.len()).filter_map(forward);
+        let spans = spans.map(|(from, to)| layer_of[to] - layer_of[from]);
+        let longest = longest(spans.collect(), POINTS_PER_NODE * count + POINTS);
         for index in 0..arcs.len() {
             if let Some((from, to)) = forward(index) {
+                if layer_of[to] - layer_of[from] > longest {
+                    continue;
+                }
                 let mut points = this.thread(from, to);
                 if reversed.get(index) == Some(&true) {
                     points.reverse();
@@ -117,6 +128,20 @@ impl Layers {
             }
         }
     }
+}
+
+/// The longest arcs that are led through the layers; longer ones go straight.
+fn longest(mut spans: Vec<usize>, most_points: usize) -> usize {
+    spans.sort_unstable();
+    let mut points = 0;
+    let all = spans.last().copied().unwrap_or(0);
+    for span in spans {
+        points += span.saturating_sub(1);
+        if points > most_points {
+            return span.saturating_sub(1);
+        }
+    }
+    all
 }
 
 /// Which arcs must be turned round so that no circle is left: those that lead back to a node that a

@@ -5,6 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::NetView;
+
 /// What happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -146,4 +148,26 @@ pub struct State {
     pub paused: Option<String>,
     /// Why the net has stopped for good, if it has.
     pub stopped: Option<String>,
+}
+
+impl State {
+    /// A net at its initial marking.
+    #[must_use]
+    pub fn initial(view: &NetView) -> Self {
+        let count = view.transitions.len();
+        Self {
+            net: view.name.clone(),
+            seq: 0,
+            at_ns: 0,
+            places: view.places.iter().map(|place| place.tokens).collect(),
+            running: Vec::new(),
+            tape: Vec::new(),
+            in_progress: None,
+            ended: vec![0; count],
+            failed: vec![0; count],
+            busy_ns: vec![0; count],
+            paused: None,
+            stopped: None,
+        }
+    }
 }

@@ -80,20 +80,7 @@ impl Replica {
             transitions: transitions
                 .map(|(index, one)| (one.name.clone(), index))
                 .collect(),
-            state: State {
-                net: view.name.clone(),
-                seq: 0,
-                at_ns: 0,
-                places: view.places.iter().map(|place| place.tokens).collect(),
-                running: Vec::new(),
-                tape: Vec::new(),
-                in_progress: None,
-                ended: vec![0; view.transitions.len()],
-                failed: vec![0; view.transitions.len()],
-                busy_ns: vec![0; view.transitions.len()],
-                paused: None,
-                stopped: None,
-            },
+            state: State::initial(view),
         };
         replica.set(state)?;
         Ok(replica)

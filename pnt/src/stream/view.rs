@@ -201,6 +201,15 @@ impl NetView {
         places.chain(self.transitions.iter().map(|one| one.shown.as_str()))
     }
 
+    /// The node, as its author calls it, that stands at `file:line:column` of the net text.
+    #[must_use]
+    pub fn node_at(&self, at: &str) -> Option<&str> {
+        let place = self.places.iter().find(|place| place.at == at);
+        let transition = || self.transitions.iter().find(|one| one.at == at);
+        let place = place.map(|place| place.name.as_str());
+        place.or_else(|| transition().map(|one| one.shown.as_str()))
+    }
+
     /// Whether the place is hidden where requests are drawn as their author wrote them: it is part of a
     /// coordination structure and no request comes in by it.
     #[must_use]

@@ -152,6 +152,13 @@ fn runs_net(task: &TaskConfig, registry: &Registry) -> bool {
     })
 }
 
+/// The tasks of an app that run nets, in declared order.
+#[must_use]
+pub fn net_tasks(app: &App, registry: &Registry) -> Vec<String> {
+    let tasks = app.tasks.iter().filter(|task| runs_net(task, registry));
+    tasks.map(|task| task.name.clone()).collect()
+}
+
 /// The nets of an app, whichever handlers run them.
 ///
 /// # Errors

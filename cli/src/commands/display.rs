@@ -1,0 +1,189 @@
+//! `ctos display`.
+
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use clap::Args;
+use ctos::diagnostic::{Findings, Source};
+use tokio::sync::{Semaphore, mpsc, oneshot};
+
+use crate::{
+    commands::net::draw::moment,
+    display::{
+        assets,
+        hub::Hub,
+        overview::Overviews,
+        record::Recorded,
+        server::{self, Desk},
+        text,
+    },
+    exit, show,
+};
+
+/// Show the nets of a recorded run
+///
+/// Serves the page that `ctos boot --display` serves for a running app, on the loopback, until Ctrl-C: the run can be
+/// played, stepped and scrubbed. Several files of one run, one of each process, are shown together.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  ctos display run.*.mcap
+  ctos display run.ws1.mcap --export run.html
+  ctos display run.ws1.mcap --once --at 12.5")]
+pub struct DisplayArgs {
+    /// Records (MCAP) of an app that ran nets
+    #[arg(required = true, value_name = "RECORD")]
+    pub records: Vec<PathBuf>,
+    /// Write one page that needs no server, with the run in it, and leave
+    #[arg(long, value_name = "FILE")]
+    pub export: Option<PathBuf>,
+    /// Print the nets as text and leave
+    #[arg(long, conflicts_with = "export")]
+    pub once: bool,
+    /// Print one JSON object for each net and leave
+    #[arg(long, conflicts_with_all = ["export", "once"])]
+    pub json: bool,
+    /// The moment that `--once` and `--json` show, s since the start of the app; the end when left out
+    #[arg(long, value_name = "SECONDS", value_parser = moment)]
+    pub at: Option<u64>,
+    /// This net only
+    #[arg(long, value_name = "NET")]
+    pub net: Option<String>,
+    /// A file of overview displays
+    #[arg(long, value_name = "FILE")]
+    pub displays: Option<PathBuf>,
+    /// Where the page is served; port 0 takes any that is free
+    #[arg(long, value_name = "ADDRESS", default_value_t = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0))]
+    pub listen: SocketAddr,
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &DisplayArgs) -> u8 {
+    let mut recorded = match Recorded::read(&args.records) {
+        Ok(recorded) => recorded,
+        Err(error) => {
+            show::say(&format!("error: {error}"));
+            return exit::CONFIG;
+        }
+    };
+    for warning in &recorded.warnings {
+        show::say(&format!("warning: {warning}"));
+    }
+    if let Some(net) = &args.net {
+        if !recorded.nets.contains_key(net) {
+            let known: Vec<&str> = recorded.nets.keys().map(String::as_str).collect();
+            show::say(&format!(
+                "error: no net `{net}` is in these records; there are: {}",
+                known.join(", ")
+            ));
+            return exit::NO_SUCH_NAME;
+        }
+        recorded.nets.retain(|name, _| name == net);
+    }
+    if recorded.nets.is_empty() {
+        return exit::FAILED;
+    }
+    if args.once || args.json {
+        return print(args, &recorded);
+    }
+    let overviews = match args.displays.as_deref().map(overviews).transpose() {
+        Ok(overviews) => overviews.unwrap_or_default(),
+        Err(code) => return code,
+    };
+    let hub = recorded.hub(overviews);
+    match &args.export {
+        Some(file) => export(&hub, file),
+        None => serve(hub, args.listen),
+    }
+}
+
+fn overviews(path: &Path) -> Result<Overviews, u8> {
+    let mut findings = Findings::new();
+    let read = findings.keep(Source::read(path));
+    let overviews = read.map(|source| Overviews::read(&source, &mut findings));
+    let wrong = findings.has_errors();
+    show::findings(findings);
+    overviews.filter(|_| !wrong).ok_or(exit::CONFIG)
+}
+
+fn print(args: &DisplayArgs, recorded: &Recorded) -> u8 {
+    for net in recorded.nets.values() {
+        let Some((state, events)) = net.at(args.at, text::EVENTS) else {
+            show::say(&format!(
+                "warning: the record of net `{}` begins later",
+                net.view.name
+            ));
+            continue;
+        };
+        let shown = if args.json {
+            text::json(&net.view, &state, &events)
+        } else {
+            text::plain(&net.view, &state, &events)
+        };
+        // A reader that went away has what it wanted.
+        if show::data(shown.trim_end()).is_err() {
+            break;
+        }
+    }
+    exit::OK
+}
+
+fn export(hub: &Hub, file: &Path) -> u8 {
+    let (messages, _) = hub.join(false);
+    let page = assets::standalone(&messages);
+    match std::fs::write(file, page) {
+        Ok(()) => {
+            show::say(&format!("written  {}", file.display()));
+            exit::OK
+        }
+        Err(error) => {
+            show::say(&format!(
+                "error: {} cannot be written: {error}",
+                file.display()
+            ));
+            exit::FAILED
+        }
+    }
+}
+
+/// Serves until Ctrl-C.
+fn serve(hub: Hub, listen: SocketAddr) -> u8 {
+    let served = || -> io::Result<()> {
+        let listener = std::net::TcpListener::bind(listen)?;
+        let address = listener.local_addr()?;
+        // Nobody carries out orders: there is nothing to order of a record.
+        let (orders, _) = mpsc::channel(1);
+        let (_stop, stopped) = oneshot::channel();
+        let desk = Desk {
+            hub: Arc::new(hub),
+            address,
+            token: None,
+            viewers: 32,
+            room: Arc::new(Semaphore::new(32)),
+            orders,
+        };
+        show::say(&format!("display  http://{address}/  (Ctrl-C ends it)"));
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()?;
+        runtime.block_on(async {
+            tokio::select! {
+                served = server::serve(listener, desk, stopped) => served,
+                interrupted = tokio::signal::ctrl_c() => interrupted,
+            }
+        })
+    };
+    match served() {
+        Ok(()) => exit::INTERRUPTED,
+        Err(error) => {
+            show::say(&format!(
+                "error: nothing can be served at {listen}: {error}"
+            ));
+            exit::FAILED
+        }
+    }
+}

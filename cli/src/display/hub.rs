@@ -1,0 +1,308 @@
+//! What is known of all nets that are shown: their views, a bounded past and the present; and the way by which
+//! what is new reaches every browser.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+use ctos::diagnostic::{Findings, Severity};
+use pnt::{
+    layout::{Detail, Drawing},
+    stream::{Batch, Event, NetView, Replica, ReplicaError, State},
+};
+use tokio::sync::broadcast;
+
+use super::{
+    overview::Overviews,
+    wire::{Breakpoint, Entry, Note, Told},
+};
+
+/// Events of each net that are kept for browsers that come later.
+const KEPT: usize = 5_000;
+
+/// Messages that a browser may be behind before it is told everything anew.
+const BEHIND: usize = 512;
+
+/// What all browsers are told.
+#[derive(Debug, Clone)]
+pub(crate) enum News {
+    /// A message, shared by all.
+    Told(Arc<str>),
+    /// Nothing of what was told counts any more.
+    Anew,
+}
+
+/// What happened, in order.
+#[derive(Debug, Clone)]
+enum Past {
+    Event(Event),
+    /// The net was as this, after events that are not known.
+    State(State, u64),
+}
+
+/// One net.
+#[derive(Debug)]
+pub(crate) struct Track {
+    view: NetView,
+    written: Drawing,
+    full: Drawing,
+    /// The net before the past that is kept.
+    base: Replica,
+    past: VecDeque<Past>,
+    head: Replica,
+    gone: Option<String>,
+    breakpoints: Vec<Breakpoint>,
+}
+
+impl Track {
+    fn new(view: NetView, state: State) -> Result<Self, ReplicaError> {
+        let base = Replica::new(&view, state)?;
+        Ok(Self {
+            written: Drawing::new(&view, Detail::Written),
+            full: Drawing::new(&view, Detail::Full),
+            head: base.clone(),
+            base,
+            view,
+            past: VecDeque::new(),
+            gone: None,
+            breakpoints: Vec::new(),
+        })
+    }
+
+    fn keep(&mut self, past: Past, most: usize) -> Result<(), ReplicaError> {
+        self.past.push_back(past);
+        while self.past.len() > most {
+            match self.past.pop_front() {
+                Some(Past::Event(event)) => self.base.apply(&event)?,
+                Some(Past::State(state, _)) => self.base.set(state)?,
+                None => break,
+            }
+        }
+        Ok(())
+    }
+
+    fn told(&self, notes: &[Note], now_ns: u64) -> String {
+        let entries = self.past.iter().map(|past| match past {
+            Past::Event(event) => Entry::Event(event),
+            Past::State(state, skipped) => Entry::State {
+                state,
+                skipped: *skipped,
+            },
+        });
+        let own = notes.iter().filter(|note| note.net == self.view.name);
+        let own: Vec<Note> = own.cloned().collect();
+        Told::Net {
+            net: &self.view.name,
+            view: &self.view,
+            written: &self.written,
+            full: &self.full,
+            base: self.base.state(),
+            entries: entries.collect(),
+            gone: self.gone.as_deref(),
+            breakpoints: &self.breakpoints,
+            notes: &own,
+            now_ns,
+        }
+        .text()
+    }
+}
+
+#[derive(Debug, Default)]
+struct Known {
+    tracks: BTreeMap<String, Track>,
+    notes: Vec<Note>,
+    now_ns: u64,
+    ended: bool,
+}
+
+/// What all browsers share.
+#[derive(Debug)]
+pub(crate) struct Hub {
+    app: String,
+    mode: &'static str,
+    most: usize,
+    overviews: Overviews,
+    known: Mutex<Known>,
+    news: broadcast::Sender<News>,
+}
+
+impl Hub {
+    /// For the nets of a running app.
+    pub(crate) fn live(app: &str, overviews: Overviews) -> Self {
+        Self::new(app, "live", KEPT, overviews)
+    }
+
+    /// For the nets of a recorded run, whose past is kept as a whole.
+    pub(crate) fn recorded(app: &str, overviews: Overviews) -> Self {
+        Self::new(app, "record", usize::MAX, overviews)
+    }
+
+    fn new(app: &str, mode: &'static str, most: usize, overviews: Overviews) -> Self {
+        Self {
+            app: app.to_owned(),
+            mode,
+            most,
+            overviews,
+            known: Mutex::default(),
+            news: broadcast::Sender::new(BEHIND),
+        }
+    }
+
+    /// A panic elsewhere leaves what is known as it was: every change is whole.
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn tell(&self, told: &Told) {
+        if self.news.receiver_count() == 0 {
+            return;
+        }
+        // The last one may just have gone.
+        let _ = self.news.send(News::Told(told.text().into()));
+    }
+
+    /// A net is there, for the first time or again. What is known of the same net's past stays.
+    ///
+    /// # Errors
+    /// The state is of another net.
+    pub(crate) fn describe(&self, view: NetView, state: State) -> Result<(), ReplicaError> {
+        let mut known = self.known();
+        known.now_ns = known.now_ns.max(state.at_ns);
+        if let Some(track) = known.tracks.get_mut(&view.name)
+            && track.view == view
+        {
+            track.gone = None;
+            return self.jump(track, state, 0);
+        }
+        let name = view.name.clone();
+        known.tracks.insert(name, Track::new(view, state)?);
+        // Whoever looks on is told everything anew. Nobody may be looking.
+        let _ = self.news.send(News::Anew);
+        Ok(())
+    }
+
+    fn jump(&self, track: &mut Track, state: State, skipped: u64) -> Result<(), ReplicaError> {
+        track.head.set(state.clone())?;
+        self.tell(&Told::State {
+            net: &track.view.name,
+            state: &state,
+            skipped,
+        });
+        track.keep(Past::State(state, skipped), self.most)
+    }
+
+    /// What a net did.
+    ///
+    /// # Errors
+    /// It does not fit what is known: the net must be described anew.
+    pub(crate) fn take(&self, net: &str, batch: Batch) -> Result<(), ReplicaError> {
+        let mut known = self.known();
+        let Known { tracks, now_ns, .. } = &mut *known;
+        let Some(track) = tracks.get_mut(net) else {
+            return Ok(());
+        };
+        if let Some(state) = batch.state {
+            *now_ns = (*now_ns).max(state.at_ns);
+            self.jump(track, state, batch.skipped)?;
+        }
+        if batch.events.is_empty() {
+            return Ok(());
+        }
+        for event in batch.events.iter() {
+            track.head.apply(event)?;
+            track.keep(Past::Event(event.clone()), self.most)?;
+            *now_ns = (*now_ns).max(event.at_ns);
+        }
+        self.tell(&Told::Events {
+            net,
+            events: &batch.events,
+        });
+        Ok(())
+    }
+
+    /// A net cannot be reached.
+    pub(crate) fn gone(&self, net: &str, reason: &str) {
+        let mut known = self.known();
+        let Some(track) = known.tracks.get_mut(net) else {
+            return;
+        };
+        if track.gone.as_deref() == Some(reason) {
+            return;
+        }
+        track.gone = Some(reason.to_owned());
+        self.tell(&Told::Gone { net, reason });
+    }
+
+    /// The breakpoints of a net, if they have changed.
+    pub(crate) fn breakpoints(&self, net: &str, breakpoints: Vec<Breakpoint>) {
+        let mut known = self.known();
+        let Some(track) = known.tracks.get_mut(net) else {
+            return;
+        };
+        if track.breakpoints != breakpoints {
+            track.breakpoints = breakpoints;
+            self.tell(&Told::Breakpoints {
+                net,
+                breakpoints: &track.breakpoints,
+            });
+        }
+    }
+
+    /// What the analysis found, as far as it is about nodes.
+    pub(crate) fn notes(&self, findings: &Findings) {
+        let mut known = self.known();
+        let found = findings.iter().filter_map(|finding| {
+            let at = finding.place.as_ref()?.to_string();
+            let (net, node) = known.tracks.values().find_map(|track| {
+                let node = track.view.node_at(&at)?;
+                Some((track.view.name.clone(), node.to_owned()))
+            })?;
+            Some(Note {
+                net,
+                node,
+                severity: match finding.severity {
+                    Severity::Error => "error",
+                    Severity::Warning => "warning",
+                },
+                message: finding.message.clone(),
+                at,
+            })
+        });
+        let notes: Vec<Note> = found.collect();
+        self.tell(&Told::Notes { notes: &notes });
+        known.notes = notes;
+    }
+
+    /// The app has ended.
+    pub(crate) fn end(&self) {
+        self.known().ended = true;
+        self.tell(&Told::End {});
+    }
+
+    /// Everything that is known, and what will be new.
+    pub(crate) fn join(&self, control: bool) -> (Vec<String>, broadcast::Receiver<News>) {
+        let known = self.known();
+        // Under the lock: nothing is missed and nothing comes twice.
+        let news = self.news.subscribe();
+        let mut told = vec![self.hello(&known, control)];
+        let nets = known.tracks.values();
+        told.extend(nets.map(|track| track.told(&known.notes, known.now_ns)));
+        if known.ended {
+            told.push(Told::End {}.text());
+        }
+        (told, news)
+    }
+
+    fn hello(&self, known: &Known, control: bool) -> String {
+        let written = |net: &str| known.tracks.get(net).map(|track| &track.written);
+        Told::Hello {
+            app: &self.app,
+            mode: self.mode,
+            control,
+            nets: known.tracks.keys().map(String::as_str).collect(),
+            displays: self.overviews.drawn(written),
+        }
+        .text()
+    }
+}

@@ -1,0 +1,242 @@
+//! Overview displays: a file says which places and transitions, of which nets, stand together on one display
+//! (architecture report, section 6, figure 9).
+//!
+//! ```toml
+//! [display.arm]
+//! title = "What the arm does, and who asked"
+//! show = ["dispatcher/move_robot", "dispatcher/find_pos", "motion/*"]
+//! ```
+
+use std::collections::BTreeMap;
+
+use ctos::{
+    config::Node,
+    diagnostic::{Findings, Source},
+};
+use pnt::layout::Drawing;
+use serde::Deserialize;
+
+use super::wire::{Overview, OverviewPart};
+
+/// Px between the parts of two nets.
+const BETWEEN: f64 = 40.0;
+
+/// All overview displays of a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Overviews {
+    displays: BTreeMap<String, Described>,
+}
+
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Described {
+    #[serde(default)]
+    title: String,
+    /// `NET/NODE`, in which `*` stands for any letters.
+    show: Vec<String>,
+    /// Where nodes stand on this display, px, when not where their net's drawing has them.
+    #[serde(default)]
+    node: BTreeMap<String, Spot>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Spot {
+    x: f64,
+    y: f64,
+}
+
+/// The file; its displays are read one by one, so that one mistake does not hide the next.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(rename = "display")]
+    _display: BTreeMap<String, serde::de::IgnoredAny>,
+}
+
+impl Overviews {
+    /// Reads a file of displays; what is wrong in it is left out.
+    pub(crate) fn read(source: &Source, findings: &mut Findings) -> Self {
+        let root = Node::from_toml(source, findings);
+        let mut displays = BTreeMap::new();
+        if findings.keep(root.parse::<File>()).is_some()
+            && let Some(all) = root.get("display")
+        {
+            for entry in all.entries() {
+                if let Some(one) = findings.keep(entry.value.parse::<Described>()) {
+                    displays.insert(entry.key.clone(), one);
+                }
+            }
+        }
+        Self { displays }
+    }
+
+    /// The displays as they are drawn, where `drawing` says how a net is. Names that lead nowhere show
+    /// nothing; [`Self::unknown`] tells them.
+    pub(crate) fn drawn<'d>(&self, drawing: impl Fn(&str) -> Option<&'d Drawing>) -> Vec<Overview> {
+        let draw = |(name, one): (&String, &Described)| Overview {
+            name: name.clone(),
+            title: one.title.clone(),
+            parts: one.parts(&drawing),
+        };
+        self.displays.iter().map(draw).collect()
+    }
+
+    /// What displays name and no net has, as `DISPLAY: NET/NODE`.
+    pub(crate) fn unknown<'d>(&self, drawing: impl Fn(&str) -> Option<&'d Drawing>) -> Vec<String> {
+        let leads_nowhere = |wanted: &String| {
+            let (net, node) = wanted.split_once('/').unwrap_or((wanted, ""));
+            let nodes = drawing(net).map(|drawing| drawing.nodes.as_slice());
+            let mut nodes = nodes.unwrap_or_default().iter();
+            !nodes.any(|one| matches(node, &one.name))
+        };
+        let all = self.displays.iter();
+        all.flat_map(|(name, one)| {
+            let lost = one.show.iter().filter(|wanted| leads_nowhere(wanted));
+            lost.map(move |wanted| format!("{name}: {wanted}"))
+        })
+        .collect()
+    }
+}
+
+impl Described {
+    fn parts<'d>(&self, drawing: &impl Fn(&str) -> Option<&'d Drawing>) -> Vec<OverviewPart> {
+        let mut wanted: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        let mut order = Vec::new();
+        for one in &self.show {
+            let (net, node) = one.split_once('/').unwrap_or((one, "*"));
+            if !wanted.contains_key(net) {
+                order.push(net);
+            }
+            wanted.entry(net).or_default().push(node);
+        }
+        let mut top = 0.0;
+        let mut parts = Vec::new();
+        for net in order {
+            let Some(whole) = drawing(net) else { continue };
+            let mut part = chosen(whole, wanted.get(net).map_or(&[], Vec::as_slice));
+            let (left, above, _, below) = part.bounds();
+            for node in &mut part.nodes {
+                (node.x, node.y) = match self.node.get(&format!("{net}/{}", node.name)) {
+                    Some(spot) => (spot.x, spot.y),
+                    None => (node.x - left, node.y - above + top),
+                };
+            }
+            for (x, y) in part.arcs.iter_mut().flat_map(|arc| arc.via.iter_mut()) {
+                (*x, *y) = (*x - left, *y - above + top);
+            }
+            top += below - above + BETWEEN;
+            parts.push(OverviewPart {
+                net: net.to_owned(),
+                drawing: part,
+            });
+        }
+        parts
+    }
+}
+
+/// The nodes that are wanted, with the arcs between them.
+fn chosen(whole: &Drawing, wanted: &[&str]) -> Drawing {
+    let kept = |name: &str| wanted.iter().any(|pattern| matches(pattern, name));
+    let mut place = Vec::with_capacity(whole.nodes.len());
+    let mut nodes = Vec::new();
+    for node in &whole.nodes {
+        place.push(kept(&node.name).then_some(nodes.len()));
+        if kept(&node.name) {
+            nodes.push(node.clone());
+        }
+    }
+    let arcs = whole.arcs.iter().filter_map(|arc| {
+        let mut arc = arc.clone();
+        arc.from = place.get(arc.from).copied().flatten()?;
+        arc.to = place.get(arc.to).copied().flatten()?;
+        Some(arc)
+    });
+    Drawing {
+        nodes,
+        arcs: arcs.collect(),
+    }
+}
+
+/// Whether a name fits a pattern in which `*` stands for any letters.
+fn matches(pattern: &str, name: &str) -> bool {
+    let mut parts = pattern.split('*');
+    let first = parts.next().unwrap_or_default();
+    let Some(mut rest) = name.strip_prefix(first) else {
+        return false;
+    };
+    let mut last = None;
+    for part in parts {
+        if let Some(before) = last.replace(part) {
+            match rest.find(before) {
+                Some(at) => rest = rest.get(at + before.len()..).unwrap_or_default(),
+                None => return false,
+            }
+        }
+    }
+    last.map_or(rest.is_empty(), |last: &str| rest.ends_with(last))
+}
+
+#[cfg(test)]
+mod tests {
+    use pnt::{compile, layout::Detail, stream::NetView};
+
+    use super::*;
+
+    fn drawing() -> Drawing {
+        let text = include_str!("../../../configs/nets/dispatcher.net");
+        let net = compile::net(&Source::new("d.net", text)).unwrap_or_else(|f| panic!("{f}"));
+        Drawing::new(&NetView::new(&net), Detail::Written)
+    }
+
+    #[test]
+    fn a_star_stands_for_any_letters() {
+        let yes = [
+            ("a*", "abc"),
+            ("*c", "abc"),
+            ("a*c", "ac"),
+            ("*", ""),
+            ("*b*c*", "abcd"),
+            ("abc", "abc"),
+        ];
+        let no = [("a", "abc"), ("*b", "abc"), ("a*a", "a"), ("abc*d", "abc")];
+        assert!(yes.iter().all(|(pattern, name)| matches(pattern, name)));
+        assert!(!no.iter().any(|(pattern, name)| matches(pattern, name)));
+    }
+
+    #[test]
+    fn an_overview_shows_what_was_chosen_and_tells_what_no_net_has() {
+        let text = "[display.arm]\ntitle = \"the arm\"\nshow = [\"dispatcher/move_*\", \"dispatcher/robot_at_pos\", \"nobody/x\", \"dispatcher/typo\"]\nnode.\"dispatcher/move_robot\" = { x = 5, y = 6 }\n";
+        let mut findings = Findings::new();
+        let overviews = Overviews::read(&Source::new("d.toml", text), &mut findings);
+        assert!(findings.is_empty(), "{findings}");
+        let drawing = drawing();
+        let of = |net: &str| (net == "dispatcher").then_some(&drawing);
+        let drawn = overviews.drawn(of);
+        let nodes = &drawn[0].parts[0].drawing.nodes;
+        let mut names: Vec<&str> = nodes.iter().map(|node| node.name.as_str()).collect();
+        names.sort_unstable();
+        assert_eq!(names, ["move_robot", "robot_at_pos"]);
+        assert_eq!(drawn[0].parts[0].drawing.arcs.len(), 1);
+        let moved = nodes.iter().find(|node| node.name == "move_robot").unwrap();
+        assert_eq!((moved.x, moved.y), (5.0, 6.0));
+        assert_eq!(
+            overviews.unknown(of),
+            ["arm: nobody/x", "arm: dispatcher/typo"]
+        );
+    }
+
+    #[test]
+    fn each_mistake_in_a_file_of_displays_is_told_and_the_rest_is_shown() {
+        let text =
+            "[display.a]\nshow = [\"n/p\"]\n[display.b]\nshows = []\n[display.c]\nshow = 3\n";
+        let mut findings = Findings::new();
+        let overviews = Overviews::read(&Source::new("d.toml", text), &mut findings);
+        let told = findings.to_string();
+        assert!(
+            told.contains("d.toml:4:1") && told.contains("d.toml:6:"),
+            "{told}"
+        );
+        assert_eq!(overviews.displays.keys().collect::<Vec<_>>(), ["a"]);
+    }
+}

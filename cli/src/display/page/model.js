@@ -1,0 +1,255 @@
+// A net as it is after each of its events, for any moment that is known. Knows nothing of the page.
+
+/** So many events stand between two states that are kept for jumping. */
+const STRIDE = 128;
+
+/** A copy of a state that shares nothing with it. */
+export function copy(state) {
+  return {
+    ...state,
+    places: state.places.slice(),
+    running: state.running.map((one) => ({ ...one })),
+    tape: state.tape.slice(),
+    ended: state.ended.slice(),
+    failed: state.failed.slice(),
+    busy_ns: state.busy_ns.slice(),
+  };
+}
+
+/** The numbers of places and transitions by their names. */
+export function indexOf(view) {
+  const index = (list) => new Map(list.map((one, number) => [one.name, number]));
+  return { places: index(view.places), transitions: index(view.transitions) };
+}
+
+/** Changes `state` by one event. The rules are those of `pnt::stream::Replica`. */
+export function apply(state, event, index) {
+  for (const [name, tokens] of event.consumed) state.places[index.places.get(name)] -= tokens;
+  for (const [name, tokens] of event.produced) state.places[index.places.get(name)] += tokens;
+  state.seq = event.seq;
+  state.at_ns = event.at_ns;
+  const number = index.transitions.get(event.transition);
+  if (event.phase === "started") {
+    const { transition, firing, at_ns } = event;
+    state.running.push({ transition, firing, since_ns: at_ns });
+  } else if (event.firing !== null) {
+    const at = state.running.findIndex((one) => one.firing === event.firing);
+    if (at >= 0) {
+      state.busy_ns[number] += event.at_ns - state.running[at].since_ns;
+      state.running.splice(at, 1);
+    }
+  }
+  if (event.phase === "fired" || event.phase === "completed") state.ended[number] += 1;
+  if (event.phase === "failed") state.failed[number] += 1;
+  if (event.phase === "asked") state.tape.push(event.read);
+  else if (event.read !== null) {
+    if (event.phase === "failed" || event.phase === "cancelled") {
+      state.in_progress = null;
+      state.tape.unshift(event.read);
+    } else if (state.tape.length > 0) state.in_progress = state.tape.shift();
+  }
+  if (event.wrote !== null) state.in_progress = null;
+  if (event.phase === "paused") state.paused = event.text;
+  if (event.phase === "resumed") state.paused = null;
+  if (event.phase === "stopped") state.stopped = event.text;
+}
+
+/** The last position in `list` whose `key` is at most `value`; -1 when there is none. */
+export function lastAtMost(list, value, key) {
+  let low = 0;
+  let high = list.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (key(list[middle]) <= value) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
+
+/** One net with all that is known of its past. */
+export class Net {
+  constructor({ view, written, full, base, notes = [] }) {
+    this.view = view;
+    this.written = written;
+    this.full = full;
+    this.notes = notes;
+    this.index = indexOf(view);
+    this.gone = null;
+    this.breakpoints = [];
+    this.reset(base);
+  }
+
+  get name() {
+    return this.view.name;
+  }
+
+  /** Forgets the past; the net is as `base`. */
+  reset(base) {
+    this.base = copy(base);
+    this.head = copy(base);
+    this.events = [];
+    this.jumps = [];
+    this.kept = [{ position: 0, state: copy(base) }];
+    this.skipped = 0;
+  }
+
+  /** The next events. Returns how many were new. */
+  follow(events) {
+    let count = 0;
+    for (const event of events) {
+      if (event.seq !== this.head.seq + 1) continue;
+      apply(this.head, event, this.index);
+      this.events.push(event);
+      count += 1;
+      if (this.events.length % STRIDE === 0) {
+        this.kept.push({ position: this.events.length, state: copy(this.head) });
+      }
+    }
+    return count;
+  }
+
+  /** The net is as `state`, and `skipped` events before that are not known. */
+  jump(state, skipped) {
+    this.skipped += skipped;
+    this.head = copy(state);
+    this.jumps.push({ position: this.events.length, at_ns: state.at_ns, skipped });
+    this.kept.push({ position: this.events.length, state: copy(state) });
+  }
+
+  /** How many events there were up to `at_ns`. */
+  positionAt(at_ns) {
+    return lastAtMost(this.events, at_ns, (event) => event.at_ns) + 1;
+  }
+
+  /** The state after the first `position` known events. */
+  stateAt(position) {
+    if (position >= this.events.length) return this.head;
+    const kept = this.kept[Math.max(0, lastAtMost(this.kept, position, (one) => one.position))];
+    const state = copy(kept.state);
+    for (let at = kept.position; at < position; at += 1) apply(state, this.events[at], this.index);
+    return state;
+  }
+
+  /** When the first known moment is, and the last one. */
+  get span() {
+    return [this.base.at_ns, Math.max(this.head.at_ns, this.base.at_ns)];
+  }
+
+  /** From when to when the actions of each transition went on; the end of one that still does is null. */
+  lanes() {
+    const lanes = new Map();
+    const open = new Map();
+    const add = (transition, bar) => {
+      if (!lanes.has(transition)) lanes.set(transition, []);
+      lanes.get(transition).push(bar);
+      return bar;
+    };
+    for (const one of this.base.running) {
+      open.set(one.firing, add(one.transition, { from: one.since_ns, to: null, phase: "started" }));
+    }
+    this.events.forEach((event, position) => {
+      if (event.transition === "") return;
+      if (event.phase === "started") {
+        open.set(event.firing, add(event.transition, { from: event.at_ns, to: null, phase: "started", position }));
+      } else if (event.phase === "fired") {
+        add(event.transition, { from: event.at_ns, to: event.at_ns, phase: "fired", position });
+      } else if (open.has(event.firing)) {
+        Object.assign(open.get(event.firing), { to: event.at_ns, phase: event.phase });
+        open.delete(event.firing);
+      }
+    });
+    return lanes;
+  }
+
+  /** Tokens of a place over time: moments and what they were from then on. */
+  history(place) {
+    const number = this.index.places.get(place);
+    const points = [[this.base.at_ns, this.base.places[number]]];
+    let tokens = this.base.places[number];
+    for (const event of this.events) {
+      let moved = 0;
+      for (const [name, count] of event.consumed) if (name === place) moved -= count;
+      for (const [name, count] of event.produced) if (name === place) moved += count;
+      if (moved !== 0) {
+        tokens += moved;
+        points.push([event.at_ns, tokens]);
+      }
+    }
+    return points;
+  }
+}
+
+/**
+ * What a transition waits for, in words; `state` is "running", "enabled" or "waiting".
+ * `transition` is one of the net's view.
+ */
+export function standing(net, state, transition) {
+  const running = state.running.filter((one) => one.transition === transition.name);
+  const place = (arc) => net.view.places[arc.place].name;
+  const tokens = (arc) => state.places[arc.place];
+  const some = (count) => (count === 1 ? "a token" : `${count} tokens`);
+  const lacks = [];
+  for (const arc of transition.inputs) {
+    const missing = arc.weight - tokens(arc);
+    if (missing > 0) lacks.push(`${some(missing)} missing in ${place(arc)}`);
+  }
+  for (const arc of transition.reads) {
+    const missing = arc.weight - tokens(arc);
+    if (missing > 0) lacks.push(`${some(missing)} to be seen in ${place(arc)}`);
+  }
+  for (const arc of transition.inhibitors) {
+    if (tokens(arc) >= arc.weight) lacks.push(`${place(arc)} must be ${arc.weight === 1 ? "empty" : `below ${arc.weight}`}`);
+  }
+  if (transition.tape !== null && (state.in_progress !== null || state.tape[0] !== transition.tape)) {
+    lacks.push(state.in_progress !== null
+      ? `symbol ${transition.tape} is awaited, after the answer to ${state.in_progress}`
+      : `symbol ${transition.tape} is awaited on the tape`);
+  }
+  if (running.length > 0) {
+    const task = transition.task === null ? "" : ` at task ${transition.task}`;
+    return { state: "running", running, words: `action ${transition.target} is pending${task}` };
+  }
+  if (lacks.length > 0) return { state: "waiting", running, words: lacks.join("; ") };
+  if (state.stopped !== null) return { state: "waiting", running, words: "the net has stopped" };
+  if (state.paused !== null) return { state: "enabled", running, words: `the net is paused: ${state.paused}` };
+  if (transition.when !== null) return { state: "waiting", running, words: `guard ${transition.when} is false` };
+  return { state: "enabled", running, words: "enabled" };
+}
+
+/** The standing of a drawn node, which may be the several parts of a request. */
+export function nodeStanding(net, state, node) {
+  const [parts, active] = node.kind.transition;
+  const transitions = parts.map((number) => net.view.transitions[number]);
+  if (active !== null && state.places[active] > 0) {
+    const start = transitions[0];
+    const running = runningSince(net, state, start);
+    const task = start.task ?? "its coordinator";
+    return { state: "running", running, words: `request ${node.name} is pending at ${task}` };
+  }
+  const standings = transitions.map((one) => standing(net, state, one));
+  const found = standings.find((one) => one.state === "running") ?? standings.find((one) => one.state === "enabled");
+  return found ?? standings[0];
+}
+
+/** When the request that `start` began was begun, as far as it is known. */
+function runningSince(net, state, start) {
+  const position = lastAtMost(net.events, state.seq, (event) => event.seq);
+  for (let at = position; at >= 0; at -= 1) {
+    const event = net.events[at];
+    if (event.transition === start.name) return [{ transition: start.name, since_ns: event.at_ns }];
+  }
+  return [{ transition: start.name, since_ns: net.base.at_ns }];
+}
+
+/** Seconds, as a person reads them. */
+export function seconds(ns, digits = 3) {
+  return `${(ns / 1e9).toFixed(digits)} s`;
+}
+
+/** Whether an event has all of the words that are wanted and none of those that are not. */
+export function passes(event, wanted, unwanted) {
+  const text = [event.net, event.transition, event.phase, event.text, event.read ?? "", event.wrote ?? "", event.target,
+    ...event.consumed.map(([place]) => place), ...event.produced.map(([place]) => place)].join(" ").toLowerCase();
+  const words = (list) => list.toLowerCase().split(/\s+/).filter((word) => word !== "");
+  return words(wanted).every((word) => text.includes(word)) && !words(unwanted).some((word) => text.includes(word));
+}

@@ -1,0 +1,199 @@
+//! The task of a display: follows the nets, carries orders to them, and keeps the server.
+
+use std::{net::TcpListener, sync::Arc, time::Duration};
+
+use ctos::{
+    diagnostic::Findings,
+    message::Message,
+    task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
+};
+use pnt::stream::{Describe, Follow};
+use tokio::sync::{Semaphore, mpsc, oneshot};
+
+use super::{
+    args::DisplayArgs,
+    hub::Hub,
+    orders,
+    overview::Overviews,
+    server::{self, Asking, Desk},
+};
+
+/// How long a net waits for something to happen before it answers.
+const PATIENCE_MS: u32 = 2_000;
+/// A net that does not answer for so long is gone.
+const SILENCE: Duration = Duration::from_secs(4);
+/// How long after a net was lost it is looked for again.
+const RETRY: Duration = Duration::from_millis(250);
+/// How long browsers have to hear that the app has ended.
+const FAREWELL: Duration = Duration::from_millis(100);
+/// Orders that may wait.
+const ORDERS: usize = 64;
+
+/// The event handler.
+pub(super) struct NetDisplay {
+    args: DisplayArgs,
+    hub: Arc<Hub>,
+    stop: Option<oneshot::Sender<()>>,
+    orders: Option<mpsc::Receiver<Asking>>,
+}
+
+impl NetDisplay {
+    pub(super) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let args: DisplayArgs = cx.args()?;
+        let overviews = match &args.displays {
+            // What is wrong in it was said when the app was checked.
+            Some(file) => Overviews::read(&cx.app().read(file)?, &mut Findings::new()),
+            None => Overviews::default(),
+        };
+        Ok(Self {
+            hub: Arc::new(Hub::live(&cx.app().name, overviews)),
+            args,
+            stop: None,
+            orders: None,
+        })
+    }
+
+    /// Binds the address and serves it on a thread of its own.
+    fn open(&mut self, cx: &Context) -> Result<(), HandlerError> {
+        let listen = self.args.listen;
+        let failed = |error: std::io::Error| {
+            HandlerError::new(format!(
+                "the page cannot be served at {listen}: {error}; choose another `listen`"
+            ))
+        };
+        let listener = TcpListener::bind(listen).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let token = match (self.args.allow_control, &self.args.token) {
+            (false, _) => None,
+            (true, Some(token)) => Some(token.clone()),
+            (true, None) => Some(drawn_token()?),
+        };
+        let (orders, received) = mpsc::channel(ORDERS);
+        let (stop, stopped) = oneshot::channel();
+        let desk = Desk {
+            hub: self.hub.clone(),
+            address,
+            token: token.clone(),
+            viewers: self.args.viewers,
+            room: Arc::new(Semaphore::new(self.args.viewers)),
+            orders,
+        };
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(failed)?;
+        let serve = move || {
+            let served = runtime.block_on(server::serve(listener, desk, stopped));
+            if let Err(error) = served {
+                tracing::error!(error = %error, "the page is not served any more");
+            }
+        };
+        let thread = std::thread::Builder::new().name("display".to_owned());
+        thread.spawn(serve).map_err(failed)?;
+        let token = token.map_or_else(String::new, |token| format!("?token={token}"));
+        let page = format!("http://{address}/{token}");
+        tracing::warn!(task = cx.name(), page, "nets are shown");
+        self.stop = Some(stop);
+        self.orders = Some(received);
+        Ok(())
+    }
+
+    /// Looks for what the analysis says of the nets, on a thread of its own: it may take a while.
+    fn analyse(&self, cx: &Context) {
+        let (app, registry) = (cx.app().clone(), cx.shared_registry());
+        let hub = self.hub.clone();
+        // Without it the nets are shown without notes.
+        let _ = std::thread::Builder::new()
+            .name("display-notes".to_owned())
+            .spawn(move || hub.notes(&registry.check(&app)));
+    }
+
+    /// The nets that are shown.
+    fn nets(&self, cx: &Context) -> Vec<String> {
+        let all = pnt::task::net_tasks(cx.app(), cx.registry());
+        match &self.args.nets {
+            Some(wanted) => all.into_iter().filter(|net| wanted.contains(net)).collect(),
+            None => all,
+        }
+    }
+}
+
+/// 128 bits that nobody guesses.
+fn drawn_token() -> Result<String, HandlerError> {
+    let mut bytes = [0_u8; 16];
+    getrandom::fill(&mut bytes)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+impl EventHandler for NetDisplay {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if cx.chassis().clock().origin_ns().is_none() {
+            if phase == Phase::Create {
+                tracing::info!(task = cx.name(), "nobody looks on in virtual time");
+            }
+            return Ok(());
+        }
+        match phase {
+            Phase::Create => self.open(cx)?,
+            // Before the first firing, so that nothing is missed.
+            Phase::Connect => {
+                for net in self.nets(cx) {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { follow(&child, &net, &hub).await });
+                }
+                if let Some(received) = self.orders.take() {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { orders::carry(&child, &hub, received).await });
+                }
+            }
+            Phase::Run => self.analyse(cx),
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
+        self.hub.end();
+        if let Some(stop) = self.stop.take() {
+            cx.sleep(FAREWELL).await;
+            // The server may have ended already.
+            let _ = stop.send(());
+        }
+        Ok(())
+    }
+}
+
+/// Follows one net for good, through the end and the return of its chassis.
+async fn follow(cx: &Context, net: &str, hub: &Hub) {
+    loop {
+        if let Err(error) = stream(cx, net, hub).await {
+            hub.gone(net, &error.to_string());
+            cx.sleep(RETRY).await;
+        }
+    }
+}
+
+async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
+    let to = cx.task(net).await?;
+    let view = cx.call(&to, Describe {}).deadline(SILENCE).await?;
+    let mut after = None;
+    let mut view = Some(view);
+    loop {
+        let follow = Follow {
+            after,
+            patience_ms: PATIENCE_MS,
+        };
+        let mut batch = cx.call(&to, follow).deadline(SILENCE).await?;
+        after = Some(batch.mark);
+        if view.is_some()
+            && let (Some(view), Some(state)) = (view.take(), batch.state.take())
+        {
+            hub.describe(view, state)?;
+            hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
+        }
+        hub.take(net, batch)?;
+    }
+}

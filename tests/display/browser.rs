@@ -1,0 +1,189 @@
+//! Chromium without a window, driven by its DevTools protocol: opens pages, asks them questions, takes pictures.
+//!
+//! Nothing here sleeps: a question waits in the page for what it asks about, and a silent browser fails the
+//! test by the time limit of the connection.
+
+use std::{
+    io::{BufRead, BufReader},
+    net::TcpStream,
+    path::Path,
+    process::{Child, Command, Stdio},
+    time::Duration,
+};
+
+use base64::{Engine as _, prelude::BASE64_STANDARD as BASE64};
+use serde_json::{Value, json};
+use tungstenite::{Message, WebSocket, stream::MaybeTlsStream};
+
+/// A browser that says nothing for so long has failed the test.
+const SILENCE: Duration = Duration::from_secs(60);
+/// How long a page may take to become what a test waits for, ms.
+const PATIENCE_MS: u32 = 40_000;
+
+/// Names under which systems have it.
+const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "chrome"];
+
+/// A browser with one page.
+pub struct Browser {
+    process: Child,
+    _profile: tempfile::TempDir,
+    socket: WebSocket<MaybeTlsStream<TcpStream>>,
+    session: String,
+    asked: u64,
+    /// What the page wrote to its console as an error, and exceptions.
+    pub complaints: Vec<String>,
+}
+
+impl Browser {
+    /// Starts a browser and opens a page in it.
+    pub fn open(url: &str, (width, height): (u32, u32)) -> Self {
+        let profile = tempfile::tempdir().unwrap();
+        let start = |name: &&str| {
+            Command::new(name)
+                .args([
+                    "--headless=new",
+                    "--no-sandbox",
+                    "--disable-gpu",
+                    "--hide-scrollbars",
+                ])
+                .args([
+                    "--remote-debugging-port=0",
+                    "--no-first-run",
+                    "--force-color-profile=srgb",
+                ])
+                .arg(format!("--user-data-dir={}", profile.path().display()))
+                .arg(format!("--window-size={width},{height}"))
+                .stdin(Stdio::null())
+                .stdout(Stdio::null())
+                .stderr(Stdio::piped())
+                .spawn()
+                .ok()
+        };
+        let mut process = NAMES
+            .iter()
+            .find_map(start)
+            .expect("install Chromium: these tests look at the page in a real browser");
+        let mut lines = BufReader::new(process.stderr.take().unwrap()).lines();
+        let address = lines
+            .by_ref()
+            .map_while(Result::ok)
+            .find_map(|line| {
+                line.strip_prefix("DevTools listening on ")
+                    .map(str::to_owned)
+            })
+            .expect("the browser ended at once");
+        // It must not stand still because nobody reads what else it says.
+        std::thread::spawn(move || lines.for_each(drop));
+        let (socket, _) = tungstenite::connect(&address).unwrap();
+        if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
+            stream.set_read_timeout(Some(SILENCE)).unwrap();
+        }
+        let mut browser = Self {
+            process,
+            _profile: profile,
+            socket,
+            session: String::new(),
+            asked: 0,
+            complaints: Vec::new(),
+        };
+        let target = browser.order("Target.createTarget", json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        let session = browser.order("Target.attachToTarget", attach);
+        session["sessionId"]
+            .as_str()
+            .unwrap()
+            .clone_into(&mut browser.session);
+        browser.order("Runtime.enable", json!({}));
+        browser.order("Page.enable", json!({}));
+        let metrics =
+            json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        browser.order("Emulation.setDeviceMetricsOverride", metrics);
+        browser.order("Page.navigate", json!({ "url": url }));
+        browser
+    }
+
+    fn order(&mut self, method: &str, parameters: Value) -> Value {
+        self.asked += 1;
+        let mut order = json!({ "id": self.asked, "method": method, "params": parameters });
+        if !self.session.is_empty() {
+            order["sessionId"] = self.session.clone().into();
+        }
+        self.socket.send(Message::text(order.to_string())).unwrap();
+        loop {
+            let Message::Text(text) = self.socket.read().unwrap() else {
+                continue;
+            };
+            let told: Value = serde_json::from_str(&text).unwrap();
+            if told["id"] == self.asked {
+                assert!(told.get("error").is_none(), "{method}: {told}");
+                return told["result"].clone();
+            }
+            self.note(&told);
+        }
+    }
+
+    fn note(&mut self, told: &Value) {
+        let is_error = told["params"]["type"] == "error";
+        match told["method"].as_str() {
+            Some("Runtime.exceptionThrown") => self.complaints.push(told["params"].to_string()),
+            Some("Runtime.consoleAPICalled") if is_error => {
+                self.complaints.push(told["params"].to_string());
+            }
+            _ => {}
+        }
+    }
+
+    /// What an expression is in the page; a promise is waited for.
+    #[track_caller]
+    pub fn ask(&mut self, expression: &str) -> Value {
+        let question =
+            json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
+        let told = self.order("Runtime.evaluate", question);
+        assert!(
+            told.get("exceptionDetails").is_none(),
+            "{expression}: {told}"
+        );
+        told["result"]["value"].clone()
+    }
+
+    /// Waits until a condition holds in the page.
+    #[track_caller]
+    pub fn wait(&mut self, condition: &str) {
+        let promise = format!(
+            "new Promise((done) => {{ const begun = performance.now(); const look = () => {{ let holds = false; \
+             try {{ holds = Boolean({condition}); }} catch {{ /* not there yet */ }} \
+             if (holds) done(true); else if (performance.now() - begun > {PATIENCE_MS}) done(false); \
+             else setTimeout(look, 15); }}; look(); }})"
+        );
+        let held = self.ask(&promise);
+        if held != Value::Bool(true) {
+            let seen = self.ask("document.body.innerText");
+            panic!("never: {condition}\n{seen}\n{:?}", self.complaints);
+        }
+    }
+
+    /// Clicks on the one button with this text, as a person does.
+    #[track_caller]
+    pub fn click(&mut self, text: &str) {
+        let find = format!(
+            "[...document.querySelectorAll('button')].find((one) => one.textContent === {text:?} && !one.disabled)"
+        );
+        self.wait(&find);
+        self.ask(&format!("{find}.click()"));
+    }
+
+    /// Takes a picture of what is seen.
+    pub fn picture(&mut self, path: &Path) {
+        let told = self.order("Page.captureScreenshot", json!({ "format": "png" }));
+        let bytes = BASE64.decode(told["data"].as_str().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}

@@ -1,0 +1,192 @@
+//! The net display in a real browser, at running calibrations.
+//!
+//! `CTOS_PICTURE=docs/display.png` writes the picture of the README on the way.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "all of this is test code, helpers too, which fails by panicking"
+)]
+
+mod browser;
+#[path = "../system/harness.rs"]
+#[allow(dead_code, reason = "the other tests use the rest of it")]
+mod harness;
+
+use browser::Browser;
+use harness::{Run, Scratch};
+
+const SIZE: (u32, u32) = (1440, 900);
+
+/// The calibration with a display, and one net more on a chassis of its own that is started again.
+fn scratch() -> Scratch {
+    let scratch = Scratch::short();
+    scratch.write(
+        "configs/nets/isle.net",
+        "net isle\nplace rest = 1\ncommand go -> gone\ntransition turn\n  in rest\n  tape go\n  out rest\n  write gone\n",
+    );
+    let config = scratch.read("configs/calibrate.toml");
+    let isle = "[chassis.isle]\nrestart = \"always\"\n[task.isle]\nhandler = \"coordinators.vision\"\non = \"isle\"\n[task.isle.args]\nnet = \"nets/isle.net\"\ncameras = [\"ceiling_west\"]\nretries = 1\n\n# -- Coordination Level";
+    let config = config.replacen("# -- Coordination Level", isle, 1);
+    scratch.write("configs/calibrate.toml", config);
+    scratch
+}
+
+/// Boots it; the address of the page.
+fn boot(scratch: &Scratch) -> (Run<'_>, String) {
+    let mut run = scratch.start_boot(&["--display=127.0.0.1:0", "--allow-control"]);
+    let line = run.line_with("nets are shown");
+    let from = line.find("http://").unwrap();
+    let page = line[from..]
+        .split(['"', ' ', '\u{1b}'])
+        .next()
+        .unwrap()
+        .to_owned();
+    (run, page)
+}
+
+const DISPATCHER: &str = "nets.nets.get('dispatcher')";
+
+#[test]
+fn a_person_watches_stops_scrubs_and_releases_a_running_calibration() {
+    let scratch = scratch();
+    let (_run, page) = boot(&scratch);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    let state = |name: &str| {
+        format!("document.querySelector('[data-key=\"dispatcher/{name}\"]').dataset.state")
+    };
+
+    // Tokens move: the robot goes, arrives, and both requests are under way at once.
+    browser.wait(&format!("{} === 'running'", state("move_robot")));
+    browser.wait("document.querySelector('[data-key=\"dispatcher/robot_available\"]').dataset.tokens === '0'");
+    let before = browser.ask(&format!("{DISPATCHER}.head.ended.reduce((a, b) => a + b)"));
+    browser.wait(&format!(
+        "{DISPATCHER}.head.ended.reduce((a, b) => a + b) > {before} + 8"
+    ));
+    browser.wait("document.querySelectorAll('#events tbody tr').length > 20");
+    if let Some(picture) = std::env::var_os("CTOS_PICTURE") {
+        browser.wait(&format!(
+            "{} === 'running' && nets.now() - {DISPATCHER}.head.at_ns > 4e8",
+            state("move_robot")
+        ));
+        browser.ask("nets.choose('dispatcher/move_robot')");
+        browser.wait("document.querySelector('#side .words.running')");
+        browser.picture(picture.as_ref());
+    }
+
+    // A breakpoint stops the net, and says where.
+    browser.ask("nets.choose('dispatcher/read_next_pos')");
+    browser.click("Breakpoint");
+    browser.wait("document.querySelector('[data-key=\"dispatcher/read_next_pos\"].armed')");
+    browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    browser.wait("document.querySelector('#status').textContent.includes('stands still')");
+    browser.wait(&format!("{} === 'enabled'", state("read_next_pos")));
+
+    // Meanwhile an earlier moment is looked at: there the resources had not been taken.
+    let now = browser.ask(&format!("{DISPATCHER}.head.places.join()"));
+    browser.ask("(() => { const scrub = document.querySelector('#scrub'); scrub.value = 0; scrub.dispatchEvent(new Event('input')); })()");
+    browser.wait("document.querySelector('[data-key=\"dispatcher/robot_available\"]').dataset.tokens === '1'");
+    browser.wait("document.querySelector('#status').textContent.includes('looking back')");
+    let then = browser.ask(&format!("nets.stateOf({DISPATCHER}).places.join()"));
+    assert_ne!(now, then);
+    // Event by event, every marking on the way to the present is the one that the net had.
+    let same = format!(
+        "(() => {{ const net = {DISPATCHER}; return net.events.length > 10 && net.stateAt(net.events.length - 1) !== net.head \
+         && net.kept.every((one) => JSON.stringify(net.stateAt(one.position).places) === JSON.stringify(one.position >= net.events.length ? net.head.places : one.state.places)); }})()"
+    );
+    assert_eq!(browser.ask(&same), true);
+    browser.click("Live");
+    browser.wait("document.querySelector('[data-key=\"dispatcher/robot_available\"]').dataset.tokens === '0'");
+
+    // Released, it goes on.
+    browser.ask("nets.choose('dispatcher/read_next_pos')");
+    browser.click("Breakpoint");
+    browser.wait("!document.querySelector('[data-key=\"dispatcher/read_next_pos\"].armed')");
+    browser.click("Release net");
+    browser.wait(&format!(
+        "{DISPATCHER}.head.paused === null && {} !== 'enabled'",
+        state("read_next_pos")
+    ));
+    let before = browser.ask(&format!("{DISPATCHER}.head.seq"));
+    browser.wait(&format!("{DISPATCHER}.head.seq > {before} + 10"));
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn a_net_whose_chassis_is_killed_is_shown_as_gone_and_comes_back() {
+    let scratch = scratch();
+    let (run, page) = boot(&scratch);
+    let mut browser = Browser::open(&format!("{page}#net=isle"), SIZE);
+    browser.wait("document.querySelector('[data-key=\"isle/rest\"]').dataset.tokens === '1'");
+    browser.wait("document.querySelector('#status').textContent === 'live'");
+    run.kill("isle");
+    browser.wait("nets.nets.get('isle').gone !== null");
+    browser.wait("document.querySelector('#status').textContent === 'isle is gone'");
+    browser.wait("document.querySelector('[data-key=\"isle/rest\"].gone')");
+    browser.wait("nets.nets.get('isle').gone === null");
+    browser.wait("document.querySelector('#status').textContent === 'live'");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn keys_alone_lead_through_the_page_and_a_narrow_one_has_everything() {
+    let scratch = scratch();
+    let (_run, page) = boot(&scratch);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), (420, 900));
+    browser.wait("nets.picture.nodes.size > 20");
+    let press = |browser: &mut Browser, key: &str| {
+        browser.ask(&format!("document.body.dispatchEvent(new KeyboardEvent('keydown', {{ key: {key:?}, bubbles: true }}))"));
+    };
+    press(&mut browser, "ArrowRight");
+    browser.wait("nets.chosen !== null");
+    let first = browser.ask("nets.chosen");
+    press(&mut browser, "ArrowRight");
+    assert_ne!(browser.ask("nets.chosen"), first);
+    press(&mut browser, "]");
+    assert_ne!(browser.ask("nets.shown"), "dispatcher");
+    press(&mut browser, " ");
+    browser.wait("nets.cursor !== null");
+    press(&mut browser, "l");
+    browser.wait("nets.cursor === null");
+    press(&mut browser, "d");
+    assert_eq!(browser.ask("nets.detail"), "full");
+    // Nothing stands beyond the edge.
+    assert_eq!(
+        browser.ask("document.documentElement.scrollWidth <= innerWidth"),
+        true
+    );
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
+fn whoever_has_no_token_or_comes_from_elsewhere_may_not_intervene() {
+    let scratch = scratch();
+    let (_run, page) = boot(&scratch);
+    let (bare, _) = page.split_once('?').unwrap();
+    let mut browser = Browser::open(&format!("{bare}#net=dispatcher"), SIZE);
+    browser.wait("nets.picture.nodes.size > 20");
+    assert_eq!(browser.ask("nets.control"), false);
+    browser.ask("nets.order('pause', nets.nets.get('dispatcher'), {})");
+    browser.wait("document.querySelector('#banner').textContent.includes('may only look on')");
+    // What is no message ends this one connection, with a reason; the page connects again.
+    browser.ask("(() => { globalThis.ended = null; nets.socket.addEventListener('close', (event) => { globalThis.ended = event; }); nets.socket.send('{'); })()");
+    browser.wait("ended.code === 1008 && ended.reason.includes('cannot be read')");
+    browser.ask("new Promise((done) => { const look = () => nets.socket.readyState === 1 && !nets.lost ? done() : setTimeout(look, 20); look(); })");
+    // Another origin, and a name that only seems to be this host's.
+    let refused = |header: &str| {
+        let host = bare.trim_start_matches("http://").trim_end_matches('/');
+        let request = format!(
+            "GET /ws HTTP/1.1\r\n{}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
+            header.replace("HERE", host)
+        );
+        let mut stream = std::net::TcpStream::connect(host).unwrap();
+        std::io::Write::write_all(&mut stream, request.as_bytes()).unwrap();
+        let mut line = String::new();
+        std::io::BufRead::read_line(&mut std::io::BufReader::new(stream), &mut line).unwrap();
+        line
+    };
+    assert!(refused("Host: HERE\r\nOrigin: http://elsewhere.example").contains(" 403 "));
+    assert!(refused("Host: elsewhere.example:80").contains(" 403 "));
+    assert!(refused("Host: HERE\r\nOrigin: http://HERE").contains(" 101 "));
+}
