@@ -36,7 +36,7 @@ use crate::{
 };
 
 pub(crate) use self::{
-    delivery::{Envelope, Question, Sent, WaitFor},
+    delivery::{Question, Sent, WaitFor},
     links::{Inbound, Outbound},
     tasks::TaskRecord,
 };
@@ -185,7 +185,7 @@ impl Chassis {
         if let Some(config) = self.processor_config(index) {
             settings.period = config.period;
             settings.overrun = config.overrun;
-            settings.spin = config.spin;
+            settings.spin = config.tick_spin();
         }
         let schedule = Schedule::new(settings, self.clock.clone());
         let schedule = schedule.shown_in(self.cyclics.clone());

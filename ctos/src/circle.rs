@@ -8,9 +8,9 @@
 use std::time::Duration;
 
 use crate::{
-    chassis::{Chassis, Envelope, WaitFor},
+    chassis::{Chassis, WaitFor},
     context::Context,
-    message::{Command, Data, Flags, Tid},
+    message::{Command, Flags, Message, Tid},
     system::{self, WaitsFor},
 };
 
@@ -50,16 +50,11 @@ async fn circle(cx: &Context, to: Tid) -> Option<String> {
 /// Whom `task` waits for, if it has waited long. Asked past the notes: a question about waiting is no
 /// wait of this task.
 async fn ask_agent(cx: &Context, task: Tid) -> Option<system::Waits> {
-    let envelope = Envelope {
-        to: system::agent_tid(task.chassis()),
-        from: cx.tid(),
-        command: WaitsFor::CODE,
-        flags: Flags::HIGH_PRIORITY,
-        data: Data::of(WaitsFor { task }),
-        trace: 0,
-        deadline: Some(cx.now() + LONG),
-    };
-    let waiting = cx.inner.chassis.dispatch(envelope, WaitFor::Reply);
+    let agent = system::agent_tid(task.chassis());
+    let message = Message::request(agent, cx.tid(), WaitsFor::CODE, WaitsFor { task })
+        .flagged(Flags::HIGH_PRIORITY)
+        .until(Some(cx.now() + LONG));
+    let waiting = cx.inner.chassis.dispatch(message, WaitFor::Reply);
     let answer = cx.timeout(LONG, waiting).await.ok()?.ok()?;
     answer.take::<Option<system::Waits>>().ok()?
 }

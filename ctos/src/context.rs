@@ -8,7 +8,8 @@ use std::{
     cell::{Cell, RefCell},
     collections::BTreeMap,
     fmt,
-    future::Future,
+    future::{Future, poll_fn},
+    marker::PhantomData,
     path::PathBuf,
     rc::Rc,
     sync::Arc,
@@ -22,10 +23,10 @@ use serde::de::DeserializeOwned;
 use self::asking::Ask;
 use crate::{
     call::{CallError, Fault},
-    chassis::{Chassis, Envelope, TaskRecord},
+    chassis::{Chassis, TaskRecord},
     config::TaskConfig,
     diagnostic::Finding,
-    message::{Command, CommandInfo, Data, Flags, Message, Tid},
+    message::{Command, CommandInfo, Data, Message, Tid},
     processor::{FutureId, Processor},
     system::{Broke, CommandDescription, Introspect, Ping, Shutdown, Statistics},
     task::Handled,
@@ -52,6 +53,8 @@ pub(crate) struct Inner {
     pub(crate) processor: Rc<Processor>,
     /// Boxed, because it is large and tasks of the runtime have none.
     config: Option<Box<TaskConfig>>,
+    /// How long a call waits if it does not say.
+    limit: Duration,
     commands: Arc<[CommandInfo]>,
     children: RefCell<Children>,
     /// Counts the handlers that the task had.
@@ -83,8 +86,10 @@ impl Context {
         config: Option<TaskConfig>,
         commands: Arc<[CommandInfo]>,
     ) -> Self {
+        let limit = config.as_ref().and_then(|config| config.call_deadline);
         Self {
             inner: Rc::new(Inner {
+                limit: limit.unwrap_or(DEFAULT_DEADLINE),
                 record,
                 chassis,
                 processor,
@@ -175,24 +180,21 @@ impl Context {
     ///
     /// A request that its caller no longer waits for (the deadline passed, the call was dropped) is not
     /// begun any more, wherever the receiver runs.
+    #[inline]
     pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
-        let deadline = self
-            .inner
-            .config
-            .as_ref()
-            .and_then(|config| config.call_deadline)
-            .unwrap_or(DEFAULT_DEADLINE);
+        let mut message = self.message(to, C::CODE, Data::of(request));
+        message.letter.to = Some(to.name.clone());
+        message.letter.limit = self.inner.limit;
         Call {
-            cx: self.clone(),
-            to: to.clone(),
-            request,
-            deadline,
-            flags: Flags::NONE,
+            asker: self.inner.clone(),
+            message,
+            command: PhantomData,
         }
     }
 
     /// Sends a message that needs no reply, and waits until the receiver's queue has taken it.
     /// A message that was given up before it was taken is not delivered.
+    #[inline]
     pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Send<C> {
         Send {
             call: self.call(to, request),
@@ -204,10 +206,10 @@ impl Context {
     /// # Errors
     /// [`Fault::Full`], [`Fault::Elsewhere`] and the like, with both names.
     pub fn try_send<C: Command>(&self, to: &TaskRef, request: C) -> Result<(), CallError> {
-        let envelope = self.envelope(to, C::CODE, Flags::NONE, Data::of(request));
+        let message = self.message(to, C::CODE, Data::of(request));
         self.inner
             .chassis
-            .try_send(&self.inner.processor, envelope)
+            .try_send(&self.inner.processor, message)
             .map_err(|fault| self.error(to, C::NAME, fault))
     }
 
@@ -223,16 +225,22 @@ impl Context {
         data: Vec<u8>,
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
-        let envelope = self.envelope(to, command.code, Flags::NONE, Data::Bytes(data));
-        let cx = self.clone();
-        let answer = Ask::call(cx, to.clone(), command.name, envelope, deadline).await;
-        answer
-            .and_then(|data| {
-                data.into_bytes().map_err(|error| Fault::BadPayload {
+        let mut message = self.message(to, command.code, Data::Bytes(data));
+        message.letter.to = Some(to.name.clone());
+        message.letter.limit = deadline;
+        let mut ask = Ask::call(self.inner.clone(), command.name, message);
+        let mut answer = Vec::new();
+        let ended = poll_fn(|poll| {
+            ask.poll(poll, command.name, &mut |letter| {
+                let bytes = letter.open().0.into_bytes();
+                answer = bytes.map_err(|error| Fault::BadPayload {
                     text: error.to_string(),
-                })
+                })?;
+                Ok(())
             })
-            .map_err(|fault| self.error(to, command.name, fault))
+        });
+        ended.await.map_err(|error| *error)?;
+        Ok(answer)
     }
 
     /// What every task does with a message that its handler does not know: answers [`Ping`],
@@ -267,7 +275,7 @@ impl Context {
             }
             command => {
                 tracing::warn!(task = %self.name(), command, from = %message.from(), "unknown command");
-                if let Some(slot) = message.reply {
+                if let Some(slot) = message.letter.reply {
                     let names = self.inner.commands.iter();
                     slot.answer(Err(Fault::UnknownCommand {
                         takes: names.map(|command| command.name.to_owned()).collect(),
@@ -279,16 +287,9 @@ impl Context {
     }
 
     #[inline]
-    fn envelope(&self, to: &TaskRef, command: u16, flags: Flags, data: Data) -> Envelope {
-        Envelope {
-            to: to.tid,
-            from: self.inner.record.tid,
-            command,
-            flags,
-            data,
-            trace: self.trace,
-            deadline: None,
-        }
+    fn message(&self, to: &TaskRef, command: u16, data: Data) -> Message {
+        let from = self.inner.record.tid;
+        Message::with_data(to.tid, from, command, data).in_trace(self.trace)
     }
 
     fn error(&self, to: &TaskRef, command: &str, fault: Fault) -> CallError {

@@ -17,7 +17,7 @@ use crate::{
     call::{Answer, Fault},
     circle,
     context::Note,
-    message::Data,
+    message::{Letter, Tid},
     processor::{LocalWake, Processor, ProcessorHandle},
     time::Instant,
     timers::{TimerKey, Timers},
@@ -44,7 +44,7 @@ pub(crate) struct Ticket {
 impl Ticket {
     /// Gives the answer. When the caller waits no longer, nothing comes of it.
     #[inline]
-    pub(crate) fn answer(self, answer: Answer) {
+    pub(crate) fn answer(self, answer: Brought) {
         match Processor::here_if(&self.shared.home) {
             Some(processor) => processor.take_answer(self, answer),
             None => {
@@ -73,6 +73,35 @@ impl Ticket {
     }
 }
 
+/// An answer on its way to its caller: small, because it is passed on often.
+pub(crate) enum Brought {
+    /// The data, in a letter that nobody waits for.
+    Data(Box<Letter>),
+    Fault(Box<Fault>),
+}
+
+impl From<Answer> for Brought {
+    fn from(answer: Answer) -> Self {
+        match answer {
+            Ok(data) => {
+                let mut letter = Letter::blank();
+                letter.data = data;
+                Self::Data(letter)
+            }
+            Err(fault) => Self::Fault(Box::new(fault)),
+        }
+    }
+}
+
+impl From<Brought> for Answer {
+    fn from(brought: Brought) -> Self {
+        match brought {
+            Brought::Data(letter) => Ok(letter.open().0),
+            Brought::Fault(fault) => Err(*fault),
+        }
+    }
+}
+
 /// Names one call among all that one processor has ever waited for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct CallKey {
@@ -85,7 +114,7 @@ enum State {
     #[default]
     Free,
     Waiting(Option<LocalWake>),
-    Answered(Answer),
+    Answered(Brought),
     /// The deadline has passed.
     Late,
 }
@@ -140,12 +169,10 @@ pub(crate) struct Fired {
 pub(crate) enum Looked {
     /// Nothing yet.
     Waiting,
-    /// Nothing yet, for so long that it may be for ever. Told once.
-    Long,
-    /// The reply; the call is over.
-    Answered(Data),
-    /// It came to nothing; the call is over.
-    Failed(Fault),
+    /// Nothing yet from this task, for so long that it may be for ever. Told once.
+    Long(Tid),
+    /// The answer; the call is over.
+    Ended(Brought),
     /// None within this time; the call is over.
     Late(Duration),
 }
@@ -156,7 +183,7 @@ pub(crate) enum Looked {
 pub(crate) struct Rest {
     pub(crate) timer: Option<TimerKey>,
     _wake: Option<LocalWake>,
-    _answer: Option<Answer>,
+    _answer: Option<Brought>,
     _note: Option<Note>,
 }
 
@@ -168,7 +195,7 @@ pub(crate) enum Given {
     /// Nobody waits for it: to be dropped where no cell is borrowed.
     Unwanted {
         _ticket: Option<Ticket>,
-        _answer: Answer,
+        _answer: Brought,
     },
 }
 
@@ -294,7 +321,12 @@ impl Calls {
 
     /// Takes the answer to a call.
     #[inline]
-    pub(crate) fn answer(&mut self, key: CallKey, ticket: Option<Ticket>, answer: Answer) -> Given {
+    pub(crate) fn answer(
+        &mut self,
+        key: CallKey,
+        ticket: Option<Ticket>,
+        answer: Brought,
+    ) -> Given {
         let slot = self.slots.get_mut(key.slot as usize);
         let Some(slot) = slot.filter(|slot| slot.generation == key.generation) else {
             return Given::Unwanted {
@@ -359,13 +391,15 @@ impl Calls {
     ) -> (Looked, Option<LocalWake>) {
         let Some(slot) = self.slot(key) else {
             // A future looks at its own call only until that is over.
-            return (Looked::Failed(Fault::NoReply), None);
+            let nothing = Err(Fault::NoReply).into();
+            return (Looked::Ended(nothing), None);
         };
         if let State::Waiting(before) = &mut slot.state {
             let before = before.replace(waits());
             if slot.long == Long::ToBeTold {
                 slot.long = Long::Told;
-                return (Looked::Long, before);
+                let to = slot.note.as_ref().map_or(Tid::default(), Note::to);
+                return (Looked::Long(to), before);
             }
             return (Looked::Waiting, before);
         }
@@ -375,8 +409,7 @@ impl Calls {
         let limit = slot.limit;
         *note = slot.note.take();
         let looked = match std::mem::take(&mut slot.state) {
-            State::Answered(Ok(data)) => Looked::Answered(data),
-            State::Answered(Err(fault)) => Looked::Failed(fault),
+            State::Answered(answer) => Looked::Ended(answer),
             State::Late | State::Free | State::Waiting(_) => Looked::Late(limit),
         };
         self.free.push(key.slot);
@@ -407,7 +440,7 @@ mod tests {
     use std::task::Waker;
 
     use super::*;
-    use crate::time::Clock;
+    use crate::{message::Data, time::Clock};
 
     const LIMIT: Duration = Duration::from_secs(5);
 
@@ -419,9 +452,13 @@ mod tests {
 
     fn number(looked: Looked) -> Option<u8> {
         match looked {
-            Looked::Answered(data) => data.take().ok(),
+            Looked::Ended(Brought::Data(letter)) => letter.take().ok(),
             _ => None,
         }
+    }
+
+    fn answer(number: u8) -> Brought {
+        Ok(Data::of(number)).into()
     }
 
     fn at(millis: u64) -> Instant {
@@ -441,11 +478,11 @@ mod tests {
             Arc::ptr_eq(&copy, &second.shared),
             "a free slot was not used"
         );
-        let late = calls.answer(gone, Some(first), Ok(Data::of(1_u8)));
+        let late = calls.answer(gone, Some(first), answer(1));
         assert!(matches!(late, Given::Unwanted { .. }));
         drop(late);
         assert!(matches!(look(&mut calls, key), Looked::Waiting));
-        let given = calls.answer(key, Some(second), Ok(Data::of(2_u8)));
+        let given = calls.answer(key, Some(second), answer(2));
         assert!(matches!(given, Given::Taken(Some(_))));
         assert_eq!(number(look(&mut calls, key)), Some(2));
         // The ticket came home with its answer, and is used again.
@@ -461,7 +498,7 @@ mod tests {
             panic!("nobody would look after it");
         };
         // Its answer comes, and its slot waits again, before anybody has looked.
-        drop(calls.answer(key, Some(ticket), Ok(Data::of(1_u8))));
+        drop(calls.answer(key, Some(ticket), answer(1)));
         assert_eq!(number(look(&mut calls, key)), Some(1));
         assert_eq!(calls.settle(slot), None);
         let ticket = calls.begin(&home, LIMIT);
@@ -469,7 +506,7 @@ mod tests {
         assert!(matches!(calls.start(ticket.key(), at(8)), Started::Done));
         let due = at(7) + circle::LONG;
         assert_eq!(calls.settle(slot), Some((ticket.key(), due)));
-        drop(calls.answer(ticket.key(), Some(ticket), Ok(Data::of(1_u8))));
+        drop(calls.answer(ticket.key(), Some(ticket), answer(1)));
     }
 
     #[test]
@@ -493,12 +530,12 @@ mod tests {
         let _ = calls.start(key, at(0));
         let fired = calls.fired(key);
         assert_eq!(fired.again, Some(at(0) + LIMIT));
-        assert!(matches!(look(&mut calls, key), Looked::Long));
+        assert!(matches!(look(&mut calls, key), Looked::Long(_)));
         assert!(matches!(look(&mut calls, key), Looked::Waiting));
         assert!(!ticket.is_abandoned());
         assert_eq!(calls.fired(key).again, None);
         assert!(matches!(look(&mut calls, key), Looked::Late(LIMIT)));
-        let late = calls.answer(key, Some(ticket), Ok(Data::of(1_u8)));
+        let late = calls.answer(key, Some(ticket), answer(1));
         assert!(matches!(late, Given::Taken(None) | Given::Unwanted { .. }));
     }
 
@@ -513,6 +550,6 @@ mod tests {
             processor.next_deadline(),
             Some(Instant::START + circle::LONG)
         );
-        processor.take_answer(ticket, Ok(Data::of(1_u8)));
+        processor.take_answer(ticket, answer(1));
     }
 }

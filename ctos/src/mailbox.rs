@@ -77,14 +77,14 @@ enum Place {
     /// To the queue, whether there is room or not.
     Always,
     /// To the queue, or to the line of those who wait for room there.
-    Waits(Acceptance),
+    Waits(Box<Acceptance>),
 }
 
 impl Delivery {
     /// Tells the sender that the task takes nothing more.
     pub(crate) fn refuse(self) {
         let acceptance = match self.place {
-            Place::Waits(acceptance) => acceptance,
+            Place::Waits(acceptance) => *acceptance,
             Place::Claimed | Place::Always => Acceptance::Silent,
         };
         refuse(self.message, acceptance, &Fault::Stopping);
@@ -105,8 +105,8 @@ pub(crate) struct Mailbox {
 
 /// Whether a message goes to the high-priority lane, and whether it is one of the runtime's.
 fn is_urgent(message: &Message) -> (bool, bool) {
-    let system = message.header.command >= SYSTEM_COMMANDS;
-    let flagged = message.header.flags.contains(Flags::HIGH_PRIORITY);
+    let system = message.command() >= SYSTEM_COMMANDS;
+    let flagged = message.header().flags.contains(Flags::HIGH_PRIORITY);
     (system || flagged, system)
 }
 
@@ -211,7 +211,7 @@ impl Mailbox {
         }
         let delivery = Delivery {
             message,
-            place: Place::Waits(acceptance),
+            place: Place::Waits(Box::new(acceptance)),
         };
         let local = Processor::here_if(&self.home);
         match local.and_then(|here| here.queue(self.slot).map(|queue| (here, queue))) {
@@ -269,9 +269,7 @@ impl Mailbox {
 }
 
 fn refuse(message: Message, acceptance: Acceptance, fault: &Fault) {
-    if let Some(slot) = message.reply {
-        slot.answer(Err(fault.clone()));
-    }
+    message.refuse(fault.clone());
     acceptance.tell(Err(fault.clone()));
 }
 

@@ -6,6 +6,7 @@
 
 mod command;
 mod data;
+mod letter;
 
 use std::fmt;
 
@@ -16,6 +17,7 @@ use crate::{
     time::Instant,
 };
 
+pub(crate) use self::letter::Letter;
 pub(crate) use data::append;
 
 pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
@@ -191,44 +193,97 @@ impl Header {
 /// What an event handler is called with.
 #[derive(Debug)]
 pub struct Message {
-    pub(crate) header: Header,
-    pub(crate) trace: u64,
-    pub(crate) deadline: Option<Instant>,
-    /// Its number in the record; 0 when it is not in it.
-    pub(crate) recorded: u64,
-    pub(crate) data: Data,
-    pub(crate) reply: Option<ReplySlot>,
+    /// A pointer, so that a message costs nothing to pass on.
+    pub(crate) letter: Box<Letter>,
 }
 
 impl Message {
+    /// A request of `from` that nothing led to and that nobody waits for.
+    #[inline]
+    pub(crate) fn request<T: Serialize + Send + 'static>(
+        to: Tid,
+        from: Tid,
+        command: u16,
+        value: T,
+    ) -> Self {
+        Self::with_data(to, from, command, Data::of(value))
+    }
+
+    /// [`Self::request`] with data of any kind.
+    #[inline(always)]
+    pub(crate) fn with_data(to: Tid, from: Tid, command: u16, data: Data) -> Self {
+        let mut letter = Letter::blank();
+        letter.header = Header {
+            to,
+            from,
+            command,
+            flags: Flags::NONE,
+            size: 0,
+        };
+        letter.trace = 0;
+        letter.deadline = None;
+        letter.recorded = 0;
+        letter.data = data;
+        Self { letter }
+    }
+
+    /// The same with these flags instead.
+    #[inline]
+    pub(crate) fn flagged(mut self, flags: Flags) -> Self {
+        self.letter.header.flags = flags;
+        self
+    }
+
+    /// The same in this trace; 0 when nothing led to it: it then begins one of its own.
+    #[inline]
+    pub(crate) fn in_trace(mut self, trace: u64) -> Self {
+        self.letter.trace = trace;
+        self
+    }
+
+    /// The same with a moment at which the sender stops waiting.
+    #[inline]
+    pub(crate) fn until(mut self, deadline: Option<Instant>) -> Self {
+        self.letter.deadline = deadline;
+        self
+    }
+
+    /// Ends the call that the message is. Without one, nothing comes of it.
+    pub(crate) fn refuse(self, fault: Fault) {
+        if let (_, Some(slot)) = self.letter.open() {
+            slot.answer(Err(fault));
+        }
+    }
+
     /// What the sender asks for.
     #[must_use]
+    #[inline]
     pub fn command(&self) -> u16 {
-        self.header.command
+        self.letter.header.command
     }
 
     /// The header.
     #[must_use]
     pub fn header(&self) -> &Header {
-        &self.header
+        &self.letter.header
     }
 
     /// Who sent it.
     #[must_use]
     pub fn from(&self) -> Tid {
-        self.header.from
+        self.letter.header.from
     }
 
     /// The id that this message shares with whatever led to it and whatever follows from it.
     #[must_use]
     pub fn trace(&self) -> u64 {
-        self.trace
+        self.letter.trace
     }
 
     /// When the sender stops waiting for the reply; `None` when it does not wait for one.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        self.deadline
+        self.letter.deadline
     }
 
     /// Takes the typed request and the right to answer it.
@@ -237,11 +292,15 @@ impl Message {
     /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
     #[inline]
     pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
-        let slot = self.reply;
-        match self.data.take::<C>() {
-            Ok(request) => Ok((request, Replier::new(slot))),
+        let mut letter = self.letter;
+        match letter.data.take_out::<C>() {
+            Ok(request) if letter.reply.is_some() => Ok((request, Replier::new(Some(letter)))),
+            Ok(request) => {
+                letter.keep();
+                Ok((request, Replier::new(None)))
+            }
             Err(error) => {
-                if let Some(slot) = slot {
+                if let Some(slot) = letter.reply.take() {
                     slot.answer(Err(Fault::BadPayload {
                         text: error.to_string(),
                     }));
@@ -255,14 +314,16 @@ impl Message {
 /// The right to answer one request, now or later. Dropped without an answer, it tells the caller so.
 #[derive(Debug)]
 pub struct Replier<C: Command> {
-    slot: Option<ReplySlot>,
+    /// What the request came in, and the answer goes back in.
+    letter: Option<Box<Letter>>,
     command: std::marker::PhantomData<fn() -> C>,
 }
 
 impl<C: Command> Replier<C> {
-    pub(crate) fn new(slot: Option<ReplySlot>) -> Self {
+    #[inline]
+    fn new(letter: Option<Box<Letter>>) -> Self {
         Self {
-            slot,
+            letter,
             command: std::marker::PhantomData,
         }
     }
@@ -272,9 +333,11 @@ impl<C: Command> Replier<C> {
     ///
     /// # Errors
     /// Never.
+    #[inline]
     pub fn ok(self, reply: C::Reply) -> crate::task::Handled {
-        if let Some(slot) = self.slot {
-            slot.answer(Ok(Data::of(reply)));
+        if let Some(mut letter) = self.letter {
+            letter.data = Data::of(reply);
+            letter.go_home();
         }
         Ok(())
     }
@@ -284,7 +347,7 @@ impl<C: Command> Replier<C> {
     /// # Errors
     /// Never.
     pub fn fail(self, text: impl fmt::Display) -> crate::task::Handled {
-        if let Some(slot) = self.slot {
+        if let Some(slot) = self.letter.and_then(|mut letter| letter.reply.take()) {
             slot.answer(Err(Fault::Refused {
                 text: text.to_string(),
             }));
@@ -295,7 +358,11 @@ impl<C: Command> Replier<C> {
     /// Whether the caller no longer waits (its deadline passed, or it is gone).
     #[must_use]
     pub fn is_abandoned(&self) -> bool {
-        self.slot.as_ref().is_some_and(ReplySlot::is_abandoned)
+        let slot = self
+            .letter
+            .as_ref()
+            .and_then(|letter| letter.reply.as_ref());
+        slot.is_some_and(ReplySlot::is_abandoned)
     }
 }
 

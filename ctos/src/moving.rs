@@ -37,7 +37,7 @@ use tokio::sync::oneshot;
 
 use crate::{
     call::{CallError, Fault, ReplySlot},
-    chassis::{Chassis, Envelope, WaitFor},
+    chassis::{Chassis, WaitFor},
     context::{Context, TaskRef},
     mailbox::{Acceptance, TaskQueue},
     message::{Command, Data, Flags, Message, Replier, Tid},
@@ -278,18 +278,13 @@ pub(crate) fn deliver(cx: &Context, to: Tid, message: Forwarded, reply: Replier<
         WaitFor::Acceptance
     };
     let priority = Flags::from_bits(message.flags & Flags::HIGH_PRIORITY.bits());
-    let envelope = Envelope {
-        to,
-        from: message.from,
-        command: message.command,
-        flags: priority.with(Flags::FORWARDED),
-        data: Data::Bytes(message.body),
-        trace: message.trace,
-        deadline: message
-            .left_ns
-            .map(|left| cx.now() + Duration::from_nanos(left)),
-    };
-    let mut waiting = chassis.dispatch(envelope, wait);
+    let left = message.left_ns.map(Duration::from_nanos);
+    let data = Data::Bytes(message.body);
+    let sent_on = Message::with_data(to, message.from, message.command, data)
+        .flagged(priority.with(Flags::FORWARDED))
+        .in_trace(message.trace)
+        .until(left.map(|left| cx.now() + left));
+    let mut waiting = chassis.dispatch(sent_on, wait);
     let here = cx.clone();
     cx.spawn(async move {
         loop {
@@ -486,22 +481,30 @@ impl Drop for Place<'_> {
 }
 
 fn is_given_up(message: &Message) -> bool {
-    message.reply.as_ref().is_some_and(ReplySlot::is_abandoned)
+    message
+        .letter
+        .reply
+        .as_ref()
+        .is_some_and(ReplySlot::is_abandoned)
 }
 
 /// How long the sender of a message waits. What was accepted has to arrive.
 fn wait_of(cx: &Context, message: &Message) -> Duration {
-    match (&message.reply, message.deadline) {
+    match (&message.letter.reply, message.deadline()) {
         (Some(_), Some(deadline)) => deadline.since(cx.now()),
         _ => PATIENCE,
     }
 }
 
 fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
-    let body = message.data.to_bytes().map_err(|error| Fault::BadPayload {
-        text: error.to_string(),
-    })?;
-    let left = message.deadline.map(|deadline| deadline.since(cx.now()));
+    let body = message
+        .letter
+        .data
+        .to_bytes()
+        .map_err(|error| Fault::BadPayload {
+            text: error.to_string(),
+        })?;
+    let left = message.deadline().map(|deadline| deadline.since(cx.now()));
     Ok(Load::Message(Forwarded {
         from: message.from(),
         command: message.command(),
@@ -509,7 +512,7 @@ fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
         trace: message.trace(),
         left_ns: left.map(|left| u64::try_from(left.as_nanos()).unwrap_or(u64::MAX)),
         body,
-        reply: message.reply.is_some(),
+        reply: message.letter.reply.is_some(),
     }))
 }
 
@@ -529,7 +532,7 @@ pub(crate) async fn forward(cx: &Context, queue: &TaskQueue, departed: Departed)
     let agent = agent_of(to.chassis());
     for (message, load) in accepted {
         if let Some(load) = load {
-            see_through(cx, message.reply, Acceptance::Silent, load);
+            see_through(cx, message.letter.reply, Acceptance::Silent, load);
         }
     }
     while let Some(batch) = queue.next_held().await {
@@ -557,7 +560,7 @@ pub(crate) async fn forward(cx: &Context, queue: &TaskQueue, departed: Departed)
 
 /// An order to stop that concerns the new place too; one that stops a chassis ends here.
 fn stop_for(to: Tid, message: Message) -> Option<Message> {
-    let data = message.data.to_bytes().ok();
+    let data = message.letter.data.to_bytes().ok();
     let order: Option<StopTask> = data.and_then(|bytes| postcard::from_bytes(&bytes).ok());
     if order.is_none_or(|order| order.on.is_none_or(|on| on == to.chassis())) {
         return Some(message);
@@ -573,15 +576,13 @@ async fn send_on(cx: &Context, agent: &TaskRef, to: Tid, message: Message, accep
     let load = match load_of(cx, &message) {
         Ok(load) => load,
         Err(fault) => {
-            if let Some(slot) = message.reply {
-                slot.answer(Err(fault.clone()));
-            }
+            message.refuse(fault.clone());
             return acceptance.tell(Err(fault));
         }
     };
     let deadline = wait_of(cx, &message);
     let load = begin(cx, agent, to, load, deadline).await;
-    see_through(cx, message.reply, acceptance, load);
+    see_through(cx, message.letter.reply, acceptance, load);
 }
 
 /// Takes the answer of the new place back to the sender. Outlives the old place.

@@ -5,11 +5,12 @@
 //!
 //! This is the only module of the message path with `unsafe`. Its argument: a [`Parcel`] is made for
 //! one type `T` by [`Parcel::new`], which stores the value, or a pointer to it, in `words` together
-//! with the [`Kind`] of that `T`; nothing else writes either. The words therefore hold what the kind
-//! says until [`Parcel::take`] moves it out, which forgets the parcel, or the parcel is dropped, which
-//! drops it once. Moving a parcel moves the value bytewise, as every move in Rust does. A parcel is
-//! `Send` because every `T` in one is; it is not `Sync`, and shared access goes through `&dyn Payload`
-//! only, which is bound to the borrow.
+//! with the [`Kind`] of that `T`. The words therefore hold what the kind says until the value leaves, in
+//! one of three ways: [`Parcel::take`] moves it out and forgets the parcel, [`Parcel::take_out`] moves it out
+//! and makes the parcel one of `()`, which needs no word, or the parcel is dropped, which drops it once.
+//! Nothing else writes words or kind. Moving a parcel moves the value bytewise, as every move in Rust does.
+//! A parcel is `Send` because every `T` in one is; it is not `Sync`, and shared access goes through
+//! `&dyn Payload` only, which is bound to the borrow.
 
 #![allow(
     unsafe_code,
@@ -114,6 +115,24 @@ impl Parcel {
         }
     }
 
+    /// The value, if it is a `T`, from where it stands: what is left there is a parcel of nothing.
+    #[inline]
+    pub(crate) fn take_out<T: 'static>(&mut self) -> Option<T> {
+        if self.kind.id != TypeId::of::<T>() {
+            return None;
+        }
+        self.kind = const { &KindOf::<()>::KIND };
+        let words = (&raw mut self.words).cast::<T>();
+        if is_small::<T>() {
+            // SAFETY: the id said that the words hold a `T`; from here on the parcel is one of `()`,
+            // which needs no word, so the `T` is read once.
+            Some(unsafe { words.read() })
+        } else {
+            // SAFETY: as above, with the pointer that `Box::into_raw` gave for a `T`.
+            Some(*unsafe { Box::from_raw(words.cast::<*mut T>().read()) })
+        }
+    }
+
     /// The value, whatever its type.
     #[must_use]
     pub fn payload(&self) -> &dyn Payload {
@@ -157,7 +176,15 @@ mod tests {
         filling: [u8; BYTES],
     }
 
-    fn is_dropped_once<const BYTES: usize>(filling: u8, take: bool) {
+    /// How a value leaves its parcel.
+    #[derive(Debug, Clone, Copy)]
+    enum Leave {
+        Taken,
+        TakenOut,
+        Dropped,
+    }
+
+    fn is_dropped_once<const BYTES: usize>(filling: u8, leave: Leave) {
         let owners = Arc::new(());
         let parcel = Parcel::new(Counted {
             _owner: owners.clone(),
@@ -168,12 +195,25 @@ mod tests {
         let moved = std::hint::black_box(Box::new([parcel]));
         let [parcel] = *moved;
         let parcel = parcel.take::<u64>().expect_err("it is not a number");
-        if take {
-            let value = parcel.take::<Counted<BYTES>>().ok().expect("the same type");
+        let value = match leave {
+            Leave::Taken => parcel.take::<Counted<BYTES>>().ok(),
+            Leave::TakenOut => {
+                let mut parcel = parcel;
+                assert!(parcel.take_out::<u64>().is_none(), "it is not a number");
+                let value = parcel.take_out::<Counted<BYTES>>();
+                assert!(parcel.take_out::<Counted<BYTES>>().is_none(), "it is out");
+                assert_eq!(parcel.take::<()>().ok(), Some(()));
+                value
+            }
+            Leave::Dropped => {
+                drop(parcel);
+                None
+            }
+        };
+        assert_eq!(value.is_none(), matches!(leave, Leave::Dropped));
+        if let Some(value) = value {
             assert_eq!(value.filling, [filling; BYTES]);
             assert_eq!(Arc::strong_count(&owners), 2);
-        } else {
-            drop(parcel);
         }
         assert_eq!(Arc::strong_count(&owners), 1);
     }
@@ -184,12 +224,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_value_comes_out_whole_or_is_dropped_once(filling: u8, take: bool) {
-            is_dropped_once::<0>(filling, take);
-            is_dropped_once::<1>(filling, take);
-            is_dropped_once::<56>(filling, take);
-            is_dropped_once::<57>(filling, take);
-            is_dropped_once::<1000>(filling, take);
+        fn every_value_comes_out_whole_or_is_dropped_once(
+            filling: u8,
+            leave in prop_oneof![Just(Leave::Taken), Just(Leave::TakenOut), Just(Leave::Dropped)],
+        ) {
+            is_dropped_once::<0>(filling, leave);
+            is_dropped_once::<1>(filling, leave);
+            is_dropped_once::<56>(filling, leave);
+            is_dropped_once::<57>(filling, leave);
+            is_dropped_once::<1000>(filling, leave);
         }
     }
 

@@ -9,10 +9,10 @@ use std::time::Duration;
 use crate::config::{App, ProcessorConfig};
 
 /// Looked for on a CPU of its own, unless the configuration says otherwise.
-const POLL: Duration = Duration::from_micros(20);
+const SPIN: Duration = Duration::from_micros(20);
 
 /// How long `processor` of `app` looks for messages, on a machine with `cpus` CPUs that it may use.
-pub(crate) fn poll(app: &App, processor: &ProcessorConfig, cpus: usize) -> Duration {
+pub(crate) fn spin(app: &App, processor: &ProcessorConfig, cpus: usize) -> Duration {
     let sharing = app
         .chassis
         .iter()
@@ -22,8 +22,8 @@ pub(crate) fn poll(app: &App, processor: &ProcessorConfig, cpus: usize) -> Durat
     if cpus < 2 || sharing > 1 {
         return Duration::ZERO;
     }
-    processor.poll.unwrap_or(match processor.cpu {
-        Some(_) => POLL,
+    processor.spin.unwrap_or(match processor.cpu {
+        Some(_) => SPIN,
         None => Duration::ZERO,
     })
 }
@@ -33,24 +33,24 @@ mod tests {
     use super::*;
     use crate::config::load_texts;
 
-    fn polls(processors: &str, cpus: usize) -> Vec<u128> {
+    fn spins(processors: &str, cpus: usize) -> Vec<u128> {
         let text =
             format!("[chassis.a]\n{processors}\n[task.one]\nhandler = \"none\"\non = \"a/x\"");
-        let app = load_texts(&[("poll.toml", &text)], &[], &[]).unwrap();
+        let app = load_texts(&[("spin.toml", &text)], &[], &[]).unwrap();
         let processors = app.chassis.iter().flat_map(|chassis| &chassis.processors);
-        let polls = processors.map(|processor| poll(&app, processor, cpus).as_micros());
-        polls.collect()
+        let spins = processors.map(|processor| spin(&app, processor, cpus).as_micros());
+        spins.collect()
     }
 
     #[test]
     fn a_processor_looks_for_messages_only_where_its_partner_runs_meanwhile() {
         let own = "processors.x = { cpu = 0 }\nprocessors.y = { cpu = 1 }";
-        assert_eq!(polls(own, 2), [20, 20]);
-        assert_eq!(polls(own, 1), [0, 0]);
-        let shared = "processors.x = { cpu = 1, poll_us = 50 }\nprocessors.y = { cpu = 1 }";
-        assert_eq!(polls(shared, 2), [0, 0]);
-        let loose = "processors.x = {}\nprocessors.y = { poll_us = 5 }";
-        assert_eq!(polls(loose, 2), [0, 5]);
-        assert_eq!(polls(loose, 1), [0, 0]);
+        assert_eq!(spins(own, 2), [20, 20]);
+        assert_eq!(spins(own, 1), [0, 0]);
+        let shared = "processors.x = { cpu = 1, spin_us = 50 }\nprocessors.y = { cpu = 1 }";
+        assert_eq!(spins(shared, 2), [0, 0]);
+        let loose = "processors.x = {}\nprocessors.y = { spin_us = 5 }";
+        assert_eq!(spins(loose, 2), [0, 5]);
+        assert_eq!(spins(loose, 1), [0, 0]);
     }
 }

@@ -21,11 +21,14 @@ use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     rc::Rc,
     sync::{Arc, atomic::Ordering},
-    task::Waker,
     time::Duration,
 };
 
-use self::{alarm::Timed, futures::Futures, handle::Item};
+use self::{
+    alarm::Timed,
+    futures::{Futures, WakerOf},
+    handle::Item,
+};
 use crate::{
     call::ReplySlot,
     exchange::{CallKey, Calls},
@@ -51,7 +54,7 @@ pub(crate) struct Processor {
     fresh: Cell<bool>,
     futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
-    current: RefCell<Option<(FutureId, Waker)>>,
+    current: Cell<Option<(FutureId, WakerOf)>>,
     timers: RefCell<Timers<Timed>>,
     calls: RefCell<Calls>,
     /// Calls of the present poll, whose time runs from its end.
@@ -97,7 +100,7 @@ impl Processor {
             fresh: Cell::new(false),
             clock,
             futures: RefCell::default(),
-            current: RefCell::default(),
+            current: Cell::new(None),
             timers: RefCell::default(),
             calls: RefCell::default(),
             begun: RefCell::default(),

@@ -15,8 +15,8 @@ use std::{
 use crate::{
     call::{Fault, lock},
     chassis::{Chassis, Inbound, Outbound},
-    exchange::{CallKey, Ticket},
-    message::Data,
+    exchange::{Brought, CallKey, Ticket},
+    message::{Data, Letter},
     processor::Processor,
     time::Instant,
 };
@@ -118,7 +118,7 @@ enum ReplyTo {
 impl ReplyTo {
     fn answer(self, answer: Answer) {
         match self {
-            Self::Local(ticket) => ticket.answer(answer),
+            Self::Local(ticket) => ticket.answer(answer.into()),
             Self::Outside(promise) => promise.fulfil(answer),
             Self::Remote(to) => to.0.post_reply(&to.1, answer),
         }
@@ -207,22 +207,39 @@ impl ReplySlot {
     }
 }
 
-impl Drop for ReplySlot {
-    fn drop(&mut self) {
-        let Some(to) = self.to.take() else {
-            return;
-        };
-        let slot = Self {
-            to: Some(to),
-            serial: self.serial,
-        };
-        let unwanted = match Processor::here() {
-            Some(processor) if slot.serial != 0 => processor.keep_orphan(slot),
-            _ => Err(slot),
-        };
-        if let Err(slot) = unwanted {
-            slot.answer(Err(Fault::NoReply));
+impl Letter {
+    /// Goes back, with the answer as its data, to whoever waits for it. What goes to a call of this
+    /// chassis is not moved: so it passes here and not [`ReplySlot::answer`].
+    #[inline]
+    pub(crate) fn go_home(mut self: Box<Self>) {
+        match self.reply.as_mut().and_then(|slot| slot.to.take()) {
+            Some(ReplyTo::Local(ticket)) => ticket.answer(Brought::Data(self)),
+            Some(to) => to.answer(Ok(self.open().0)),
+            None => {}
         }
+    }
+}
+
+impl Drop for ReplySlot {
+    #[inline]
+    fn drop(&mut self) {
+        if let Some(to) = self.to.take() {
+            drop_unanswered(Self {
+                to: Some(to),
+                serial: self.serial,
+            });
+        }
+    }
+}
+
+#[cold]
+fn drop_unanswered(slot: ReplySlot) {
+    let unwanted = match Processor::here() {
+        Some(processor) if slot.serial != 0 => processor.keep_orphan(slot),
+        _ => Err(slot),
+    };
+    if let Err(slot) = unwanted {
+        slot.answer(Err(Fault::NoReply));
     }
 }
 
@@ -260,9 +277,8 @@ mod tests {
 
     fn answer(processor: &Processor, key: CallKey) -> Option<Answer> {
         match processor.poll_call(key, &mut None, &PollContext::from_waker(Waker::noop())) {
-            Looked::Answered(data) => Some(Ok(data)),
-            Looked::Failed(fault) => Some(Err(fault)),
-            Looked::Waiting | Looked::Long | Looked::Late(..) => None,
+            Looked::Ended(answer) => Some(answer.into()),
+            Looked::Waiting | Looked::Long(_) | Looked::Late(..) => None,
         }
     }
 
@@ -274,14 +290,14 @@ mod tests {
         assert_eq!(first.take::<u8>().unwrap(), 1);
         // The next call uses the same slot.
         let next = processor.begin_call(Duration::from_secs(1));
-        processor.take_answer_by_key(key, Ok(Data::of(2_u8)));
+        processor.take_answer_by_key(key, Ok(Data::of(2_u8)).into());
         assert!(answer(&processor, next.key()).is_none());
     }
 
     #[test]
     fn the_first_answer_counts() {
         let (processor, slot, key) = call();
-        processor.take_answer_by_key(key, Ok(Data::of(1_u8)));
+        processor.take_answer_by_key(key, Ok(Data::of(1_u8)).into());
         slot.answer(Ok(Data::of(2_u8)));
         let first = answer(&processor, key).unwrap().unwrap();
         assert_eq!(first.take::<u8>().unwrap(), 1);

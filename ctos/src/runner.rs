@@ -140,9 +140,9 @@ pub(crate) fn start_at(
     let (parent, arrival) = match origin {
         Origin::Boot => (None, None),
         Origin::StartedBy(parent) => (Some(parent), None),
-        Origin::Moved(arrival) => (None, Some(arrival)),
+        Origin::Moved(arrival) => (None, Some(Box::new(arrival))),
     };
-    let runner = Runner {
+    let runner = Box::new(Runner {
         cx: cx.clone(),
         record: spec.record.clone(),
         queue: queue.clone(),
@@ -159,7 +159,7 @@ pub(crate) fn start_at(
         kept: None,
         phase: None,
         parent,
-    };
+    });
     // Panics of the handler are caught where it is called. What is left is its destructor.
     let on_panic = move |text: String| {
         cx.fail(&format!("it panicked while it ended: {text}"));
@@ -181,9 +181,11 @@ fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, H
 }
 
 impl Runner {
-    async fn run(mut self, arrival: Option<Arrival>) {
+    /// The loop. Boxed, both: what an asynchronous function is given stands twice in its future, and a chassis
+    /// may have very many of them.
+    async fn run(mut self: Box<Self>, arrival: Option<Box<Arrival>>) {
         let settled = match arrival {
-            Some(arrival) => moving::arrive(&mut self, arrival).boxed_local().await,
+            Some(arrival) => moving::arrive(&mut self, *arrival).boxed_local().await,
             None => true,
         };
         if settled {
@@ -294,9 +296,7 @@ impl Runner {
         }
         let Some(handler) = self.handler.as_deref_mut() else {
             // Between two incarnations a message is begun only before a stop that waits behind it.
-            if let Some(slot) = message.reply {
-                slot.answer(Err(Fault::Stopping));
-            }
+            message.refuse(Fault::Stopping);
             return Box::pin(std::future::ready(Ok(())));
         };
         match message.command() {

@@ -29,11 +29,6 @@ pub enum NetCommand {
     /// Net text, PNML (ISO/IEC 15909-2) and the text of TINA are read, whichever it is, and written. PNML keeps
     /// everything; what another form has no words for is told.
     Convert(convert::ConvertArgs),
-    /// Draw a net, or a moment of a recorded one
-    ///
-    /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
-    /// what these do not name is arranged by rule.
-    Draw(draw::DrawArgs),
     /// Fire an enabled transition of a running net by hand
     ///
     /// As all interventions, it needs `allow_control = true` in the arguments of the net's task, the role `control`
@@ -62,6 +57,11 @@ pub enum NetCommand {
     Tape(control::TapeArgs),
     /// Show the marking of a running net
     Marking(control::NetTaskArgs),
+    /// Draw a net, or a moment of a recorded one
+    ///
+    /// As SVG, or in the language of Graphviz or Mermaid. Nodes stand where the layout file beside the net or its PNML says;
+    /// what these do not name is arranged by rule.
+    Draw(draw::DrawArgs),
     /// Lay out net text in the one usual way
     Fmt(fmt::FmtArgs),
     /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
@@ -79,7 +79,6 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
         NetCommand::Check(args) => check::run(args, registry),
         NetCommand::Convert(args) => convert::run(args),
-        NetCommand::Draw(args) => draw::run(args),
         NetCommand::Fire(args) => control::fire(args),
         NetCommand::Put(args) => control::put(args),
         NetCommand::Take(args) => control::take(args),
@@ -91,6 +90,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Replace(args) => control::replace(args),
         NetCommand::Tape(args) => control::tape(args),
         NetCommand::Marking(args) => control::marking(args),
+        NetCommand::Draw(args) => draw::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
         NetCommand::Lsp(args) => lsp::run(args, registry),
         NetCommand::Perf(args) => perf::run(args),

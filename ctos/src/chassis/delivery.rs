@@ -6,13 +6,13 @@ use std::{sync::Arc, time::Duration};
 use super::{Chassis, Outbound};
 use crate::{
     call::{Answer, Fault, Promise, ReplyKey, ReplySlot, Waiting},
+    context::Note,
     exchange::CallKey,
     mailbox::{Acceptance, Offered},
-    message::{Command, Data, Flags, Header, Message, Tid},
+    message::{Command, Data, Flags, Message, Tid},
     processor::Processor,
     record::Asked,
     system,
-    time::Instant,
 };
 
 /// What the sender of a message waits for.
@@ -24,31 +24,6 @@ pub(crate) enum WaitFor {
     Acceptance,
 }
 
-/// Who sends what to whom.
-pub(crate) struct Envelope {
-    pub(crate) to: Tid,
-    pub(crate) from: Tid,
-    pub(crate) command: u16,
-    pub(crate) flags: Flags,
-    pub(crate) data: Data,
-    /// 0 when nothing led to it: it then begins a trace of its own.
-    pub(crate) trace: u64,
-    /// When the sender stops waiting.
-    pub(crate) deadline: Option<Instant>,
-}
-
-impl Envelope {
-    pub(super) fn header(&self, flags: Flags, size: usize) -> Header {
-        Header {
-            to: self.to,
-            from: self.from,
-            command: self.command,
-            flags: self.flags.with(flags).with(Flags::OWNED),
-            size: u32::try_from(size).unwrap_or(u32::MAX),
-        }
-    }
-}
-
 /// What became of a one-way message.
 pub(crate) enum Sent {
     /// The receiver's queue has taken it, or never will.
@@ -57,11 +32,10 @@ pub(crate) enum Sent {
     Waits(Question),
 }
 
-/// A call, or a send, that waits at its processor; with the way to take it back when it went over a
-/// link.
+/// A send that waits at its processor; with the way to take it back when it went over a link.
 pub(crate) struct Question {
     pub(crate) key: CallKey,
-    pub(crate) outbound: Option<Outbound>,
+    pub(crate) outbound: Option<Box<Outbound>>,
     /// The message's number in the record.
     pub(crate) recorded: u64,
     pub(crate) asked: Asked,
@@ -86,48 +60,49 @@ enum Offer {
 }
 
 impl Chassis {
-    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there.
+    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, with
+    /// what `note` makes of it and of the message's number in the record. With the way to take it back,
+    /// when it went over a link.
+    #[inline]
     pub(crate) fn call(
         self: &Arc<Self>,
         processor: &Processor,
-        mut envelope: Envelope,
+        mut message: Message,
         limit: Duration,
-    ) -> Question {
-        let asked = self.address(Some(processor), &mut envelope);
-        let to = envelope.to;
+        note: impl FnOnce(Asked, u64) -> Note,
+    ) -> (CallKey, Option<Box<Outbound>>) {
+        let asked = self.address(Some(processor), &mut message);
+        let to = message.header().to;
         let here = to.chassis() == self.index;
         // What stays on the processor is told when the caller gives up once that is known there.
         if !here || self.tap.is_on() || !self.is_on(to, processor) {
-            envelope.deadline = Some(processor.now() + limit);
+            message.letter.deadline = Some(processor.now() + limit);
         }
         let ticket = processor.begin_call(limit);
         let key = ticket.key();
         let slot = ReplySlot::call(ticket);
         if let Some(replay) = self.tap.replay() {
-            replay.dispatch(&envelope, WaitFor::Reply, self.clock.now(), slot);
-            return Question::new(key, asked);
+            processor.note_call(key, note(asked, 0));
+            replay.dispatch(&message, WaitFor::Reply, self.clock.now(), slot);
+            return (key, None);
         }
-        let recorded = self.tap.sent(&envelope, Some(WaitFor::Reply));
-        let outbound = if here {
-            let message = self.message(envelope, Flags::REPLY_WAIT, recorded, Some(slot));
-            match self.offer(processor, to, message) {
-                Offer::Done(Offered::Taken) => {}
-                Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
-                    Some(task) => task.mailbox.line_up(message, Acceptance::Silent),
-                    None => refuse(message, Fault::UnknownTask),
-                },
-                Offer::Done(Offered::Closed(message)) => refuse(message, Fault::Stopping),
-                Offer::Nobody(message) => refuse(message, Fault::UnknownTask),
-            }
-            None
-        } else {
-            self.post(envelope, WaitFor::Reply, Some(slot))
-        };
-        Question {
-            outbound,
-            recorded,
-            ..Question::new(key, asked)
+        let recorded = self.tap.sent(&message, Some(WaitFor::Reply));
+        processor.note_call(key, note(asked, recorded));
+        if !here {
+            let outbound = self.post(message, WaitFor::Reply, Some(slot));
+            return (key, outbound.map(Box::new));
         }
+        finish(&mut message, Flags::REPLY_WAIT, recorded, Some(slot));
+        match self.offer(processor, to, message) {
+            Offer::Done(Offered::Taken) => {}
+            Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
+                Some(task) => task.mailbox.line_up(message, Acceptance::Silent),
+                None => message.refuse(Fault::UnknownTask),
+            },
+            Offer::Done(Offered::Closed(message)) => message.refuse(Fault::Stopping),
+            Offer::Nobody(message) => message.refuse(Fault::UnknownTask),
+        }
+        (key, None)
     }
 
     /// Sends a message that needs no reply, and waits for room at `processor`, at most for `limit`, if
@@ -135,14 +110,14 @@ impl Chassis {
     pub(crate) fn send(
         self: &Arc<Self>,
         processor: &Processor,
-        mut envelope: Envelope,
+        mut message: Message,
         limit: Duration,
     ) -> Sent {
-        let asked = self.address(Some(processor), &mut envelope);
-        let to = envelope.to;
+        let asked = self.address(Some(processor), &mut message);
+        let to = message.header().to;
         let here = to.chassis() == self.index;
         if !here || self.tap.is_on() {
-            envelope.deadline = Some(processor.now() + limit);
+            message.letter.deadline = Some(processor.now() + limit);
         }
         let wait = || {
             let ticket = processor.begin_call(limit);
@@ -151,17 +126,18 @@ impl Chassis {
         };
         if let Some(replay) = self.tap.replay() {
             let (question, slot) = wait();
-            replay.dispatch(&envelope, WaitFor::Acceptance, self.clock.now(), slot);
+            replay.dispatch(&message, WaitFor::Acceptance, self.clock.now(), slot);
             return Sent::Waits(question);
         }
-        let recorded = self.tap.sent(&envelope, Some(WaitFor::Acceptance));
+        let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance));
         if !here {
             let (mut question, slot) = wait();
             question.recorded = recorded;
-            question.outbound = self.post(envelope, WaitFor::Acceptance, Some(slot));
+            let outbound = self.post(message, WaitFor::Acceptance, Some(slot));
+            question.outbound = outbound.map(Box::new);
             return Sent::Waits(question);
         }
-        let message = self.message(envelope, Flags::ACCEPT_WAIT, recorded, None);
+        finish(&mut message, Flags::ACCEPT_WAIT, recorded, None);
         let result = match self.offer(processor, to, message) {
             Offer::Done(Offered::Taken) => Ok(()),
             Offer::Done(Offered::Closed(_)) => Err(Fault::Stopping),
@@ -190,19 +166,19 @@ impl Chassis {
     pub(crate) fn try_send(
         &self,
         processor: &Processor,
-        mut envelope: Envelope,
+        mut message: Message,
     ) -> Result<(), Fault> {
-        let asked = self.address(Some(processor), &mut envelope);
-        let to = envelope.to;
+        let asked = self.address(Some(processor), &mut message);
+        let to = message.header().to;
         if to.chassis() != self.index {
             let chassis = self.name_of(to.chassis()).to_owned();
             return Err(Fault::Elsewhere { chassis });
         }
         if let Some(replay) = self.tap.replay() {
-            return replay.try_dispatch(&envelope, self.clock.now());
+            return replay.try_dispatch(&message, self.clock.now());
         }
-        let recorded = self.tap.sent(&envelope, None);
-        let message = self.message(envelope, Flags::NONE, recorded, None);
+        let recorded = self.tap.sent(&message, None);
+        finish(&mut message, Flags::NONE, recorded, None);
         let put = match self.offer(processor, to, message) {
             Offer::Done(Offered::Taken) => Ok(()),
             Offer::Done(Offered::Closed(_)) => Err(Fault::Stopping),
@@ -218,20 +194,20 @@ impl Chassis {
     }
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
-    pub(crate) fn dispatch(self: &Arc<Self>, mut envelope: Envelope, wait: WaitFor) -> Waiting {
-        self.address(None, &mut envelope);
+    pub(crate) fn dispatch(self: &Arc<Self>, mut message: Message, wait: WaitFor) -> Waiting {
+        self.address(None, &mut message);
         let promise = Arc::new(Promise::default());
         let slot = ReplySlot::local(promise.clone());
         if let Some(replay) = self.tap.replay() {
-            replay.dispatch(&envelope, wait, self.clock.now(), slot);
+            replay.dispatch(&message, wait, self.clock.now(), slot);
             return Waiting::here(promise);
         }
-        let recorded = self.tap.sent(&envelope, Some(wait));
-        if envelope.to.chassis() != self.index {
-            let outbound = self.post(envelope, wait, Some(slot));
+        let recorded = self.tap.sent(&message, Some(wait));
+        if message.header().to.chassis() != self.index {
+            let outbound = self.post(message, wait, Some(slot));
             return Waiting::for_call(promise, outbound);
         }
-        let Some(task) = self.task(envelope.to) else {
+        let Some(task) = self.task(message.header().to) else {
             slot.answer(Err(Fault::UnknownTask));
             return Waiting::here(promise);
         };
@@ -239,7 +215,7 @@ impl Chassis {
             WaitFor::Reply => (Flags::REPLY_WAIT, Some(slot), Acceptance::Silent),
             WaitFor::Acceptance => (Flags::ACCEPT_WAIT, None, Acceptance::Told(slot)),
         };
-        let message = self.message(envelope, flags, recorded, reply);
+        finish(&mut message, flags, recorded, reply);
         task.mailbox.put(message, acceptance);
         Waiting::here(promise)
     }
@@ -247,45 +223,40 @@ impl Chassis {
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
     /// receiver.
     pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
-        let mut envelope = Envelope {
-            to,
-            from: system::agent_tid(self.index),
-            command: C::CODE,
-            flags: Flags::HIGH_PRIORITY,
-            data: Data::of(request),
-            trace: 0,
-            deadline: None,
-        };
-        self.address(None, &mut envelope);
-        let to = envelope.to;
+        let from = system::agent_tid(self.index);
+        let message = Message::request(to, from, C::CODE, request);
+        let mut message = message.flagged(Flags::HIGH_PRIORITY);
+        self.address(None, &mut message);
+        let to = message.header().to;
         if let Some(replay) = self.tap.replay() {
             let slot = ReplySlot::local(Arc::default());
             let now = self.clock.now();
-            return replay.dispatch(&envelope, WaitFor::Acceptance, now, slot);
+            return replay.dispatch(&message, WaitFor::Acceptance, now, slot);
         }
-        let recorded = self.tap.sent(&envelope, Some(WaitFor::Acceptance));
+        let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance));
         if to.chassis() != self.index {
-            self.post(envelope, WaitFor::Acceptance, None);
+            self.post(message, WaitFor::Acceptance, None);
         } else if let Some(task) = self.task(to) {
-            let message = self.message(envelope, Flags::ACCEPT_WAIT, recorded, None);
+            finish(&mut message, Flags::ACCEPT_WAIT, recorded, None);
             task.mailbox.put(message, Acceptance::Silent);
         }
     }
 
-    /// Turns `envelope` to where the receiver is now, and begins a trace if it belongs to none.
+    /// Turns `message` to where the receiver is now, and begins a trace if it belongs to none.
     #[inline]
-    fn address(&self, processor: Option<&Processor>, envelope: &mut Envelope) -> Asked {
-        if envelope.trace == 0 {
-            envelope.trace = match processor {
+    fn address(&self, processor: Option<&Processor>, message: &mut Message) -> Asked {
+        let letter = &mut *message.letter;
+        if letter.trace == 0 {
+            letter.trace = match processor {
                 Some(processor) => processor.fresh_trace(|count| self.fresh_traces(count)),
                 None => self.fresh_trace(),
             };
         }
         // A fence goes to the old place itself.
-        if envelope.command != system::Fence::CODE {
-            envelope.to = self.directory.current(envelope.to);
+        if letter.header.command != system::Fence::CODE {
+            letter.header.to = self.directory.current(letter.header.to);
         }
-        Asked::of(envelope)
+        Asked::of(message)
     }
 
     /// Whether task `to` of this chassis runs on `processor`.
@@ -294,26 +265,6 @@ impl Chassis {
         self.processors
             .get(usize::from(to.processor()))
             .is_some_and(|(_, handle)| Arc::ptr_eq(handle, &processor.handle))
-    }
-
-    /// The message that `envelope` becomes inside this chassis. This is the one place that every
-    /// message from a task to another one of the same chassis passes on its way out.
-    #[inline]
-    fn message(
-        &self,
-        envelope: Envelope,
-        flags: Flags,
-        recorded: u64,
-        reply: Option<ReplySlot>,
-    ) -> Message {
-        Message {
-            header: envelope.header(flags, 0),
-            trace: envelope.trace,
-            deadline: envelope.deadline,
-            recorded,
-            data: envelope.data,
-            reply,
-        }
     }
 
     /// Offers a message of a task of `processor` to task `to` of this chassis.
@@ -342,17 +293,20 @@ impl Chassis {
                     return;
                 };
                 match Processor::here_if(handle) {
-                    Some(here) => here.take_answer_by_key(call, answer),
-                    None => handle.bring_answer_by_key(call, answer),
+                    Some(here) => here.take_answer_by_key(call, answer.into()),
+                    None => handle.bring_answer_by_key(call, answer.into()),
                 }
             }
         }
     }
 }
 
-/// Ends the call that `message` is.
-fn refuse(message: Message, fault: Fault) {
-    if let Some(slot) = message.reply {
-        slot.answer(Err(fault));
-    }
+/// Makes a message ready for a task of the same chassis. This is the one place that every message from
+/// a task to another one of its chassis passes on its way out.
+#[inline]
+fn finish(message: &mut Message, flags: Flags, recorded: u64, reply: Option<ReplySlot>) {
+    let letter = &mut *message.letter;
+    letter.header.flags = letter.header.flags.with(flags).with(Flags::OWNED);
+    letter.recorded = recorded;
+    letter.reply = reply;
 }

@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Chassis, Envelope, WaitFor};
+use super::{Chassis, WaitFor};
 use crate::{
     blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
@@ -105,7 +105,7 @@ impl Chassis {
     /// that every message to another chassis passes on its way out.
     pub(super) fn post(
         self: &Arc<Self>,
-        mut envelope: Envelope,
+        message: Message,
         wait: WaitFor,
         reply: Option<ReplySlot>,
     ) -> Option<Outbound> {
@@ -119,13 +119,16 @@ impl Chassis {
             WaitFor::Reply => Flags::REPLY_WAIT,
             WaitFor::Acceptance => Flags::ACCEPT_WAIT,
         };
-        let data = std::mem::replace(&mut envelope.data, Data::Bytes(Vec::new()));
+        let (mut header, trace, deadline) =
+            (*message.header(), message.trace(), message.deadline());
+        let (data, _) = message.letter.open();
         let body = match body_of(data) {
             Ok(body) => body,
             Err(fault) => return failed(reply, fault),
         };
-        let header = envelope.header(flag, body.len());
-        let peer = envelope.to.chassis();
+        header.flags = header.flags.with(flag).with(Flags::OWNED);
+        header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
+        let peer = header.to.chassis();
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
             drop(links);
@@ -138,8 +141,8 @@ impl Chassis {
         let posted = link.post(Frame {
             header,
             call,
-            trace: envelope.trace,
-            left_ns: self.left_ns(envelope.deadline),
+            trace,
+            left_ns: self.left_ns(deadline),
             body,
         });
         if let Err(Full { bytes }) = posted {
@@ -151,7 +154,7 @@ impl Chassis {
             chassis: self.clone(),
             header,
             call,
-            trace: envelope.trace,
+            trace,
         })
     }
 
@@ -265,14 +268,13 @@ impl Chassis {
             let slot = ReplySlot::remote(self.clone(), request);
             (None, Acceptance::Told(slot))
         };
-        let message = Message {
-            header,
-            trace,
-            deadline,
-            recorded,
-            data: Data::Bytes(body),
-            reply,
-        };
+        let data = Data::Bytes(body);
+        let mut message = Message::with_data(header.to, header.from, header.command, data)
+            .in_trace(trace)
+            .until(deadline);
+        message.letter.header = header;
+        message.letter.recorded = recorded;
+        message.letter.reply = reply;
         task.mailbox.put(message, acceptance);
     }
 

@@ -181,16 +181,31 @@ pub struct ProcessorConfig {
     pub priority: Option<u8>,
     /// The CPU it is pinned to, counted from 0.
     pub cpu: Option<usize>,
-    /// How long it looks for messages before it sleeps; `None` = the runtime chooses by placement.
-    pub poll: Option<Duration>,
     /// The base period of its synchronous functions; `None` = they bring their own.
     pub period: Option<Duration>,
     /// What it does with ticks that it comes too late for.
     pub overrun: Overrun,
-    /// How long before a tick it is awake and waits spinning.
-    pub spin: Duration,
+    /// How long it is awake and waits spinning: before a tick, and for messages before it sleeps; `None` =
+    /// as long as suits its placement.
+    pub spin: Option<Duration>,
     /// Where its name stands (the chassis's for the implicit `main`).
     pub place: Place,
+}
+
+/// How long a real-time processor spins before a tick, unless the configuration says otherwise: waking up
+/// takes about so long on a busy machine.
+const TICK_SPIN: Duration = Duration::from_micros(80);
+
+impl ProcessorConfig {
+    /// How long before a tick it is awake and waits spinning.
+    #[must_use]
+    pub fn tick_spin(&self) -> Duration {
+        self.spin.unwrap_or(if self.realtime {
+            TICK_SPIN
+        } else {
+            Duration::ZERO
+        })
+    }
 }
 
 /// What the configuration says of a semaphore.

@@ -60,7 +60,7 @@ const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
 const BARRIER_KEYS: &[&str] = &["scope", "parties"];
 const PARTIES_MOST: u32 = 1_000_000;
 const PROCESSOR_KEYS: &[&str] = &[
-    "realtime", "priority", "cpu", "poll_us", "period_s", "overrun", "spin_us",
+    "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
 ];
 const CHASSIS_KEYS: &[&str] = &[
     "host",
@@ -91,8 +91,6 @@ const PHASE_TIMEOUT_S: f64 = 20.0;
 const STOP_TIMEOUT_S: f64 = 5.0;
 const QUEUE: usize = 64;
 const MAIN: &str = "main";
-/// Waking up takes about so long on a busy machine, even with real-time priority.
-const SPIN_US: u64 = 80;
 const SPIN_MOST_US: u64 = 10_000;
 const PERIOD_MOST_S: f64 = 3600.0;
 /// A task id has 8 bits for the chassis; 0 is the one that boots, 255 is kept for the runtime.
@@ -350,10 +348,9 @@ impl Builder<'_> {
                 required: false,
                 priority: None,
                 cpu: None,
-                poll: None,
                 period: None,
                 overrun: Overrun::default(),
-                spin: Duration::ZERO,
+                spin: None,
                 place: place.clone(),
             });
         }
@@ -378,7 +375,6 @@ impl Builder<'_> {
         let realtime = required || realtime == Some(FlagOr::Flag(true));
         let priority = fields.integer("priority", 1..=99_u8);
         let cpu = fields.integer("cpu", 0..=1023_usize);
-        let poll_us = fields.integer("poll_us", 0..=10_000_u64);
         if let (Some(_), false, Some(at)) = (priority, realtime, fields.place("priority")) {
             let finding = Finding::warning(
                 "ctos::config::no_effect",
@@ -405,17 +401,15 @@ impl Builder<'_> {
             );
             fields.push(finding.at(at));
         }
-        let spin_us = spin_us.unwrap_or(if realtime { SPIN_US } else { 0 });
         ProcessorConfig {
             name: entry.key.clone(),
             realtime,
             required,
             priority,
             cpu,
-            poll: poll_us.map(Duration::from_micros),
             period,
             overrun,
-            spin: Duration::from_micros(spin_us),
+            spin: spin_us.map(Duration::from_micros),
             place,
         }
     }

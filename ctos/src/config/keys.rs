@@ -365,12 +365,6 @@ pub(super) const TABLES: &[Table] = &[
                 "The CPU it is pinned to, counted from 0. Default: none.",
             ),
             key(
-                "poll_us",
-                Kind::Integer(0, 10_000),
-                None,
-                "How long it looks for messages before it sleeps, us. Default: 20 on a CPU of its own, else 0.",
-            ),
-            key(
                 "period_s",
                 Kind::Seconds(3600.0),
                 None,
@@ -386,7 +380,7 @@ pub(super) const TABLES: &[Table] = &[
                 "spin_us",
                 Kind::Integer(0, 10_000),
                 None,
-                "How long before a tick it wakes up and spins, us. Default: 80 with `realtime`, else 0.",
+                "How long it spins, us: before a tick (default: 80 with `realtime`, else 0), and for messages before it sleeps (default: 20 on a CPU of its own, else 0).",
             ),
         ],
     },

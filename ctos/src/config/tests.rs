@@ -152,14 +152,13 @@ fn summary(app: &App) -> String {
                 required,
                 priority,
                 cpu,
-                poll,
                 period,
                 overrun,
                 spin,
                 place: _,
             } = processor;
             format!(
-                "{name} {realtime} {required} {priority:?} {cpu:?} {poll:?} {period:?} {overrun:?} {spin:?}"
+                "{name} {realtime} {required} {priority:?} {cpu:?} {period:?} {overrun:?} {spin:?}"
             )
         });
         let processors: Vec<_> = processors.collect();

@@ -3,43 +3,47 @@
 
 use std::{
     future::{Future, IntoFuture},
+    marker::PhantomData,
     pin::Pin,
+    rc::Rc,
+    sync::Arc,
     task::{Context as PollContext, Poll},
     time::Duration,
 };
 
 use futures_util::future::LocalBoxFuture;
 
-use super::{Context, TaskRef};
+use super::{Context, Inner};
 use crate::{
     call::{CallError, Fault},
-    chassis::{Envelope, Question, Sent},
+    chassis::{Outbound, Question, Sent},
     circle,
-    exchange::Looked,
-    message::{Command, Data, Flags},
+    exchange::{Brought, CallKey, Looked},
+    message::{Command, Flags, Letter, Message, Tid},
+    record::Asked,
     time::Instant,
 };
 
 /// A call that has not been made yet; `.await` makes it.
 #[must_use = "a call is made when it is awaited"]
 pub struct Call<C: Command> {
-    pub(super) cx: Context,
-    pub(super) to: TaskRef,
-    pub(super) request: C,
-    pub(super) deadline: Duration,
-    pub(super) flags: Flags,
+    pub(super) asker: Rc<Inner>,
+    pub(super) message: Message,
+    pub(super) command: PhantomData<fn(C) -> C::Reply>,
 }
 
 impl<C: Command> Call<C> {
     /// Waits at most this long for the reply.
+    #[inline]
     pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.deadline = deadline;
+        self.message.letter.limit = deadline;
         self
     }
 
     /// Overtakes messages of normal priority in the receiver's queue.
     pub fn high_priority(mut self) -> Self {
-        self.flags = self.flags.with(Flags::HIGH_PRIORITY);
+        let flags = self.message.header().flags.with(Flags::HIGH_PRIORITY);
+        self.message = self.message.flagged(flags);
         self
     }
 }
@@ -48,6 +52,7 @@ impl<C: Command> IntoFuture for Call<C> {
     type Output = Result<C::Reply, CallError>;
     type IntoFuture = Calling<C>;
 
+    #[inline]
     fn into_future(self) -> Calling<C> {
         Calling(CallState::New(self))
     }
@@ -65,6 +70,7 @@ enum CallState<C: Command> {
 
 impl<C: Command> CallState<C> {
     /// The call, if it has not been made yet.
+    #[inline]
     fn take_new(&mut self) -> Option<Call<C>> {
         if !matches!(self, Self::New(_)) {
             return None;
@@ -75,21 +81,20 @@ impl<C: Command> CallState<C> {
         }
     }
 
-    /// Looks for the end of a call that has been made; `open` makes what was waited for of the answer.
-    fn poll<T>(
+    /// Looks for the end of a call that has been made; `open` is given the answer, if there is one.
+    #[inline]
+    fn poll(
         &mut self,
         poll: &mut PollContext<'_>,
-        open: impl FnOnce(Data) -> Result<T, Fault>,
-    ) -> Poll<Result<T, CallError>> {
+        open: &mut dyn FnMut(Box<Letter>) -> Result<(), Fault>,
+    ) -> Poll<Result<(), CallError>> {
         let Self::Asked(ask) = self else {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
-        let answer = std::task::ready!(ask.poll(poll));
-        let result = answer.and_then(open);
-        let result = result.map_err(|fault| ask.error(C::NAME, fault));
+        let result = std::task::ready!(ask.poll(poll, C::NAME, open));
         *self = Self::Ended;
-        Poll::Ready(result)
+        Poll::Ready(result.map_err(|error| *error))
     }
 }
 
@@ -98,19 +103,23 @@ impl<C: Command> Unpin for Calling<C> {}
 impl<C: Command> Future for Calling<C> {
     type Output = Result<C::Reply, CallError>;
 
+    #[inline]
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
         let Self(state) = self.get_mut();
         if let Some(call) = state.take_new() {
-            let data = Data::of(call.request);
-            let envelope = call.cx.envelope(&call.to, C::CODE, call.flags, data);
-            let ask = Ask::call(call.cx, call.to, C::NAME, envelope, call.deadline);
-            *state = CallState::Asked(ask);
+            *state = CallState::Asked(Ask::call(call.asker, C::NAME, call.message));
         }
-        state.poll(poll, |data| {
-            data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
+        let mut reply = None;
+        let mut open = |letter: Box<Letter>| {
+            let taken = letter.take::<C::Reply>();
+            reply = Some(taken.map_err(|error| Fault::BadPayload {
                 text: format!("its reply: {error}"),
-            })
-        })
+            })?);
+            Ok(())
+        };
+        std::task::ready!(state.poll(poll, &mut open))?;
+        // It was opened, or there would be an error.
+        reply.map_or(Poll::Pending, |reply| Poll::Ready(Ok(reply)))
     }
 }
 
@@ -123,7 +132,7 @@ pub struct Send<C: Command> {
 impl<C: Command> Send<C> {
     /// Waits at most this long for room in the receiver's queue.
     pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.call.deadline = deadline;
+        self.call.message.letter.limit = deadline;
         self
     }
 
@@ -154,84 +163,86 @@ impl<C: Command> Future for Sending<C> {
 
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
         let Self(state) = self.get_mut();
-        if let Some(call) = state.take_new() {
-            let data = Data::of(call.request);
-            let envelope = call.cx.envelope(&call.to, C::CODE, call.flags, data);
-            let inner = &call.cx.inner;
-            match inner
-                .chassis
-                .send(&inner.processor, envelope, call.deadline)
-            {
-                Sent::Ended(result) => {
-                    let result = result.map_err(|fault| call.cx.error(&call.to, C::NAME, fault));
-                    return Poll::Ready(result);
+        if let Some(Call {
+            asker, mut message, ..
+        }) = state.take_new()
+        {
+            let to = message.letter.to.take();
+            let limit = message.letter.limit;
+            match asker.chassis.send(&asker.processor, message, limit) {
+                Sent::Ended(Ok(())) => return Poll::Ready(Ok(())),
+                Sent::Ended(Err(fault)) => {
+                    let error = call_error(&asker, to.as_deref(), C::NAME, fault);
+                    return Poll::Ready(Err(error));
                 }
                 Sent::Waits(question) => {
-                    *state = CallState::Asked(Ask::new(call.cx, call.to, C::NAME, question));
+                    *state = CallState::Asked(Ask::waiting(asker, to, C::NAME, question));
                 }
             }
         }
-        state.poll(poll, |_| Ok(()))
+        state.poll(poll, &mut |letter| {
+            letter.open();
+            Ok(())
+        })
     }
 }
 
 /// Who asked whom for what. Kept with the call, so that it can be shown while it waits.
 pub(crate) struct Note {
-    cx: Context,
-    to: TaskRef,
+    asker: Rc<Inner>,
+    to: Option<Arc<str>>,
     command: &'static str,
+    asked: Asked,
+    /// The message's number in the record.
+    recorded: u64,
     /// Where it is shown.
     place: Option<usize>,
 }
 
 impl Note {
-    fn new(cx: &Context, to: TaskRef, command: &'static str) -> Self {
-        Self {
-            cx: cx.clone(),
-            to,
-            command,
-            place: None,
-        }
+    /// The asked task.
+    pub(crate) fn to(&self) -> Tid {
+        self.asked.to()
     }
 
     /// Shows the call to whoever wants to know what its task waits for.
     pub(crate) fn show(&mut self, since: Instant) {
         if self.place.is_none() {
-            let waits = &self.cx.inner.record.waits;
-            let to = self.to.name.clone();
-            self.place = Some(waits.begin(to, self.to.tid, self.command, since));
+            let waits = &self.asker.record.waits;
+            let to = self.to.clone().unwrap_or_else(|| "".into());
+            self.place = Some(waits.begin(to, self.asked.to(), self.command, since));
         }
     }
 }
 
 impl Drop for Note {
+    #[inline]
     fn drop(&mut self) {
         if let Some(place) = self.place {
-            self.cx.inner.record.waits.end(place);
+            self.asker.record.waits.end(place);
         }
     }
 }
 
 /// Waits for an answer; dropped before, it takes the question back.
 pub(super) struct Ask {
-    cx: Context,
+    asker: Rc<Inner>,
     state: AskState,
-    circle: Circle,
-    /// Who was asked, once it has ended.
-    note: Option<Note>,
+    /// Set once the call has waited long.
+    circle: Option<Box<Circle>>,
 }
 
 /// The search for a circle of tasks that wait for one another; see `circle.rs`.
 enum Circle {
-    NotLookedFor,
     LookedFor(LocalBoxFuture<'static, Option<String>>),
     Found(Option<String>),
 }
 
 enum AskState {
-    Asked(Question),
-    /// There was no time at all to ask.
-    TooLate,
+    /// The call, and the way to take it back when it went over a link.
+    Asked(CallKey, Option<Box<Outbound>>),
+    /// There was no time at all to send this.
+    TooLate(Message),
     Ended,
 }
 
@@ -247,89 +258,125 @@ impl Circle {
 }
 
 impl Ask {
-    fn new(cx: Context, to: TaskRef, command: &'static str, question: Question) -> Self {
-        let note = Note::new(&cx, to, command);
-        cx.inner.processor.note_call(question.key, note);
+    fn new(asker: Rc<Inner>, state: AskState) -> Self {
         Self {
-            cx,
-            state: AskState::Asked(question),
-            circle: Circle::NotLookedFor,
-            note: None,
+            asker,
+            state,
+            circle: None,
         }
+    }
+
+    /// Waits for the end of what has been sent to task `to` already.
+    fn waiting(
+        asker: Rc<Inner>,
+        to: Option<Arc<str>>,
+        command: &'static str,
+        question: Question,
+    ) -> Self {
+        let note = Note {
+            asker: asker.clone(),
+            to,
+            command,
+            asked: question.asked,
+            recorded: question.recorded,
+            place: None,
+        };
+        asker.processor.note_call(question.key, note);
+        Self::new(asker, AskState::Asked(question.key, question.outbound))
     }
 
     /// Makes a call, at once.
-    pub(super) fn call(
-        cx: Context,
-        to: TaskRef,
-        command: &'static str,
-        envelope: Envelope,
-        deadline: Duration,
-    ) -> Self {
-        if deadline == Duration::ZERO {
-            return Self {
-                note: Some(Note::new(&cx, to, command)),
-                cx,
-                state: AskState::TooLate,
-                circle: Circle::NotLookedFor,
-            };
+    pub(super) fn call(asker: Rc<Inner>, command: &'static str, mut message: Message) -> Self {
+        let limit = message.letter.limit;
+        if limit == Duration::ZERO {
+            return Self::new(asker, AskState::TooLate(message));
         }
-        let inner = &cx.inner;
-        let question = inner.chassis.call(&inner.processor, envelope, deadline);
-        Self::new(cx, to, command, question)
+        let to = message.letter.to.take();
+        let note = |asked, recorded| Note {
+            asker: asker.clone(),
+            to,
+            command,
+            asked,
+            recorded,
+            place: None,
+        };
+        let (chassis, processor) = (&asker.chassis, &asker.processor);
+        let (key, outbound) = chassis.call(processor, message, limit, note);
+        Self::new(asker, AskState::Asked(key, outbound))
     }
 
-    #[inline]
-    fn poll(&mut self, poll: &mut PollContext<'_>) -> Poll<Result<Data, Fault>> {
-        let AskState::Asked(question) = &self.state else {
-            return self.poll_late();
+    /// Looks for the answer to `command`; `open` is given it, if there is one, and says what is wrong
+    /// with it.
+    pub(super) fn poll(
+        &mut self,
+        poll: &mut PollContext<'_>,
+        command: &'static str,
+        open: &mut dyn FnMut(Box<Letter>) -> Result<(), Fault>,
+    ) -> Poll<Result<(), Box<CallError>>> {
+        let AskState::Asked(key, _) = &self.state else {
+            return self.poll_late(command).map(Err);
         };
-        let processor = &self.cx.inner.processor;
-        let fault = match processor.poll_call(question.key, &mut self.note, poll) {
-            Looked::Answered(data) => return Poll::Ready(Ok(self.answered(data))),
-            Looked::Waiting => {
-                self.circle.poll(poll);
-                return Poll::Pending;
-            }
-            Looked::Long => {
-                let looking = circle::look(self.cx.clone(), question.asked.to());
-                self.circle = Circle::LookedFor(Box::pin(looking));
-                self.circle.poll(poll);
-                return Poll::Pending;
-            }
-            Looked::Failed(fault) => fault,
-            Looked::Late(after) => {
-                match std::mem::replace(&mut self.circle, Circle::NotLookedFor) {
-                    Circle::Found(Some(circle)) => Fault::Circle { after, circle },
-                    _ => Fault::Deadline { after },
+        let mut note = None;
+        let fault = match self.asker.processor.poll_call(*key, &mut note, poll) {
+            Looked::Ended(Brought::Data(letter)) => {
+                if let Some(note) = &note {
+                    let tap = &self.asker.chassis.tap;
+                    tap.answered(note.recorded, &note.asked, Ok(&letter.data));
+                }
+                self.state = AskState::Ended;
+                match open(letter) {
+                    Ok(()) => return Poll::Ready(Ok(())),
+                    Err(fault) => fault,
                 }
             }
+            Looked::Waiting => {
+                if let Some(circle) = &mut self.circle {
+                    circle.poll(poll);
+                }
+                return Poll::Pending;
+            }
+            Looked::Long(to) => {
+                self.look_for_circle(to, poll);
+                return Poll::Pending;
+            }
+            Looked::Ended(Brought::Fault(fault)) => self.failed(note.as_ref(), *fault),
+            Looked::Late(after) => self.late(note.as_ref(), after),
         };
-        Poll::Ready(Err(self.failed(fault)))
+        let to = note.as_ref().and_then(|note| note.to.as_deref());
+        let error = call_error(&self.asker, to, command, fault);
+        Poll::Ready(Err(Box::new(error)))
     }
 
-    /// There is a reply.
-    #[inline]
-    fn answered(&mut self, data: Data) -> Data {
-        let AskState::Asked(question) = &self.state else {
-            return data;
+    #[cold]
+    fn look_for_circle(&mut self, to: Tid, poll: &mut PollContext<'_>) {
+        let cx = Context {
+            inner: self.asker.clone(),
+            trace: 0,
         };
-        let tap = &self.cx.inner.chassis.tap;
-        tap.answered(question.recorded, &question.asked, Ok(&data));
-        self.state = AskState::Ended;
-        data
+        let mut circle = Circle::LookedFor(Box::pin(circle::look(cx, to)));
+        circle.poll(poll);
+        self.circle = Some(Box::new(circle));
+    }
+
+    #[cold]
+    fn late(&mut self, note: Option<&Note>, after: Duration) -> Fault {
+        let fault = match self.circle.take().map(|circle| *circle) {
+            Some(Circle::Found(Some(circle))) => Fault::Circle { after, circle },
+            _ => Fault::Deadline { after },
+        };
+        self.failed(note, fault)
     }
 
     /// It came to nothing.
     #[cold]
-    fn failed(&mut self, fault: Fault) -> Fault {
-        let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended) else {
-            return fault;
-        };
-        let tap = &self.cx.inner.chassis.tap;
-        tap.answered(question.recorded, &question.asked, Err(&fault));
-        if let (Some(outbound), Fault::Deadline { .. } | Fault::Circle { .. }) =
-            (question.outbound, &fault)
+    fn failed(&mut self, note: Option<&Note>, fault: Fault) -> Fault {
+        let state = std::mem::replace(&mut self.state, AskState::Ended);
+        if let Some(note) = note {
+            let tap = &self.asker.chassis.tap;
+            tap.answered(note.recorded, &note.asked, Err(&fault));
+        }
+        if let (AskState::Asked(_, Some(outbound)), Fault::Deadline { .. } | Fault::Circle { .. }) =
+            (state, &fault)
         {
             outbound.abandon();
         }
@@ -337,46 +384,42 @@ impl Ask {
     }
 
     #[cold]
-    fn poll_late(&mut self) -> Poll<Result<Data, Fault>> {
-        if !matches!(self.state, AskState::TooLate) {
+    fn poll_late(&mut self, command: &str) -> Poll<Box<CallError>> {
+        match std::mem::replace(&mut self.state, AskState::Ended) {
+            AskState::TooLate(message) => {
+                let after = Duration::ZERO;
+                let to = message.letter.to.as_deref();
+                let error = call_error(&self.asker, to, command, Fault::Deadline { after });
+                Poll::Ready(Box::new(error))
+            }
             // Polled after its end, which is the fault of whoever polls.
-            return Poll::Pending;
-        }
-        self.state = AskState::Ended;
-        Poll::Ready(Err(Fault::Deadline {
-            after: Duration::ZERO,
-        }))
-    }
-
-    /// The error that `fault` makes of it, once it has ended.
-    #[cold]
-    fn error(&self, command: &str, fault: Fault) -> CallError {
-        CallError {
-            from: self.cx.name().to_owned(),
-            // Every question is noted when it is asked.
-            to: self
-                .note
-                .as_ref()
-                .map_or_else(String::new, |note| note.to.name().to_owned()),
-            command: command.to_owned(),
-            fault,
+            AskState::Asked(..) | AskState::Ended => Poll::Pending,
         }
     }
 }
 
-impl Future for Ask {
-    type Output = Result<Data, Fault>;
-
-    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
-        self.get_mut().poll(poll)
+/// The error that `fault` makes of a call.
+#[cold]
+fn call_error(asker: &Inner, to: Option<&str>, command: &str, fault: Fault) -> CallError {
+    CallError {
+        from: asker.record.name.to_string(),
+        // Whoever calls names the task.
+        to: to.unwrap_or_default().to_owned(),
+        command: command.to_owned(),
+        fault,
     }
 }
 
 impl Drop for Ask {
+    #[inline]
     fn drop(&mut self) {
-        if let AskState::Asked(question) = std::mem::replace(&mut self.state, AskState::Ended) {
-            self.cx.inner.processor.give_up_call(question.key);
-            if let Some(outbound) = question.outbound {
+        if !matches!(self.state, AskState::Asked(..)) {
+            return;
+        }
+        if let AskState::Asked(key, outbound) = std::mem::replace(&mut self.state, AskState::Ended)
+        {
+            self.asker.processor.give_up_call(key);
+            if let Some(outbound) = outbound {
                 outbound.abandon();
             }
         }

@@ -10,12 +10,12 @@ use futures_util::future::join_all;
 
 use crate::{
     call::Fault,
-    chassis::{Chassis, Envelope, WaitFor},
+    chassis::{Chassis, WaitFor},
     control::{
         LogStore,
         protocol::{Activity, AppView, ChassisView, TaskView, WaitView},
     },
-    message::{Command, Data, Flags},
+    message::{Command, Flags, Message},
     survey::{ChassisReport, Survey, TaskReport},
     system::{self, AppReport, MemberReport, Overview},
     time::Instant,
@@ -55,16 +55,11 @@ pub(crate) async fn ask<C: Command>(
     request: C,
     limit: Duration,
 ) -> Result<C::Reply, Fault> {
-    let envelope = Envelope {
-        to,
-        from: system::agent_tid(chassis.index()),
-        command: C::CODE,
-        flags: Flags::HIGH_PRIORITY,
-        data: Data::of(request),
-        trace: 0,
-        deadline: Some(chassis.clock.now() + limit),
-    };
-    let waiting = chassis.dispatch(envelope, WaitFor::Reply);
+    let from = system::agent_tid(chassis.index());
+    let message = Message::request(to, from, C::CODE, request)
+        .flagged(Flags::HIGH_PRIORITY)
+        .until(Some(chassis.clock.now() + limit));
+    let waiting = chassis.dispatch(message, WaitFor::Reply);
     let answer = tokio::time::timeout(limit, waiting).await;
     let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
     data.take::<C::Reply>().map_err(|error| Fault::BadPayload {

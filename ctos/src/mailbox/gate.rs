@@ -44,8 +44,7 @@ impl Gate {
     /// Takes out what came from `chassis`, whose gate is open now.
     fn take_out(&mut self, chassis: u8) -> Vec<(Message, Acceptance)> {
         self.closed.remove(&chassis);
-        let of_chassis =
-            |(message, _): &(Message, Acceptance)| message.header.from.chassis() == chassis;
+        let of_chassis = |(message, _): &(Message, Acceptance)| message.from().chassis() == chassis;
         let (out, held) = std::mem::take(&mut self.held)
             .into_iter()
             .partition(of_chassis);
@@ -119,7 +118,7 @@ impl TaskQueue {
     /// Takes out of the queue what tasks sent: the messages that have been accepted.
     pub(crate) fn take_accepted(&self) -> Vec<Message> {
         let mut lanes = self.lanes.borrow_mut();
-        let of_runtime = |message: &Message| message.header.command >= SYSTEM_COMMANDS;
+        let of_runtime = |message: &Message| message.command() >= SYSTEM_COMMANDS;
         let urgent = std::mem::take(&mut lanes.urgent.queue);
         let (kept, taken): (VecDeque<_>, VecDeque<_>) = urgent.into_iter().partition(of_runtime);
         lanes.urgent.queue = kept;

@@ -148,7 +148,7 @@ impl TaskQueue {
         }
         let (urgent, system) = is_urgent(&message);
         let room = self.mailbox.room(urgent);
-        let command = message.header.command;
+        let command = message.command();
         {
             let mut lanes = self.lanes.borrow_mut();
             let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
@@ -171,7 +171,7 @@ impl TaskQueue {
         let Delivery { message, place } = delivery;
         let (urgent, _) = is_urgent(&message);
         let room = self.mailbox.room(urgent);
-        let command = message.header.command;
+        let command = message.command();
         let mut lanes = self.lanes.borrow_mut();
         let Lanes { held, gate, .. } = &mut *lanes;
         let held = *held;
@@ -184,7 +184,7 @@ impl TaskQueue {
                 Place::Always => Acceptance::Silent,
                 Place::Waits(acceptance) => {
                     room.leave_line();
-                    acceptance
+                    *acceptance
                 }
             };
             if gate.held.len() < most_waiting(self.mailbox.capacity) {
@@ -196,7 +196,7 @@ impl TaskQueue {
         let lane = lanes.lane(urgent);
         match place {
             Place::Waits(acceptance) if held || lane.queue.len() >= self.mailbox.capacity => {
-                lane.waiting.push_back((message, acceptance));
+                lane.waiting.push_back((message, *acceptance));
                 drop(lanes);
                 if held {
                     self.wake_idle(processor);
@@ -274,7 +274,7 @@ impl TaskQueue {
             self.mailbox.capacity,
         );
         drop(lanes);
-        if interrupts(message.header.command) {
+        if interrupts(message.command()) {
             self.interruptions
                 .set(self.interruptions.get().saturating_sub(1));
         }

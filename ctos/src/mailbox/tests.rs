@@ -8,26 +8,13 @@ use super::*;
 use crate::{
     call::Answer,
     exchange::{CallKey, Looked},
-    message::{Command, Header, Tid},
+    message::{Command, Tid},
     system::StopTask,
     time::Clock,
 };
 
 fn message(number: u32, flags: Flags) -> Message {
-    Message {
-        trace: 1,
-        deadline: None,
-        recorded: 0,
-        header: Header {
-            to: Tid::from_bits(1),
-            from: Tid::from_bits(2),
-            command: 1,
-            flags,
-            size: 0,
-        },
-        data: Data::of(number),
-        reply: None,
-    }
+    Message::request(Tid::from_bits(1), Tid::from_bits(2), 1, number).flagged(flags)
 }
 
 /// Where the senders are, seen from the task.
@@ -59,9 +46,8 @@ impl Waiter {
         let cx = std::task::Context::from_waker(std::task::Waker::noop());
         match self.caller.poll_call(self.key, &mut None, &cx) {
             Looked::Waiting => None,
-            Looked::Answered(data) => Some(Ok(data)),
-            Looked::Failed(fault) => Some(Err(fault)),
-            Looked::Long | Looked::Late(..) => panic!("no time passes here"),
+            Looked::Ended(answer) => Some(answer.into()),
+            Looked::Long(_) | Looked::Late(..) => panic!("no time passes here"),
         }
     }
 }
@@ -122,7 +108,7 @@ impl Bench {
         };
         let message = message?;
         self.settle();
-        Some(message.data.take().unwrap())
+        Some(message.letter.data.take().unwrap())
     }
 
     fn take_all(&self) -> Vec<u32> {
@@ -199,7 +185,7 @@ fn messages_of_the_runtime_are_never_refused() {
         let bench = Bench::new(1, senders);
         for number in 0..100 {
             let mut one = message(number, Flags::NONE);
-            one.header.command = SYSTEM_COMMANDS;
+            one.letter.header.command = SYSTEM_COMMANDS;
             bench.try_send(one).unwrap();
         }
         assert_eq!(bench.take_all(), Vec::from_iter(0..100));
@@ -218,7 +204,7 @@ fn whatever_waits_when_the_task_ends_is_answered() {
             key: call.key(),
         };
         let mut question = message(3, Flags::HIGH_PRIORITY);
-        question.reply = Some(ReplySlot::call(call));
+        question.letter.reply = Some(ReplySlot::call(call));
         bench.send(question);
         bench.mailbox.close();
         bench.settle();
@@ -307,7 +293,7 @@ fn a_busy_task_is_woken_by_an_order_to_stop_only() {
         poll_all();
         assert_eq!(polls.get(), 1);
         let mut order = message(3, Flags::HIGH_PRIORITY);
-        order.header.command = StopTask::CODE;
+        order.letter.header.command = StopTask::CODE;
         bench.send(order);
         poll_all();
         assert_eq!(polls.get(), 2);
@@ -335,7 +321,7 @@ proptest! {
             }
             // Without settling: what was brought meanwhile is still on its way.
             if takes && let Some(message) = bench.queue.take() {
-                received.push(message.data.take::<u32>().unwrap());
+                received.push(message.letter.data.take::<u32>().unwrap());
             }
         }
         received.extend(bench.take_all());

@@ -104,6 +104,9 @@ pub enum Data {
 }
 
 impl Data {
+    /// No bytes.
+    pub(crate) const NOTHING: Self = Self::Bytes(Vec::new());
+
     /// Data that moves `value`.
     #[inline]
     pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
@@ -123,6 +126,28 @@ impl Data {
                 reason: "the sender passed another type".to_owned(),
             }),
             Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
+        }
+    }
+
+    /// [`Self::take`] from where the data stands, which spares moving it first.
+    ///
+    /// # Errors
+    /// As [`Self::take`].
+    #[inline]
+    pub(crate) fn take_out<T: DeserializeOwned + 'static>(&mut self) -> Result<T, PayloadError> {
+        match self {
+            Self::Typed(parcel) => match parcel.take_out::<T>() {
+                Some(value) => {
+                    // A parcel of nothing: there is nothing to drop.
+                    std::mem::forget(std::mem::replace(self, Self::NOTHING));
+                    Ok(value)
+                }
+                None => Err(PayloadError {
+                    expected: std::any::type_name::<T>(),
+                    reason: "the sender passed another type".to_owned(),
+                }),
+            },
+            Self::Bytes(bytes) => blob::read_from(std::mem::take(bytes), decode::<T>),
         }
     }
 

@@ -4,9 +4,9 @@ use std::{cell::Cell, task::Context as PollContext, time::Duration};
 
 use super::{Processor, Timed};
 use crate::{
-    call::{Answer, ReplySlot},
+    call::ReplySlot,
     context::Note,
-    exchange::{CallKey, Given, Looked, SOON, Started, Ticket},
+    exchange::{Brought, CallKey, Given, Looked, SOON, Started, Ticket},
     time::Instant,
 };
 
@@ -99,14 +99,14 @@ impl Processor {
 
     /// Takes the answer to a call of this processor.
     #[inline]
-    pub(crate) fn take_answer(&self, ticket: Ticket, answer: Answer) {
+    pub(crate) fn take_answer(&self, ticket: Ticket, answer: Brought) {
         let key = ticket.key();
         let given = self.calls.borrow_mut().answer(key, Some(ticket), answer);
         self.settle(given);
     }
 
     /// [`Self::take_answer`] from somebody who no longer has the ticket.
-    pub(crate) fn take_answer_by_key(&self, key: CallKey, answer: Answer) {
+    pub(crate) fn take_answer_by_key(&self, key: CallKey, answer: Brought) {
         let given = self.calls.borrow_mut().answer(key, None, answer);
         self.settle(given);
     }

@@ -10,7 +10,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    task::{Context as PollContext, Poll, Wake, Waker},
+    task::{Context as PollContext, Poll, RawWakerVTable, Wake, Waker},
 };
 
 use super::{Processor, ProcessorHandle, drop_contained, handle::Item, panic_text};
@@ -52,6 +52,23 @@ pub(crate) enum LocalWake {
     Waker(Waker),
 }
 
+/// Tells wakers apart, as [`Waker::will_wake`] does.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) struct WakerOf {
+    data: *const (),
+    functions: *const RawWakerVTable,
+}
+
+impl WakerOf {
+    #[inline]
+    fn the(waker: &Waker) -> Self {
+        Self {
+            data: waker.data(),
+            functions: waker.vtable(),
+        }
+    }
+}
+
 /// Called with what a child future's panic said.
 pub(super) type PanicHook = Rc<dyn Fn(String)>;
 
@@ -68,7 +85,7 @@ pub(super) struct Entry {
     /// Whether it is among the ready ones.
     ready: bool,
     taken: bool,
-    running: Option<Running>,
+    running: Option<Box<Running>>,
     pub(super) shared: Option<Arc<FutureWaker>>,
 }
 
@@ -85,7 +102,7 @@ impl Futures {
         (entry.taken && entry.generation == id.generation).then_some(entry)
     }
 
-    fn remove(&mut self, id: FutureId) -> Option<Running> {
+    fn remove(&mut self, id: FutureId) -> Option<Box<Running>> {
         let entry = self.entry(id)?;
         entry.taken = false;
         entry.shared = None;
@@ -122,11 +139,11 @@ impl Processor {
         });
         entry.taken = true;
         entry.ready = true;
-        entry.running = Some(Running {
+        entry.running = Some(Box::new(Running {
             future: Box::pin(future),
             waker: Waker::from(shared.clone()),
             on_panic,
-        });
+        }));
         entry.shared = Some(shared);
         futures.ready.push_back(id);
         id
@@ -162,8 +179,8 @@ impl Processor {
     /// What the future polled with `cx` is woken by.
     #[inline]
     pub(super) fn waits(&self, cx: &PollContext<'_>) -> LocalWake {
-        match &*self.current.borrow() {
-            Some((id, waker)) if waker.will_wake(cx.waker()) => LocalWake::Future(*id),
+        match self.current.get() {
+            Some((id, waker)) if waker == WakerOf::the(cx.waker()) => LocalWake::Future(id),
             _ => LocalWake::Waker(cx.waker().clone()),
         }
     }
@@ -178,38 +195,30 @@ impl Processor {
         let Some((id, running)) = self.take_ready(index) else {
             return false;
         };
-        let Some(Running {
-            mut future,
-            waker,
-            on_panic,
-        }) = running
-        else {
+        let Some(mut running) = running else {
             return true;
         };
         self.enter();
-        *self.current.borrow_mut() = Some((id, waker));
+        self.current.set(Some((id, WakerOf::the(&running.waker))));
         let polled = {
-            let current = self.current.borrow();
-            let waker = current.as_ref().map_or(Waker::noop(), |current| &current.1);
+            let Running { future, waker, .. } = &mut *running;
             let mut cx = PollContext::from_waker(waker);
             self.leave();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
         };
-        let waker = self.current.borrow_mut().take().map(|current| current.1);
+        self.current.set(None);
         self.start_calls();
-        let (Ok(Poll::Pending), Some(waker)) = (&polled, waker) else {
+        if !matches!(polled, Ok(Poll::Pending)) {
+            let Running {
+                future, on_panic, ..
+            } = *running;
             drop_contained(future);
             self.cancel(id);
             if let (Err(panic), Some(on_panic)) = (polled, on_panic) {
                 on_panic(panic_text(panic.as_ref()));
             }
             return true;
-        };
-        let running = Running {
-            future,
-            waker,
-            on_panic,
-        };
+        }
         let cancelled = {
             let mut futures = self.futures.borrow_mut();
             match futures.entry(id) {
@@ -228,7 +237,7 @@ impl Processor {
     }
 
     #[inline]
-    fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Running>)> {
+    fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Box<Running>>)> {
         let mut futures = self.futures.borrow_mut();
         let id = if index == 0 {
             futures.ready.pop_front()

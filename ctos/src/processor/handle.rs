@@ -8,8 +8,7 @@ use std::{
 
 use super::{FutureId, Processor};
 use crate::{
-    call::Answer,
-    exchange::{CallKey, Ticket},
+    exchange::{Brought, CallKey, Ticket},
     inbox::Inbox,
     link::lookout::Parker,
     mailbox::{Delivery, Order},
@@ -23,9 +22,9 @@ pub(super) enum Item {
     /// A message for the task in a slot.
     Message(u16, Delivery),
     /// The answer to a call that a task of the processor waits for.
-    Answer(Ticket, Answer),
+    Answer(Ticket, Brought),
     /// The same from somebody who no longer has the ticket.
-    AnswerByKey(CallKey, Answer),
+    AnswerByKey(CallKey, Brought),
     /// A future is ready.
     Wake(FutureId),
     /// The task in a slot takes nothing more.
@@ -109,12 +108,12 @@ impl ProcessorHandle {
     }
 
     /// Brings the answer to a call. Without a processor nobody waits for it.
-    pub(crate) fn bring_answer(&self, ticket: Ticket, answer: Answer) {
+    pub(crate) fn bring_answer(&self, ticket: Ticket, answer: Brought) {
         drop(self.bring(Item::Answer(ticket, answer)));
     }
 
     /// [`Self::bring_answer`] without the ticket.
-    pub(crate) fn bring_answer_by_key(&self, key: CallKey, answer: Answer) {
+    pub(crate) fn bring_answer_by_key(&self, key: CallKey, answer: Brought) {
         drop(self.bring(Item::AnswerByKey(key, answer)));
     }
 

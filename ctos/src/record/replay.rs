@@ -23,7 +23,7 @@ use crate::{
     chassis::{Chassis, TaskRecord},
     config::{App, TaskConfig, TimeMode},
     mailbox::Acceptance,
-    message::{Data, Flags, Header, Message},
+    message::{Data, Flags, Message},
     processor::Processor,
     registry::Registry,
     runner::{TaskSpec, record as task_record, start_task},
@@ -336,20 +336,12 @@ impl Stage {
                 .insert(begun.id, (begun.command, Waiting::here(promise.clone())));
             ReplySlot::local(promise)
         });
-        let message = Message {
-            header: Header {
-                to: self.task.tid,
-                from: begun.from,
-                command: begun.command,
-                flags: begun.flags,
-                size: 0,
-            },
-            trace: begun.trace,
-            deadline: begun.deadline,
-            recorded: 0,
-            data: Data::Bytes(begun.data),
-            reply,
-        };
+        let data = Data::Bytes(begun.data);
+        let mut message = Message::with_data(self.task.tid, begun.from, begun.command, data)
+            .flagged(begun.flags)
+            .in_trace(begun.trace)
+            .until(begun.deadline);
+        message.letter.reply = reply;
         self.task.mailbox.put(message, Acceptance::Silent);
     }
 

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     call::Fault,
-    chassis::{Envelope, WaitFor},
+    chassis::WaitFor,
     message::{CommandInfo, Data, Flags, Header, Message, Tid},
     task::Phase,
     time::Instant,
@@ -57,12 +57,14 @@ impl Asked {
         self.to
     }
 
-    pub(crate) fn of(envelope: &Envelope) -> Self {
+    #[inline]
+    pub(crate) fn of(message: &Message) -> Self {
+        let header = message.header();
         Self {
-            by: envelope.from,
-            to: envelope.to,
-            command: envelope.command,
-            trace: envelope.trace,
+            by: header.from,
+            to: header.to,
+            command: header.command,
+            trace: message.trace(),
         }
     }
 }
@@ -82,11 +84,11 @@ impl AtHand {
     /// `task` begins with `message` now.
     pub(crate) fn of(task: Tid, message: &Message, now: Instant) -> Self {
         Self {
-            id: message.recorded,
+            id: message.letter.recorded,
             task,
-            from: message.header.from,
-            command: message.header.command,
-            trace: message.trace,
+            from: message.from(),
+            command: message.command(),
+            trace: message.trace(),
             began: now.as_nanos(),
         }
     }
@@ -133,6 +135,7 @@ impl Tap {
     }
 
     /// The replay that answers in place of the other tasks, if there is one.
+    #[inline]
     pub(crate) fn replay(&self) -> Option<&Arc<Desk>> {
         match self.first.get()? {
             Target::Replay(desk) => Some(desk),
@@ -140,6 +143,7 @@ impl Tap {
         }
     }
 
+    #[inline]
     fn first(&self) -> Option<&Arc<Recorder>> {
         match self.first.get()? {
             Target::Record(recorder) => Some(recorder),
@@ -176,11 +180,13 @@ impl Tap {
     }
 
     /// Whether anything looks on.
+    #[inline]
     pub(crate) fn is_on(&self) -> bool {
         self.first.get().is_some() || self.visited.load(Ordering::Relaxed)
     }
 
     /// Whether anything is recorded.
+    #[inline]
     pub(crate) fn is_recording(&self) -> bool {
         self.first().is_some() || self.visited.load(Ordering::Relaxed)
     }
@@ -218,10 +224,18 @@ impl Tap {
     }
 
     /// A task sends a message. The number stands for it in the record; 0 when it is not in it.
-    pub(crate) fn sent(&self, envelope: &Envelope, wait: Option<WaitFor>) -> u64 {
-        if !self.is_recording() {
-            return 0;
+    #[inline]
+    pub(crate) fn sent(&self, message: &Message, wait: Option<WaitFor>) -> u64 {
+        if self.is_recording() {
+            self.note_sent(message, wait)
+        } else {
+            0
         }
+    }
+
+    #[cold]
+    fn note_sent(&self, message: &Message, wait: Option<WaitFor>) -> u64 {
+        let header = message.header();
         let flag = match wait {
             Some(WaitFor::Reply) => Flags::REPLY_WAIT,
             Some(WaitFor::Acceptance) => Flags::ACCEPT_WAIT,
@@ -230,20 +244,20 @@ impl Tap {
         let id = self.fresh_id();
         let what = || Happened::Message {
             id,
-            to: envelope.to,
-            from: envelope.from,
-            command: envelope.command,
-            flags: envelope.flags.with(flag).bits(),
-            trace: envelope.trace,
-            deadline: envelope.deadline.map(Instant::as_nanos),
-            side: if envelope.to.chassis() == self.index {
+            to: header.to,
+            from: header.from,
+            command: header.command,
+            flags: header.flags.with(flag).bits(),
+            trace: message.trace(),
+            deadline: message.deadline().map(Instant::as_nanos),
+            side: if header.to.chassis() == self.index {
                 Side::Here
             } else {
                 Side::Sender
             },
         };
-        let data = |buffer: &mut Vec<u8>| envelope.data.append_to(buffer).is_ok();
-        let noted = self.note(envelope.from, None, what, data);
+        let data = |buffer: &mut Vec<u8>| message.letter.data.append_to(buffer).is_ok();
+        let noted = self.note(header.from, None, what, data);
         if noted { id } else { 0 }
     }
 
@@ -277,6 +291,7 @@ impl Tap {
     }
 
     /// A handler is called.
+    #[inline]
     pub(crate) fn began(&self, at_hand: &AtHand) {
         if !self.is_recording() {
             return;
@@ -300,6 +315,7 @@ impl Tap {
     }
 
     /// It has returned.
+    #[inline]
     pub(crate) fn ended(&self, at_hand: &AtHand, now: Instant, ending: impl FnOnce() -> Ending) {
         if let Some(desk) = self.replay() {
             return desk.ended(at_hand.command, ending());
@@ -328,6 +344,7 @@ impl Tap {
     }
 
     /// A sender has what it waited for.
+    #[inline]
     pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>) {
         let side = if asked.to.chassis() == self.index {
             Side::Here
@@ -354,10 +371,15 @@ impl Tap {
         self.note_answer(id, &asked, Side::Receiver, answer);
     }
 
+    #[inline]
     fn note_answer(&self, id: u64, asked: &Asked, side: Side, answer: Result<&Data, &Fault>) {
-        if !self.is_recording() {
-            return;
+        if self.is_recording() {
+            self.do_note_answer(id, asked, side, answer);
         }
+    }
+
+    #[cold]
+    fn do_note_answer(&self, id: u64, asked: &Asked, side: Side, answer: Result<&Data, &Fault>) {
         let what = || Happened::Answered {
             id,
             by: asked.to,

@@ -88,15 +88,15 @@ impl Serving {
         if self.refuses(message) {
             return false;
         }
-        let Some(slot) = &message.reply else {
+        let Some(slot) = &message.letter.reply else {
             return true;
         };
         // A stop is carried out even when whoever ordered it had to go on.
         if slot.is_abandoned() && message.command() != StopTask::CODE {
             return false;
         }
-        if message.deadline.is_none() {
-            message.deadline = slot.deadline_on(self.cx.processor());
+        if message.letter.deadline.is_none() {
+            message.letter.deadline = slot.deadline_on(self.cx.processor());
         }
         true
     }
@@ -106,9 +106,7 @@ impl Serving {
     fn pass_over(&self, message: Message) {
         let command = message.command();
         tracing::debug!(task = %self.cx.name(), command, "caller gave up, or the task is stopping");
-        if let Some(slot) = message.reply {
-            slot.answer(Err(Fault::Stopping));
-        }
+        message.refuse(Fault::Stopping);
     }
 
     fn refuses(&self, message: &Message) -> bool {
@@ -126,9 +124,9 @@ impl Serving {
             command: message.command(),
             noted: record::AtHand::of(self.record.tid, message, began),
             serial: processor.next_serial(),
-            owed: message.reply.as_ref().and_then(ReplySlot::key),
+            owed: message.letter.reply.as_ref().and_then(ReplySlot::key),
         };
-        if let Some(slot) = &mut message.reply {
+        if let Some(slot) = &mut message.letter.reply {
             slot.set_serial(at_hand.serial);
         }
         chassis.delivered(&self.record, message);

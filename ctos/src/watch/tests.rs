@@ -116,7 +116,7 @@ mod real {
         config::load_texts,
         context::Context,
         mailbox::Acceptance,
-        message::{Command, Data, Flags, Header, Message, Tid},
+        message::{Command, Message, Tid},
         registry::Registry,
         runner::{TaskSpec, record, start_task},
         task::{EventHandler, Handled},
@@ -170,20 +170,7 @@ mod real {
             start_task(&home, processor, spec).unwrap();
         });
         task.mailbox.put(
-            Message {
-                header: Header {
-                    to: task.tid,
-                    from: Tid::default(),
-                    command: Block::CODE,
-                    flags: Flags::NONE,
-                    size: 0,
-                },
-                trace: 1,
-                deadline: None,
-                recorded: 0,
-                data: Data::of(Block {}),
-                reply: None,
-            },
+            Message::request(task.tid, Tid::default(), Block::CODE, Block {}),
             Acceptance::Silent,
         );
         while task.statistics.meter.turn().is_none() {

@@ -294,6 +294,8 @@ impl Pair for Floor {
         let other = word.clone();
         let server = std::thread::spawn(move || {
             pin(cpu);
+            // It begins on the core of whoever starts it, which must not spin before it has left.
+            other.store(2, Ordering::Release);
             loop {
                 match other.load(Ordering::Acquire) {
                     u64::MAX => return,
@@ -302,6 +304,9 @@ impl Pair for Floor {
                 }
             }
         });
+        while word.load(Ordering::Acquire) == 0 {
+            std::thread::yield_now();
+        }
         for _ in 0..count {
             let wanted = word.load(Ordering::Acquire) + 2;
             word.store(wanted - 1, Ordering::Release);

@@ -3,7 +3,7 @@
 //! medians of the rounds and the ratios of the medians; the ratio is what counts.
 //!
 //! `cargo run --release -p peers --features peers [-- PART ...]`, parts: `local`, `core`, `cores`,
-//! `oneway`, `idle`.
+//! `oneway`, `idle`. With `only=ctos` the others stay away, for a profiler.
 
 mod contenders;
 mod ctos_side;

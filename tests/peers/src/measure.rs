@@ -114,7 +114,10 @@ type Contender = (&'static str, Box<dyn FnMut(u32)>);
 
 /// Measures all of them in turn, round by round, and shows the medians. The ratio is ours, the first,
 /// over theirs.
-fn rounds(title: &str, contenders: &mut [Contender], batch: u32) {
+fn rounds(title: &str, contenders: &mut Vec<Contender>, batch: u32) {
+    if std::env::args().any(|argument| argument == "only=ctos") {
+        contenders.truncate(1);
+    }
     let mut samples = vec![Vec::new(); contenders.len()];
     for (_, work) in &mut *contenders {
         work(batch / 4);

@@ -10,13 +10,13 @@ use tokio::{
 use super::*;
 use crate::{
     call::Fault,
-    chassis::{Envelope, WaitFor},
+    chassis::WaitFor,
     config::load_texts,
     link::{
         handshake::{Answer, Greeting, Hello, greet, hear},
         transport::{Stream, connect},
     },
-    message::{Data, Flags, Tid},
+    message::{Message, Tid},
     registry::Registry,
     security::{Role, make_key},
     time::Clock,
@@ -141,16 +141,9 @@ async fn app(count: u8, sets: &[&str]) -> (Node, Vec<Node>) {
 /// A call from the first chassis to a task that the other one has not: that the error comes back shows
 /// that the link carries both ways.
 async fn asks(from: &Arc<Chassis>, to: u8) -> Fault {
-    let envelope = Envelope {
-        to: Tid::new(to, 1, 0),
-        from: Tid::new(from.index(), 0, 0),
-        command: 1,
-        flags: Flags::NONE,
-        data: Data::of(7_u8),
-        trace: 0,
-        deadline: None,
-    };
-    from.dispatch(envelope, WaitFor::Reply).await.unwrap_err()
+    let (to, sender) = (Tid::new(to, 1, 0), Tid::new(from.index(), 0, 0));
+    let message = Message::request(to, sender, 1, 7_u8);
+    from.dispatch(message, WaitFor::Reply).await.unwrap_err()
 }
 
 #[test]

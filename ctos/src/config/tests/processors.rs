@@ -12,7 +12,11 @@ fn processor(line: &str) -> ProcessorConfig {
 fn real_time_may_be_asked_for_or_required_and_spins_by_default() {
     let asked = |line| {
         let processor = processor(line);
-        (processor.realtime, processor.required, processor.spin)
+        (
+            processor.realtime,
+            processor.required,
+            processor.tick_spin(),
+        )
     };
     let spun = Duration::from_micros(80);
     assert_eq!(asked("realtime = false"), (false, false, Duration::ZERO));

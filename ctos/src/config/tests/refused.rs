@@ -49,7 +49,7 @@ fn unknown_keys_anywhere_are_errors_with_the_nearest_name() {
     refused_line(
         "[chassis.b]",
         "processors.x = { rt = true }",
-        "app.toml:6:18: error: unknown key `rt` in processor `b/x` (known here: cpu, overrun, period_s, poll_us, priority, realtime, spin_us)",
+        "app.toml:6:18: error: unknown key `rt` in processor `b/x` (known here: cpu, overrun, period_s, priority, realtime, spin_us)",
     );
     refused_line(
         "queue = 3",

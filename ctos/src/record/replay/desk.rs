@@ -17,8 +17,8 @@ use super::{
 };
 use crate::{
     call::{Answer, Fault, ReplySlot, lock},
-    chassis::{Envelope, WaitFor},
-    message::{Command, Data, Flags, Tid, ToJson},
+    chassis::WaitFor,
+    message::{Command, Data, Flags, Message, Tid, ToJson},
     system::{self, QueryTid},
     time::Instant,
 };
@@ -76,23 +76,17 @@ impl Desk {
     }
 
     /// Takes a message that the replayed chassis sends; `slot` waits for what `wait` names.
-    pub(crate) fn dispatch(
-        &self,
-        envelope: &Envelope,
-        wait: WaitFor,
-        now: Instant,
-        slot: ReplySlot,
-    ) {
+    pub(crate) fn dispatch(&self, message: &Message, wait: WaitFor, now: Instant, slot: ReplySlot) {
         let accepted = || Ok(Data::Bytes(Vec::new()));
         // What the runtime says in the task's name (progress, results) is not compared.
-        if envelope.from != self.task {
+        if message.header().from != self.task {
             return slot.answer(accepted());
         }
-        match self.output(envelope, now) {
+        match self.output(message, now) {
             Some(id) => {
                 lock(&self.state).promises.insert(id, slot);
             }
-            None => match self.name_of_another(envelope) {
+            None => match self.name_of_another(message) {
                 Some(answer) => slot.answer(answer),
                 None if wait == WaitFor::Acceptance => slot.answer(accepted()),
                 None => lock(&self.state).unanswered.push(slot),
@@ -104,11 +98,11 @@ impl Desk {
     ///
     /// # Errors
     /// What the record says of it: that there was no room, say.
-    pub(crate) fn try_dispatch(&self, envelope: &Envelope, now: Instant) -> Result<(), Fault> {
-        if envelope.from != self.task {
+    pub(crate) fn try_dispatch(&self, message: &Message, now: Instant) -> Result<(), Fault> {
+        if message.header().from != self.task {
             return Ok(());
         }
-        let id = self.output(envelope, now);
+        let id = self.output(message, now);
         let refused = id.and_then(|id| self.refused.get(&id));
         refused.map_or(Ok(()), |fault| Err(fault.clone()))
     }
@@ -117,10 +111,10 @@ impl Desk {
     /// sent before it was given anything else. Whoever waits for its answer, or its acceptance, is given
     /// that before it sends on, so what stands side by side here was sent by children side by side, in
     /// an order that the scheduler drew.
-    fn output(&self, envelope: &Envelope, now: Instant) -> Option<Number> {
+    fn output(&self, message: &Message, now: Instant) -> Option<Number> {
         let mut data = Vec::new();
         // What cannot be encoded is like nothing in the record.
-        let encoded = envelope.data.append_to(&mut data).is_ok();
+        let encoded = message.letter.data.append_to(&mut data).is_ok();
         let mut state = lock(&self.state);
         let expected = |index: &usize| state.fates.get(*index) == Some(&Fate::Expected);
         let first = (0..self.outputs.len()).find(expected);
@@ -135,7 +129,7 @@ impl Desk {
                 if state.fates.get(index) != Some(&Fate::Expected) {
                     continue;
                 }
-                if is_like(output, envelope, &data) {
+                if is_like(output, message, &data) {
                     found = Some((index, output.id));
                     break;
                 }
@@ -149,17 +143,22 @@ impl Desk {
             return Some(id);
         }
         // A name that another task had found before was not asked for then.
-        if self.name_of_another(envelope).is_some() {
+        if self.name_of_another(message).is_some() {
             return None;
         }
-        let got = self.shown(envelope.to, envelope.command, envelope.flags, &data);
+        let got = self.shown(
+            message.header().to,
+            message.header().command,
+            message.header().flags,
+            &data,
+        );
         let shown =
             |output: &Output| self.shown(output.to, output.command, output.flags, &output.data);
         let expected = front.map_or_else(|| "nothing more".to_owned(), shown);
-        state.report.differs(now, envelope.trace, expected, got);
+        state.report.differs(now, message.trace(), expected, got);
         // The same question with other data gets the recorded answer, so that what follows is compared.
         let (place, front) = first.zip(front)?;
-        if front.to != envelope.to || front.command != envelope.command {
+        if front.to != message.header().to || front.command != message.header().command {
             return None;
         }
         *state.fates.get_mut(place)? = Fate::Done;
@@ -167,12 +166,12 @@ impl Desk {
     }
 
     /// The answer to a question for a name, if it is one.
-    fn name_of_another(&self, envelope: &Envelope) -> Option<Answer> {
-        if envelope.to != system::TID_SERVER || envelope.command != QueryTid::CODE {
+    fn name_of_another(&self, message: &Message) -> Option<Answer> {
+        if message.header().to != system::TID_SERVER || message.header().command != QueryTid::CODE {
             return None;
         }
         let mut data = Vec::new();
-        envelope.data.append_to(&mut data).ok()?;
+        message.letter.data.append_to(&mut data).ok()?;
         let QueryTid { name } = postcard::from_bytes(&data).ok()?;
         let answer: Result<Tid, Vec<String>> = Ok(self.names.tid(&name)?);
         Some(Ok(Data::of(answer)))
@@ -329,11 +328,11 @@ impl Desk {
     }
 }
 
-fn is_like(output: &Output, envelope: &Envelope, data: &[u8]) -> bool {
+fn is_like(output: &Output, message: &Message, data: &[u8]) -> bool {
     let urgent = |flags: Flags| flags.contains(Flags::HIGH_PRIORITY);
-    output.to == envelope.to
-        && output.command == envelope.command
-        && urgent(output.flags) == urgent(envelope.flags)
+    output.to == message.header().to
+        && output.command == message.header().command
+        && urgent(output.flags) == urgent(message.header().flags)
         && output.data == data
 }
 

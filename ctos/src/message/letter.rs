@@ -1,0 +1,214 @@
+//! The memory that messages are written in. A message inside a chassis is one pointer to it; when its
+//! data has been taken out, the memory is kept for the next one, so that messages allocate nothing.
+//!
+//! What a thread keeps is its own; threads that take more than they give get it back in batches from
+//! those that give more than they take, through one store of the process. As with the caches of the
+//! allocator, nobody can tell from what a message does where its memory came from.
+
+#![allow(
+    clippy::vec_box,
+    reason = "letters are passed on by their boxes, which is what is kept"
+)]
+
+use std::{
+    cell::RefCell,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use serde::de::DeserializeOwned;
+
+use super::{Data, Flags, Header, PayloadError, Tid};
+use crate::{
+    call::{ReplySlot, lock},
+    time::Instant,
+};
+
+/// How many go from thread to thread at once.
+const BATCH: usize = 64;
+
+/// Batches that the store keeps; what is more goes back to the allocator.
+const MOST_BATCHES: usize = 64;
+
+/// What a message consists of.
+#[derive(Debug)]
+pub(crate) struct Letter {
+    pub(crate) header: Header,
+    pub(crate) trace: u64,
+    pub(crate) deadline: Option<Instant>,
+    /// Its number in the record; 0 when it is not in it.
+    pub(crate) recorded: u64,
+    pub(crate) data: Data,
+    pub(crate) reply: Option<ReplySlot>,
+    /// The receiver, as the sender knows it, and how long the sender waits; until the message is sent.
+    pub(crate) to: Option<Arc<str>>,
+    pub(crate) limit: Duration,
+}
+
+thread_local! {
+    /// Blank letters of this thread.
+    static SPARE: RefCell<Vec<Box<Letter>>> = const { RefCell::new(Vec::new()) };
+}
+
+/// What threads have too many of, and the buffers that it came in.
+struct Store {
+    full: Vec<Vec<Box<Letter>>>,
+    empty: Vec<Vec<Box<Letter>>>,
+}
+
+static STORE: Mutex<Store> = Mutex::new(Store {
+    full: Vec::new(),
+    empty: Vec::new(),
+});
+
+/// How many batches there are, for a look without the lock. Written under it only.
+static STORED: AtomicUsize = AtomicUsize::new(0);
+
+impl Letter {
+    const BLANK: Self = Self {
+        header: Header {
+            to: Tid::from_bits(0),
+            from: Tid::from_bits(0),
+            command: 0,
+            flags: Flags::NONE,
+            size: 0,
+        },
+        trace: 0,
+        deadline: None,
+        recorded: 0,
+        data: Data::NOTHING,
+        reply: None,
+        to: None,
+        limit: Duration::ZERO,
+    };
+
+    /// A letter without data and without a sender that waits. The rest is that of an older one: to be
+    /// written anew.
+    #[inline]
+    pub(crate) fn blank() -> Box<Self> {
+        let spare = SPARE.try_with(|spare| spare.borrow_mut().pop());
+        match spare {
+            Ok(Some(letter)) => letter,
+            _ => Self::from_store(),
+        }
+    }
+
+    #[cold]
+    fn from_store() -> Box<Self> {
+        let new = || Box::new(Self::BLANK);
+        if STORED.load(Ordering::Relaxed) == 0 {
+            return new();
+        }
+        let got = SPARE.try_with(|spare| {
+            let mut spare = spare.borrow_mut();
+            let mut store = lock(&STORE);
+            if let Some(batch) = store.full.pop() {
+                STORED.store(store.full.len(), Ordering::Relaxed);
+                let empty = std::mem::replace(&mut *spare, batch);
+                if store.empty.len() < MOST_BATCHES {
+                    store.empty.push(empty);
+                }
+            }
+            drop(store);
+            spare.pop()
+        });
+        // It fails where the thread ends.
+        got.ok().flatten().unwrap_or_else(new)
+    }
+
+    /// The data and whoever waits for the answer; the letter is kept for another message.
+    #[inline]
+    pub(crate) fn open(mut self: Box<Self>) -> (Data, Option<ReplySlot>) {
+        let data = std::mem::replace(&mut self.data, Data::NOTHING);
+        let reply = self.reply.take();
+        self.keep();
+        (data, reply)
+    }
+
+    /// The value that the data is, which is all that was wanted of the letter.
+    ///
+    /// # Errors
+    /// As [`Data::take`].
+    #[inline]
+    pub(crate) fn take<T: DeserializeOwned + 'static>(
+        mut self: Box<Self>,
+    ) -> Result<T, PayloadError> {
+        let value = self.data.take_out::<T>()?;
+        self.reply = None;
+        self.keep();
+        Ok(value)
+    }
+
+    /// Keeps a letter that is blank for another message.
+    #[inline]
+    pub(crate) fn keep(self: Box<Self>) {
+        // It fails where the thread ends: the letter is given back to the allocator.
+        let _ = SPARE.try_with(|spare| {
+            let mut spare = spare.borrow_mut();
+            spare.push(self);
+            if spare.len() >= 2 * BATCH {
+                Self::to_store(&mut spare);
+            }
+        });
+    }
+
+    #[cold]
+    fn to_store(spare: &mut Vec<Box<Self>>) {
+        let mut store = lock(&STORE);
+        if store.full.len() < MOST_BATCHES {
+            let mut batch = store.empty.pop().unwrap_or_default();
+            batch.extend(spare.drain(BATCH..));
+            store.full.push(batch);
+            STORED.store(store.full.len(), Ordering::Relaxed);
+        } else {
+            drop(store);
+            spare.truncate(BATCH);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn written(number: u32) -> Box<Letter> {
+        let mut letter = Letter::blank();
+        letter.data = Data::of(number);
+        letter
+    }
+
+    #[test]
+    fn a_letter_is_blank_whoever_wrote_in_it_before() {
+        for number in 0..1000_u32 {
+            let letter = written(number);
+            let address = std::ptr::from_ref(letter.as_ref());
+            let (data, reply) = letter.open();
+            assert_eq!(data.take::<u32>().unwrap(), number);
+            assert!(reply.is_none());
+            let next = Letter::blank();
+            assert_eq!(
+                std::ptr::from_ref(next.as_ref()),
+                address,
+                "it was not used again"
+            );
+            assert!(matches!(&next.data, Data::Bytes(bytes) if bytes.is_empty()));
+        }
+    }
+
+    #[test]
+    fn a_thread_that_only_gives_keeps_no_more_than_two_batches() {
+        let letters: Vec<_> = (0..10_000).map(written).collect();
+        std::thread::spawn(move || {
+            for letter in letters {
+                letter.open();
+            }
+            SPARE.with_borrow(|spare| assert!(spare.len() < 2 * BATCH));
+        })
+        .join()
+        .unwrap();
+        assert!(lock(&STORE).full.len() <= MOST_BATCHES);
+    }
+}
