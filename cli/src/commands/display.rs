@@ -46,7 +46,7 @@ use live::Nets;
   ctos display --app calibrate --once
   ctos display run.*.mcap
   ctos display run.ws1.mcap --export run.html
-  ctos display run.ws1.mcap --once --at 12.5")]
+  ctos display run.ws1.mcap --once --moment 12.5")]
 pub struct DisplayArgs {
     /// Which app, where no record is given
     #[command(flatten)]
@@ -65,7 +65,7 @@ pub struct DisplayArgs {
     pub json: bool,
     /// The moment that `--once` and `--json` show, s since the start of the app; the end when left out
     #[arg(long, value_name = "SECONDS", value_parser = moment, requires = "records")]
-    pub at: Option<u64>,
+    pub moment: Option<u64>,
     /// This net only
     #[arg(long, value_name = "NET")]
     pub net: Option<String>,
@@ -162,7 +162,7 @@ fn overviews(path: &Path) -> Result<Overviews, u8> {
 
 fn print(args: &DisplayArgs, recorded: &Recorded) -> u8 {
     for net in recorded.nets.values() {
-        let Some((state, events)) = net.at(args.at, text::EVENTS) else {
+        let Some((state, events)) = net.at(args.moment, text::EVENTS) else {
             show::say(&format!(
                 "warning: the record of net `{}` begins later",
                 net.view.name
