@@ -15,7 +15,7 @@ use crate::{
         LogStore,
         protocol::{Activity, AppView, ChassisView, TaskView, WaitView},
     },
-    message::{Command, Flags, Message},
+    message::{Command, Data, Flags, Message},
     survey::{ChassisReport, Survey, TaskReport},
     system::{self, AppReport, MemberReport, Overview},
     time::Instant,
@@ -31,16 +31,12 @@ pub(super) async fn ask_raw(
     (command, data): (u16, Vec<u8>),
     limit: Duration,
 ) -> Result<Vec<u8>, Fault> {
-    let envelope = Envelope {
-        to,
-        from: system::agent_tid(chassis.index()),
-        command,
-        flags: Flags::HIGH_PRIORITY,
-        data: Data::Bytes(data),
-        trace: chassis.fresh_trace(),
-        deadline: Some(chassis.clock.now() + limit),
-    };
-    let waiting = chassis.dispatch(envelope, WaitFor::Reply);
+    let from = system::agent_tid(chassis.index());
+    let message = Message::with_data(to, from, command, Data::Bytes(data))
+        .flagged(Flags::HIGH_PRIORITY)
+        .in_trace(chassis.fresh_trace())
+        .until(Some(chassis.clock.now() + limit));
+    let waiting = chassis.dispatch(message, WaitFor::Reply);
     let answer = tokio::time::timeout(limit, waiting).await;
     let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
     data.into_bytes().map_err(|error| Fault::BadPayload {
