@@ -5,10 +5,11 @@
 #![allow(
     clippy::unwrap_used,
     clippy::cast_precision_loss,
+    clippy::print_stdout,
     reason = "a benchmark may end when its input is wrong; its figures are rounded"
 )]
 
-use std::{cell::RefCell, rc::Rc, sync::Arc};
+use std::{cell::RefCell, future::IntoFuture as _, rc::Rc, sync::Arc};
 
 use ctos::{
     bench::Bench,
@@ -86,8 +87,8 @@ fn nets(texts: &[&str], durable: bool, starts: &Starts) -> Nets {
             ..Settings::default()
         };
         let starts = starts.clone();
-        names.push(net.name().to_owned());
-        registry.handler(&net.name().to_owned(), &commands, move |cx| {
+        let name = net.name().to_owned();
+        registry.handler(&name, &commands, move |cx| {
             let starts = starts.clone();
             let library = Library::new(()).action("note", move |action: Action<()>| {
                 let now = action.cx().now().as_nanos();
@@ -97,6 +98,7 @@ fn nets(texts: &[&str], durable: bool, starts: &Starts) -> Nets {
             let settings = settings.clone();
             NetTask::with_settings(cx, net.clone(), library, None, settings).map(Net)
         });
+        names.push(name);
     }
     registry.function::<Ask, _, _>("ask", |_, Ask { data }| async move { Ok(data) });
     let text = "[app]\nname = \"bench\"\n[chassis.a]\nprocessors.main = {}\n";
@@ -139,7 +141,7 @@ fn put() -> PutTape {
 /// Puts [`BATCH`] commands, so many at a time, and waits for all answers.
 async fn commands(cx: Context, to: TaskRef, at_once: usize) {
     for _ in 0..BATCH / at_once {
-        let calls = (0..at_once).map(|_| cx.call(&to, put()));
+        let calls = (0..at_once).map(|_| cx.call(&to, put()).into_future());
         for answer in join_all(calls).await {
             answer.unwrap();
         }
@@ -215,7 +217,7 @@ fn latency() {
             *given_up.borrow_mut() = true;
         };
         // The command is never answered: the call is dropped when enough was seen.
-        let (put, waited) = (std::pin::pin!(put), std::pin::pin!(waited));
+        let (put, waited) = (std::pin::pin!(put.into_future()), std::pin::pin!(waited));
         futures_util::future::select(put, waited).await;
     };
     nets.bench.run(1, work).unwrap();

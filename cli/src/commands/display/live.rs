@@ -3,7 +3,7 @@
 
 use std::{
     collections::BTreeMap,
-    sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+    sync::mpsc::{Receiver, SyncSender, sync_channel},
     time::Duration,
 };
 
@@ -34,7 +34,7 @@ const KEPT: usize = 200;
 /// What a thread tells.
 enum News {
     Net(Box<NetView>, Box<State>),
-    Batch(String, Batch),
+    Batch(String, Box<Batch>),
     Lost(String, String),
 }
 
@@ -100,10 +100,7 @@ impl Nets {
 
     /// Takes in what is new, for at most so long; whether there was something.
     pub(super) fn take_in(&mut self, wait: Duration) -> bool {
-        let mut next = match self.news.recv_timeout(wait) {
-            Ok(news) => Some(news),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
-        };
+        let mut next = self.news.recv_timeout(wait).ok();
         let any = next.is_some();
         while let Some(news) = next {
             self.take(news);
@@ -192,7 +189,10 @@ fn stream(remote: &RemoteArgs, name: &str, news: &SyncSender<News>) -> Result<()
         {
             return Ok(());
         }
-        if news.send(News::Batch(name.to_owned(), batch)).is_err() {
+        if news
+            .send(News::Batch(name.to_owned(), Box::new(batch)))
+            .is_err()
+        {
             return Ok(());
         }
     }

@@ -254,7 +254,7 @@ fn neighbourhood(
         .flat_map(|part| {
             let fails = part.part == "fail";
             let mark = if fails { " (on failure)" } else { "" };
-            let puts = part.outputs.iter().filter_map(move |arc| Some((arc, mark)));
+            let puts = part.outputs.iter().map(move |arc| (arc, mark));
             puts.chain(part.fails.iter().map(|arc| (arc, " (on failure)")))
         });
     let after = after.filter_map(|(arc, mark)| place(arc, mark));

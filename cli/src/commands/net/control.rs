@@ -73,8 +73,8 @@ pub struct BreakArgs {
     #[command(flatten)]
     pub task: NetTaskArgs,
     /// A transition, or PLACE>=N, PLACE<=N or PLACE=N
-    #[arg(required_unless_present = "clear")]
-    pub at: Option<String>,
+    #[arg(value_name = "WHERE", required_unless_present = "clear")]
+    pub breakpoint: Option<String>,
     /// Remove this breakpoint, or all when none is named
     #[arg(long)]
     pub clear: bool,
@@ -156,7 +156,7 @@ pub fn step(args: &StepArgs) -> u8 {
 /// Runs `ctos net break`.
 #[must_use]
 pub fn set_breakpoint(args: &BreakArgs) -> u8 {
-    let at = args.at.clone();
+    let at = args.breakpoint.clone();
     let wanted = match at {
         Some(at) if !args.clear => Order::Break { at },
         at => Order::Clear { at },
