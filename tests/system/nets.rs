@@ -89,26 +89,26 @@ fn a_running_net_is_looked_at_and_intervened_in_from_the_command_line() {
     let mut run = start(&scratch);
     run.wait_for("phase 3");
     ctos(&scratch, &["net", "pause", "b"])
-        .must_exit(0)
+        .must_exit_leaving(0)
         .must_say("b: pause");
     let marking = ctos(&scratch, &["net", "marking", "b", "--json"]).json();
     assert_eq!(marking["paused"], "by hand");
-    ctos(&scratch, &["net", "put", "b", "mid", "3"]).must_exit(0);
-    ctos(&scratch, &["net", "take", "b", "mid", "2"]).must_exit(0);
-    ctos(&scratch, &["net", "fire", "b", "pass"]).must_exit(0);
+    ctos(&scratch, &["net", "put", "b", "mid", "3"]).must_exit_leaving(0);
+    ctos(&scratch, &["net", "take", "b", "mid", "2"]).must_exit_leaving(0);
+    ctos(&scratch, &["net", "fire", "b", "pass"]).must_exit_leaving(0);
     ctos(&scratch, &["net", "fire", "b", "pas"])
-        .must_exit(1)
+        .must_exit_leaving(1)
         .must_say("net `b` has no transition `pas`; there are: pass");
-    ctos(&scratch, &["net", "break", "b", "pass"]).must_exit(0);
-    ctos(&scratch, &["net", "resume", "b"]).must_exit(0);
+    ctos(&scratch, &["net", "break", "b", "pass"]).must_exit_leaving(0);
+    ctos(&scratch, &["net", "resume", "b"]).must_exit_leaving(0);
     let marking = ctos(&scratch, &["net", "marking", "b", "--json"]).json();
     assert_eq!(marking["paused"], "breakpoint `pass`");
     assert_eq!(marking["breakpoints"][0], "pass");
     scratch.write("b2.net", NETS[1].1.replace("mid\n", "mitte\n"));
     ctos(&scratch, &["net", "replace", "b", "b2.net"])
-        .must_exit(1)
+        .must_exit_leaving(1)
         .must_say("has no place `mid`");
-    ctos(&scratch, &["net", "pause", "nobody"]).must_exit(4);
+    ctos(&scratch, &["net", "pause", "nobody"]).must_exit_leaving(4);
     scratch.write("enough", "");
     // One token was put by hand for good.
     let ended = run.end();
