@@ -99,7 +99,7 @@ fn nets(texts: &[&str], durable: bool, starts: &Starts) -> Nets {
         });
     }
     registry.function::<Ask, _, _>("ask", |_, Ask { data }| async move { Ok(data) });
-    let text = "[app]\nname = \"bench\"\n[chassis.a]\nprocessors.main = {}\n";
+    let text = "[app]\nname = \"bench\"\n[chassis.a]\nprocessors.main = {}\n[task.unused]\nhandler = \"ask\"\non = \"a\"\n";
     let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
     let bench = Bench::start(app, registry).unwrap();
     let mut tasks = Vec::new();
@@ -139,7 +139,7 @@ fn put() -> PutTape {
 /// Puts [`BATCH`] commands, so many at a time, and waits for all answers.
 async fn commands(cx: Context, to: TaskRef, at_once: usize) {
     for _ in 0..BATCH / at_once {
-        let calls = (0..at_once).map(|_| cx.call(&to, put()));
+        let calls = (0..at_once).map(|_| cx.call(&to, put()).into_future());
         for answer in join_all(calls).await {
             answer.unwrap();
         }
@@ -207,7 +207,7 @@ fn latency() {
     let (to, seen) = (nets.tasks[0].clone(), starts.clone());
     let work = move |cx: Context| async move {
         let given_up = Rc::new(RefCell::new(false));
-        let put = cx.call(&to, put());
+        let put = cx.call(&to, put()).into_future();
         let waited = async {
             while seen.lock().unwrap().len() < ACTIONS as usize {
                 cx.sleep(std::time::Duration::from_millis(1)).await;
