@@ -84,10 +84,12 @@ pub enum Command {
     Sim(sim::SimArgs),
     /// Show what a configuration comes to, every key there is, or the schema for editors
     Config(config::ConfigArgs),
-    /// Show the nets of a recorded run in a browser, as text, or as a page of one file
+    /// Watch the nets of a running app in the terminal, or those of a recorded run in a browser
     ///
-    /// Serves the page that `ctos boot --display` serves for a running app, on the loopback, until Ctrl-C: the run can be
-    /// played, stepped and scrubbed. Several files of one run, one of each process, are shown together.
+    /// Without a record: the nets of a running app, one at a time, with what runs, what is enabled, the last events, and the
+    /// neighbourhood of a transition. With records (MCAP): serves the page that `ctos boot --display` serves for a running
+    /// app, on the loopback, until Ctrl-C; the run can be played, stepped and scrubbed. Several files of one run, one of each
+    /// process, are shown together.
     Display(display::DisplayArgs),
     /// Tell what this host permits, and whether that is enough for an app
     Doctor(doctor::DoctorArgs),
@@ -183,7 +185,7 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Keys(args) => keys::run(&args),
         Command::Sim(args) => sim::run(&args, registry),
         Command::Config(args) => config::run(&args),
-        Command::Display(args) => display::run(&args),
+        Command::Display(args) => display::run(&args, &registry),
         Command::Doctor(args) => doctor::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Net(args) => net::run(&args, &registry),

@@ -2,7 +2,7 @@
 //! of nets ([`pnt::stream`]) and serves a page that shows them, to any number of browsers up to a limit.
 //!
 //! Between the task, which lives on its processor, and the server, which lives on a thread of its own,
-//! stands the [`hub`]: what is known of all nets, and the messages about what is new. A browser that is
+//! stands the `hub`: what is known of all nets, and the messages about what is new. A browser that is
 //! slow loses messages there and is told everything anew; no net is ever asked on its behalf.
 
 mod args;

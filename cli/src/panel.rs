@@ -1,7 +1,7 @@
 //! Panels (the report's `scottwish`): buttons, sliders, plots and joysticks for service objects, as a web page. A panel is
 //! a short file, or made of the option table of a class; every control is one line of text to an object.
 //!
-//! [`script`] reads what stands on a panel, [`server`] serves it. Knows objects by their names only.
+//! `script` reads what stands on a panel, `server` serves it. Knows objects by their names only.
 
 pub mod script;
 mod server;

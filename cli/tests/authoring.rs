@@ -1,5 +1,11 @@
 //! `docs/authoring-nets.md`: every file of the page is written, and every line after `$` is run.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test may end when its page is wrong"
+)]
+
 mod common;
 
 use std::{fs, process::Command};

@@ -1,5 +1,11 @@
 //! `ctos net lsp`, driven as an editor does: the real program over its standard input and output.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test may end when the server does not answer as it should"
+)]
+
 mod common;
 
 use std::{

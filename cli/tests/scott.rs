@@ -387,7 +387,7 @@ fn a_picture_and_a_table_are_answered_from_files() {
 }
 
 #[test]
-fn help_is_there_and_local_is_asked_for() {
+fn help_is_there_and_without_an_app_it_names_local() {
     let output = Command::new(env!("CARGO_BIN_EXE_scott"))
         .arg("--help")
         .output()
@@ -396,9 +396,12 @@ fn help_is_there_and_local_is_asked_for() {
     assert!(
         output.status.success() && text.contains("expect RET 0") && text.contains("Exit codes:")
     );
+    // Without --local it looks for a running app, and says so where there is none.
+    let nowhere = tempfile::tempdir().expect("a folder");
     let output = Command::new(env!("CARGO_BIN_EXE_scott"))
+        .env("XDG_RUNTIME_DIR", nowhere.path())
         .output()
         .expect("scott runs");
-    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(output.status.code(), Some(5));
     assert!(String::from_utf8_lossy(&output.stderr).contains("--local"));
 }

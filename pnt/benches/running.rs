@@ -5,10 +5,11 @@
 #![allow(
     clippy::unwrap_used,
     clippy::cast_precision_loss,
+    clippy::print_stdout,
     reason = "a benchmark may end when its input is wrong; its figures are rounded"
 )]
 
-use std::{cell::RefCell, rc::Rc, sync::Arc};
+use std::{cell::RefCell, future::IntoFuture as _, rc::Rc, sync::Arc};
 
 use ctos::{
     bench::Bench,
@@ -86,8 +87,8 @@ fn nets(texts: &[&str], durable: bool, starts: &Starts) -> Nets {
             ..Settings::default()
         };
         let starts = starts.clone();
-        names.push(net.name().to_owned());
-        registry.handler(&net.name().to_owned(), &commands, move |cx| {
+        let name = net.name().to_owned();
+        registry.handler(&name, &commands, move |cx| {
             let starts = starts.clone();
             let library = Library::new(()).action("note", move |action: Action<()>| {
                 let now = action.cx().now().as_nanos();
@@ -97,6 +98,7 @@ fn nets(texts: &[&str], durable: bool, starts: &Starts) -> Nets {
             let settings = settings.clone();
             NetTask::with_settings(cx, net.clone(), library, None, settings).map(Net)
         });
+        names.push(name);
     }
     registry.function::<Ask, _, _>("ask", |_, Ask { data }| async move { Ok(data) });
     let text = "[app]\nname = \"bench\"\n[chassis.a]\nprocessors.main = {}\n[task.unused]\nhandler = \"ask\"\non = \"a\"\n";
@@ -215,7 +217,7 @@ fn latency() {
             *given_up.borrow_mut() = true;
         };
         // The command is never answered: the call is dropped when enough was seen.
-        let (put, waited) = (std::pin::pin!(put), std::pin::pin!(waited));
+        let (put, waited) = (std::pin::pin!(put.into_future()), std::pin::pin!(waited));
         futures_util::future::select(put, waited).await;
     };
     nets.bench.run(1, work).unwrap();

@@ -6,7 +6,7 @@
 //! - [`draft`]: a net as a person wrote it, and its printed form; [`text`]: the parser;
 //! - [`builder`]: a net made in Rust;
 //! - [`timing`]: when a transition fires;
-//! - [`pnml`] and [`tina`]: nets of other tools; [`format`]: files of any of these forms;
+//! - [`pnml`] and [`tina`]: nets of other tools; [`mod@format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
 //! - [`compose`]: all nets of an app as one system; [`analysis`]: what can be proved about it;

@@ -1,6 +1,12 @@
 //! `docs/net-semantics.md`: every sentence names the tests that hold it, and those that stand nowhere else
 //! stand here.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test may end when its page is wrong"
+)]
+
 use std::{fs, path::Path, sync::Arc};
 
 use ctos::diagnostic::Source;

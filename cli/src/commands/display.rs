@@ -1,18 +1,27 @@
 //! `ctos display`.
 
+mod live;
+mod screen;
+
 use std::{
-    io,
+    io::{self, IsTerminal},
     net::{IpAddr, Ipv4Addr, SocketAddr},
     path::{Path, PathBuf},
     sync::Arc,
 };
 
 use clap::Args;
-use ctos::diagnostic::{Findings, Source};
+use ctos::{
+    diagnostic::{Findings, Source},
+    registry::Registry,
+};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::{
-    commands::net::draw::moment,
+    commands::{
+        net::draw::moment,
+        remote::{self, RemoteArgs},
+    },
     display::{
         assets,
         hub::Hub,
@@ -23,22 +32,30 @@ use crate::{
     },
     exit, show,
 };
+use live::Nets;
 
-/// Show the nets of a recorded run
+/// Watch the nets of a running app in the terminal, or those of a recorded run in a browser
 ///
-/// Serves the page that `ctos boot --display` serves for a running app, on the loopback, until Ctrl-C: the run can be
-/// played, stepped and scrubbed. Several files of one run, one of each process, are shown together.
+/// Without a record: the nets of a running app, one at a time, with what runs, what is enabled, the last events, and the
+/// neighbourhood of a transition. With records (MCAP): serves the page that `ctos boot --display` serves for a running
+/// app, on the loopback, until Ctrl-C; the run can be played, stepped and scrubbed. Several files of one run, one of each
+/// process, are shown together.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
+  ctos display
+  ctos display --app calibrate --once
   ctos display run.*.mcap
   ctos display run.ws1.mcap --export run.html
-  ctos display run.ws1.mcap --once --at 12.5")]
+  ctos display run.ws1.mcap --once --moment 12.5")]
 pub struct DisplayArgs {
+    /// Which app, where no record is given
+    #[command(flatten)]
+    pub remote: RemoteArgs,
     /// Records (MCAP) of an app that ran nets
-    #[arg(required = true, value_name = "RECORD")]
+    #[arg(value_name = "RECORD")]
     pub records: Vec<PathBuf>,
     /// Write one page that needs no server, with the run in it, and leave
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "records")]
     pub export: Option<PathBuf>,
     /// Print the nets as text and leave
     #[arg(long, conflicts_with = "export")]
@@ -47,8 +64,8 @@ pub struct DisplayArgs {
     #[arg(long, conflicts_with_all = ["export", "once"])]
     pub json: bool,
     /// The moment that `--once` and `--json` show, s since the start of the app; the end when left out
-    #[arg(long, value_name = "SECONDS", value_parser = moment)]
-    pub at: Option<u64>,
+    #[arg(long, value_name = "SECONDS", value_parser = moment, requires = "records")]
+    pub moment: Option<u64>,
     /// This net only
     #[arg(long, value_name = "NET")]
     pub net: Option<String>,
@@ -62,7 +79,10 @@ pub struct DisplayArgs {
 
 /// Runs the command.
 #[must_use]
-pub fn run(args: &DisplayArgs) -> u8 {
+pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
+    if args.records.is_empty() {
+        return watch(args, registry);
+    }
     let mut recorded = match Recorded::read(&args.records) {
         Ok(recorded) => recorded,
         Err(error) => {
@@ -101,6 +121,36 @@ pub fn run(args: &DisplayArgs) -> u8 {
     }
 }
 
+/// The nets of a running app.
+fn watch(args: &DisplayArgs, registry: &Registry) -> u8 {
+    let mut nets = match Nets::follow(&args.remote, args.net.as_deref(), registry) {
+        Ok(nets) => nets,
+        Err(error) => return remote::failed(&error),
+    };
+    let full = io::stdout().is_terminal() && !args.once && !args.json;
+    if full {
+        screen::run(&mut nets);
+        return exit::OK;
+    }
+    nets.complete();
+    if nets.nets.is_empty() {
+        show::say(&format!("error: no such net runs in {}", nets.app));
+        return exit::NO_SUCH_NAME;
+    }
+    for net in nets.nets.values() {
+        let shown = if args.json {
+            text::json(&net.view, net.state(), &net.events)
+        } else {
+            text::plain(&net.view, net.state(), &net.events)
+        };
+        // A reader that went away has what it wanted.
+        if show::data(shown.trim_end()).is_err() {
+            break;
+        }
+    }
+    exit::OK
+}
+
 fn overviews(path: &Path) -> Result<Overviews, u8> {
     let mut findings = Findings::new();
     let read = findings.keep(Source::read(path));
@@ -112,7 +162,7 @@ fn overviews(path: &Path) -> Result<Overviews, u8> {
 
 fn print(args: &DisplayArgs, recorded: &Recorded) -> u8 {
     for net in recorded.nets.values() {
-        let Some((state, events)) = net.at(args.at, text::EVENTS) else {
+        let Some((state, events)) = net.at(args.moment, text::EVENTS) else {
             show::say(&format!(
                 "warning: the record of net `{}` begins later",
                 net.view.name

@@ -6,6 +6,7 @@ use ctos::{
     system::Statistics,
     task::{Context, HandlerError, TaskRef},
 };
+use pnt::task::{Control, Marking, Order};
 use tokio::sync::mpsc;
 
 use super::{
@@ -73,17 +74,115 @@ async fn task(cx: &Context, name: &str) -> TaskState {
 }
 
 /// Has an order carried out by its net.
-async fn order(_cx: &Context, _hub: &Hub, asked: &Asked) -> Result<String, HandlerError> {
-    Err(HandlerError::new(format!(
-        "net `{}` takes no orders",
-        asked.net
-    )))
+async fn order(cx: &Context, hub: &Hub, asked: &Asked) -> Result<String, HandlerError> {
+    let to = cx.task(&asked.net).await?;
+    let set = breakpoints(cx, &to).await?;
+    let order = meant(asked, &set)?;
+    let done = cx.call(&to, Control { order }).deadline(LIMIT).await;
+    hub.breakpoints(&asked.net, breakpoints(cx, &to).await?);
+    Ok(done?)
 }
 
 /// The breakpoints of a net.
 pub(super) async fn breakpoints(
-    _cx: &Context,
-    _net: &TaskRef,
+    cx: &Context,
+    net: &TaskRef,
 ) -> Result<Vec<Breakpoint>, HandlerError> {
-    Ok(Vec::new())
+    let snapshot = cx.call(net, Marking {}).deadline(LIMIT).await?;
+    Ok(snapshot.breakpoints.into_iter().map(breakpoint).collect())
+}
+
+/// A breakpoint as it was written: `TRANSITION`, or `PLACE>=N` and the like.
+fn breakpoint(at: String) -> Breakpoint {
+    let end = at.find(['<', '>', '=']);
+    let place = end
+        .and_then(|end| at.get(..end))
+        .map(|place| place.trim().to_owned());
+    Breakpoint {
+        transition: place.is_none().then(|| at.clone()),
+        place,
+        at,
+    }
+}
+
+/// What a page means by what it asks; `set` are the net's breakpoints.
+fn meant(asked: &Asked, set: &[Breakpoint]) -> Result<Order, HandlerError> {
+    let transition = || asked.transition.clone().ok_or("which transition?");
+    let place = || asked.place.clone().ok_or("which place?");
+    Ok(match asked.kind.as_str() {
+        "fire" => Order::Fire {
+            transition: transition()?,
+        },
+        "put" => Order::Put {
+            place: place()?,
+            tokens: 1,
+        },
+        "take" => Order::Take {
+            place: place()?,
+            tokens: 1,
+        },
+        "pause" => Order::Pause,
+        "resume" => Order::Resume,
+        "step" => Order::Step { firings: 1 },
+        // A place that gets a token is what a person waits for.
+        "break" => Order::Break {
+            at: match &asked.transition {
+                Some(transition) => transition.clone(),
+                None => format!("{}>=1", place()?),
+            },
+        },
+        "clear" => {
+            let same = |one: &&Breakpoint| {
+                (&one.transition, &one.place) == (&asked.transition, &asked.place)
+            };
+            let at = set.iter().find(same).map(|one| one.at.clone());
+            Order::Clear {
+                at: Some(at.ok_or("there is no such breakpoint")?),
+            }
+        }
+        other => {
+            return Err(HandlerError::new(format!(
+                "nothing is called `{other}` here"
+            )));
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(text: &str) -> Asked {
+        serde_json::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn what_a_page_asks_is_an_order_or_is_refused_in_words() {
+        let set = [breakpoint("t".to_owned()), breakpoint("p>=1".to_owned())];
+        let order = |text: &str| meant(&asked(text), &set).map_err(|error| error.to_string());
+        assert_eq!(
+            order(r#"{"kind":"break","net":"n","place":"p"}"#),
+            Ok(Order::Break {
+                at: "p>=1".to_owned()
+            })
+        );
+        assert_eq!(
+            order(r#"{"kind":"clear","net":"n","place":"p"}"#),
+            Ok(Order::Clear {
+                at: Some("p>=1".to_owned())
+            })
+        );
+        assert_eq!(
+            order(r#"{"kind":"clear","net":"n","transition":"t"}"#),
+            Ok(Order::Clear {
+                at: Some("t".to_owned())
+            })
+        );
+        assert_eq!(
+            order(r#"{"kind":"fire","net":"n"}"#),
+            Err("which transition?".to_owned())
+        );
+        assert!(order(r#"{"kind":"clear","net":"n","transition":"u"}"#).is_err());
+        assert!(order(r#"{"kind":"explode","net":"n"}"#).is_err());
+    }
 }

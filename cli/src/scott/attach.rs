@@ -189,7 +189,7 @@ impl App {
     /// [`Interrupted`]: nobody waits for the reply any more, and the connection was given up.
     pub fn dispatch(&mut self, line: &str, trace: u64) -> Result<String, Interrupted> {
         // A connection of an app that has ended meanwhile, with nobody to tell.
-        if self.client.as_mut().is_some_and(|client| has_ended(client)) {
+        if self.client.as_mut().is_some_and(has_ended) {
             self.client = None;
         }
         if let Err(error) = self.client() {

@@ -93,13 +93,16 @@ impl Wanted {
 
 /// A time as a person writes it: `50ms`, `0.2s`, `3` (s).
 fn seconds(text: &str) -> Result<f64, String> {
-    let units = [("ms", 1e-3), ("us", 1e-6), ("s", 1.0)];
+    let units = [("ms", 1e3), ("us", 1e6), ("s", 1.0)];
     let unit = units.iter().find(|(unit, _)| text.ends_with(unit));
-    let (number, factor) = match unit {
-        Some((unit, factor)) => (text.strip_suffix(unit).unwrap_or(text), *factor),
+    let (number, in_a_second) = match unit {
+        Some((unit, most)) => (text.strip_suffix(unit).unwrap_or(text), *most),
         None => (text, 1.0),
     };
-    let time = number.parse::<f64>().ok().map(|number| number * factor);
+    let time = number
+        .parse::<f64>()
+        .ok()
+        .map(|number| number / in_a_second);
     time.filter(|time| (0.0..=86_400.0).contains(time))
         .ok_or_else(|| format!("a time is written 50ms, 0.2s or 3, not `{text}`"))
 }

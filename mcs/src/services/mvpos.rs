@@ -303,8 +303,8 @@ impl MvPos {
             elbow,
         };
         let moved = cx.call_task(client, order, LONGEST_MOVE).await;
-        if acquires && !self.options.keep {
-            // Whatever became of the motion: nobody else could have the arm.
+        if acquires && (!self.options.keep || moved.is_err()) {
+            // It was had for this motion, whatever became of it.
             let released = cx.call_task(client, Release {}, SOON).await;
             let moved = moved?;
             released?;

@@ -415,13 +415,16 @@ fn cartesian_motions_move_the_tool_as_said() {
     let back = done(&sorm, "mvpos EXEC where");
     near(&back[6..], &before[6..], 1e-8);
     let [x, y, z] = [before[9], before[13], before[17]];
+    let now = nalgebra::Matrix3::from_fn(|row, column| before[6 + 4 * row + column]);
+    let now = nalgebra::Rotation3::from_matrix_unchecked(now);
+    let (roll, pitch, yaw) =
+        (now * nalgebra::Rotation3::from_euler_angles(0.1, -0.1, 0.2)).euler_angles();
     done(
         &sorm,
-        &format!("mvpos EXEC place FMSG 6 {x} {y} {z} 0.1 3 0.2"),
+        &format!("mvpos EXEC place FMSG 6 {x} {y} {z} {roll} {pitch} {yaw}"),
     );
     let turned = done(&sorm, "mvpos EXEC where");
-    let expected = nalgebra::UnitQuaternion::from_euler_angles(0.1, 3.0, 0.2);
-    let expected = expected.to_rotation_matrix();
+    let expected = nalgebra::Rotation3::from_euler_angles(roll, pitch, yaw);
     for row in 0..3 {
         for column in 0..3 {
             let found = turned[6 + 4 * row + column];

@@ -479,7 +479,8 @@ fn one_line_of_text_moves_the_arm_of_the_app_and_gives_it_back() {
             assert!(on.is_ok(), "{:?}", on.reports);
             let refused = refusal(&cx, &mcs, Acquire {}).await?;
             assert!(refused.contains("reserved by task `objects`"), "{refused}");
-            told(&cx, "mvpos EXEC release").await?;
+            let released = told(&cx, "mvpos EXEC release").await?;
+            assert!(released.is_ok(), "{:?}", released.reports);
             assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
             // What the app refuses is said in its words.
             let refused = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 2 0").await?;

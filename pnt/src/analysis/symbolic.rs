@@ -70,6 +70,9 @@ pub fn count(model: &Model, bytes: usize) -> Option<Counted> {
     })
 }
 
+/// A firing sequence and the marking in which it ends.
+type Way = (Vec<TransitionNumber>, Vec<u32>);
+
 struct Counter<'a> {
     model: &'a Model,
     firing: Firing<'a>,
@@ -191,7 +194,7 @@ impl<'a> Counter<'a> {
 
     /// A shortest firing sequence into a set, and the marking it ends in: the sets from which it is
     /// one firing, two firings and so on, until the initial marking is in one; then forward again.
-    fn nearest(&mut self, set: Node) -> Result<Option<(Vec<TransitionNumber>, Vec<u32>)>, Full> {
+    fn nearest(&mut self, set: Node) -> Result<Option<Way>, Full> {
         let mut layers = vec![set];
         let mut known = set;
         let start = self.firing.diagram.first(self.initial);

@@ -47,7 +47,7 @@ pub struct Verdict {
     pub reversible: Option<bool>,
     /// Markings that can be reached from every reachable one.
     pub home_states: Option<u128>,
-    /// Per label of [`Model::labels`], whether one of its transitions is enabled somewhere.
+    /// Per label of the model, whether one of its transitions is enabled somewhere.
     pub seen: Vec<bool>,
     /// Whether all reachable markings were found.
     pub complete: bool,

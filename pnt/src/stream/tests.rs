@@ -85,12 +85,14 @@ async fn watch(cx: &Context, manner: Manner, seen: &RefCell<Seen>) -> Result<(),
             return Ok(());
         }
         after = Some(batch.mark);
-        let mut seen_now = seen.borrow_mut();
-        seen_now.batches += 1;
-        seen_now.events += batch.events.len() as u64;
-        seen_now.skipped += batch.skipped;
+        {
+            let mut seen = seen.borrow_mut();
+            seen.batches += 1;
+            seen.events += batch.events.len() as u64;
+            seen.skipped += batch.skipped;
+            seen.states += u64::from(batch.state.is_some());
+        }
         if let Some(state) = batch.state {
-            seen_now.states += 1;
             replica = Some(Replica::new(&view, state)?);
         }
         let replica = replica.as_mut().ok_or("events before any state")?;
@@ -98,8 +100,7 @@ async fn watch(cx: &Context, manner: Manner, seen: &RefCell<Seen>) -> Result<(),
             replica.apply(event)?;
         }
         assert_eq!(replica.state().seq, batch.mark.seq);
-        seen_now.last = Some(replica.state().clone());
-        drop(seen_now);
+        seen.borrow_mut().last = Some(replica.state().clone());
         if let Manner::Slow(pause) = manner {
             cx.sleep(pause).await;
         }

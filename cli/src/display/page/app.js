@@ -7,6 +7,9 @@ import { Lanes, Table, make, showSide } from "./panels.js";
 const $ = (id) => document.getElementById(id);
 /** Side, lanes and table are drawn anew at most so often, ms. */
 const PANEL_EVERY = 120;
+/** The same for nets of many nodes. */
+const PANEL_EVERY_LARGE = 400;
+const LARGE = 300;
 const PRESENT_EVERY = 500;
 const RETRY = 1000;
 
@@ -360,7 +363,7 @@ class App {
       const busy = this.cursor === null && this.mode === "live" && this.picture.running?.length > 0;
       // The present goes on also while nothing happens.
       const idle = this.cursor === null && this.mode === "live" && now - (this.panelled ?? 0) > PRESENT_EVERY;
-      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > PANEL_EVERY)) {
+      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > LARGE ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
         this.panelled = now;
         this.stale = false;
         this.panels();

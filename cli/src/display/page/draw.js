@@ -7,7 +7,8 @@ const RADIUS = 13;
 const BAR = { width: 8, height: 32 };
 /** A token travels for so long, ms. */
 const TRAVEL = 420;
-/** More events at once than this are shown as marking only. */
+/** More events at once than this are shown as marking only, and no more tokens than that travel at a time. */
+const MOST_AT_ONCE = 20;
 const MOST_TRAVELLERS = 60;
 /** Names are left out when they would be smaller than this, px. */
 const SMALLEST_NAME = 5;
@@ -64,6 +65,7 @@ export class Picture {
     this.host = host;
     this.on = on;
     this.box = { x: 0, y: 0, width: 1, height: 1 };
+    this.travelling = 0;
     this.svg = element("svg", { class: "net", tabindex: "0", role: "application", "aria-label": "The net. Arrow keys go from node to node." });
     this.svg.append(markers());
     this.layers = {};
@@ -200,7 +202,7 @@ export class Picture {
 
   /** Tokens go along the arcs of events that have just happened. */
   travel(net, events) {
-    if (still() || document.hidden || events.length > MOST_TRAVELLERS) return;
+    if (still() || document.hidden || events.length > MOST_AT_ONCE) return;
     const node = (name) => net.view.transitions.find((one) => one.name === name)?.shown;
     for (const event of events) {
       if (event.transition === "") {
@@ -216,7 +218,8 @@ export class Picture {
 
   along(net, ends) {
     const path = ends.map(([from, to]) => this.ends.get(`${net.name}\u0000${from}\u0000${to}`)).find((one) => one);
-    if (!path || path.getTotalLength === undefined) return;
+    if (!path || this.travelling >= MOST_TRAVELLERS) return;
+    this.travelling += 1;
     const length = path.getTotalLength();
     const token = element("circle", { class: "traveller", r: 4 });
     this.layers.travel.append(token);
@@ -226,15 +229,16 @@ export class Picture {
       const eased = part < 0.5 ? 2 * part * part : 1 - 2 * (1 - part) ** 2;
       const at = path.getPointAtLength(length * eased);
       token.setAttribute("transform", `translate(${at.x} ${at.y})`);
-      if (part < 1) requestAnimationFrame(step);
-      else token.remove();
+      if (part < 1) return requestAnimationFrame(step);
+      this.travelling -= 1;
+      return token.remove();
     };
     requestAnimationFrame(step);
   }
 
   pulse(key, phase = "received") {
     const shown = this.nodes.get(key);
-    if (!shown) return;
+    if (!shown || this.travelling >= MOST_TRAVELLERS) return;
     const name = phase === "failed" ? "pulse-failed" : "pulse";
     shown.group.classList.remove("pulse", "pulse-failed");
     requestAnimationFrame(() => shown.group.classList.add(name));

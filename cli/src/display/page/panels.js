@@ -3,7 +3,7 @@
 import { nodeStanding, passes, seconds } from "./model.js";
 
 /** The table shows no more rows than this; filters find the others. */
-const MOST_ROWS = 400;
+const MOST_ROWS = 150;
 const LANE = 17;
 
 export function make(name, attributes = {}, ...children) {
@@ -299,17 +299,20 @@ export class Table {
     const { app } = this;
     const [wanted, unwanted, all] = this.inputs;
     const nets = all.checked ? [...app.nets.values()] : app.visibleNets();
+    const seen = [wanted.value, unwanted.value, app.cursor !== null, ...nets.flatMap((net) => [net.name, net.base.seq, app.positionOf(net)])].join("\u0000");
+    if (seen === this.seen) return;
+    this.seen = seen;
     const found = [];
     for (const net of nets) {
       const until = app.positionOf(net);
-      for (let at = until - 1; at >= 0 && found.length < MOST_ROWS * nets.length; at -= 1) {
+      for (let at = until - 1; at >= 0 && found.length < 4 * MOST_ROWS * nets.length; at -= 1) {
         const event = net.events[at];
         if (passes(event, wanted.value, unwanted.value)) found.push({ net, event, at: at + 1 });
       }
     }
     found.sort((a, b) => b.event.at_ns - a.event.at_ns || b.event.seq - a.event.seq);
     const rows = found.slice(0, MOST_ROWS);
-    this.count.textContent = found.length > MOST_ROWS ? `${MOST_ROWS} of ${found.length}` : `${rows.length}`;
+    this.count.textContent = found.length > MOST_ROWS ? `latest ${MOST_ROWS}` : `${rows.length}`;
     this.body.replaceChildren(...rows.map((row, index) => this.row(row, index === 0)));
   }
 

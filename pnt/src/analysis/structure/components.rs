@@ -44,7 +44,7 @@ pub fn state_machines(model: &Model, most: usize) -> Option<Vec<Component>> {
                     == 1
             };
             let single = |t: &usize| one(&arcs.inputs, *t) && one(&arcs.outputs, *t);
-            transitions.iter().all(single).then(|| Component {
+            transitions.iter().all(single).then_some(Component {
                 places,
                 transitions,
             })
@@ -75,7 +75,7 @@ pub fn marked_graphs(model: &Model, most: usize) -> Option<Vec<MarkedGraph>> {
             };
             let single =
                 |place: &usize| one(&arcs.producers, *place) && one(&arcs.consumers, *place);
-            places.iter().all(single).then(|| Component {
+            places.iter().all(single).then_some(Component {
                 places,
                 transitions,
             })

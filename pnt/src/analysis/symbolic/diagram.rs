@@ -2,7 +2,7 @@
 //! a place; a node lists, by number of tokens, the sets of what may stand in the places below. Equal
 //! sets are the same node. Knows sets, not firings.
 
-use std::hash::{BuildHasher, Hash as _, Hasher as _};
+use std::hash::BuildHasher as _;
 
 use hashbrown::{DefaultHashBuilder, HashMap, HashTable};
 
@@ -96,9 +96,7 @@ impl Diagram {
     }
 
     fn hash(&self, edges: &[Edge]) -> u64 {
-        let mut hasher = self.hasher.build_hasher();
-        edges.hash(&mut hasher);
-        hasher.finish()
+        self.hasher.hash_one(edges)
     }
 
     /// The node with these edges, sorted by tokens and none of them to [`NONE`]. Nodes of different
@@ -123,9 +121,7 @@ impl Diagram {
         let (nodes, all, hasher) = (&self.nodes, &self.edges, &self.hasher);
         self.unique.insert_unique(hash, node, |node| {
             let (start, length) = nodes[*node as usize];
-            let mut state = hasher.build_hasher();
-            all[start as usize..(start + length) as usize].hash(&mut state);
-            state.finish()
+            hasher.hash_one(&all[start as usize..(start + length) as usize])
         });
         Ok(node)
     }
