@@ -101,7 +101,7 @@ fn nets(texts: &[&str], durable: bool, starts: &Starts) -> Nets {
         names.push(name);
     }
     registry.function::<Ask, _, _>("ask", |_, Ask { data }| async move { Ok(data) });
-    let text = "[app]\nname = \"bench\"\n[chassis.a]\nprocessors.main = {}\n";
+    let text = "[app]\nname = \"bench\"\n[chassis.a]\nprocessors.main = {}\n[task.unused]\nhandler = \"ask\"\non = \"a\"\n";
     let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
     let bench = Bench::start(app, registry).unwrap();
     let mut tasks = Vec::new();
@@ -209,7 +209,7 @@ fn latency() {
     let (to, seen) = (nets.tasks[0].clone(), starts.clone());
     let work = move |cx: Context| async move {
         let given_up = Rc::new(RefCell::new(false));
-        let put = cx.call(&to, put());
+        let put = cx.call(&to, put()).into_future();
         let waited = async {
             while seen.lock().unwrap().len() < ACTIONS as usize {
                 cx.sleep(std::time::Duration::from_millis(1)).await;
