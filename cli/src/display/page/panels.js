@@ -96,7 +96,8 @@ function elapsed(standing, app) {
 }
 
 function breakButton(net, app, at) {
-  const armed = net.breakpoints.some((one) => one.transition === at.transition && one.place === at.place);
+  // What a breakpoint is not about is null in it.
+  const armed = net.breakpoints.some((one) => one.transition === (at.transition ?? null) && one.place === (at.place ?? null));
   return make("button", { "aria-pressed": String(armed), onclick: () => app.order(armed ? "clear" : "break", net, at) }, "Breakpoint");
 }
 
