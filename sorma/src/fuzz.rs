@@ -196,7 +196,9 @@ fn dispatch(bytes: &[u8]) {
         let answer = sorm.dispatch(line);
         assert!(answer.parse::<Reply>().is_ok(), "{answer}");
     }
-    assert!(sorm.dispatch("bar DBX -version").contains("RET 0"));
+    // Lines may rightly spoil a recipe or lock an object; what they say of the manager is still answered.
+    let answer = sorm.dispatch("sorm DBX -version");
+    assert!(answer.parse::<Reply>().is_ok(), "{answer}");
 }
 
 /// What a daemon and its callers send each other.
