@@ -26,7 +26,8 @@ pub struct Arcs {
 }
 
 impl Arcs {
-    /// The arcs of a model. A read arc counts as taking and putting back.
+    /// The arcs of a model. A read arc counts as taking and putting back; but what the same transition takes
+    /// from the place anyway it does not put back.
     #[must_use]
     pub fn of(model: &Model) -> Self {
         let (places, transitions) = (model.places.len(), model.transitions.len());
@@ -40,7 +41,14 @@ impl Arcs {
         };
         for (number, transition) in model.transitions.iter().enumerate() {
             let needs = transition.takes.iter().chain(&transition.reads);
-            let puts = transition.puts.iter().chain(&transition.reads);
+            let taken = |place: &u32| transition.takes.iter().find(|(of, _)| of == place);
+            let back = |(place, weight): &&(u32, u32)| {
+                taken(place).is_none_or(|(_, taken)| taken < weight)
+            };
+            let puts = transition
+                .puts
+                .iter()
+                .chain(transition.reads.iter().filter(back));
             for (place, _) in needs {
                 arcs.consumers[*place as usize].push(number);
                 arcs.inputs[number].push(*place as usize);
