@@ -1,6 +1,6 @@
 //! What configurations can name: every event handler, channel driver, frame source and expander.
 
-use crate::{display, scott::services};
+use crate::{display, panel, scott::services};
 use ctos::{
     config::{App, Expander, Selection},
     diagnostic::Findings,
@@ -21,6 +21,7 @@ pub fn registry() -> Registry {
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
     display::register(&mut registry);
+    panel::register(&mut registry);
     // It cannot be wrong: a test reads it.
     let shipped = services::shipped().unwrap_or_default();
     daemon::register(&mut registry, shipped, |cx, sorm| {

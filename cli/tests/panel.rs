@@ -1,4 +1,5 @@
-//! `scott --panel` as a browser meets it: the page, its token, and lines that move the arm of the process.
+//! Panels as a browser meets them, of `scott --panel` and of an app with a task `sorma.panel`: the page, its token, and
+//! lines that reach the objects.
 
 #![allow(
     clippy::expect_used,
@@ -53,6 +54,56 @@ fn serve(what: &str) -> Served {
     }
 }
 
+/// An app with one daemon, which serves a panel itself.
+fn serve_in_app(control: bool) -> (Served, tempfile::TempDir) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.path().join(name), text).expect("a file");
+    };
+    write(
+        "foo.toml",
+        "title = \"Foo\"\n[[widget]]\nkind = \"readout\"\nlabel = \"Says\"\nask = \"foo.a EXEC\"\n\
+         [[widget]]\nkind = \"button\"\nlabel = \"New\"\nask = \"sorm CTRL -create foo.b\"\n",
+    );
+    write(
+        "app.toml",
+        &format!(
+            "[app]\nname = \"panelled\"\n[chassis.one]\n[chassis.two]\n\
+             [task.desk]\nhandler = \"sorma.daemon\"\non = \"two\"\n\
+             [task.panel]\nhandler = \"sorma.panel\"\non = \"one\"\n\
+             [task.panel.args]\nlisten = \"127.0.0.1:0\"\npanels = [\"foo.toml\"]\nobjects = [\"spot\"]\n\
+             allow_control = {control}\n"
+        ),
+    );
+    let mut child = Command::new(env!("CARGO_BIN_EXE_ctos"))
+        .current_dir(folder.path())
+        .args(["boot", "app.toml"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("ctos runs");
+    let mut lines = BufReader::new(child.stderr.take().expect("a pipe")).lines();
+    let place = lines
+        .by_ref()
+        .map_while(Result::ok)
+        .find_map(|line| Some(line.split_once("http://")?.1.to_owned()))
+        .expect("an address");
+    // It must not stand still because nobody reads what else it says.
+    std::thread::spawn(move || lines.for_each(drop));
+    let place = place
+        .split(['"', ' ', '\u{1b}'])
+        .next()
+        .expect("an address");
+    let (address, token) = place.split_once('/').expect("a path");
+    let served = Served {
+        child,
+        address: address.to_owned(),
+        token: token.trim_start_matches('#').to_owned(),
+    };
+    (served, folder)
+}
+
 impl Served {
     /// Status and body of an answer.
     fn http(&self, request: &str, headers: &[(&str, &str)], body: &str) -> (u16, String) {
@@ -99,7 +150,10 @@ fn a_panel_shows_what_its_file_says_and_its_lines_reach_the_objects() {
     let (status, body) = served.http("GET /panel.json", &[("x-scott-token", &served.token)], "");
     assert_eq!(status, 200);
     let panel: Value = serde_json::from_str(&body).expect("JSON");
-    assert_eq!(panel["title"], "PUMA 560");
+    assert_eq!(
+        (&panel["title"], &panel["control"]),
+        (&"PUMA 560".into(), &true.into())
+    );
     let buttons = panel["widgets"].as_array().expect("widgets").iter();
     let buttons: Vec<&Value> = buttons
         .filter(|widget| widget["kind"] == "button")
@@ -173,4 +227,96 @@ fn only_the_page_that_was_opened_by_its_address_may_ask() {
     let (status, _) = served.http("POST /ask", &[("x-scott-token", &served.token)], &long);
     assert_eq!(status, 413);
     assert_eq!(served.ask("foo.a EXEC")["ret"], 0);
+}
+
+#[test]
+fn an_app_serves_its_panels_itself_and_a_page_without_the_token_only_looks_on() {
+    let (served, _folder) = serve_in_app(true);
+    assert_eq!(served.token.len(), 32);
+    // Whoever shows the token may ask anything, of objects in another process.
+    assert_eq!(served.ask("sorm CTRL -create foo.a")["ret"], 0);
+    let wrong = served.ask("nothing EXEC");
+    assert!(
+        wrong["reports"][0]["text"].to_string().contains("nothing"),
+        "{wrong}"
+    );
+    for (number, title) in ["Foo", "spot"].iter().enumerate() {
+        for (token, control) in [(served.token.as_str(), true), ("", false)] {
+            let request = format!("GET /panel.json?n={number}");
+            let (status, body) = served.http(&request, &[("x-scott-token", token)], "");
+            assert_eq!(status, 200, "{body}");
+            let panel: Value = serde_json::from_str(&body).expect("JSON");
+            assert_eq!(panel["title"], *title);
+            assert_eq!(panel["control"], control);
+            assert_eq!(panel["panels"].as_array().map(Vec::len), Some(2));
+            if number == 1 {
+                assert!(
+                    panel["widgets"][0]["dump"]
+                        .to_string()
+                        .contains("-threshold")
+                );
+            }
+        }
+    }
+    assert_eq!(served.http("GET /panel.json?n=2", &[], "").0, 404);
+    assert_eq!(served.http("GET /panel.json?n=x", &[], "").0, 400);
+    // Others see how it stands, and change nothing.
+    assert_eq!(served.http("POST /ask", &[], "foo.a EXEC").0, 200);
+    for line in ["sorm CTRL -create foo.b", "foo.a CTRL -help", "foo.a EXEC "] {
+        let (status, body) = served.http("POST /ask", &[], line);
+        assert_eq!(status, 403, "{line}");
+        assert!(body.contains("token"), "{body}");
+    }
+    let listed = served.ask("sorm CTRL -list");
+    assert!(!listed["text"].to_string().contains("foo.b"), "{listed}");
+    let origin = ("Origin", "http://evil.example");
+    assert_eq!(served.http("POST /ask", &[origin], "foo.a EXEC").0, 403);
+    assert_eq!(served.http("GET /", &[("Host", "evil.example")], "").0, 403);
+}
+
+#[test]
+fn a_panel_whose_configuration_allows_no_control_has_no_token() {
+    let (served, _folder) = serve_in_app(false);
+    assert_eq!(served.token, "");
+    assert_eq!(served.http("POST /ask", &[], "foo.a EXEC").0, 200);
+    let (status, body) = served.http("POST /ask", &[], "sorm CTRL -create foo.b");
+    assert_eq!(status, 403);
+    assert!(body.contains("allow_control"), "{body}");
+}
+
+#[test]
+fn what_is_wrong_with_a_panel_is_found_before_the_app_runs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("app.toml");
+    let check = |args: &str| {
+        let text = format!(
+            "[chassis.one]\n[task.desk]\nhandler = \"sorma.daemon\"\non = \"one\"\n\
+             [task.panel]\nhandler = \"sorma.panel\"\non = \"one\"\n[task.panel.args]\n{args}\n"
+        );
+        std::fs::write(&path, text).expect("a file");
+        let run = Command::new(env!("CARGO_BIN_EXE_ctos"))
+            .arg("check")
+            .arg(&path)
+            .output()
+            .expect("ctos runs");
+        let text = String::from_utf8_lossy(&run.stderr).into_owned()
+            + &String::from_utf8_lossy(&run.stdout);
+        (run.status.code(), text)
+    };
+    assert_eq!(check("objects = [\"spot\"]").0, Some(0));
+    for (args, part) in [
+        ("", "shows nothing"),
+        ("panels = [\"no.toml\"]", "no.toml"),
+        ("objects = [\"sp ot\"]", "no name of an object"),
+        ("objects = [\"spot\"]\ndaemon = \"dsk\"", "`desk`"),
+        ("objects = [\"spot\"]\nalow_control = true", "allow_control"),
+    ] {
+        let (code, text) = check(args);
+        assert_eq!(code, Some(3), "{args}: {text}");
+        assert!(text.contains(part), "{args}: {text}");
+    }
+    let (code, text) =
+        check("objects = [\"spot\"]\nlisten = \"0.0.0.0:8109\"\nallow_control = true");
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.contains("no token is set"), "{text}");
 }

@@ -182,6 +182,7 @@ async fn validate_path(action: Act) -> Acted {
             target: path.target,
             path: path.kind,
             speed: path.speed,
+            acceleration: None,
             elbow: None,
         };
         let planned = plan(&cx, &args, request).await?;
@@ -216,6 +217,7 @@ async fn plan_to_destination(action: &Act) -> Acted {
             target: Target::Pose(destination.base_t_tool),
             path: PathKind::Joint,
             speed: args.speed,
+            acceleration: None,
             elbow,
         };
         match plan(&cx, &args, request).await {
@@ -286,6 +288,7 @@ async fn drive(action: &Act) -> Acted {
         target: path.target,
         path: path.kind,
         speed: path.speed,
+        acceleration: None,
         elbow: None,
     };
     let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S)?;

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::arm::{Elbow, Joints};
 use crate::servo::MotionPhase;
 use crate::state::State;
+pub use crate::trajectory::PathKind;
 
 /// Where to move.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -15,16 +16,6 @@ pub enum Target {
     Joints(Joints),
     /// `base_t_tool`: a homogeneous 4 by 4 matrix, row by row, lengths in m.
     Pose([f64; 16]),
-}
-
-/// Which way to take.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub enum PathKind {
-    /// All joints in proportion: fast, always possible between two positions within limits.
-    #[default]
-    Joint,
-    /// The tool along a straight line, turning about one axis.
-    StraightLine,
 }
 
 /// How a motion ended.
@@ -113,6 +104,8 @@ ctos::command! {
         pub path: PathKind,
         /// Fraction of full speed, above 0 up to 1.
         pub speed: f64,
+        /// Fraction of full acceleration, above 0 up to 1; as the speed when it is left out.
+        pub acceleration: Option<f64>,
         /// Elbow posture at a pose, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
     } => MoveReport, 0x0302, "move"
@@ -127,6 +120,8 @@ ctos::command! {
         pub path: PathKind,
         /// Fraction of full speed, above 0 up to 1.
         pub speed: f64,
+        /// Fraction of full acceleration, above 0 up to 1; as the speed when it is left out.
+        pub acceleration: Option<f64>,
         /// Elbow posture at a pose, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
     } => PlanReport, 0x0303, "plan"

@@ -6,11 +6,13 @@
 pub mod interpolate;
 pub mod plan;
 pub mod profile;
+pub mod route;
 pub mod segment;
 
 pub use interpolate::Interpolator;
 pub use plan::{CartesianLimits, PlanError, Planner};
 pub use profile::{Profile, ProfilePoint};
+pub use route::{Goal, Pace, PathKind, Route};
 pub use segment::{Path, Segment};
 
 use crate::arm::{DOF, Joints};

@@ -1,8 +1,10 @@
 //! What stands on a panel, and the file that says so.
 
-use std::{fs, path::Path};
-
-use serde::{Deserialize, Serialize};
+use ctos::{
+    config::Node,
+    diagnostic::{Finding, Findings, Source},
+};
+use serde::{Deserialize, Serialize, de::IgnoredAny};
 
 /// A panel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -119,28 +121,41 @@ fn often() -> f64 {
     0.25
 }
 
-impl Panel {
-    /// Reads a panel's file.
-    ///
-    /// # Errors
-    /// What is wrong, with its place.
-    pub fn load(path: &Path) -> Result<Self, String> {
-        let name = path.display();
-        let text =
-            fs::read_to_string(path).map_err(|error| format!("cannot read `{name}`: {error}"))?;
-        Self::read(&text).map_err(|why| format!("{name}: {why}"))
-    }
+/// The file; its widgets are read one by one, so that one mistake does not hide the next.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    title: String,
+    #[serde(default, rename = "widget")]
+    _widgets: Vec<IgnoredAny>,
+}
 
-    /// Reads a panel.
-    ///
-    /// # Errors
-    /// What is wrong, with its place.
-    pub fn read(text: &str) -> Result<Self, String> {
-        let panel: Self = toml::from_str(text).map_err(|error| error.to_string())?;
-        for widget in &panel.widgets {
-            widget.check()?;
+impl Panel {
+    /// Reads a panel's file; a widget that is wrong is left out and said, with its place.
+    pub fn read(source: &Source, findings: &mut Findings) -> Option<Self> {
+        let root = Node::from_toml(source, findings);
+        let file: File = findings.keep(root.parse())?;
+        let mut widgets = Vec::new();
+        let written = root.get("widget").map(Node::elements);
+        for node in written.unwrap_or_default() {
+            let Some(widget) = findings.keep(node.parse::<Widget>()) else {
+                continue;
+            };
+            match widget.check() {
+                Ok(()) => widgets.push(widget),
+                Err(why) => {
+                    let finding = Finding::error("sorma::panel::widget", why);
+                    findings.push(match node.place() {
+                        Some(place) => finding.at(place.clone()),
+                        None => finding,
+                    });
+                }
+            }
         }
-        Ok(panel)
+        Some(Self {
+            title: file.title,
+            widgets,
+        })
     }
 
     /// The options of one object.
@@ -157,6 +172,15 @@ impl Panel {
 }
 
 impl Widget {
+    /// The line by which it shows how it stands; such a line changes nothing.
+    pub(super) fn look(&self) -> Option<&str> {
+        match self {
+            Self::Plot { ask, .. } | Self::Readout { ask, .. } => Some(ask),
+            Self::Sliders { from, .. } => from.as_deref(),
+            Self::Button { .. } | Self::Joystick { .. } | Self::Options { .. } => None,
+        }
+    }
+
     fn check(&self) -> Result<(), String> {
         let (label, ask, names, every_s): (_, _, Vec<&str>, f64) = match self {
             Self::Button { label, ask, .. } => (label, ask, Vec::new(), 1.0),
@@ -230,36 +254,57 @@ impl Widget {
 mod tests {
     use super::*;
 
+    fn read(text: &str) -> (Option<Panel>, Vec<String>) {
+        let mut findings = Findings::new();
+        let panel = Panel::read(&Source::new("p.toml", text), &mut findings);
+        (panel, findings.iter().map(ToString::to_string).collect())
+    }
+
     #[test]
     fn the_shipped_panels_are_read_and_their_lines_are_requests() {
         for text in [
             include_str!("../../../configs/panels/puma560.toml"),
             include_str!("../../../configs/panels/vss.toml"),
         ] {
-            let panel = Panel::read(text).unwrap();
+            let (panel, findings) = read(text);
+            assert_eq!(findings, Vec::<String>::new());
+            let panel = panel.unwrap();
             assert!(panel.widgets.len() > 1, "{}", panel.title);
         }
     }
 
     #[test]
-    fn what_is_wrong_with_a_panel_is_said_with_its_place() {
-        let wrong = |widget: &str| {
-            let text = format!("title = \"t\"\n[[widget]]\n{widget}\n");
-            Panel::read(&text).unwrap_err()
-        };
-        let typo = wrong("kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nsop = true");
-        assert!(typo.contains("line") && typo.contains("sop"), "{typo}");
-        let kind = wrong("kind = \"knob\"");
-        assert!(kind.contains("knob"), "{kind}");
-        let line = wrong("kind = \"button\"\nlabel = \"b\"\nask = \"foo.a PLAY\"");
-        assert!(line.contains("`foo.a PLAY` is no request"), "{line}");
-        let stick = wrong(
+    fn everything_that_is_wrong_with_a_panel_is_said_with_its_place() {
+        let widgets = [
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nsop = true",
+            "kind = \"knob\"",
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a PLAY\"",
             "kind = \"joystick\"\nlabel = \"j\"\nask = \"foo.a EXEC FMSG 1 {x}\"\nspan = 1.0",
+            "kind = \"plot\"\nlabel = \"p\"\nask = \"foo.a EXEC\"\nfloats = [0, 3]",
+            "kind = \"readout\"\nlabel = \"r\"\nask = \"foo.a EXEC\"\nevery_s = 0.0",
+            "kind = \"sliders\"\nlabel = \"s\"\nask = \"foo.a EXEC FMSG 1 {v}\"\nvalues = [{ name = \"v\", range = [2.0, 1.0] }]",
+            "kind = \"button\"\nlabel = \"good\"\nask = \"foo.a EXEC\"",
+        ];
+        let text = widgets.map(|widget| format!("[[widget]]\n{widget}\n"));
+        let (panel, findings) = read(&format!("title = \"t\"\n{}", text.concat()));
+        assert_eq!(panel.unwrap().widgets.len(), 1);
+        for part in [
+            "sop",
+            "knob",
+            "`foo.a PLAY` is no request",
+            "no {y}",
+            "counted from 1",
+            "0.02 to 3600",
+            "the second number must be the larger one",
+        ] {
+            let said = |finding: &String| finding.contains(part) && finding.contains("p.toml:");
+            assert!(findings.iter().any(said), "{part}: {findings:?}");
+        }
+        assert_eq!(findings.len(), 7, "{findings:?}");
+        let (panel, findings) = read("titel = \"t\"");
+        assert!(
+            panel.is_none() && findings.concat().contains("titel"),
+            "{findings:?}"
         );
-        assert!(stick.contains("no {y}"), "{stick}");
-        let plot = wrong("kind = \"plot\"\nlabel = \"p\"\nask = \"foo.a EXEC\"\nfloats = [0, 3]");
-        assert!(plot.contains("counted from 1"), "{plot}");
-        let often = wrong("kind = \"readout\"\nlabel = \"r\"\nask = \"foo.a EXEC\"\nevery_s = 0.0");
-        assert!(often.contains("0.02 to 3600"), "{often}");
     }
 }

@@ -1,7 +1,6 @@
 //! The server of a panel: its files, and one address at which the page asks.
 
 use std::{
-    fmt::Write as _,
     io,
     net::{SocketAddr, TcpListener},
     sync::Arc,
@@ -10,19 +9,18 @@ use std::{
 use axum::{
     Router,
     body::{Bytes, to_bytes},
-    extract::{Request, State},
+    extract::{Query, Request, State},
     http::{
-        HeaderMap, StatusCode,
+        HeaderMap, HeaderValue, StatusCode,
         header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, ORIGIN},
     },
     response::{IntoResponse, Response},
     routing::{get, post},
 };
+use serde::Deserialize;
 use serde_json::Value;
-use tokio::signal;
 
-use super::Desk;
-use crate::show;
+use super::desk::{Desk, Right};
 
 /// The longest line that a page may ask, bytes.
 const LONGEST: usize = 64 * 1024;
@@ -35,50 +33,28 @@ const TOKEN: &str = "x-scott-token";
 struct Served {
     desk: Desk,
     address: SocketAddr,
-    token: String,
 }
 
-/// Serves until Ctrl-C.
-pub(super) fn serve(listener: TcpListener, desk: Desk) -> io::Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
+/// Serves until `stop` is over.
+pub(super) async fn serve(
+    listener: TcpListener,
+    desk: Desk,
+    stop: impl Future<Output = ()>,
+) -> io::Result<()> {
     let address = listener.local_addr()?;
     listener.set_nonblocking(true)?;
-    let served = Arc::new(Served {
-        desk,
-        address,
-        token: fresh_token()?,
-    });
-    show::say(&format!(
-        "the panel is at http://{address}/#{}   (Ctrl-C ends it)",
-        served.token
-    ));
+    let listener = tokio::net::TcpListener::from_std(listener)?;
     let router = Router::new()
         .route("/", get(page))
         .route("/panel.css", get(style))
         .route("/panel.js", get(script))
         .route("/panel.json", get(panel))
         .route("/ask", post(ask))
-        .with_state(served);
-    runtime.block_on(async move {
-        let listener = tokio::net::TcpListener::from_std(listener)?;
-        tokio::select! {
-            served = async { axum::serve(listener, router).await } => served,
-            ended = signal::ctrl_c() => ended,
-        }
-    })
-}
-
-fn fresh_token() -> io::Result<String> {
-    let mut bytes = [0; 16];
-    getrandom::fill(&mut bytes).map_err(io::Error::other)?;
-    let mut token = String::new();
-    for byte in bytes {
-        // Writing to a `String` cannot fail.
-        let _ = write!(token, "{byte:02x}");
+        .with_state(Arc::new(Served { desk, address }));
+    tokio::select! {
+        served = async { axum::serve(listener, router).await } => served,
+        () = stop => Ok(()),
     }
-    Ok(token)
 }
 
 async fn page(State(served): State<Arc<Served>>, headers: HeaderMap) -> Response {
@@ -130,18 +106,33 @@ fn refused(reason: &str) -> Response {
     (StatusCode::FORBIDDEN, format!("{reason}\n")).into_response()
 }
 
-async fn panel(State(served): State<Arc<Served>>, headers: HeaderMap) -> Response {
-    if let Err(reason) = permitted(&served, &headers) {
-        return refused(reason);
+#[derive(Deserialize)]
+struct Which {
+    /// Its number, from 0.
+    #[serde(default)]
+    n: usize,
+}
+
+async fn panel(
+    State(served): State<Arc<Served>>,
+    Query(which): Query<Which>,
+    headers: HeaderMap,
+) -> Response {
+    let right = match right(&served, &headers) {
+        Ok(right) => right,
+        Err(reason) => return refused(reason),
+    };
+    match served.desk.described(which.n, right).await {
+        Some(described) => answered(&described),
+        None => (StatusCode::NOT_FOUND, "there is no such panel\n").into_response(),
     }
-    let described = tokio::task::spawn_blocking(move || served.desk.described());
-    answered(described.await.unwrap_or_default())
 }
 
 async fn ask(State(served): State<Arc<Served>>, request: Request) -> Response {
-    if let Err(reason) = permitted(&served, request.headers()) {
-        return refused(reason);
-    }
+    let right = match right(&served, request.headers()) {
+        Ok(right) => right,
+        Err(reason) => return refused(reason),
+    };
     let Ok(bytes) = to_bytes(request.into_body(), LONGEST).await else {
         let text = format!("a line has at most {LONGEST} bytes\n");
         return (StatusCode::PAYLOAD_TOO_LARGE, text).into_response();
@@ -149,32 +140,22 @@ async fn ask(State(served): State<Arc<Served>>, request: Request) -> Response {
     let Ok(line) = String::from_utf8(bytes.into()) else {
         return (StatusCode::BAD_REQUEST, "a line is UTF-8\n").into_response();
     };
-    // An object may take its time, and the others go on.
-    let told = tokio::task::spawn_blocking(move || served.desk.ask(&line));
-    answered(told.await.unwrap_or_default())
+    if right == Right::Look && !served.desk.is_look(&line) {
+        return refused(served.desk.door.why_only_look());
+    }
+    answered(&served.desk.ask(&line).await)
 }
 
-fn answered(value: Value) -> Response {
+fn answered(value: &Value) -> Response {
     good("application/json", value.to_string().into())
 }
 
-/// Whether a request comes from a page that was opened with the token.
-fn permitted(served: &Served, headers: &HeaderMap) -> Result<(), &'static str> {
+/// What whoever sends a request may do.
+fn right(served: &Served, headers: &HeaderMap) -> Result<Right, &'static str> {
     meant(served.address, headers)?;
-    let shown = headers
-        .get(TOKEN)
-        .map_or(&b""[..], |value| value.as_bytes());
-    // Looked at to its end, wherever it differs.
-    let differs = shown
-        .iter()
-        .zip(served.token.as_bytes())
-        .fold(shown.len() ^ served.token.len(), |differs, (a, b)| {
-            differs | usize::from(a ^ b)
-        });
-    match differs {
-        0 => Ok(()),
-        _ => Err("open the panel by the address that was printed when it was started"),
-    }
+    let shown = headers.get(TOKEN).map_or(&b""[..], HeaderValue::as_bytes);
+    let right = served.desk.door.right(shown);
+    right.ok_or("open the panel by the address that was printed when it was started")
 }
 
 /// Whether a request was meant for this server: a page of another site, or a name that only seems to be

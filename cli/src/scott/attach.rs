@@ -153,12 +153,6 @@ impl App {
         &self.daemons
     }
 
-    /// Whether the last request found it there.
-    #[must_use]
-    pub fn is_there(&self) -> bool {
-        self.client.is_some()
-    }
-
     /// The same app over a connection of its own.
     ///
     /// # Errors
@@ -382,7 +376,7 @@ fn renamed(reply: &str, name: ObjectName) -> String {
 }
 
 /// The reply of an object that nobody could ask.
-fn refusal(line: &str, why: &str) -> String {
+pub(crate) fn refusal(line: &str, why: &str) -> String {
     let name = line.split_whitespace().next().unwrap_or_default();
     let name = match name.parse::<ObjectName>() {
         Ok(name) => name.to_string(),

@@ -2,7 +2,11 @@
 //! line that is being edited.
 
 use std::{
-    sync::mpsc::{RecvTimeoutError, SyncSender, channel},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{RecvTimeoutError, SyncSender, channel},
+    },
     thread,
     time::Duration,
 };
@@ -19,26 +23,26 @@ use crate::commands::remote::connect_to;
 /// How often it is looked whether an app that is gone is back.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// Sends what the app says, line by line, until nobody takes it any more.
-pub fn start(name: String, place: Where, above: SyncSender<String>) {
+/// Sends what the app says, line by line, until nobody takes it any more. `gone` says at any moment whether it is there;
+/// it is set before the line about it is sent, because that line is what has the prompt drawn anew.
+pub fn start(name: String, place: Where, above: SyncSender<String>, gone: Arc<AtomicBool>) {
     thread::spawn(move || {
         // Nothing is ever sent: it is what pauses.
         let (_never, pause) = channel::<()>();
-        let mut was_gone = false;
         loop {
             let connected = connect_to(place.app.as_deref(), &place.at);
             if let Ok(mut client) = connected {
+                let was_gone = gone.swap(false, Ordering::Relaxed);
                 if was_gone && above.send(format!("-- app `{name}` is back --")).is_err() {
                     return;
                 }
-                was_gone = false;
                 // How it ended is seen from here alike.
                 let _ = follow(&mut client, &above);
             }
+            let was_gone = gone.swap(true, Ordering::Relaxed);
             if !was_gone && above.send(format!("-- app `{name}` is gone --")).is_err() {
                 return;
             }
-            was_gone = true;
             if pause.recv_timeout(LOOK) == Err(RecvTimeoutError::Disconnected) {
                 return;
             }

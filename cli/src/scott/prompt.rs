@@ -2,18 +2,24 @@
 //! [`complete`].
 
 use std::{
+    borrow::Cow,
     env, fs,
     io::{self, Write},
     path::PathBuf,
-    sync::{Arc, Mutex, PoisonError, mpsc::SyncSender},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+        mpsc::SyncSender,
+    },
 };
 
 use reedline::{
     ColumnarMenu, Completer, CompletionResult, DefaultPrompt, DefaultPromptSegment, EditMode,
     Emacs, ExternalPrinter, FileBackedHistory, Hinter, History, KeyCode, KeyModifiers, Keybindings,
-    MenuBuilder, Reedline, ReedlineEvent, ReedlineMenu, Signal, Span, Suggestion, ValidationResult,
-    Validator, Vi, default_emacs_keybindings, default_vi_insert_keybindings,
-    default_vi_normal_keybindings, default_vi_visual_keybindings,
+    MenuBuilder, Prompt, PromptEditMode, PromptHistorySearch, Reedline, ReedlineEvent,
+    ReedlineMenu, Signal, Span, Suggestion, ValidationResult, Validator, Vi,
+    default_emacs_keybindings, default_vi_insert_keybindings, default_vi_normal_keybindings,
+    default_vi_visual_keybindings,
 };
 use sorma::{
     ClassInfo,
@@ -51,18 +57,17 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     let printer = ExternalPrinter::new(MESSAGES);
     log_above(printer.sender());
     session.show_above(printer.sender());
+    let gone = Arc::new(AtomicBool::new(false));
     if let Backend::App(app) = session.backend() {
-        follow::start(app.name().to_owned(), app.place(), printer.sender());
+        let gone = Arc::clone(&gone);
+        follow::start(app.name().to_owned(), app.place(), printer.sender(), gone);
     }
     let mut editor = editor(&names, vi).with_external_printer(printer);
     session.show_to_people();
     show::say("Tab completes, `NAME CTRL -help` tells what an object can do, Ctrl-D leaves.");
     loop {
         refresh(&names, session);
-        let prompt = DefaultPrompt::new(
-            DefaultPromptSegment::Basic(state(session.backend())),
-            DefaultPromptSegment::Empty,
-        );
+        let prompt = Speaks::to(session.backend(), &gone);
         match editor.read_line(&prompt) {
             Ok(Signal::Success(text)) => {
                 let place = Place {
@@ -84,12 +89,58 @@ pub fn run(session: &mut Session, vi: bool) -> u8 {
     }
 }
 
-/// Whom the prompt speaks to, and whether it is there.
-fn state(backend: &Backend) -> String {
-    match backend {
-        Backend::Local(_) => "scott".to_owned(),
-        Backend::App(app) if app.is_there() => format!("scott {}", app.name()),
-        Backend::App(app) => format!("scott {} (gone)", app.name()),
+/// The prompt: whom it speaks to, and whether that is there at the moment. It is asked whenever the line is drawn, also
+/// while nobody types.
+struct Speaks {
+    there: DefaultPrompt,
+    away: DefaultPrompt,
+    gone: Arc<AtomicBool>,
+}
+
+impl Speaks {
+    fn to(backend: &Backend, gone: &Arc<AtomicBool>) -> Self {
+        let name = match backend {
+            Backend::Local(_) => "scott".to_owned(),
+            Backend::App(app) => format!("scott {}", app.name()),
+        };
+        let prompt = |text: String| {
+            let text = DefaultPromptSegment::Basic(text);
+            DefaultPrompt::new(text, DefaultPromptSegment::Empty)
+        };
+        Self {
+            away: prompt(format!("{name} (gone)")),
+            there: prompt(name),
+            gone: Arc::clone(gone),
+        }
+    }
+
+    fn now(&self) -> &DefaultPrompt {
+        match self.gone.load(Ordering::Relaxed) {
+            true => &self.away,
+            false => &self.there,
+        }
+    }
+}
+
+impl Prompt for Speaks {
+    fn render_prompt_left(&self) -> Cow<'_, str> {
+        self.now().render_prompt_left()
+    }
+
+    fn render_prompt_right(&self) -> Cow<'_, str> {
+        self.now().render_prompt_right()
+    }
+
+    fn render_prompt_indicator(&self, mode: PromptEditMode) -> Cow<'_, str> {
+        self.now().render_prompt_indicator(mode)
+    }
+
+    fn render_prompt_multiline_indicator(&self) -> Cow<'_, str> {
+        self.now().render_prompt_multiline_indicator()
+    }
+
+    fn render_prompt_history_search_indicator(&self, search: PromptHistorySearch) -> Cow<'_, str> {
+        self.now().render_prompt_history_search_indicator(search)
     }
 }
 

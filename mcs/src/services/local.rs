@@ -5,9 +5,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nalgebra::Isometry3;
 
-use crate::arm::{ArmModel, Elbow, Joints};
-use crate::client::{PathKind, Target};
-use crate::trajectory::{CartesianLimits, PlanError, Planner};
+use crate::arm::{ArmModel, Joints};
+use crate::client::Target;
+use crate::trajectory::{CartesianLimits, Goal, PlanError, Planner, Route};
 
 /// Where it begins, rad: the elbow bent, with room on all sides.
 const START: Joints = [
@@ -70,35 +70,8 @@ impl LocalArm {
     }
 
     /// Where a motion would end, and how long it would take, s.
-    pub(super) fn plan(
-        &self,
-        target: &Goal,
-        path: PathKind,
-        speed: f64,
-        elbow: Option<Elbow>,
-    ) -> Result<(Joints, f64), PlanError> {
-        let start = &self.joints;
-        let planner = &self.planner;
-        let segment = match (path, target) {
-            (PathKind::Joint, Goal::Joints(joints)) => planner.joint(start, joints, speed)?,
-            (PathKind::Joint, Goal::Pose(pose)) => {
-                let joints = planner.joints_for(pose, start, elbow)?;
-                planner.joint(start, &joints, speed)?
-            }
-            (PathKind::StraightLine, Goal::Joints(joints)) => {
-                planner.check_joints(joints)?;
-                planner.line(start, &planner.tool_pose(joints), speed)?
-            }
-            (PathKind::StraightLine, Goal::Pose(pose)) => planner.line(start, pose, speed)?,
-        };
-        let near = match segment.path() {
-            crate::trajectory::Path::Line(line) => line.end_joints,
-            crate::trajectory::Path::Joint { end, .. } => *end,
-        };
-        let end = segment.end(&near).map_err(|reason| PlanError::Line {
-            percent: 100.0,
-            reason,
-        })?;
+    pub(super) fn plan(&self, route: &Route) -> Result<(Joints, f64), PlanError> {
+        let (segment, end) = self.planner.segment(&self.joints, route)?;
         Ok((end, segment.duration()))
     }
 
@@ -110,22 +83,11 @@ impl LocalArm {
     }
 }
 
-/// Where to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Goal {
-    /// Joint positions, rad.
-    Joints(Joints),
-    /// `base_t_tool`.
-    Pose(Isometry3<f64>),
-}
-
-impl Goal {
-    /// The same for the client interface.
-    pub(super) fn target(&self) -> Target {
-        match self {
-            Self::Joints(joints) => Target::Joints(*joints),
-            Self::Pose(pose) => Target::Pose(rows(pose)),
-        }
+/// The same for the client interface.
+pub(super) fn target(goal: &Goal) -> Target {
+    match goal {
+        Goal::Joints(joints) => Target::Joints(*joints),
+        Goal::Pose(pose) => Target::Pose(rows(pose)),
     }
 }
 

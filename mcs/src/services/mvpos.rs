@@ -10,11 +10,12 @@ use sorma::{
 };
 
 use super::kinematics;
-use super::local::{Goal, SharedArm, rows};
+use super::local::{SharedArm, rows, target};
 use super::{code, ended, joints};
 use crate::arm::{Elbow, Joints};
 use crate::client::{Acquire, Move, PathKind, Plan, Position, ReadPosition, Release, Status};
 use crate::state::State;
+use crate::trajectory::{Goal, Pace, Route};
 
 /// A motion is answered at its end.
 const LONGEST_MOVE: Duration = Duration::from_secs(3600);
@@ -39,16 +40,16 @@ const FORMS: &[Form] = &[
     Form {
         text: "pose",
         floats: 16,
-        takes: "base_T_tool, row by row, m",
+        takes: "base_T_tool, or reference_T_tool, row by row, m",
         gives: "7 floats, as joints",
-        help: "moves the tool to a pose",
+        help: "moves the tool to a pose in the reference frame",
     },
     Form {
         text: "place",
         floats: 6,
         takes: "x y z, m, and roll pitch yaw about the base's x, y and z, rad",
         gives: "7 floats, as joints",
-        help: "moves the tool to a place in the base frame",
+        help: "moves the tool to a place in the reference frame",
     },
     Form {
         text: "shift",
@@ -56,6 +57,13 @@ const FORMS: &[Form] = &[
         takes: "dx dy dz, m, and roll pitch yaw about the base's axes, rad",
         gives: "7 floats, as joints",
         help: "moves the tool on from where it is, and turns it about itself, both along the base's axes",
+    },
+    Form {
+        text: "relative",
+        floats: 16,
+        takes: "tool_T_goal, row by row, m",
+        gives: "7 floats, as joints",
+        help: "moves the tool on from where it is, along its own axes, by a transformation matrix",
     },
     Form {
         text: "where",
@@ -93,6 +101,8 @@ pub(super) struct Options {
     to: Vec<f64>,
     path: String,
     speed: f64,
+    acceleration: Vec<f64>,
+    reference: Vec<f64>,
     elbow: String,
     plan: bool,
     keep: bool,
@@ -105,6 +115,8 @@ impl Default for Options {
             to: Vec::new(),
             path: "joint".to_owned(),
             speed: 0.3,
+            acceleration: Vec::new(),
+            reference: Vec::new(),
             elbow: "nearest".to_owned(),
             plan: false,
             keep: false,
@@ -119,8 +131,24 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "speed",
             0.001..=1.0,
             "",
-            "fraction of full speed; accelerations are scaled alike",
+            "fraction of full speed",
             |options: &mut Options| &mut options.speed,
+        )
+        .floats(
+            "acceleration",
+            &["A"],
+            0.001..=1.0,
+            "",
+            "fraction of full acceleration; as -speed unless it is set",
+            |options| &mut options.acceleration,
+        )
+        .floats(
+            "reference",
+            &["X", "Y", "Z", "ROLL", "PITCH", "YAW"],
+            -10.0..=10.0,
+            "m, rad",
+            "the frame, in the base, in which pose and place are given; the base itself unless it is set",
+            |options| &mut options.reference,
         )
         .choice(
             "path",
@@ -181,6 +209,21 @@ impl MvPos {
         }
     }
 
+    fn pace(&self) -> Pace {
+        Pace::new(
+            self.options.speed,
+            self.options.acceleration.first().copied(),
+        )
+    }
+
+    /// `base_t_reference`.
+    fn reference(&self) -> Isometry3<f64> {
+        match self.options.reference.len() {
+            6 => place(&joints(&self.options.reference, 0)),
+            _ => Isometry3::identity(),
+        }
+    }
+
     fn elbow(&self) -> Option<Elbow> {
         match self.options.elbow.as_str() {
             "above" => Some(Elbow::Above),
@@ -223,8 +266,13 @@ impl MvPos {
         let given = joints(&io.floats, 0);
         Ok(match form {
             "joints" => Goal::Joints(given),
-            "pose" => Goal::Pose(kinematics::pose(io)?),
-            "place" => Goal::Pose(place(&given)),
+            "pose" => Goal::Pose(self.reference() * kinematics::pose(io)?),
+            "place" => Goal::Pose(self.reference() * place(&given)),
+            "relative" => {
+                let by = kinematics::pose(io)?;
+                let (_, now) = self.position(cx).await?;
+                Goal::Pose(now * by)
+            }
             "by" => {
                 let (now, _) = self.position(cx).await?;
                 Goal::Joints(std::array::from_fn(|index| now[index] + given[index]))
@@ -268,7 +316,12 @@ impl MvPos {
     /// Moves the arm of this process.
     fn move_here(&self, goal: &Goal) -> Result<(Joints, f64), Report> {
         let mut arm = self.arm.lock();
-        let planned = arm.plan(goal, self.path(), self.options.speed, self.elbow());
+        let planned = arm.plan(&Route {
+            goal: *goal,
+            path: self.path(),
+            pace: self.pace(),
+            elbow: self.elbow(),
+        });
         let (joints, duration_s) =
             planned.map_err(|error| Report::error(code::MOTION, error.to_string()))?;
         if !self.options.plan {
@@ -280,12 +333,14 @@ impl MvPos {
     /// Has the app's arm move.
     async fn ask(&self, cx: &Waiting<'_>, goal: &Goal) -> Result<(Joints, f64), Report> {
         let (client, speed) = (&self.options.client, self.options.speed);
-        let (target, path, elbow) = (goal.target(), self.path(), self.elbow());
+        let acceleration = self.options.acceleration.first().copied();
+        let (target, path, elbow) = (target(goal), self.path(), self.elbow());
         if self.options.plan {
             let plan = Plan {
                 target,
                 path,
                 speed,
+                acceleration,
                 elbow,
             };
             let planned = cx.call_task(client, plan, SOON).await?;
@@ -300,6 +355,7 @@ impl MvPos {
             target,
             path,
             speed,
+            acceleration,
             elbow,
         };
         let moved = cx.call_task(client, order, LONGEST_MOVE).await;

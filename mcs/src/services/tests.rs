@@ -434,6 +434,67 @@ fn cartesian_motions_move_the_tool_as_said() {
 }
 
 #[test]
+fn a_transformation_moves_the_tool_along_its_own_axes_and_a_reference_shifts_poses() {
+    let sorm = manager();
+    let frame = |numbers: &[f64]| {
+        let numbers: Vec<f64> = numbers[6..22].to_vec();
+        nalgebra::Matrix4::from_row_slice(&numbers)
+    };
+    let before = frame(&done(&sorm, "mvpos EXEC where"));
+    let by = nalgebra::Isometry3::new(
+        nalgebra::Vector3::new(0.02, -0.01, 0.03),
+        nalgebra::Vector3::new(0.05, 0.1, -0.08),
+    );
+    let by = by.to_homogeneous();
+    let rows: Vec<f64> = by.transpose().iter().copied().collect();
+    done(&sorm, &format!("mvpos EXEC relative {}", angles(&rows)));
+    let after = frame(&done(&sorm, "mvpos EXEC where"));
+    assert!((after - before * by).amax() < 1e-8);
+    // A place in a frame that stands 0.1 m higher and is turned by a quarter.
+    let quarter = std::f64::consts::FRAC_PI_2;
+    tell(
+        &sorm,
+        &format!("mvpos.table CTRL -reference 0 0 0.1 0 0 {quarter}"),
+    );
+    let (x, y, z) = (before[(0, 3)], before[(1, 3)], before[(2, 3)]);
+    done(
+        &sorm,
+        &format!("mvpos.table EXEC place FMSG 6 {y} {} {} 0 0 0", -x, z - 0.1),
+    );
+    let there = frame(&done(&sorm, "mvpos EXEC where"));
+    let origin = nalgebra::Vector3::new(x, y, z);
+    assert!((there.fixed_view::<3, 1>(0, 3) - origin).amax() < 1e-8);
+    assert!(
+        (there[(1, 0)] - 1.0).abs() < 1e-8,
+        "its x axis is the base's y axis"
+    );
+}
+
+#[test]
+fn acceleration_is_scaled_apart_from_speed() {
+    let sorm = manager();
+    let how_long = |options: &str| {
+        tell(
+            &sorm,
+            &format!("mvpos.{} CTRL -plan {options}", options.len()),
+        );
+        let line = format!(
+            "mvpos.{} EXEC joints FMSG 6 0.4 0.9 -1.2 0 0.6 0",
+            options.len()
+        );
+        done(&sorm, &line)[6]
+    };
+    let alike = how_long("-speed 0.5");
+    let same = how_long("-speed 0.5 -acceleration 0.5");
+    let gentle = how_long("-speed 0.5 -acceleration 0.1");
+    let hard = how_long("-speed 0.5 -acceleration 1");
+    assert!((alike - same).abs() < 1e-12);
+    assert!(gentle > alike && alike > hard, "{gentle} {alike} {hard}");
+    let refused = tell(&sorm, "mvpos CTRL -acceleration 1.5");
+    assert!(!refused.is_ok());
+}
+
+#[test]
 fn positions_have_names_and_a_flavor_has_one_of_its_own() {
     let sorm = manager();
     let ready = done(&sorm, "mvpos EXEC ready");

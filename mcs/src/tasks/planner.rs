@@ -14,10 +14,10 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use super::args::PartArgs;
 use super::{Link, PLANNER, SERVO, check_reference};
 use crate::arm::Joints;
-use crate::client::{Move, MoveReport, PathKind, Plan, PlanReport, Target};
+use crate::client::{Move, MoveReport, Plan, PlanReport, Target};
 use crate::driver::Power;
 use crate::servo::{MotionPhase, ServoCommand, ServoStatus};
-use crate::trajectory::Segment;
+use crate::trajectory::{Goal, Pace, Route, Segment};
 
 /// How far the rotation of a target pose may be from a rotation, per entry.
 const ROTATION_ROUNDING: f64 = 1e-6;
@@ -62,31 +62,17 @@ impl PlannerTask {
     fn plan(&self, link: &Link, request: &Plan) -> Result<(Segment, Joints), HandlerError> {
         let status = link.port.status();
         let start = status.setpoint;
-        let planner = &link.planner;
         let goal = match &request.target {
-            Target::Joints(joints) => {
-                planner.check_joints(joints)?;
-                Goal::Joints(*joints)
-            }
+            Target::Joints(joints) => Goal::Joints(*joints),
             Target::Pose(rows) => Goal::Pose(pose(rows)?),
         };
-        let segment = match (request.path, goal) {
-            (PathKind::Joint, Goal::Joints(joints)) => {
-                planner.joint(&start, &joints, request.speed)?
-            }
-            (PathKind::Joint, Goal::Pose(pose)) => {
-                let joints = planner.joints_for(&pose, &start, request.elbow)?;
-                planner.joint(&start, &joints, request.speed)?
-            }
-            (PathKind::StraightLine, Goal::Joints(joints)) => {
-                planner.line(&start, &planner.tool_pose(&joints), request.speed)?
-            }
-            (PathKind::StraightLine, Goal::Pose(pose)) => {
-                planner.line(&start, &pose, request.speed)?
-            }
+        let route = Route {
+            goal,
+            path: request.path,
+            pace: Pace::new(request.speed, request.acceleration),
+            elbow: request.elbow,
         };
-        let end = segment.end(&end_hint(&segment, &start))?;
-        Ok((segment, end))
+        Ok(link.planner.segment(&start, &route)?)
     }
 
     fn begin(&mut self, cx: &Context, request: Move, reply: Replier<Move>) -> Handled {
@@ -115,6 +101,7 @@ impl PlannerTask {
             target: request.target,
             path: request.path,
             speed: request.speed,
+            acceleration: request.acceleration,
             elbow: request.elbow,
         };
         let segment = match self.plan(&link, &request) {
@@ -150,19 +137,6 @@ impl PlannerTask {
         }
         Ok(())
     }
-}
-
-/// A line's end is asked for near its planned end, so that whole turns come out the same.
-fn end_hint(segment: &Segment, start: &Joints) -> Joints {
-    match segment.path() {
-        crate::trajectory::Path::Line(line) => line.end_joints,
-        crate::trajectory::Path::Joint { .. } => *start,
-    }
-}
-
-enum Goal {
-    Joints(Joints),
-    Pose(Isometry3<f64>),
 }
 
 /// A pose from 16 numbers, checked: a rotation, a translation and the last row of a pose.

@@ -169,6 +169,7 @@ fn to(target: Target) -> Move {
         target,
         path: PathKind::Joint,
         speed: 0.5,
+        acceleration: None,
         elbow: None,
     }
 }
@@ -252,6 +253,7 @@ fn bad_targets_are_refused_before_anything_moves_and_say_why() {
                 target: Target::Joints(beyond),
                 path: PathKind::Joint,
                 speed: 0.5,
+                acceleration: None,
                 elbow: None,
             };
             lines.push(refusal(&cx, &mcs, plan).await?);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Vector3};
 
 use super::segment::{Line, SegmentError};
-use super::{Path, Profile, ProfilePoint, Segment, Setpoint};
+use super::{Pace, Path, Profile, ProfilePoint, Segment, Setpoint};
 use crate::arm::{ArmModel, DOF, Elbow, IkError, Joints, inverse};
 
 #[cfg(test)]
@@ -53,6 +53,14 @@ pub enum PlanError {
     /// The speed is not a usable fraction.
     #[error("speed {given} is not a fraction of full speed; give a value from {SLOWEST} to 1")]
     Speed {
+        /// What was given.
+        given: f64,
+    },
+    /// The acceleration is not a usable fraction.
+    #[error(
+        "acceleration {given} is not a fraction of full acceleration; give a value from {SLOWEST} to 1"
+    )]
+    Acceleration {
         /// What was given.
         given: f64,
     },
@@ -184,12 +192,17 @@ impl Planner {
     }
 
     /// A joint-interpolated motion: all joints start, cruise and stop together, the slowest of
-    /// them at `speed` (fraction of full speed; accelerations are scaled alike).
+    /// them at `pace` (fractions of full speed and acceleration; one number is both).
     ///
     /// # Errors
-    /// A speed that is no fraction, a target that is no number or beyond a limit.
-    pub fn joint(&self, start: &Joints, end: &Joints, speed: f64) -> Result<Segment, PlanError> {
-        check_speed(speed)?;
+    /// A pace that is no fraction, a target that is no number or beyond a limit.
+    pub fn joint(
+        &self,
+        start: &Joints,
+        end: &Joints,
+        pace: impl Into<Pace>,
+    ) -> Result<Segment, PlanError> {
+        let pace = pace.into().check()?;
         self.check_joints(end)?;
         let mut velocity = f64::INFINITY;
         let mut acceleration = f64::INFINITY;
@@ -203,7 +216,8 @@ impl Planner {
         if velocity.is_infinite() {
             return Ok(Segment::hold(Arc::clone(&self.model), *end));
         }
-        let profile = Profile::trapezoid(1.0, velocity * speed, acceleration * speed);
+        let profile =
+            Profile::trapezoid(1.0, velocity * pace.speed, acceleration * pace.acceleration);
         let path = Path::Joint {
             start: *start,
             end: *end,
@@ -217,7 +231,7 @@ impl Planner {
     }
 
     /// A straight line of the tool to `base_t_tool`, turning about one axis on the way, in the
-    /// posture of `start`, at `speed` (fraction of the Cartesian limits).
+    /// posture of `start`, at `pace` (fractions of the Cartesian limits).
     ///
     /// # Errors
     /// Everything that would stop it on the way, with joint, value and limit.
@@ -225,9 +239,9 @@ impl Planner {
         &self,
         start: &Joints,
         base_t_tool: &Isometry3<f64>,
-        speed: f64,
+        pace: impl Into<Pace>,
     ) -> Result<Segment, PlanError> {
-        check_speed(speed)?;
+        let pace = pace.into().check()?;
         let start_pose = self.tool_pose(start);
         let travel = base_t_tool.translation.vector - start_pose.translation.vector;
         let turn = base_t_tool.rotation * start_pose.rotation.inverse();
@@ -255,8 +269,8 @@ impl Planner {
             branch,
             end_joints,
         };
-        let braking = acceleration * speed;
-        let profile = Profile::trapezoid(1.0, velocity * speed, braking);
+        let braking = acceleration * pace.acceleration;
+        let profile = Profile::trapezoid(1.0, velocity * pace.speed, braking);
         self.check_line(&line, &profile, start, braking)?;
         Ok(Segment::new(
             Arc::clone(&self.model),
@@ -349,13 +363,5 @@ impl Planner {
             }
         }
         Ok(())
-    }
-}
-
-fn check_speed(speed: f64) -> Result<(), PlanError> {
-    if (SLOWEST..=1.0).contains(&speed) {
-        Ok(())
-    } else {
-        Err(PlanError::Speed { given: speed })
     }
 }

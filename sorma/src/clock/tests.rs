@@ -5,32 +5,34 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The clock there: by pieces, each with a rate of its own, exact to the nanosecond.
+/// The clock there: by pieces, each with a rate of its own. What it shows is rounded to the nanosecond; what it
+/// carries from piece to piece is not, or it would drift faster than its rates say.
 struct There {
-    /// Moments here at which a piece begins, with what the clock there shows and how fast it runs, in
-    /// parts of 10^9 more than the one here.
+    /// Moments here at which a piece begins, ns, with what the clock there has then, in parts of 10^9 of a
+    /// nanosecond, and how fast it runs, in parts of 10^9 more than the one here.
     pieces: Vec<(i128, i128, i128)>,
 }
 
 const BILLION: i128 = 1_000_000_000;
+/// One piece that is longer than any test, ns.
+const FOREVER: i128 = i128::MAX / BILLION / BILLION;
 
 impl There {
     fn shows(&self, here: i128) -> Instant {
         let after = self.pieces.partition_point(|(begin, ..)| *begin <= here);
-        let (begin, shown, rate) = self.pieces[after.max(1) - 1];
-        let elapsed = here - begin;
-        let shown = shown + elapsed + (elapsed * rate).div_euclid(BILLION);
+        let (begin, has, rate) = self.pieces[after.max(1) - 1];
+        let shown = (has + (here - begin) * (BILLION + rate)).div_euclid(BILLION);
         Instant::from_nanos(u64::try_from(shown).unwrap())
     }
 
     fn with_rates(offset: i128, every: i128, rates: impl Iterator<Item = i128>) -> Self {
         let mut there = Self { pieces: Vec::new() };
         let mut begin = 0;
-        let mut shown = offset;
+        let mut has = offset * BILLION;
         for rate in rates {
-            there.pieces.push((begin, shown, rate));
+            there.pieces.push((begin, has, rate));
             begin += every;
-            shown += every + (every * rate).div_euclid(BILLION);
+            has += every * (BILLION + rate);
         }
         there
     }
@@ -78,8 +80,7 @@ proptest! {
         let every = 50_000_000;
         let rates: Vec<i128> = (0..2000).map(|_| random.random_range(-drift_ppb..=drift_ppb)).collect();
         let there = There::with_rates(offset, every, rates.into_iter());
-        // One ppb more, for the rounding of the simulated clock.
-        let mut clock = ClockDifference::new((drift_ppb + 1) as f64 * 1e-9).unwrap();
+        let mut clock = ClockDifference::new(drift_ppb as f64 * 1e-9).unwrap();
         prop_assert_eq!(clock.at(at(5)), None);
         prop_assert_eq!(clock.correct(at(5)), None);
         let mut begin = 0;
@@ -115,7 +116,7 @@ fn the_example_of_an_exchange_gives_offset_and_half_the_delay() {
 
 #[test]
 fn one_short_delay_makes_long_ones_harmless() {
-    let there = There::with_rates(1_000_000, i128::MAX / 4, std::iter::once(0));
+    let there = There::with_rates(1_000_000, FOREVER, std::iter::once(0));
     let mut clock = ClockDifference::new(0.0).unwrap();
     for (index, (out, back)) in [(9_000_000, 10), (50, 50), (10, 7_000_000)]
         .iter()
@@ -134,11 +135,7 @@ fn one_short_delay_makes_long_ones_harmless() {
 #[test]
 fn the_drift_of_two_crystals_is_found_and_makes_the_estimate_better_than_its_bound() {
     let drift_ppb = 47_000;
-    let there = There::with_rates(
-        5_000_000,
-        i128::MAX / BILLION / BILLION,
-        std::iter::once(drift_ppb),
-    );
+    let there = There::with_rates(5_000_000, FOREVER, std::iter::once(drift_ppb));
     let mut clock = ClockDifference::new(USUAL_DRIFT).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let second = BILLION;
@@ -161,8 +158,8 @@ fn the_drift_of_two_crystals_is_found_and_makes_the_estimate_better_than_its_bou
 
 #[test]
 fn a_clock_that_was_set_is_noticed_and_the_estimate_begins_anew() {
-    let before = There::with_rates(0, i128::MAX / 4, std::iter::once(0));
-    let after = There::with_rates(60 * BILLION, i128::MAX / 4, std::iter::once(0));
+    let before = There::with_rates(0, FOREVER, std::iter::once(0));
+    let after = There::with_rates(60 * BILLION, FOREVER, std::iter::once(0));
     let mut clock = ClockDifference::new(USUAL_DRIFT).unwrap();
     clock
         .observe(exchange(&before, 0, 1_000, 1_000, 1_000))

@@ -275,13 +275,32 @@ $("line").addEventListener("submit", (event) => {
   $("ask").select();
 });
 
-const response = await fetch("panel.json", { headers: { "x-scott-token": token } });
+/** The panels that there are, when there are several. */
+function tabs({ panels, number }) {
+  if (panels.length < 2) return;
+  $("tabs").append(...panels.map((title, i) =>
+    el("a", { href: `?n=${i}${location.hash}`, "aria-current": i === number && "page" }, title)));
+}
+
+/** A page that only looks on: what would change something stands still. */
+function lookOn(why) {
+  document.body.classList.add("look");
+  $("line").remove();
+  for (const node of document.querySelectorAll("main button, main input, main select")) node.disabled = true;
+  for (const stick of document.querySelectorAll(".stick")) { stick.removeAttribute("tabindex"); stick.inert = true; }
+  $("why").textContent = why;
+}
+
+const number = Number(new URLSearchParams(location.search).get("n")) || 0;
+const response = await fetch(`panel.json?n=${number}`, { headers: { "x-scott-token": token } });
 if (!response.ok) {
   state(await response.text(), true);
 } else {
   const panel = await response.json();
-  document.title = $("title").textContent = panel.title;
+  $("title").textContent = panel.title;
+  document.title = `${panel.title} · ${panel.name}`;
   state("connected");
+  tabs(panel);
   let bar = null;
   for (const widget of panel.widgets) {
     const node = makers[widget.kind](widget);
@@ -290,4 +309,5 @@ if (!response.ok) {
     if (!bar) $("widgets").append(bar = el("section", { class: "bar" }));
     bar.append(node);
   }
+  if (!panel.control) lookOn(panel.why);
 }

@@ -73,6 +73,15 @@ fn the_slowest_joint_sets_the_time() {
     let segment = planner.joint(&READY, &end, 1.0).unwrap();
     let (v, a) = (1.9, 10.0);
     assert!((segment.duration() - (1.0 / v + v / a)).abs() < 1e-9);
+    // Half the speed, reached with a quarter of the acceleration.
+    let segment = planner.joint(&READY, &end, Pace::new(0.5, Some(0.25)));
+    let (v, a) = (0.5 * v, 0.25 * a);
+    assert!((segment.unwrap().duration() - (1.0 / v + v / a)).abs() < 1e-9);
+    let refused = planner.joint(&READY, &end, Pace::new(0.5, Some(1.25)));
+    assert_eq!(
+        refused.unwrap_err(),
+        PlanError::Acceleration { given: 1.25 }
+    );
 }
 
 #[test]

@@ -1,0 +1,118 @@
+//! From what somebody asks for (a target, a path, a pace) to the segment that does it: one choice, for the planner's task
+//! and for whoever plans without one.
+
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+use super::plan::SLOWEST;
+use super::{Path, PlanError, Planner, Segment};
+use crate::arm::{Elbow, Joints};
+
+/// Which way to take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum PathKind {
+    /// All joints in proportion: fast, always possible between two positions within limits.
+    #[default]
+    Joint,
+    /// The tool along a straight line, turning about one axis.
+    StraightLine,
+}
+
+/// How fast: fractions of full speed and of full acceleration. A number alone is both.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Fraction of full speed.
+    pub speed: f64,
+    /// Fraction of full acceleration.
+    pub acceleration: f64,
+}
+
+impl From<f64> for Pace {
+    fn from(speed: f64) -> Self {
+        Self {
+            speed,
+            acceleration: speed,
+        }
+    }
+}
+
+impl Pace {
+    /// With an acceleration of its own, where one is given.
+    #[must_use]
+    pub fn new(speed: f64, acceleration: Option<f64>) -> Self {
+        Self {
+            speed,
+            acceleration: acceleration.unwrap_or(speed),
+        }
+    }
+
+    /// # Errors
+    /// [`PlanError::Speed`] or [`PlanError::Acceleration`]: it is no usable fraction.
+    pub(super) fn check(self) -> Result<Self, PlanError> {
+        let usable = SLOWEST..=1.0;
+        if !usable.contains(&self.speed) {
+            return Err(PlanError::Speed { given: self.speed });
+        }
+        if !usable.contains(&self.acceleration) {
+            return Err(PlanError::Acceleration {
+                given: self.acceleration,
+            });
+        }
+        Ok(self)
+    }
+}
+
+/// Where to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Goal {
+    /// Joint positions, rad.
+    Joints(Joints),
+    /// `base_t_tool`.
+    Pose(Isometry3<f64>),
+}
+
+/// What is asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Route {
+    /// Where to.
+    pub goal: Goal,
+    /// Which way.
+    pub path: PathKind,
+    /// How fast.
+    pub pace: Pace,
+    /// Elbow posture at a pose that is reached in joints; the one nearest to the start when it is left out.
+    pub elbow: Option<Elbow>,
+}
+
+impl Planner {
+    /// The checked segment from joint positions `start` (rad), and the joint positions at its end.
+    ///
+    /// # Errors
+    /// Everything that would stop it, before anything moves.
+    pub fn segment(&self, start: &Joints, route: &Route) -> Result<(Segment, Joints), PlanError> {
+        let pace = route.pace;
+        let segment = match (route.path, &route.goal) {
+            (PathKind::Joint, Goal::Joints(joints)) => self.joint(start, joints, pace)?,
+            (PathKind::Joint, Goal::Pose(pose)) => {
+                let joints = self.joints_for(pose, start, route.elbow)?;
+                self.joint(start, &joints, pace)?
+            }
+            (PathKind::StraightLine, Goal::Joints(joints)) => {
+                self.check_joints(joints)?;
+                self.line(start, &self.tool_pose(joints), pace)?
+            }
+            (PathKind::StraightLine, Goal::Pose(pose)) => self.line(start, pose, pace)?,
+        };
+        // A line's end is asked for near its planned end, so that whole turns come out the same.
+        let near = match segment.path() {
+            Path::Line(line) => line.end_joints,
+            Path::Joint { end, .. } => *end,
+        };
+        let end = segment.end(&near);
+        let end = end.map_err(|reason| PlanError::Line {
+            percent: 100.0,
+            reason,
+        })?;
+        Ok((segment, end))
+    }
+}

@@ -1,0 +1,322 @@
+//! The way to daemons: an object that asks another one, in another process, does so in the name of a task.
+
+use super::streams::{self, Leave, Subscribe, Take};
+use super::{Ask, BACK_WITHIN, HANDLER, Tell, VERSION, address, begin};
+use crate::comm::{Comm, Job, NoAnswer, Taken};
+use crate::name::{Location, ObjectName};
+use crate::raise;
+use crate::report::{Report, code};
+use crate::request::Request;
+use crate::results::Keep;
+use crate::transport::Transport;
+use ctos::call::{CallError, Fault};
+use ctos::message::CommandInfo;
+use ctos::task::{Context, NameError, TaskRef};
+use futures_util::future::LocalBoxFuture;
+use std::rc::Rc;
+use std::time::Duration;
+
+/// Reaches daemons as tasks, in the name of one task.
+#[derive(Clone)]
+pub struct Tasks {
+    cx: Context,
+    deadline: Option<Duration>,
+    retries: u32,
+}
+
+impl Tasks {
+    /// In the name of that task; its calls do not try again.
+    #[must_use]
+    pub fn of(cx: &Context) -> Self {
+        Self {
+            cx: cx.clone(),
+            deadline: None,
+            retries: 0,
+        }
+    }
+
+    /// With another time limit than that of every call.
+    #[must_use]
+    pub fn deadline(mut self, deadline: Duration) -> Self {
+        self.deadline = Some(deadline);
+        self
+    }
+
+    /// Asks up to `retries` times more when a daemon dies before it answers. Only for requests that may
+    /// be executed twice.
+    #[must_use]
+    pub fn idempotent(mut self, retries: u32) -> Self {
+        self.retries = retries;
+        self
+    }
+
+    /// The daemon's task. One of this app that is not there is being started again, which is waited for:
+    /// nothing was asked of it yet.
+    async fn found(&self, daemon: &str) -> Result<TaskRef, NameError> {
+        match self.cx.task(daemon).await {
+            Err(NameError::Unknown { .. }) if self.cx.app().task(daemon).is_some() => {
+                self.cx.wait_for_task(daemon, BACK_WITHIN).await
+            }
+            found => found,
+        }
+    }
+
+    /// Who asks.
+    fn from(&self) -> String {
+        format!("{}@{}", self.cx.name(), self.cx.chassis().name())
+    }
+
+    fn request(&self, request: Request) -> Ask {
+        let mut ask = Ask {
+            version: VERSION,
+            object: request.name.to_string(),
+            method: request.method,
+            body: request.body,
+        };
+        if ask.body.from.is_empty() {
+            ask.body.from = self.from();
+        }
+        ask
+    }
+
+    async fn once(&self, daemon: &str, request: &Ask) -> Result<Transport, Lost> {
+        let task = self.found(daemon).await?;
+        self.at(&task, request).await
+    }
+
+    async fn at(&self, task: &TaskRef, request: &Ask) -> Result<Transport, Lost> {
+        let ask = Ask {
+            version: request.version,
+            object: request.object.clone(),
+            method: request.method,
+            body: request.body.clone(),
+        };
+        let call = self.cx.call(task, ask);
+        let answer = match self.deadline {
+            Some(deadline) => call.deadline(deadline).await,
+            None => call.await,
+        };
+        Ok(answer?)
+    }
+}
+
+/// Why a daemon gave no answer.
+#[derive(Debug, thiserror::Error)]
+enum Lost {
+    #[error(transparent)]
+    Name(#[from] NameError),
+    #[error("{error}{}", of_another_version(.error))]
+    Call {
+        #[from]
+        error: CallError,
+    },
+}
+
+/// What most often is behind data that one of the two cannot read.
+fn of_another_version(error: &CallError) -> &'static str {
+    match error.fault {
+        Fault::BadPayload { .. } | Fault::UnknownCommand { .. } => {
+            "; one of the two may be of another version: run the same program on both sides"
+        }
+        _ => "",
+    }
+}
+
+impl Lost {
+    /// Whether the daemon, or the way to it, went while it was asked.
+    fn is_loss(&self) -> bool {
+        match self {
+            Self::Name(_) => false,
+            Self::Call { error } => {
+                matches!(error.fault, Fault::PeerDown { .. } | Fault::UnknownTask)
+            }
+        }
+    }
+
+    /// Whether the request may have been executed all the same.
+    fn perhaps_executed(&self) -> bool {
+        match self {
+            Self::Name(_) => false,
+            Self::Call { error } => !matches!(
+                error.fault,
+                Fault::Full { .. } | Fault::LinkFull { .. } | Fault::UnknownCommand { .. }
+            ),
+        }
+    }
+
+    fn report(&self, object: &impl std::fmt::Display, daemon: &str) -> Report {
+        raise!(code::DAEMON, "`{object}@{daemon}`: {self}")
+    }
+}
+
+impl Comm for Tasks {
+    fn ask<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<Transport, Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, &request.name)?;
+            let ask = self.request(request);
+            let mut left = self.retries;
+            loop {
+                match self.once(&daemon, &ask).await {
+                    Ok(answer) => return Ok(answer),
+                    Err(lost) if left > 0 && lost.is_loss() => {
+                        tracing::warn!(daemon, object = ask.object, error = %lost, "asks again");
+                        left -= 1;
+                        let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
+                        back.map_err(|error| {
+                            raise!(code::DAEMON, "`{}@{daemon}`: {lost}; {error}", ask.object)
+                        })?;
+                    }
+                    Err(error) => return Err(error.report(&ask.object, &daemon)),
+                }
+            }
+        })
+    }
+
+    fn sleep(&self, time: Duration) -> LocalBoxFuture<'_, ()> {
+        Box::pin(self.cx.sleep(time))
+    }
+
+    fn ask_once<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<Transport, NoAnswer>> {
+        Box::pin(async move {
+            let not_asked = |report| NoAnswer {
+                report,
+                perhaps_executed: false,
+            };
+            let daemon = address::task_at(self.cx.app(), at, &request.name).map_err(not_asked)?;
+            let ask = self.request(request);
+            let asked = async { self.at(&self.cx.task(&daemon).await?, &ask).await };
+            asked.await.map_err(|lost: Lost| NoAnswer {
+                report: lost.report(&ask.object, &daemon),
+                perhaps_executed: lost.perhaps_executed(),
+            })
+        })
+    }
+
+    fn retries(&self) -> u32 {
+        self.retries
+    }
+
+    fn tell<'a>(
+        &'a self,
+        at: &'a Location,
+        request: Request,
+    ) -> LocalBoxFuture<'a, Result<(), Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, &request.name)?;
+            let ask = self.request(request);
+            let object = ask.object.clone();
+            let told = async {
+                let task = self.found(&daemon).await?;
+                Ok(self.cx.send(&task, Tell { ask }).await?)
+            };
+            told.await
+                .map_err(|lost: Lost| lost.report(&object, &daemon))
+        })
+    }
+
+    fn spawn(&self, job: Job) -> Result<(), Report> {
+        begin(&self.cx, job(Rc::new(self.clone())));
+        Ok(())
+    }
+
+    fn daemons(&self) -> Vec<String> {
+        let tasks = self.cx.app().tasks.iter();
+        let daemons = tasks.filter(|task| task.handler == HANDLER);
+        daemons.map(|task| task.name.clone()).collect()
+    }
+
+    fn subscribe<'a>(
+        &'a self,
+        at: &'a Location,
+        name: &'a ObjectName,
+        keep: Keep,
+    ) -> LocalBoxFuture<'a, Result<(u64, u64), Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, name)?;
+            let request = Subscribe::new(name, keep, self.from());
+            let asked = async {
+                let task = self.found(&daemon).await?;
+                Ok(self.cx.call(&task, request).await?)
+            };
+            asked.await.map_err(|lost: Lost| lost.report(name, &daemon))
+        })
+    }
+
+    fn take<'a>(
+        &'a self,
+        at: &'a Location,
+        name: &'a ObjectName,
+        subscriber: u64,
+        after: u64,
+    ) -> LocalBoxFuture<'a, Result<Taken, Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, name)?;
+            let request = Take { subscriber, after };
+            let asked = async {
+                let task = self.cx.task(&daemon).await?;
+                let call = self.cx.call(&task, request).deadline(streams::PATIENCE);
+                Ok(call.await?)
+            };
+            let taken = asked.await;
+            let taken = taken.map_err(|lost: Lost| lost.report(name, &daemon))?;
+            Ok(taken.map_or(Taken::Unknown, Taken::Samples))
+        })
+    }
+
+    fn leave<'a>(&'a self, at: &'a Location, subscriber: u64) -> LocalBoxFuture<'a, ()> {
+        Box::pin(async move {
+            let Ok(daemon) = address::task_at(self.cx.app(), at, &"it") else {
+                return;
+            };
+            // A daemon that is gone knows of nobody any more.
+            if let Ok(task) = self.cx.task(&daemon).await {
+                let _ = self.cx.send(&task, Leave { subscriber }).await;
+            }
+        })
+    }
+
+    fn back<'a>(&'a self, at: &'a Location) -> LocalBoxFuture<'a, Result<(), Report>> {
+        Box::pin(async move {
+            let daemon = address::task_at(self.cx.app(), at, &"it")?;
+            let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
+            back.map(|_| ())
+                .map_err(|error| raise!(code::DAEMON, "`@{daemon}`: {error}"))
+        })
+    }
+
+    fn is_in_app(&self) -> bool {
+        true
+    }
+
+    fn call_task<'a>(
+        &'a self,
+        task: &'a str,
+        command: CommandInfo,
+        data: Vec<u8>,
+        deadline: Duration,
+    ) -> LocalBoxFuture<'a, Result<Vec<u8>, Report>> {
+        Box::pin(async move {
+            let found = self.cx.task(task).await;
+            let found = found.map_err(|error| raise!(code::DAEMON, "{error}"))?;
+            let answer = self.cx.call_raw(&found, command, data, deadline).await;
+            answer.map_err(|error| match &error.fault {
+                Fault::Refused { text } => {
+                    raise!(
+                        code::REFUSED,
+                        "task `{task}` refused `{}`: {text}",
+                        command.name
+                    )
+                }
+                _ => raise!(code::DAEMON, "{error}"),
+            })
+        })
+    }
+}
