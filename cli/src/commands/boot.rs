@@ -154,7 +154,8 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             args.app.sets.extend(allow);
         }
         let display = display_sets(listen, args.allow_control);
-        args.app.sets.extend(display);
+        // Before what a person sets, who may set more of it.
+        args.app.sets.splice(0..0, display);
     }
     let args = &args;
     let mut selection = args.app.selection();
