@@ -42,21 +42,19 @@ pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
     if explored.markings / 8 > bytes {
         return None;
     }
-    if let Some(bytes) = all_return(explored) {
+    if let Some((bytes, sure)) = all_return(explored) {
+        let mut live = vec![false; explored.model.label_count()];
+        for (transition, sure) in explored.model.transitions.iter().zip(&sure) {
+            if let (Some(label), true) = (transition.label, sure) {
+                live[label as usize] = true;
+            }
+        }
         return Some(Returns {
             reversible: true,
             no_return: None,
             terminal: 1,
             home_states: explored.markings,
-            live: {
-                let mut live = vec![false; explored.model.label_count()];
-                for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
-                    if let (Some(label), true) = (transition.label, seen) {
-                        live[label as usize] = true;
-                    }
-                }
-                live
-            },
+            live,
             bytes,
         });
     }
@@ -161,15 +159,21 @@ impl<'a> Graph<'a> {
 }
 
 /// A quick answer for most nets: walks from every marking until it meets one that is known to return.
-/// All markings on the walk return as well. The bytes it took, when all return; nothing when that is
-/// not so, or not found in this way.
-fn all_return(explored: &Explored<'_>) -> Option<usize> {
+/// All markings on the walk return as well. When all return, the bytes it took and, per transition,
+/// whether it is sure to stay possible somewhere; nothing when that is not so, or not found in this way.
+fn all_return(explored: &Explored<'_>) -> Option<(usize, Vec<bool>)> {
     const UNKNOWN: u8 = 0;
     const SEEN: u8 = 1;
     const RETURNS: u8 = 2;
     let mut graph = Graph::new(explored);
     let mut state = vec![UNKNOWN; explored.markings];
-    state[graph.initial()?] = RETURNS;
+    let initial = graph.initial()?;
+    state[initial] = RETURNS;
+    let mut sure = vec![false; explored.model.transitions.len()];
+    graph.expand(initial);
+    for transition in &graph.scratch.enabled {
+        sure[*transition as usize] = true;
+    }
     let mut walk: Vec<(usize, u32)> = Vec::new();
     let mut longest = 0;
     for root in 0..explored.markings {
@@ -181,6 +185,9 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
         while let Some((node, tried)) = walk.last().copied() {
             graph.expand(node);
             let enabled = std::mem::take(&mut graph.scratch.enabled);
+            for transition in &enabled {
+                sure[*transition as usize] = true;
+            }
             let mut next = None;
             for (position, transition) in (0_u32..).zip(&enabled).skip(tried as usize) {
                 let successor = graph.successor(node, *transition)?;
@@ -213,7 +220,8 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
             }
         }
     }
-    Some(explored.markings + longest * size_of::<(usize, u32)>())
+    let bytes = explored.markings + longest * size_of::<(usize, u32)>();
+    Some((bytes, sure))
 }
 
 /// Tarjan's algorithm (1972) with a stack of its own.
@@ -285,7 +293,19 @@ impl<'a> Components<'a> {
     /// All components. The number of the initial marking.
     fn visit_all(&mut self) -> usize {
         let initial = self.graph.initial().unwrap_or(0);
-        self.visit(initial);
+        self.visit_from(initial, initial);
+        // What only firings lead to that are not sure.
+        for root in 0..self.index.len() {
+            if self.index[root] == NEW {
+                self.visit_from(root, initial);
+            }
+        }
+        initial
+    }
+
+    /// All that is reached from here and was not visited before.
+    fn visit_from(&mut self, root: usize, initial: usize) {
+        self.visit(root);
         while let Some(frame) = self.frames.last() {
             let (node, position) = (frame.node, frame.position as usize);
             self.graph.expand(node as usize);
@@ -296,7 +316,6 @@ impl<'a> Components<'a> {
             }
             self.graph.scratch.enabled = enabled;
         }
-        initial
     }
 
     /// Whether the initial marking's component is the only one.
