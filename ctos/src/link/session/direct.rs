@@ -73,6 +73,7 @@ impl DirectStream {
         session: Arc<Session>,
         number: u64,
         carrier: Carrier,
+        decoder: Decoder,
     ) -> (Self, oneshot::Receiver<()>) {
         let (ended, ends) = oneshot::channel();
         let stream = Self {
@@ -80,7 +81,7 @@ impl DirectStream {
             number,
             carrier,
             reading: Mutex::new(Reading {
-                decoder: Decoder::default(),
+                decoder,
                 chunk: vec![0; CHUNK],
                 ended: Some(ended),
             }),

@@ -19,7 +19,7 @@ use tokio::{
 use super::{
     AttachError, Session, Writer,
     direct::{Carrier, DirectStream},
-    packet::Decoder,
+    packet::{Decoder, Lend},
     state::Event,
     writer::Socket,
 };
@@ -158,14 +158,20 @@ pub(super) fn rubbish(session: &Session, error: &impl std::fmt::Display) {
 pub(crate) async fn drive_shared(
     session: &Arc<Session>,
     socket: UnixStream,
-    shared: shm::Shared,
+    mut shared: shm::Shared,
     received: u64,
     lookout: &Arc<Lookout>,
 ) -> Result<(), AttachError> {
+    let pools = shared.take_pools();
     let (sender, receiver, bell) = shared.split();
-    let number = session.attach(Writer::Shared(sender), received)?;
+    let (lend, foreign) = match pools {
+        Some((lending, foreign)) => (Some(Box::new(lending) as Box<dyn Lend>), Some(foreign)),
+        None => (None, None),
+    };
+    let number = session.attach_lending(Writer::Shared(sender), received, lend)?;
     let carrier = Carrier::Shared { receiver, bell };
-    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
+    let decoder = Decoder::borrowing(foreign);
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier, decoder);
     let stream = Arc::new(stream);
     let source = stream.clone();
     let watched = lookout.add(move |_| source);
@@ -199,7 +205,7 @@ async fn drive_socket(
     let socket = Arc::new(Socket::new(fd, Arc::downgrade(lookout)));
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
     let carrier = Carrier::Socket(socket.clone());
-    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier, Decoder::default());
     let watched = lookout.add(move |id| {
         socket.set_id(id);
         Arc::new(stream)

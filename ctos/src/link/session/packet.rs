@@ -5,9 +5,14 @@
 //! number and whatever else travels with it, and the data. Lengths are believed only up to the limit,
 //! and memory is reserved only as bytes arrive.
 
-use bytes::{BufMut, BytesMut};
+use std::sync::Arc;
 
-use crate::link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
+use bytes::{Buf, BufMut, Bytes, BytesMut};
+
+use crate::{
+    blob::Body,
+    link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError, shm::pool::Foreign},
+};
 
 /// Length, kind, two numbers.
 pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
@@ -40,6 +45,56 @@ pub(crate) enum Kind {
     Again = 5,
     /// The other end has been given up.
     GivenUp = 6,
+    /// As a frame, with data that stays where it is and is lent: behind the frame's fixed part stand how
+    /// many pieces are lent (4 bytes), for each where it belongs (see [`Place::put`]), and the other data.
+    Lent = 7,
+}
+
+/// The most pieces of one frame that are lent.
+pub(crate) const MOST_LENT: usize = 16;
+
+/// Where data stands that is lent to a peer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Place {
+    /// Under which number it is lent.
+    pub(crate) slot: u32,
+    /// Where it begins in the lender's pool, bytes.
+    pub(crate) offset: u64,
+    /// How many bytes it is.
+    pub(crate) length: u64,
+}
+
+impl Place {
+    /// Bytes of a place in a packet.
+    const BYTES: usize = 4 + 4 + 8 + 8;
+
+    /// Writes it: before which of the other data it belongs, its slot, offset and length.
+    pub(crate) fn put(&self, into: &mut BytesMut, before: usize) {
+        // Other data is less than a frame may be.
+        into.put_u32_le(u32::try_from(before).unwrap_or(u32::MAX));
+        into.put_u32_le(self.slot);
+        into.put_u64_le(self.offset);
+        into.put_u64_le(self.length);
+    }
+
+    fn get(bytes: &mut &[u8]) -> Option<(usize, Self)> {
+        let before = bytes.try_get_u32_le().ok()?;
+        let place = Self {
+            slot: bytes.try_get_u32_le().ok()?,
+            offset: bytes.try_get_u64_le().ok()?,
+            length: bytes.try_get_u64_le().ok()?,
+        };
+        Some((usize::try_from(before).ok()?, place))
+    }
+}
+
+/// Who lends data to the other end of a stream, so that only its place crosses it.
+pub(crate) trait Lend: Send {
+    /// Keeps `bytes` for the other end until it gives them back. `None` when they must be copied.
+    fn lend(&mut self, bytes: &Bytes) -> Option<Place>;
+
+    /// Takes back what was given back.
+    fn collect(&mut self);
 }
 
 impl Kind {
@@ -51,6 +106,7 @@ impl Kind {
             Self::Pulse,
             Self::Again,
             Self::GivenUp,
+            Self::Lent,
         ]
         .into_iter()
         .find(|kind| *kind as u8 == byte)
@@ -58,13 +114,14 @@ impl Kind {
 
     /// Whether packets of this kind are numbered, kept until acknowledged and sent again when lost.
     pub(crate) fn is_numbered(self) -> bool {
-        matches!(self, Self::Frame | Self::Notice | Self::Bye)
+        matches!(self, Self::Frame | Self::Notice | Self::Bye | Self::Lent)
     }
 
     /// The bytes that must, and those that may, follow the packet's head.
     fn sizes(self) -> std::ops::RangeInclusive<usize> {
         match self {
             Self::Frame => FRAME_FIXED..=FRAME_LIMIT,
+            Self::Lent => FRAME_FIXED + 4..=FRAME_LIMIT + 4 + MOST_LENT * Place::BYTES,
             Self::Notice => 0..=NOTICE_LIMIT,
             Self::Bye | Self::Pulse | Self::Again | Self::GivenUp => 0..=0,
         }
@@ -111,6 +168,8 @@ pub(crate) enum PacketError {
         least: usize,
         most: usize,
     },
+    #[error("a frame lends data that is not there")]
+    Lent,
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error("a packet acknowledges number {received} and only {sent} were sent")]
@@ -144,6 +203,8 @@ pub(crate) struct Decoder {
     /// What has come of the packet's head, or of its fixed part behind the head.
     head: BytesMut,
     body: Vec<u8>,
+    /// Where the other end lends data from.
+    foreign: Option<Arc<Foreign>>,
 }
 
 impl Default for Decoder {
@@ -152,11 +213,36 @@ impl Default for Decoder {
             stage: Stage::Head,
             head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
             body: Vec::new(),
+            foreign: None,
         }
     }
 }
 
 impl Decoder {
+    /// Of a stream whose other end lends data from there.
+    pub(crate) fn borrowing(foreign: Option<Arc<Foreign>>) -> Self {
+        Self {
+            foreign,
+            ..Self::default()
+        }
+    }
+
+    /// The data of a frame of which some is lent.
+    fn borrow(&self, body: &[u8]) -> Option<Body> {
+        let foreign = self.foreign.as_ref()?;
+        let mut rest = body;
+        let count = usize::try_from(rest.try_get_u32_le().ok()?).ok()?;
+        if count > MOST_LENT {
+            return None;
+        }
+        let mut blobs = Vec::with_capacity(count);
+        for _ in 0..count {
+            let (before, place) = Place::get(&mut rest)?;
+            blobs.push((before, foreign.borrow(place)?));
+        }
+        Body::of_parts(rest.to_vec(), blobs)
+    }
+
     /// Takes what it needs from the front of `bytes`; a packet when one is complete.
     ///
     /// # Errors
@@ -222,7 +308,11 @@ impl Decoder {
         self.stage = Stage::Head;
         let body = std::mem::take(&mut self.body);
         let content = match kind {
-            Kind::Frame => Content::Frame(Frame::from_parts(&self.head, body)?),
+            Kind::Frame => Content::Frame(Frame::from_parts(&self.head, body.into())?),
+            Kind::Lent => {
+                let body = self.borrow(&body).ok_or(PacketError::Lent)?;
+                Content::Frame(Frame::from_parts(&self.head, body)?)
+            }
             Kind::Notice => Content::Notice(body),
             Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => Content::Nothing,
         };
@@ -270,7 +360,7 @@ impl Decoder {
 /// What stands between a packet's head and its data.
 fn fixed_size(kind: Kind) -> usize {
     match kind {
-        Kind::Frame => FRAME_FIXED,
+        Kind::Frame | Kind::Lent => FRAME_FIXED,
         Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => 0,
     }
 }

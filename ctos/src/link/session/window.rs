@@ -5,8 +5,9 @@ use std::{collections::VecDeque, io, io::IoSlice};
 
 use bytes::{Buf, BufMut, Bytes, BytesMut};
 
-use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
+use super::packet::{Kind, Lend, MOST_LENT, PACKET_HEAD, PacketError, Place, put_head};
 use crate::{
+    blob,
     link::{FRAME_FIXED, Frame, injure::Injury},
     time::Instant,
 };
@@ -53,6 +54,44 @@ impl Kept {
     fn size(&self) -> usize {
         PACKET_HEAD + self.rest()
     }
+
+    /// Its data, in parts.
+    fn parts(&self) -> impl Iterator<Item = &Bytes> {
+        std::iter::once(&self.body).chain(&self.more)
+    }
+
+    /// Writes it with its large parts lent. False when none could be; nothing is written then.
+    fn put_lent(&self, into: &mut BytesMut, numbers: [u64; 2], lend: &mut dyn Lend) -> bool {
+        let mut lent: Vec<(usize, Place)> = Vec::new();
+        let mut other: Vec<&Bytes> = Vec::new();
+        let mut size = 0;
+        for part in self.parts() {
+            let large = part.len() >= blob::LEAST && lent.len() < MOST_LENT;
+            match large.then(|| lend.lend(part)).flatten() {
+                Some(place) => lent.push((size, place)),
+                None => {
+                    size += part.len();
+                    other.push(part);
+                }
+            }
+        }
+        if lent.is_empty() {
+            return false;
+        }
+        let mut table = BytesMut::new();
+        table.put_u32_le(u32::try_from(lent.len()).unwrap_or(u32::MAX));
+        for (before, place) in &lent {
+            place.put(&mut table, *before);
+        }
+        let rest = self.head.len() + table.len() + size;
+        put_head(into, Kind::Lent, numbers, rest);
+        into.put_slice(&self.head);
+        into.put_slice(&table);
+        for part in other {
+            into.put_slice(part);
+        }
+        true
+    }
 }
 
 /// There is no room for a packet.
@@ -86,6 +125,8 @@ pub(crate) struct Outgoing {
     held_data: usize,
     held_control: usize,
     injury: Option<Injury>,
+    /// Who lends large data to the other end, where it can be read in place.
+    lend: Option<Box<dyn Lend>>,
 }
 
 impl Outgoing {
@@ -101,6 +142,19 @@ impl Outgoing {
             held_data: 0,
             held_control: 0,
             injury,
+            lend: None,
+        }
+    }
+
+    /// From now on large data is lent to the other end, or no longer.
+    pub(crate) fn set_lend(&mut self, lend: Option<Box<dyn Lend>>) {
+        self.lend = lend;
+    }
+
+    /// Takes back what the other end has given back.
+    pub(crate) fn collect(&mut self) {
+        if let Some(lend) = &mut self.lend {
+            lend.collect();
         }
     }
 
@@ -324,9 +378,16 @@ impl Outgoing {
             if self.injury.as_mut().is_some_and(Injury::loses) {
                 continue;
             }
+            if let Some(lend) = &mut self.lend
+                && kept.kind == Kind::Frame
+                && kept.rest() >= blob::LEAST
+                && kept.put_lent(&mut small, [number, received], &mut **lend)
+            {
+                continue;
+            }
             put_head(&mut small, kept.kind, [number, received], kept.rest());
             small.put_slice(&kept.head);
-            for part in std::iter::once(&kept.body).chain(&kept.more) {
+            for part in kept.parts() {
                 if part.len() <= COPIED {
                     small.put_slice(part);
                 } else {
