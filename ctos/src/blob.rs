@@ -115,7 +115,9 @@ enum Place {
 impl BlobMut {
     /// So many bytes, to be written, in `pool` if there is one that has room.
     pub(crate) fn of(pool: Option<&Arc<Pool>>, size: usize) -> Self {
-        let block = pool.filter(|_| size >= LEAST).and_then(|pool| pool.block(size));
+        let block = pool
+            .filter(|_| size >= LEAST)
+            .and_then(|pool| pool.block(size));
         Self(match block {
             Some(block) => Place::Pool(block),
             None => Place::Heap(vec![0; size]),
@@ -185,8 +187,7 @@ impl<'de> Deserialize<'de> for Blob {
                 let shared = READ.with_borrow(|read| {
                     let read = read.as_ref().filter(|_| bytes.len() >= LEAST)?;
                     let mut read = read.iter();
-                    let read =
-                        read.find(|read| read.as_ptr_range().contains(&bytes.as_ptr()))?;
+                    let read = read.find(|read| read.as_ptr_range().contains(&bytes.as_ptr()))?;
                     Some(read.slice_ref(bytes))
                 });
                 Ok(Blob(
@@ -268,7 +269,8 @@ impl Body {
     /// Appends all of it to `buffer`.
     pub(crate) fn append_to(&self, buffer: &mut Vec<u8>) {
         buffer.reserve(self.len());
-        self.pieces().for_each(|piece| buffer.extend_from_slice(piece));
+        self.pieces()
+            .for_each(|piece| buffer.extend_from_slice(piece));
     }
 
     /// Reads exactly one `T`, whose blobs are the same memory.

@@ -286,6 +286,108 @@ proptest! {
     }
 }
 
+/// Posts frames of both priorities at one end, lets the stream take bytes and break, and gives back what the
+/// other end heard: the numbers of the frames, in order.
+fn play_lanes(frames: &[(usize, bool)], writes: &[usize], breaks: &[bool]) -> Vec<u64> {
+    let mut pair = Pair {
+        ends: [End::new(None), End::new(None)],
+    };
+    pair.ends[0].outgoing.cut_into(3_000);
+    let mut heard = Vec::new();
+    let mut writes = writes.iter().cycle();
+    let mut breaks = breaks.iter().cycle();
+    let mut frames = (1..).zip(frames);
+    loop {
+        let next = frames.next();
+        let is_over = next.is_none() && pair.ends[0].outgoing.is_empty();
+        if let Some((call, (size, urgent))) = next {
+            let mut frame = Frame::of_body(vec![call as u8; *size]);
+            frame.call = call;
+            let lane = if *urgent { Lane::Urgent } else { Lane::Data };
+            pair.ends[0].outgoing.put_frame(frame, lane, Instant::START);
+        } else {
+            // Whatever is missing is asked for, and everything acknowledged.
+            pair.make(&Step::Pulse(0));
+            pair.make(&Step::Pulse(1));
+            pair.make(&Step::Write(1, MANY));
+            let back: Vec<u8> = pair.ends[1].wire.drain(..).collect();
+            pair.ends[0].read(&back);
+        }
+        let most = writes.next().copied().unwrap_or(MANY);
+        pair.ends[0].write(most.max(if next.is_none() { 50_000 } else { 1 }));
+        let bytes: Vec<u8> = pair.ends[0].wire.drain(..).collect();
+        pair.ends[1].read(&bytes);
+        heard.append(&mut pair.ends[1].heard);
+        if is_over {
+            return heard;
+        }
+        if next.is_some() && breaks.next() == Some(&true) {
+            pair.break_stream();
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn each_priority_keeps_its_order_and_nothing_is_lost_or_doubled(
+        frames in proptest::collection::vec((0..20_000_usize, any::<bool>()), 1..40),
+        writes in proptest::collection::vec(1..30_000_usize, 1..20),
+        breaks in proptest::collection::vec(proptest::bool::weighted(0.1), 1..40),
+    ) {
+        let heard = play_lanes(&frames, &writes, &breaks);
+        for urgent in [false, true] {
+            let of = |calls: &mut dyn Iterator<Item = u64>| -> Vec<u64> {
+                calls.filter(|call| frames[*call as usize - 1].1 == urgent).collect()
+            };
+            let sent = of(&mut (1..=frames.len() as u64));
+            prop_assert_eq!(of(&mut heard.iter().copied()), sent);
+        }
+    }
+}
+
+#[test]
+fn an_urgent_frame_and_a_sign_of_life_come_between_the_pieces_of_a_large_one() {
+    let mut end = End::new(None);
+    end.outgoing.cut_into(100_000);
+    let frame = |call: u64, size: usize| {
+        let mut frame = Frame::of_body(vec![call as u8; size]);
+        frame.call = call;
+        frame
+    };
+    let large = frame(1, 1_000_000);
+    end.outgoing.put_frame(large, Lane::Data, Instant::START);
+    end.write(25_000);
+    end.outgoing
+        .put_frame(frame(2, 10), Lane::Urgent, Instant::START);
+    end.outgoing.pulse(Kind::Pulse);
+    end.write(150_000);
+    let mut other = End::new(None);
+    let bytes: Vec<u8> = end.wire.drain(..).collect();
+    other.read(&bytes);
+    assert_eq!(other.heard, [2]);
+    assert!(bytes.len() < 200_000);
+    end.write(MANY);
+    let bytes: Vec<u8> = end.wire.drain(..).collect();
+    other.read(&bytes);
+    assert_eq!(other.heard, [2, 1]);
+}
+
+#[test]
+fn a_piece_that_does_not_follow_the_one_before_is_rubbish() {
+    let piece = |at: u64| {
+        let mut bytes = bytes::BytesMut::new();
+        packet::put_head(&mut bytes, Kind::Piece, [at, 0], 3);
+        bytes.extend_from_slice(&[1, 2, 3]);
+        bytes
+    };
+    let mut decoder = Decoder::default();
+    assert_eq!(decoder.feed(&mut &piece(0)[..]), Ok(None));
+    assert_eq!(decoder.feed(&mut &piece(3)[..]), Ok(None));
+    assert_eq!(decoder.feed(&mut &piece(0)[..]), Ok(None));
+    let wrong = decoder.feed(&mut &piece(4)[..]);
+    assert_eq!(wrong, Err(PacketError::Piece { at: 4, come: 3 }));
+}
+
 #[test]
 fn a_large_body_is_written_from_where_it_is() {
     let mut end = End::new(None);

@@ -98,6 +98,11 @@ impl Memory {
         unsafe { AtomicU64::from_ptr(self.start.add(place).cast().as_ptr()) }
     }
 
+    /// How many bytes it is.
+    pub(super) fn size(&self) -> usize {
+        self.size
+    }
+
     /// Where `bytes` stand, if they stand in it.
     pub(super) fn place_of(&self, bytes: &[u8]) -> Option<usize> {
         let place = bytes.as_ptr().addr().checked_sub(self.start.addr().get())?;
@@ -118,7 +123,10 @@ impl Memory {
     ///
     /// # Safety
     /// The mapping may be written to, and nobody else reads or writes them while they are borrowed.
-    #[allow(clippy::mut_from_ref, reason = "the caller says that nobody else has them")]
+    #[allow(
+        clippy::mut_from_ref,
+        reason = "the caller says that nobody else has them"
+    )]
     pub(super) unsafe fn bytes_mut(&self, place: usize, size: usize) -> &mut [u8] {
         assert!(place <= self.size && self.size - place >= size);
         // SAFETY: as above.

@@ -93,11 +93,12 @@ impl Pool {
     }
 
     fn of(memory: Memory, file: Option<OwnedFd>) -> Arc<Self> {
+        let all = BTreeMap::from([(0, memory.size())]);
         Arc::new(Self {
             memory: Arc::new(memory),
             file,
             state: Mutex::new(State {
-                free: BTreeMap::from([(0, SIZE)]),
+                free: all,
                 left: Vec::new(),
                 closed: false,
             }),
@@ -362,7 +363,8 @@ impl Foreign {
         let slot = usize::try_from(place.slot).ok()?;
         let start = usize::try_from(place.offset).ok()?;
         let size = usize::try_from(place.length).ok()?;
-        let is_inside = start.checked_add(size).is_some_and(|end| end <= SIZE);
+        let end = start.checked_add(size);
+        let is_inside = end.is_some_and(|end| end <= self.memory.size());
         (slot < SLOTS && is_inside).then(|| {
             Bytes::from_owner(Borrowed {
                 foreign: self.clone(),

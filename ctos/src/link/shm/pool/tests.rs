@@ -4,6 +4,9 @@ use proptest::prelude::*;
 
 use super::*;
 
+/// Bytes of a small pool.
+const SMALL: usize = 1 << 20;
+
 /// A pool, the loans to one peer, and what that peer has of it.
 fn pair() -> (Arc<Pool>, Lending, Arc<Foreign>) {
     let pool = private();
@@ -13,7 +16,7 @@ fn pair() -> (Arc<Pool>, Lending, Arc<Foreign>) {
 
 /// A pool of this process alone.
 pub(crate) fn private() -> Arc<Pool> {
-    Pool::of(Memory::private(SIZE), None)
+    Pool::of(Memory::private(SMALL), None)
 }
 
 /// What joins a peer to a pool.
@@ -45,7 +48,7 @@ fn block(pool: &Arc<Pool>, size: usize, fill: u8) -> Bytes {
 }
 
 fn whole() -> BTreeMap<usize, usize> {
-    BTreeMap::from([(0, SIZE)])
+    BTreeMap::from([(0, SMALL)])
 }
 
 #[test]
@@ -63,7 +66,11 @@ fn what_is_made_in_the_pool_is_read_where_it_was_made_and_comes_back() {
     let part = there.slice(10..20);
     drop(there);
     lending.collect();
-    assert_ne!(pool.free(), whole(), "taken back while a part of it is being read");
+    assert_ne!(
+        pool.free(),
+        whole(),
+        "taken back while a part of it is being read"
+    );
     drop(part);
     lending.collect();
     assert_eq!(pool.free(), whole());
@@ -83,7 +90,7 @@ fn what_stands_elsewhere_is_copied_once() {
 fn what_is_out_when_a_stream_ends_is_not_used_again_before_it_is_back_or_the_peer_is_gone() {
     for gone in [false, true] {
         let (pool, mut lending, foreign) = pair();
-        let all = SIZE / 2 + PAGE;
+        let all = SMALL / 2 + PAGE;
         let place = lending.lend(&block(&pool, all, 5)).unwrap();
         let there = foreign.borrow(place).unwrap();
         drop(lending);
@@ -117,9 +124,9 @@ fn too_much_is_refused_and_room_comes_back() {
     assert!(lending.lend(&small).is_none());
     drop(out);
     assert!(lending.lend(&small).is_some());
-    assert!(pool.block(SIZE + 1).is_none());
+    assert!(pool.block(SMALL + 1).is_none());
     assert!(pool.block(usize::MAX).is_none());
-    let held = block(&pool, SIZE - SLOTS * PAGE, 0);
+    let held = block(&pool, SMALL - SLOTS * PAGE, 0);
     assert!(pool.block(SLOTS * PAGE).is_none());
     drop(held);
     pool.close();
@@ -136,23 +143,23 @@ fn places_outside_are_refused() {
     };
     for wrong in [
         place(SLOTS as u32, 0, 1),
-        place(0, SIZE as u64, 1),
-        place(0, 1, SIZE as u64),
+        place(0, SMALL as u64, 1),
+        place(0, 1, SMALL as u64),
         place(0, u64::MAX, 2),
         place(0, 2, u64::MAX),
         place(u32::MAX, 0, 0),
     ] {
         assert!(foreign.borrow(wrong).is_none(), "{wrong:?}");
     }
-    assert!(foreign.borrow(place(0, 0, SIZE as u64)).is_some());
+    assert!(foreign.borrow(place(0, 0, SMALL as u64)).is_some());
 }
 
 proptest! {
     #[test]
     fn blocks_never_overlap_and_all_room_comes_back(
-        steps in proptest::collection::vec((1..SIZE / 8, any::<bool>(), any::<prop::sample::Index>()), 1..60),
+        steps in proptest::collection::vec((1..SMALL / 8, any::<bool>(), any::<prop::sample::Index>()), 1..60),
     ) {
-        let pool = Pool::of(Memory::private(SIZE), None);
+        let pool = Pool::of(Memory::private(SMALL), None);
         let mut blocks: Vec<Block> = Vec::new();
         for (size, takes, which) in steps {
             if takes {
@@ -168,7 +175,7 @@ proptest! {
                 prop_assert_eq!(start, end);
                 end = start + room;
             }
-            prop_assert_eq!(end, SIZE);
+            prop_assert_eq!(end, SMALL);
         }
         drop(blocks);
         prop_assert_eq!(pool.free(), whole());
