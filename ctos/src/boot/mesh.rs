@@ -32,6 +32,7 @@ use crate::{
         injure::Injury,
         lookout::Lookout,
         session::{DownReason, Limits, Session, state::Event, state::State},
+        shm::pool::Pool,
         transport::{Address, Listener},
         zenoh::Fabric,
     },
@@ -133,6 +134,8 @@ struct Inner {
     runtime: Handle,
     /// Who reads what comes over plain sockets and shared memory.
     lookout: Arc<Lookout>,
+    /// What stands in it other processes of the host read in place.
+    pool: Arc<Pool>,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
@@ -185,6 +188,8 @@ impl Mesh {
         let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
         let lookout = lookout.map_err(MeshError::Wait)?;
         chassis.set_lookout(lookout.clone());
+        let pool = Pool::make().map_err(MeshError::Wait)?;
+        chassis.set_pool(pool.clone());
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -194,6 +199,7 @@ impl Mesh {
             fabric,
             runtime: Handle::current(),
             lookout,
+            pool,
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
             live: Mutex::default(),
@@ -295,12 +301,14 @@ impl Mesh {
             fabric.close().await;
         }
         self.inner.lookout.close();
+        self.inner.pool.close();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
         self.inner.lookout.close();
+        self.inner.pool.close();
         for door in &self.doors {
             door.abort();
         }

@@ -140,7 +140,7 @@ impl Inner {
         }
         let carried = match (shared, stream) {
             (true, Stream::Unix(socket)) => {
-                let made = shm::pass::send(&socket).await;
+                let made = shm::pass::send(&socket, &self.pool).await;
                 let shared = made.map_err(HandshakeError::from)?;
                 drive::drive_shared(session, socket, shared, received, &self.lookout).await
             }

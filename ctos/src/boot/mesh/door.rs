@@ -170,7 +170,7 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
     if !shared {
         return Ok(drive::drive(&session, stream, received, &mesh.lookout).await?);
     }
-    let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream)).await;
+    let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream, &mesh.pool)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;
