@@ -46,7 +46,7 @@ const RELEASE_EVERY: Duration = Duration::from_secs(1);
 const RELEASES: u32 = 120;
 
 /// Asks an object of this daemon.
-#[derive(Debug, Serialize, Deserialize, Command)]
+#[derive(Debug, Clone, Serialize, Deserialize, Command)]
 #[command(name = "ask", reply = Transport, code = 0x0001)]
 pub struct Ask {
     /// The caller's version of this command.

@@ -79,18 +79,12 @@ impl Tasks {
         ask
     }
 
-    async fn once(&self, daemon: &str, request: &Ask) -> Result<Transport, Lost> {
+    async fn once(&self, daemon: &str, ask: Ask) -> Result<Transport, Lost> {
         let task = self.found(daemon).await?;
-        self.at(&task, request).await
+        self.at(&task, ask).await
     }
 
-    async fn at(&self, task: &TaskRef, request: &Ask) -> Result<Transport, Lost> {
-        let ask = Ask {
-            version: request.version,
-            object: request.object.clone(),
-            method: request.method,
-            body: request.body.clone(),
-        };
+    async fn at(&self, task: &TaskRef, ask: Ask) -> Result<Transport, Lost> {
         let call = self.cx.call(task, ask);
         let answer = match self.deadline {
             Some(deadline) => call.deadline(deadline).await,
@@ -157,21 +151,24 @@ impl Comm for Tasks {
     ) -> LocalBoxFuture<'a, Result<Transport, Report>> {
         Box::pin(async move {
             let daemon = address::task_at(self.cx.app(), at, &request.name)?;
-            let ask = self.request(request);
+            let mut ask = self.request(request);
+            let object = ask.object.clone();
             let mut left = self.retries;
             loop {
-                match self.once(&daemon, &ask).await {
+                // Who does not ask again keeps nothing: what it sends may be long.
+                let kept = (left > 0).then(|| ask.clone());
+                let lost = match self.once(&daemon, ask).await {
                     Ok(answer) => return Ok(answer),
-                    Err(lost) if left > 0 && lost.is_loss() => {
-                        tracing::warn!(daemon, object = ask.object, error = %lost, "asks again");
-                        left -= 1;
-                        let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
-                        back.map_err(|error| {
-                            raise!(code::DAEMON, "`{}@{daemon}`: {lost}; {error}", ask.object)
-                        })?;
-                    }
-                    Err(error) => return Err(error.report(&ask.object, &daemon)),
-                }
+                    Err(lost) => lost,
+                };
+                ask = match kept {
+                    Some(kept) if lost.is_loss() => kept,
+                    _ => return Err(lost.report(&object, &daemon)),
+                };
+                tracing::warn!(daemon, object, error = %lost, "asks again");
+                left -= 1;
+                let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
+                back.map_err(|error| raise!(code::DAEMON, "`{object}@{daemon}`: {lost}; {error}"))?;
             }
         })
     }
@@ -192,9 +189,10 @@ impl Comm for Tasks {
             };
             let daemon = address::task_at(self.cx.app(), at, &request.name).map_err(not_asked)?;
             let ask = self.request(request);
-            let asked = async { self.at(&self.cx.task(&daemon).await?, &ask).await };
+            let object = ask.object.clone();
+            let asked = async { self.at(&self.cx.task(&daemon).await?, ask).await };
             asked.await.map_err(|lost: Lost| NoAnswer {
-                report: lost.report(&ask.object, &daemon),
+                report: lost.report(&object, &daemon),
                 perhaps_executed: lost.perhaps_executed(),
             })
         })
