@@ -35,8 +35,10 @@ fn scratch() -> Scratch {
 
 /// Boots it; the address of the page.
 fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
-    let display = ["--display=127.0.0.1:0", "--allow-control"];
-    let mut run = scratch.start_boot(&[&display, sets].concat());
+    // A browser beside it makes a machine slow.
+    let slow = ["--set", "app.phase_timeout_s=90"];
+    let display = [&["--display=127.0.0.1:0", "--allow-control"], &slow[..]].concat();
+    let mut run = scratch.start_boot(&[&display[..], sets].concat());
     let line = run.line_with("nets are shown");
     let from = line.find("http://").unwrap();
     let page = line[from..]
