@@ -336,7 +336,7 @@ impl Judge<'_> {
             }
             Stands::OnTape(_) | Stands::Firing(_) | Stands::OnTheWay(_) => 1,
             Stands::InProgress(_) => 3,
-            Stands::Idle | Stands::Filled(_) => 4,
+            Stands::Idle | Stands::Filled(_) | Stands::Holds(_) => 4,
         };
         self.system
             .places()

@@ -37,13 +37,15 @@ pub enum Stands {
     Filled(PlaceId),
     /// Tokens of a transition on their way to another net.
     OnTheWay(TransitionId),
+    /// Whether a running firing of a transition has the command in progress, which another one may answer.
+    Holds(TransitionId),
 }
 
 impl Stands {
     /// Whether its tokens are no tokens of the nets, only kept for counting.
     #[must_use]
     pub fn is_count(self) -> bool {
-        matches!(self, Self::Idle | Self::Filled(_))
+        matches!(self, Self::Idle | Self::Filled(_) | Self::Holds(_))
     }
 }
 

@@ -43,6 +43,9 @@ struct Bases {
     filled: BTreeMap<PlaceId, SystemPlaceId>,
     /// One for each transition that has an action.
     firings: BTreeMap<TransitionId, SystemPlaceId>,
+    /// Per transition whose firing may put its command back while another has answered it: whether one of
+    /// its firings still has the command in progress.
+    holders: BTreeMap<TransitionId, SystemPlaceId>,
     /// Idle; then on tape and in progress, per command.
     tape: SystemPlaceId,
 }
@@ -63,6 +66,7 @@ impl Builder {
             places: self.system.places.len(),
             filled: BTreeMap::new(),
             firings: BTreeMap::new(),
+            holders: BTreeMap::new(),
             tape: 0,
         };
         let name = net.name();
@@ -95,6 +99,13 @@ impl Builder {
                 bases.firings.insert(id, self.system.places.len());
                 let shown = format!("{name}.{} in action", transition.name);
                 self.place(Stands::Firing(id), shown, &transition.at, 0);
+            }
+        }
+        for (id, transition) in (0..).map(TransitionId).zip(net.transitions()) {
+            if may_be_answered_for(net, id) {
+                bases.holders.insert(id, self.system.places.len());
+                let shown = format!("command of {name}.{}", transition.name);
+                self.place(Stands::Holds(id), shown, &transition.at, 0);
             }
         }
         bases.tape = self.system.places.len();
@@ -316,6 +327,8 @@ impl Builder {
             first.puts.push((self.in_progress(command), 1));
         }
         first.puts.push(firing);
+        let holder = self.base().holders.get(&id).copied();
+        first.puts.extend(holder.map(|holder| (holder, 1)));
         if let Servers::Limit(limit) = transition.servers {
             first.forbids.push((firing.0, limit.get()));
         }
@@ -329,8 +342,24 @@ impl Builder {
             ..Draft::default()
         };
         self.fill(transition, Phase::Complete, false, &mut complete);
-        self.ending(net, id, transition, Phase::Complete, complete);
+        for complete in self.with_or_without_command(id, complete) {
+            self.ending(net, id, transition, Phase::Complete, complete);
+        }
         self.failure(id, transition, firing);
+    }
+
+    /// The end of a firing that has its command still, and that of one whose command another transition
+    /// has answered.
+    fn with_or_without_command(&self, id: TransitionId, end: Draft) -> Vec<Draft> {
+        let base = self.base();
+        let (Some(holder), Some(firing)) = (base.holders.get(&id), base.firings.get(&id)) else {
+            return vec![end];
+        };
+        let (mut with, mut none_has, mut other_has) = (end.clone(), end.clone(), end);
+        with.takes.push((*holder, 1));
+        none_has.forbids.push((*holder, 1));
+        other_has.reads.extend([(*holder, 1), (*firing, 2)]);
+        vec![with, none_has, other_has]
     }
 
     fn failure(&mut self, id: TransitionId, transition: &Transition, firing: (SystemPlaceId, u32)) {
@@ -350,12 +379,19 @@ impl Builder {
         } else {
             fail.puts.extend(self.local(&transition.inputs));
             if let Some(command) = transition.tape {
+                let back = |mut fail: Draft| {
+                    fail.takes.push((self.in_progress(command), 1));
+                    fail.puts.push((self.on_tape(command), 1));
+                    fail
+                };
                 // If the command was answered meanwhile, its symbol does not go back.
-                let mut answered = fail.clone();
-                answered.forbids.push((self.in_progress(command), 1));
-                self.step(id, transition, Phase::Fail, answered, false);
-                fail.takes.push((self.in_progress(command), 1));
-                fail.puts.push((self.on_tape(command), 1));
+                let mut ends = self.with_or_without_command(id, fail).into_iter();
+                let with = ends.next().map(back);
+                let ends: Vec<Draft> = with.into_iter().chain(ends).collect();
+                for end in ends {
+                    self.step(id, transition, Phase::Fail, end, false);
+                }
+                return;
             }
         }
         self.step(id, transition, Phase::Fail, fail, false);
@@ -403,10 +439,35 @@ impl Builder {
             let mut step = step.clone();
             step.takes.push((self.in_progress(command), 1));
             step.puts.push((self.idle(), 1));
-            self.step(id, transition, phase, step, false);
+            for step in self.whoever_has(net, command, step) {
+                self.step(id, transition, phase, step, false);
+            }
             unasked.forbids.push((self.in_progress(command), 1));
         }
         self.step(id, transition, phase, unasked, true);
+    }
+
+    /// A step that answers a command: which firing had it has it no more.
+    fn whoever_has(&self, net: &Net, command: CommandId, step: Draft) -> Vec<Draft> {
+        let holders = self.base().holders.iter();
+        let holders = holders.filter(|(id, _)| net[**id].tape == Some(command));
+        let holders: Vec<SystemPlaceId> = holders.map(|(_, holder)| *holder).collect();
+        // The end of the firing that has it has taken that already.
+        if step.takes.iter().any(|(place, _)| holders.contains(place)) {
+            return vec![step];
+        }
+        let mut steps = Vec::new();
+        let mut nobody = step.clone();
+        for holder in holders {
+            let mut one = step.clone();
+            // The end of another firing of the same transition only looks whether one has it.
+            one.reads.retain(|(place, _)| *place != holder);
+            one.takes.push((holder, 1));
+            nobody.forbids.push((holder, 1));
+            steps.push(one);
+        }
+        steps.push(nobody);
+        steps
     }
 
     fn step(
@@ -509,6 +570,26 @@ impl Around {
     fn claim(&self) -> u32 {
         self.completes.max(self.fails).max(self.takes)
     }
+}
+
+/// Whether a firing of a transition may still go on when another transition has answered its command, and
+/// would then not put it back.
+fn may_be_answered_for(net: &Net, id: TransitionId) -> bool {
+    let reader = &net[id];
+    let Some(command) = reader
+        .tape
+        .filter(|_| reader.action.is_some() && reader.fail.is_none())
+    else {
+        return false;
+    };
+    let answers = |t: &Transition| {
+        let symbol = t.write.as_ref();
+        symbol.is_some_and(|symbol| net[command].answers.contains(symbol))
+    };
+    let transitions = (0..).map(TransitionId).zip(net.transitions());
+    transitions
+        .into_iter()
+        .any(|(other, t)| other != id && answers(t))
 }
 
 /// Whether room in a place, if it has a capacity, may be kept for a running firing.

@@ -18,7 +18,7 @@ pub struct Rules {
     pub(in crate::analysis) has_priorities: bool,
     /// Enabling function of each transition.
     whens: Vec<Option<(u32, bool)>>,
-    has_whens: bool,
+    pub(in crate::analysis) has_whens: bool,
     functions: usize,
     groups: usize,
     /// Places that some transition is inhibited by.
