@@ -7,6 +7,7 @@
 pub mod client;
 pub mod protocol;
 
+mod desk;
 mod gate;
 mod logs;
 mod moves;

@@ -181,25 +181,32 @@ impl Finding {
         self
     }
 
-    /// Adds "did you mean `x`?" when one of `known` is close to `given`, else lists what is known.
+    /// Adds "did you mean `x`?" when one of `known` is close to `given`, else lists what is known: of a long
+    /// list only what is nearest.
     #[must_use]
     pub fn suggest<'a>(self, given: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
-        let known: Vec<&str> = known.into_iter().collect();
-        let best = known
-            .iter()
-            .map(|name| (strsim::damerau_levenshtein(given, name), *name))
-            .min();
-        match best {
-            Some((distance, name)) if distance <= 1 + given.chars().count() / 3 => {
-                self.help(format!("did you mean `{name}`?"))
-            }
-            Some(_) => {
-                let mut names = known;
-                names.sort_unstable();
-                self.help(format!("known here: {}", names.join(", ")))
-            }
-            None => self,
+        /// More than these nobody reads.
+        const LISTED: usize = 24;
+        /// So many of a longer list.
+        const NEAREST: usize = 6;
+        let mut known: Vec<(usize, &str)> = known
+            .into_iter()
+            .map(|name| (strsim::damerau_levenshtein(given, name), name))
+            .collect();
+        known.sort_unstable();
+        let Some((distance, best)) = known.first() else {
+            return self;
+        };
+        if *distance <= 1 + given.chars().count() / 3 {
+            return self.help(format!("did you mean `{best}`?"));
         }
+        let mut names: Vec<&str> = known.iter().map(|(_, name)| *name).collect();
+        if names.len() > LISTED {
+            let nearest = names[..NEAREST].join(", ");
+            return self.help(format!("nearest of {} known here: {nearest}", names.len()));
+        }
+        names.sort_unstable();
+        self.help(format!("known here: {}", names.join(", ")))
     }
 }
 
@@ -332,6 +339,18 @@ mod tests {
         assert_eq!(close.help.as_deref(), Some("did you mean `camera`?"));
         let far = Finding::error("t", "unknown").suggest("zzz", ["camera", "arm"]);
         assert_eq!(far.help.as_deref(), Some("known here: arm, camera"));
+    }
+
+    #[test]
+    fn of_a_long_list_only_what_is_nearest_is_told() {
+        let known: Vec<String> = (10..99).map(|number| format!("camera{number}")).collect();
+        let far = Finding::error("t", "unknown").suggest("zzz", known.iter().map(String::as_str));
+        let help = far.help.unwrap();
+        assert!(
+            help.starts_with("nearest of 89 known here: camera"),
+            "{help}"
+        );
+        assert!(help.len() < 120, "{help}");
     }
 
     #[test]

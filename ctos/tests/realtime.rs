@@ -27,7 +27,7 @@ use std::{
         atomic::{AtomicBool, Ordering},
         mpsc,
     },
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use ctos::{
@@ -39,6 +39,7 @@ use ctos::{
     sync::{CyclicHandle, Signal, Synchronous, Tick},
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase},
+    time::Clock,
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 use tracing::{Event, Metadata, Subscriber, span};
@@ -139,14 +140,14 @@ impl Servo {
             _ => {}
         };
         // Late on purpose, now and then: what skips ticks must not allocate either.
-        let slow = |tick: &Tick| {
+        let clock = Clock::real();
+        let slow = move |tick: &Tick| {
             // By the clock: how long the processor takes for a pause is its own business.
-            let (begun, periods) = (
-                Instant::now(),
-                if tick.count.is_multiple_of(16) { 3 } else { 0 },
-            );
-            while begun.elapsed() < Duration::from_millis(periods) {
-                std::hint::spin_loop();
+            if tick.count.is_multiple_of(16) {
+                let end = clock.now() + Duration::from_millis(3);
+                while clock.now() < end {
+                    std::hint::spin_loop();
+                }
             }
         };
         let mut armed = 0_u64;

@@ -1,31 +1,15 @@
-//! Everything that reads nets, fed with mutations of a kept corpus, as `ctos` does with what comes over links.
-//!
-//! A target must answer any input with a net or findings: never with a panic, never without end. The seeds
-//! of a run are drawn from a fixed number, so the short run of every test is the same each time;
-//! `CTOS_FUZZ_SECONDS` makes it longer (for all targets together), and then other. An input that fails is
-//! written into the corpus, where the next run begins with it.
+//! Everything that reads nets, fed with mutations of a kept corpus: any input is a net or findings. The driver is `mutate`'s.
 
-use std::{
-    panic::{AssertUnwindSafe, catch_unwind},
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::path::Path;
 
-use ctos::{diagnostic::Source, time::Clock};
-use rand::{Rng, RngExt as _, SeedableRng as _};
-use rand_chacha::ChaCha8Rng;
+use ctos::diagnostic::Source;
+use mutate::Mutator;
 
 use crate::{
     format::{self, Format},
     pnml,
     text::{self, outline::Outline},
 };
-
-/// Seconds for all targets together.
-const SECONDS: f64 = 6.0;
-
-/// The longest input, bytes.
-const LONGEST: usize = 4096;
 
 /// What inputs are put together from beside each other.
 const WORDS: [&str; 24] = [
@@ -96,11 +80,6 @@ fn editor(bytes: &[u8]) {
     assert_eq!(text::parse(&source).ok(), text::parse(&once).ok());
 }
 
-fn corpus(target: &str) -> PathBuf {
-    let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
-    tests.join("corpus").join(target)
-}
-
 /// The nets that all targets begin with: those of the case study in every form.
 fn own() -> Vec<Vec<u8>> {
     let texts = [
@@ -118,76 +97,15 @@ fn own() -> Vec<Vec<u8>> {
     inputs
 }
 
-/// The inputs that a target begins with: our own, and those that are kept, by name.
-fn kept(target: &str) -> Vec<Vec<u8>> {
-    let mut files: Vec<PathBuf> = match std::fs::read_dir(corpus(target)) {
-        Ok(files) => files.map(|file| file.unwrap().path()).collect(),
-        Err(_) => Vec::new(),
-    };
-    files.sort();
-    let kept = files.iter().map(|file| std::fs::read(file).unwrap());
-    own().into_iter().chain(kept).collect()
-}
-
-/// An input that is like those of the corpus, but for one to eight changes.
-fn mutated(corpus: &[Vec<u8>], rng: &mut impl Rng) -> Vec<u8> {
-    let any = |rng: &mut dyn Rng| corpus.get(rng.random_range(0..corpus.len())).unwrap();
-    let mut input = any(rng).clone();
-    for _ in 0..rng.random_range(1..=8) {
-        let place = rng.random_range(0..=input.len());
-        let other = any(rng);
-        let from = rng.random_range(0..=other.len());
-        let rest = input.len() - place;
-        match rng.random_range(0..6) {
-            0 if rest > 0 => input[place] ^= 1 << rng.random_range(0..8),
-            1 if rest > 0 => input[place] = rng.random(),
-            2 if rest > 0 => drop(input.drain(place..place + rng.random_range(1..=rest.min(64)))),
-            3 => drop(input.splice(place.., other[from..].iter().copied())),
-            4 => {
-                let size = rng.random_range(0..=(other.len() - from).min(64));
-                drop(input.splice(place..place, other[from..from + size].to_vec()));
-            }
-            _ => {
-                let word = WORDS[rng.random_range(0..WORDS.len())];
-                drop(input.splice(place..place, word.bytes()));
-            }
-        }
-        input.truncate(LONGEST);
-    }
-    input
-}
-
-fn fail(name: &str, input: &[u8]) -> ! {
-    let digest = input
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |digest, byte| {
-            (digest ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-        });
-    std::fs::create_dir_all(corpus(name)).unwrap();
-    let file = corpus(name).join(format!("failed-{digest:016x}"));
-    std::fs::write(&file, input).unwrap();
-    panic!("`{name}` failed; its input is kept in {}", file.display());
-}
-
 fn play(name: &str, target: fn(&[u8])) {
-    let wanted = std::env::var("CTOS_FUZZ_SECONDS").ok();
-    let wanted: Option<f64> = wanted.map(|text| text.parse().unwrap());
-    let share = Duration::from_secs_f64(wanted.unwrap_or(SECONDS)) / 2;
-    let seed = if wanted.is_some() { rand::random() } else { 1 };
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let passes = |input: &[u8]| catch_unwind(AssertUnwindSafe(|| target(input))).is_ok();
-    let corpus = kept(name);
-    if let Some(input) = corpus.iter().find(|input| !passes(input)) {
-        fail(name, input);
-    }
-    let clock = Clock::real();
-    let end = clock.now() + share;
-    while clock.now() < end {
-        let input = mutated(&corpus, &mut rng);
-        if !passes(&input) {
-            fail(name, &input);
-        }
-    }
+    let mutator = Mutator {
+        corpus: Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus"),
+        words: &WORDS,
+        longest: 4096,
+        seconds: 6.0,
+        targets: 2,
+    };
+    mutator.play(name, own(), target);
 }
 
 #[test]

@@ -1,9 +1,7 @@
 //! Everything of this crate that reads texts or bytes from outside, fed with mutations of a kept corpus.
 //!
-//! A target must answer any input with a value or an error: never with a panic, never without end; and what
-//! it reads it must print and read again as the same. The seed is fixed, so the short run of every test is the
-//! same each time; `CTOS_FUZZ_SECONDS` makes it longer (for all targets together) and then other. An
-//! input that fails is written into the corpus, where the next run begins with it.
+//! What is read is also printed and read again as the same. The driver, and what a target must hold, is
+//! `mutate`'s.
 
 use crate::asynchronous;
 use crate::demo;
@@ -18,18 +16,8 @@ use crate::transport::Transport;
 use crate::words;
 use ctos::diagnostic::Source;
 use ctos::message::Data;
-use ctos::time::Clock;
-use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-/// Seconds for all targets together.
-const SECONDS: f64 = 7.0;
-
-/// The longest input, bytes.
-const LONGEST: usize = 2048;
+use mutate::Mutator;
+use std::path::Path;
 
 /// What is done with an input.
 type Target = fn(&[u8]);
@@ -211,11 +199,6 @@ fn payload(bytes: &[u8]) {
     let _ = data().take::<Option<Vec<Sample>>>();
 }
 
-fn corpus(target: &str) -> PathBuf {
-    let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
-    tests.join("corpus").join(target)
-}
-
 /// What this version itself takes or writes for a target.
 fn own(target: &str) -> Vec<Vec<u8>> {
     let texts: &[&str] = match target {
@@ -259,79 +242,16 @@ fn own(target: &str) -> Vec<Vec<u8>> {
     own
 }
 
-/// The inputs that a target begins with: its own, and those that are kept, by name.
-fn kept(target: &str) -> Vec<Vec<u8>> {
-    let mut files: Vec<PathBuf> = match std::fs::read_dir(corpus(target)) {
-        Ok(files) => files.map(|file| file.unwrap().path()).collect(),
-        Err(_) => Vec::new(),
-    };
-    files.sort();
-    let kept = files.iter().map(|file| std::fs::read(file).unwrap());
-    own(target).into_iter().chain(kept).collect()
-}
-
-/// An input that is like one of the corpus, but for one to six changes.
-fn mutated(corpus: &[Vec<u8>], rng: &mut impl Rng) -> Vec<u8> {
-    let mut input = corpus[rng.random_range(0..corpus.len())].clone();
-    for _ in 0..rng.random_range(1..=6) {
-        let place = rng.random_range(0..=input.len());
-        let end = rng.random_range(place..=input.len());
-        match rng.random_range(0..5) {
-            0 => drop(input.drain(place..end)),
-            1 => input.insert(place, rng.random()),
-            2 => {
-                let piece = PIECES[rng.random_range(0..PIECES.len())];
-                drop(input.splice(place..place, piece.bytes()));
-            }
-            3 => {
-                let again = input[place..end].to_vec();
-                drop(input.splice(place..place, again));
-            }
-            _ => {
-                let other = &corpus[rng.random_range(0..corpus.len())];
-                let from = rng.random_range(0..=other.len());
-                drop(input.splice(place.., other[from..].iter().copied()));
-            }
-        }
-        input.truncate(LONGEST);
-    }
-    input
-}
-
-fn fail(name: &str, input: &[u8]) -> ! {
-    let digest = input
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |digest, byte| {
-            (digest ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
-        });
-    std::fs::create_dir_all(corpus(name)).unwrap();
-    let file = corpus(name).join(format!("failed-{digest:016x}"));
-    std::fs::write(&file, input).unwrap();
-    panic!("`{name}` failed; its input is kept in {}", file.display());
-}
-
 fn play(name: &str) {
     let (_, target) = TARGETS.iter().find(|(found, _)| *found == name).unwrap();
-    let wanted = std::env::var("CTOS_FUZZ_SECONDS").ok();
-    let wanted: Option<f64> = wanted.map(|text| text.parse().unwrap());
-    let share = Duration::from_secs_f64(wanted.unwrap_or(SECONDS)) / TARGETS.len() as u32;
-    let seed = if wanted.is_some() { rand::random() } else { 1 };
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let corpus = kept(name);
-    let passes = |input: &[u8]| catch_unwind(AssertUnwindSafe(|| target(input))).is_ok();
-    for input in &corpus {
-        if !passes(input) {
-            fail(name, input);
-        }
-    }
-    let clock = Clock::real();
-    let end = clock.now() + share;
-    while clock.now() < end {
-        let input = mutated(&corpus, &mut rng);
-        if !passes(&input) {
-            fail(name, &input);
-        }
-    }
+    let mutator = Mutator {
+        corpus: Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus"),
+        words: &PIECES,
+        longest: 2048,
+        seconds: 7.0,
+        targets: TARGETS.len() as u32,
+    };
+    mutator.play(name, own(name), target);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use tokio::{sync::Semaphore, task::JoinSet};
 
-use super::server::{Client, Desk, Writer, busy, tell};
+use super::desk::{Client, Desk, Writer, busy, tell};
 use crate::{
     link::transport::{Call, Listener, Stream},
     remote::is_same_user,
