@@ -10,6 +10,7 @@ use std::{
     time::Duration,
 };
 
+use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
     net::UnixStream,
@@ -24,6 +25,9 @@ use super::{
     writer::Socket,
 };
 use crate::link::{lookout::Lookout, session::DownReason, shm, transport::Stream};
+
+/// How much a Unix socket holds that has not been read, bytes; TCP finds its own measure.
+const SEND_BUFFER: usize = 1 << 20;
 
 /// How many bytes are read at a time.
 const CHUNK: usize = 64 * 1024;
@@ -94,7 +98,15 @@ pub(crate) async fn drive(
 fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
     match stream {
         Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
-        Stream::Unix(stream) => Ok(stream.into_std()?.into()),
+        Stream::Unix(stream) => {
+            let stream = stream.into_std()?;
+            // An image leaves at once, and its receiver is woken once. What the system refuses is no
+            // reason to do without the socket.
+            if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
+                tracing::debug!(error = %error, "a socket keeps its small buffer");
+            }
+            Ok(stream.into())
+        }
         Stream::Tls(_) | Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
     }
 }
