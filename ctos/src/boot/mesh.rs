@@ -184,7 +184,7 @@ impl Mesh {
             address: chassis.name().to_owned(),
             error,
         })?;
-        let spin = app.links.spin;
+        let spin = app.links.spin_here();
         let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
         let lookout = lookout.map_err(MeshError::Wait)?;
         chassis.set_lookout(lookout.clone());
