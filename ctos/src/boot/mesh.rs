@@ -134,8 +134,8 @@ struct Inner {
     runtime: Handle,
     /// Who reads what comes over plain sockets and shared memory.
     lookout: Arc<Lookout>,
-    /// What stands in it other processes of the host read in place.
-    pool: Arc<Pool>,
+    /// What stands in it other processes of the host read in place; without one they are joined by sockets.
+    pool: Option<Arc<Pool>>,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
@@ -188,8 +188,10 @@ impl Mesh {
         let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
         let lookout = lookout.map_err(MeshError::Wait)?;
         chassis.set_lookout(lookout.clone());
-        let pool = Pool::make().map_err(MeshError::Wait)?;
-        chassis.set_pool(pool.clone());
+        let pool = pool_of(app.links.same_host);
+        if let Some(pool) = &pool {
+            chassis.set_pool(pool.clone());
+        }
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -301,14 +303,14 @@ impl Mesh {
             fabric.close().await;
         }
         self.inner.lookout.close();
-        self.inner.pool.close();
+        self.inner.close_pool();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
         self.inner.lookout.close();
-        self.inner.pool.close();
+        self.inner.close_pool();
         for door in &self.doors {
             door.abort();
         }
@@ -439,9 +441,30 @@ impl Inner {
         Some(session)
     }
 
+    /// Nothing is lent any more.
+    fn close_pool(&self) {
+        if let Some(pool) = &self.pool {
+            pool.close();
+        }
+    }
+
     fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
         let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
         Injury::of(config, self.chassis.app.seed, from, to)
+    }
+}
+
+/// The memory to lend from, where the configuration wants memory to be shared and the system has some.
+fn pool_of(same_host: SameHost) -> Option<Arc<Pool>> {
+    if same_host != SameHost::Shared {
+        return None;
+    }
+    match Pool::make() {
+        Ok(pool) => Some(pool),
+        Err(error) => {
+            tracing::warn!(error = %error, "no memory can be shared: the chassis of this host are joined by sockets");
+            None
+        }
     }
 }
 
