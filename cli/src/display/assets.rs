@@ -104,7 +104,8 @@ mod tests {
                 let Some(rest) = named.iter().find_map(|word| line.strip_prefix(word)) else {
                     continue;
                 };
-                let end = rest.find(|letter: char| !letter.is_alphanumeric() && letter != '$');
+                let end =
+                    rest.find(|letter: char| !letter.is_alphanumeric() && !"_$".contains(letter));
                 let end = end.unwrap_or(rest.len());
                 // `const [A, B]` names nothing at this place.
                 if let Some(name) = rest.get(..end).filter(|name| !name.is_empty()) {
