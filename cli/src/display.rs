@@ -6,6 +6,7 @@
 //! slow loses messages there and is told everything anew; no net is ever asked on its behalf.
 
 mod args;
+mod arrange;
 pub(crate) mod assets;
 pub(crate) mod figure;
 pub(crate) mod hub;

@@ -4,22 +4,30 @@
 //! To everybody else a [`Blob`] looks like a `Vec<u8>`: the same bytes on the wire, the same JSON. But a
 //! vector goes through its serializer number by number, and a blob as a whole; and where a message is
 //! written for a link, a large blob is not even copied: it is written to the link from where it is, and
-//! the receiver's blob is the memory into which the link was read.
+//! the receiver's blob is the memory into which the link was read. Between processes that share memory not
+//! even that: a blob that was made in the memory of its chassis ([`BlobMut`]) is read where it stands.
 //!
 //! How: a serializer sees a slice and cannot keep it. So a blob that is being serialized is lent, for
 //! this thread and this moment, to the one who collects the bytes; and what a message is read from is
 //! lent to the blobs in it. Nothing of that is left behind when the message is written or read.
 
-use std::{cell::RefCell, fmt, ops::Deref};
+use std::{
+    cell::RefCell,
+    fmt,
+    ops::{Deref, DerefMut},
+    sync::Arc,
+};
 
 use bytes::Bytes;
 use serde::{
     Deserialize, Deserializer, Serialize, Serializer,
-    de::{SeqAccess, Visitor},
+    de::{DeserializeOwned, SeqAccess, Visitor},
 };
 
+use crate::link::shm::pool::{Block, Pool};
+
 /// Smaller ones are copied, bytes: that costs less than to keep account of them.
-const LEAST: usize = 16 * 1024;
+pub(crate) const LEAST: usize = 16 * 1024;
 
 /// Bytes that are shared, not copied: clones are the same memory, and so is what arrives in another
 /// process of what the link brought there.
@@ -43,7 +51,7 @@ thread_local! {
     /// What was collected so far, with where in the other bytes it belongs; `None` when nobody does.
     static COLLECTED: RefCell<Option<Vec<(usize, Bytes)>>> = const { RefCell::new(None) };
     /// What is being read at this moment.
-    static READ: RefCell<Option<Bytes>> = const { RefCell::new(None) };
+    static READ: RefCell<Option<Vec<Bytes>>> = const { RefCell::new(None) };
 }
 
 impl Blob {
@@ -74,6 +82,12 @@ impl From<Vec<u8>> for Blob {
     }
 }
 
+impl FromIterator<u8> for Blob {
+    fn from_iter<I: IntoIterator<Item = u8>>(bytes: I) -> Self {
+        bytes.into_iter().collect::<Vec<u8>>().into()
+    }
+}
+
 impl From<Bytes> for Blob {
     fn from(bytes: Bytes) -> Self {
         Self(bytes)
@@ -90,6 +104,65 @@ impl From<Blob> for Vec<u8> {
 impl fmt::Debug for Blob {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Blob({} bytes)", self.0.len())
+    }
+}
+
+/// Bytes that are written once and then sent. What [`crate::Context::blob`] makes stands in memory that
+/// the other processes of the host can read, so that the data of a [`Blob`] that is made of it is not copied
+/// on its way to them.
+pub struct BlobMut(Place);
+
+enum Place {
+    /// In the chassis's shared memory.
+    Pool(Block),
+    Heap(Vec<u8>),
+}
+
+impl BlobMut {
+    /// So many bytes, to be written, in `pool` if there is one that has room.
+    pub(crate) fn of(pool: Option<&Arc<Pool>>, size: usize) -> Self {
+        let block = pool
+            .filter(|_| size >= LEAST)
+            .and_then(|pool| pool.block(size));
+        Self(match block {
+            Some(block) => Place::Pool(block),
+            None => Place::Heap(vec![0; size]),
+        })
+    }
+
+    /// The blob: nothing is written to it any more.
+    #[must_use]
+    pub fn freeze(self) -> Blob {
+        Blob(match self.0 {
+            Place::Pool(block) => Bytes::from_owner(block),
+            Place::Heap(bytes) => bytes.into(),
+        })
+    }
+}
+
+impl Deref for BlobMut {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match &self.0 {
+            Place::Pool(block) => block,
+            Place::Heap(bytes) => bytes,
+        }
+    }
+}
+
+impl DerefMut for BlobMut {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        match &mut self.0 {
+            Place::Pool(block) => block,
+            Place::Heap(bytes) => bytes,
+        }
+    }
+}
+
+impl fmt::Debug for BlobMut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "BlobMut({} bytes)", self.len())
     }
 }
 
@@ -119,9 +192,9 @@ impl<'de> Deserialize<'de> for Blob {
             fn visit_borrowed_bytes<E>(self, bytes: &'de [u8]) -> Result<Blob, E> {
                 let shared = READ.with_borrow(|read| {
                     let read = read.as_ref().filter(|_| bytes.len() >= LEAST)?;
-                    read.as_ptr_range()
-                        .contains(&bytes.as_ptr())
-                        .then(|| read.slice_ref(bytes))
+                    let mut read = read.iter();
+                    let read = read.find(|read| read.as_ptr_range().contains(&bytes.as_ptr()))?;
+                    Some(read.slice_ref(bytes))
                 });
                 Ok(Blob(
                     shared.unwrap_or_else(|| Bytes::copy_from_slice(bytes)),
@@ -150,9 +223,9 @@ impl<'de> Deserialize<'de> for Blob {
     }
 }
 
-/// The data of a message on its way to a link: bytes, and large blobs that belong in between.
+/// The data of a message on its way over a link: bytes, and large blobs that belong in between.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Body {
+pub struct Body {
     bytes: Vec<u8>,
     /// Each with the place in `bytes` before which it belongs; in that order.
     blobs: Vec<(usize, Bytes)>,
@@ -165,17 +238,77 @@ impl Body {
         self.bytes.len() + blobs.sum::<usize>()
     }
 
+    /// Bytes, and blobs with the place in the bytes before which each belongs. None when the places are not
+    /// in order, or not all inside.
+    pub(crate) fn of_parts(bytes: Vec<u8>, blobs: Vec<(usize, Bytes)>) -> Option<Self> {
+        let places = || blobs.iter().map(|(place, _)| *place);
+        let fits = places().is_sorted() && places().all(|place| place <= bytes.len());
+        fits.then_some(Self { bytes, blobs })
+    }
+
+    /// The bytes, when they are in one piece.
+    ///
+    /// # Errors
+    /// The body as it is, when blobs belong in between.
+    pub(crate) fn into_bytes(self) -> Result<Vec<u8>, Self> {
+        if self.blobs.is_empty() {
+            Ok(self.bytes)
+        } else {
+            Err(self)
+        }
+    }
+
+    /// Its pieces, in order.
+    fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+        let mut taken = 0;
+        let mut rest = self.bytes.as_slice();
+        let blobs = self.blobs.iter().flat_map(move |(place, blob)| {
+            let (before, after) = rest.split_at(place.saturating_sub(taken).min(rest.len()));
+            taken = *place;
+            rest = after;
+            [before, blob.as_ref()]
+        });
+        let last = self.blobs.last().map_or(0, |(place, _)| *place);
+        blobs.chain(self.bytes.get(last..))
+    }
+
+    /// Appends all of it to `buffer`.
+    pub(crate) fn append_to(&self, buffer: &mut Vec<u8>) {
+        buffer.reserve(self.len());
+        self.pieces()
+            .for_each(|piece| buffer.extend_from_slice(piece));
+    }
+
+    /// Reads exactly one `T`, whose blobs are the same memory.
+    ///
+    /// # Errors
+    /// What postcard says, or how many bytes are left.
+    pub(crate) fn read<T: DeserializeOwned>(&self) -> Result<T, BodyError> {
+        let blobs = self.blobs.iter().map(|(_, blob)| blob.clone()).collect();
+        let emptied = Emptied(&READ);
+        READ.set(Some(blobs));
+        let pieces: Vec<&[u8]> = self.pieces().filter(|piece| !piece.is_empty()).collect();
+        let mut reader = postcard::Deserializer::from_flavor(Pieces {
+            now: &[],
+            left: self.len(),
+            later: pieces.into_iter(),
+        });
+        let value = T::deserialize(&mut reader)?;
+        let left = reader.finalize()?;
+        drop(emptied);
+        if left > 0 {
+            return Err(BodyError::Left(left));
+        }
+        Ok(value)
+    }
+
     /// In one piece; without a copy where it is.
     pub(crate) fn into_vec(self) -> Vec<u8> {
         if self.blobs.is_empty() {
             return self.bytes;
         }
-        let mut all = Vec::with_capacity(self.len());
-        let (first, rest) = self.into_parts();
-        all.extend_from_slice(&first);
-        for part in rest {
-            all.extend_from_slice(&part);
-        }
+        let mut all = Vec::new();
+        self.append_to(&mut all);
         all
     }
 
@@ -197,6 +330,68 @@ impl Body {
         let first = parts.remove(0);
         parts.retain(|part| !part.is_empty());
         (first, parts)
+    }
+}
+
+/// Data that is not what is expected.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum BodyError {
+    #[error(transparent)]
+    Postcard(#[from] postcard::Error),
+    #[error("{0} bytes too many")]
+    Left(usize),
+}
+
+/// Several pieces, read one after the other. What is borrowed of them lies within one.
+struct Pieces<'de> {
+    now: &'de [u8],
+    left: usize,
+    later: std::vec::IntoIter<&'de [u8]>,
+}
+
+impl Pieces<'_> {
+    /// Goes on to the next piece at the end of one.
+    fn advance(&mut self) {
+        if self.now.is_empty()
+            && let Some(next) = self.later.next()
+        {
+            self.now = next;
+        }
+    }
+}
+
+impl<'de> postcard::de_flavors::Flavor<'de> for Pieces<'de> {
+    type Remainder = usize;
+    type Source = ();
+
+    fn pop(&mut self) -> postcard::Result<u8> {
+        self.advance();
+        let (first, rest) = self
+            .now
+            .split_first()
+            .ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+        self.now = rest;
+        self.left -= 1;
+        Ok(*first)
+    }
+
+    fn size_hint(&self) -> Option<usize> {
+        Some(self.left)
+    }
+
+    fn try_take_n(&mut self, count: usize) -> postcard::Result<&'de [u8]> {
+        if count > 0 {
+            self.advance();
+        }
+        let taken = self.now.split_at_checked(count);
+        let (taken, rest) = taken.ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+        self.now = rest;
+        self.left -= count;
+        Ok(taken)
+    }
+
+    fn finalize(self) -> postcard::Result<usize> {
+        Ok(self.left)
     }
 }
 
@@ -268,7 +463,7 @@ pub(crate) fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T
     }
     let bytes = Bytes::from(bytes);
     let emptied = Emptied(&READ);
-    READ.set(Some(bytes.clone()));
+    READ.set(Some(vec![bytes.clone()]));
     let read = decode(&bytes);
     drop(emptied);
     read
@@ -301,6 +496,12 @@ mod tests {
             let (first, rest) = body.clone().into_parts();
             let parts: Vec<u8> = std::iter::once(first).chain(rest).flatten().collect();
             prop_assert_eq!(&parts, &wire);
+            let again = Data::from(body.clone()).take::<Pair>().unwrap();
+            prop_assert_eq!(&again, &blobs);
+            prop_assert_eq!(&Data::from(body.clone()).take::<(u32, Vec<u8>, String, Vec<u8>)>().unwrap(), &vectors);
+            let mut appended = Vec::new();
+            body.append_to(&mut appended);
+            prop_assert_eq!(&appended, &wire);
             prop_assert_eq!(&body.into_vec(), &wire);
             prop_assert_eq!(Data::Bytes(wire).take::<Pair>().unwrap(), blobs);
             let json = serde_json::to_string(&vectors).unwrap();
@@ -322,13 +523,46 @@ mod tests {
         assert!(range.contains(&one.as_ptr()) && range.contains(&other.as_ptr()));
     }
 
+    proptest! {
+        #[test]
+        fn pieces_are_read_wherever_they_are_cut(
+            text in ".{0,60}", numbers in proptest::collection::vec(any::<u64>(), 0..20),
+            cuts in proptest::collection::vec(any::<prop::sample::Index>(), 0..6),
+        ) {
+            let value = (text, numbers, 7_u8);
+            let wire = postcard::to_stdvec(&value).unwrap();
+            let mut cuts: Vec<usize> = cuts.iter().map(|cut| cut.index(wire.len() + 1)).collect();
+            cuts.sort_unstable();
+            // Every other piece is lent.
+            let (mut bytes, mut blobs, mut from) = (Vec::new(), Vec::new(), 0);
+            for (number, to) in cuts.into_iter().chain([wire.len()]).enumerate() {
+                if number % 2 == 0 {
+                    bytes.extend_from_slice(&wire[from..to]);
+                } else {
+                    blobs.push((bytes.len(), Bytes::copy_from_slice(&wire[from..to])));
+                }
+                from = to;
+            }
+            let body = Body::of_parts(bytes, blobs).unwrap();
+            prop_assert_eq!(Data::from(body.clone()).take::<(String, Vec<u64>, u8)>().unwrap(), value);
+            prop_assert!(Data::from(body).take::<(String, Vec<u64>)>().is_err());
+        }
+    }
+
+    #[test]
+    fn parts_that_do_not_fit_together_are_none() {
+        let blob = |place: usize| (place, Bytes::from_static(b"x"));
+        assert!(Body::of_parts(vec![1, 2], vec![blob(0), blob(2)]).is_some());
+        assert!(Body::of_parts(vec![1, 2], vec![blob(2), blob(0)]).is_none());
+        assert!(Body::of_parts(vec![1, 2], vec![blob(3)]).is_none());
+    }
+
     #[test]
     fn nothing_is_lent_to_others_once_a_message_is_written_or_read() {
         drop(Data::of(pair([LEAST, LEAST])).into_body());
         assert!(Data::Bytes(vec![0xff; 2 * LEAST]).take::<Pair>().is_err());
-        for place in [&LENT, &READ] {
-            assert!(place.with_borrow(Option::is_none));
-        }
+        assert!(LENT.with_borrow(Option::is_none));
+        assert!(READ.with_borrow(Option::is_none));
         assert!(COLLECTED.with_borrow(Option::is_none));
     }
 }

@@ -22,6 +22,7 @@ use serde::de::DeserializeOwned;
 
 use self::asking::Ask;
 use crate::{
+    BlobMut,
     call::{CallError, Fault},
     chassis::{Chassis, TaskRecord},
     config::TaskConfig,
@@ -386,6 +387,14 @@ impl Context {
         for child in children.into_values() {
             self.inner.processor.cancel(child);
         }
+    }
+
+    /// So many bytes of data that is made here and then sent: an image, a scan. From [`BlobMut::freeze`] on
+    /// it goes to other processes of this host without being copied, where shared memory joins them. What
+    /// stands in it at first is of no meaning: it is to be written as a whole.
+    #[must_use]
+    pub fn blob(&self, size: usize) -> BlobMut {
+        BlobMut::of(self.inner.chassis.pool(), size)
     }
 
     /// The task's arguments, `[task.NAME.args]` of the configuration.

@@ -67,7 +67,7 @@ mod statistics;
 mod timers;
 mod waits;
 
-pub use blob::Blob;
+pub use blob::{Blob, BlobMut};
 pub use context::{DEFAULT_DEADLINE, mix};
 pub use ctos_derive::handler;
 pub use message::Command;

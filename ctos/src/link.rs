@@ -70,7 +70,7 @@ impl Frame {
     ///
     /// # Errors
     /// When the head is too short, or announces another size than the data has.
-    pub(crate) fn from_parts(head: &[u8], body: Vec<u8>) -> Result<Self, FrameError> {
+    pub(crate) fn from_parts(head: &[u8], body: Body) -> Result<Self, FrameError> {
         let short = FrameError::Short(head.len());
         let (header, rest) = head.split_first_chunk::<{ Header::BYTES }>().ok_or(short)?;
         let header = Header::decode(header);
@@ -89,7 +89,7 @@ impl Frame {
             call: u64::from_le_bytes(call),
             trace: u64::from_le_bytes(trace),
             left_ns: u64::from_le_bytes(left_ns),
-            body: body.into(),
+            body,
         })
     }
 }
@@ -104,7 +104,7 @@ impl Frame {
     /// Reads what [`Self::encode`] wrote.
     pub(crate) fn decode(bytes: &[u8]) -> Result<Self, FrameError> {
         let (head, body) = bytes.split_at(FRAME_FIXED.min(bytes.len()));
-        Self::from_parts(head, body.to_vec())
+        Self::from_parts(head, body.to_vec().into())
     }
 
     /// A request with this data.

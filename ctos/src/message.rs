@@ -7,6 +7,7 @@
 mod command;
 mod data;
 mod letter;
+mod store;
 
 use std::fmt;
 

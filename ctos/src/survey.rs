@@ -1,6 +1,8 @@
 //! What a chassis tells about its tasks without disturbing them: read from their records, so that a
 //! task that is busy, or stuck, is seen as well as one that is idle.
 
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
+
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -9,6 +11,7 @@ use crate::{
     message::Tid,
     record::RecordReport,
     statistics::TaskCounters,
+    sync::CyclicStatistics,
     time::Instant,
 };
 
@@ -51,6 +54,8 @@ pub struct TaskReport {
     pub processor: String,
     /// What it has done.
     pub counters: TaskCounters,
+    /// What its synchronous functions have taken, those that are on the schedule now.
+    pub cyclic: Duration,
     /// When it entered its last startup phase.
     pub phase_since: Option<Instant>,
     /// The command at hand, or the last one, by name; `None` before the first.
@@ -80,6 +85,7 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
         here.settle_calls();
     }
     let processors = chassis.processors.iter();
+    let cyclic = cyclic_times(&chassis.cyclics());
     ChassisReport {
         chassis: chassis.name().to_owned(),
         pid: std::process::id(),
@@ -89,13 +95,24 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
         tasks: chassis
             .tasks()
             .iter()
-            .map(|task| report(chassis, task))
+            .map(|task| report(chassis, task, &cyclic))
             .collect(),
         refused: chassis.refused.load(std::sync::atomic::Ordering::Relaxed),
     }
 }
 
-fn report(chassis: &Chassis, task: &TaskRecord) -> TaskReport {
+/// What the synchronous functions of each task have taken together.
+fn cyclic_times(functions: &[(String, Arc<CyclicStatistics>)]) -> BTreeMap<String, Duration> {
+    let mut times = BTreeMap::new();
+    for (function, statistics) in functions {
+        if let Some((task, _)) = function.rsplit_once('.') {
+            *times.entry(task.to_owned()).or_insert(Duration::ZERO) += statistics.duration.sum();
+        }
+    }
+    times
+}
+
+fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Duration>) -> TaskReport {
     let counters = task.statistics.read();
     let config = chassis.app.task(&task.name);
     let handler = config.map_or_else(String::new, |config| config.handler.clone());
@@ -108,6 +125,7 @@ fn report(chassis: &Chassis, task: &TaskRecord) -> TaskReport {
         command: any.then(|| command_name(chassis, &handler, counters.command)),
         handler,
         counters,
+        cyclic: cyclic.get(&*task.name).copied().unwrap_or_default(),
         phase_since: task.statistics.phase_since(),
         queue: task.mailbox.lengths(),
         waits: task.waits.read(),
@@ -121,4 +139,28 @@ fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
     let mut all = own.chain(crate::system::ALL);
     all.find(|command| command.code == code)
         .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_synchronous_functions_take_is_the_time_of_their_task() {
+        let function = |name: &str, millis: u64| {
+            let statistics = CyclicStatistics::default();
+            statistics.duration.record(Duration::from_millis(millis));
+            (name.to_owned(), Arc::new(statistics))
+        };
+        let functions = [
+            function("arm.servo", 3),
+            function("arm.guard", 4),
+            function("arm.left.servo", 9),
+        ];
+        let times = cyclic_times(&functions);
+        let expected = [("arm", 7), ("arm.left", 9)];
+        let expected =
+            expected.map(|(task, millis)| (task.to_owned(), Duration::from_millis(millis)));
+        assert_eq!(times, BTreeMap::from(expected));
+    }
 }

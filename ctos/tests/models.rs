@@ -22,6 +22,8 @@ mod concurrent {
 mod inbox;
 #[path = "../src/room.rs"]
 mod room;
+#[path = "../src/message/store.rs"]
+mod store;
 
 use loom::{
     sync::{Arc, Mutex},
@@ -30,6 +32,7 @@ use loom::{
 
 use inbox::Inbox;
 use room::Room;
+use store::Store;
 
 /// The loop of a processor: takes what is there, or sleeps until somebody wakes it.
 fn take(inbox: &Inbox<u32>, wanted: usize) -> Vec<u32> {
@@ -156,5 +159,38 @@ fn nobody_claims_a_place_while_its_own_message_waits() {
         assert!(!room.claim(1));
         room.set_held(0);
         assert!(room.claim(1));
+    });
+}
+
+#[test]
+fn what_threads_give_and_take_is_always_in_one_place_and_never_in_two() {
+    loom::model(|| {
+        // So small that batches are dropped, too.
+        let store = Arc::new(Store::new(1));
+        let run = |first: u32| {
+            let store = store.clone();
+            thread::spawn(move || {
+                let mut own = vec![Box::new(first), Box::new(first + 1)];
+                store.give(&mut own, 1);
+                assert_eq!(own.len(), 1, "what is beyond those to be kept goes");
+                own.clear();
+                store.take(&mut own);
+                own
+            })
+        };
+        let others = [run(0), run(10)];
+        let mut all: Vec<u32> = Vec::new();
+        for other in others {
+            all.extend(other.join().unwrap().into_iter().map(|one| *one));
+        }
+        let mut rest = Vec::new();
+        store.take(&mut rest);
+        all.extend(rest.into_iter().map(|one| *one));
+        // Of each thread the second one was given; of both at least one was kept.
+        all.sort_unstable();
+        assert!(matches!(all[..], [1] | [11] | [1, 11]), "{all:?}");
+        let mut more = Vec::new();
+        store.take(&mut more);
+        assert!(more.is_empty(), "something is there twice");
     });
 }

@@ -21,4 +21,6 @@ pub mod symbolic;
 pub mod verdict;
 
 #[cfg(test)]
+mod definitions;
+#[cfg(test)]
 pub(crate) mod samples;

@@ -289,6 +289,7 @@ impl Judge<'_> {
             self.growth(),
             self.dead(),
             self.unasked(),
+            self.overfilled(),
             self.trapped(),
             self.unproved(),
         ];
@@ -333,15 +334,15 @@ impl Judge<'_> {
                 let declared = net.is_some_and(|net| net[id].role == crate::net::Role::Declared);
                 if declared { 0 } else { 2 }
             }
-            Stands::OnTape(_) | Stands::Firing(_) => 1,
+            Stands::OnTape(_) | Stands::Firing(_) | Stands::OnTheWay(_) => 1,
             Stands::InProgress(_) => 3,
-            Stands::Idle => 4,
+            Stands::Idle | Stands::Filled(_) | Stands::Holds(_) => 4,
         };
         self.system
             .places()
             .iter()
             .zip(marking)
-            .filter(|(place, tokens)| **tokens > place.tokens)
+            .filter(|(place, tokens)| **tokens > place.tokens && !place.stands.is_count())
             .map(|(place, _)| place)
             .min_by_key(|place| importance(place))
     }
@@ -350,7 +351,7 @@ impl Judge<'_> {
         let emptied = || {
             let pairs = self.system.places().iter().zip(marking);
             pairs
-                .filter(|(place, tokens)| **tokens < place.tokens)
+                .filter(|(place, tokens)| **tokens < place.tokens && !place.stands.is_count())
                 .map(|(place, _)| place)
                 .next()
         };
@@ -448,21 +449,40 @@ impl Judge<'_> {
         Some(self.at_marking(finding, marking))
     }
 
-    /// The nearest marking and step that writes an output symbol nobody asked for.
-    fn unasked_step(&self) -> Option<(Reached, &Step)> {
+    /// The nearest marking and step of a kind.
+    fn nearest_step(&self, wanted: impl Fn(&Step) -> bool) -> Option<(Reached, &Step)> {
         let steps = (0..)
             .zip(self.system.steps())
             .zip(&self.looked.explored.seen);
-        let unasked = steps.filter(|((_, step), seen)| step.unasked && **seen);
+        let wanted = steps.filter(|((_, step), seen)| **seen && wanted(step));
         let nearest =
             |((number, step), _)| Some((self.looked.explored.nearest_enabled(number)?, step));
-        unasked
-            .filter_map(nearest)
-            .min_by(|(a, _), (b, _)| a.cmp(b))
+        wanted.filter_map(nearest).min_by(|(a, _), (b, _)| a.cmp(b))
+    }
+
+    fn overfilled(&self) -> Option<Finding> {
+        let (reached, step) = self.nearest_step(|step| step.overfills.is_some())?;
+        let place = self.system.places().get(step.overfills?)?;
+        let sender = self.system.nets().get(step.net)?;
+        let transition = &sender[step.transition?];
+        Some(
+            Finding::error(
+                "pnt::check::overfilled",
+                format!(
+                    "tokens of `{}.{}` can find no room in `{}`, which refuses them, and their net stops: after {}",
+                    sender.name(),
+                    transition.name,
+                    place.name,
+                    self.way_to(&reached.marking)
+                ),
+            )
+            .at(transition.at.clone())
+            .help("let the receiver give back a token for each that it takes on, and the sender wait for it; or raise the capacity"),
+        )
     }
 
     fn unasked(&self) -> Option<Finding> {
-        let (reached, step) = self.unasked_step()?;
+        let (reached, step) = self.nearest_step(|step| step.unasked)?;
         let transition = &self.system.nets().get(step.net)?[step.transition?];
         let symbol = transition.write.as_deref().unwrap_or_default();
         Some(

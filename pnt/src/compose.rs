@@ -1,8 +1,15 @@
 //! All nets of an app as one system for analysis: remote places joined, firings with actions split
 //! into start, completion and failure, and a commander at every input tape that puts any command as
 //! soon as the one before is answered. Knows how steps change a marking, not which are reachable.
+//!
+//! Tokens for another net are put there with the firing that sends them, unless their coming can keep
+//! something from firing (they go to a place with a capacity, an inhibitor or a reset arc, or call up a
+//! more urgent transition): then it matters that a message takes its time, and they are on their way
+//! first.
 
 mod build;
+#[cfg(test)]
+mod tests;
 
 use std::{fmt, sync::Arc};
 
@@ -26,6 +33,20 @@ pub enum Stands {
     OnTape(CommandId),
     /// A command in progress.
     InProgress(CommandId),
+    /// What a place with a capacity holds, and what the running firings may yet put there.
+    Filled(PlaceId),
+    /// Tokens of a transition on their way to another net.
+    OnTheWay(TransitionId),
+    /// Whether a running firing of a transition has the command in progress, which another one may answer.
+    Holds(TransitionId),
+}
+
+impl Stands {
+    /// Whether its tokens are no tokens of the nets, only kept for counting.
+    #[must_use]
+    pub fn is_count(self) -> bool {
+        matches!(self, Self::Idle | Self::Filled(_) | Self::Holds(_))
+    }
 }
 
 /// A place of the system.
@@ -58,6 +79,8 @@ pub enum Phase {
     Fail,
     /// The commander puts a command.
     Put(CommandId),
+    /// Tokens arrive at another net, whose number this is.
+    Arrive(usize),
 }
 
 /// An atomic change of the system's marking.
@@ -86,6 +109,9 @@ pub struct Step {
     pub priority: Option<u32>,
     /// Whether it writes an output symbol that answers no command in progress.
     pub unasked: bool,
+    /// The place for which it brings more tokens than the place has room for: they are refused, and
+    /// their sender stops.
+    pub overfills: Option<SystemPlaceId>,
 }
 
 /// The composed nets.
@@ -109,6 +135,7 @@ impl System {
             check_partners(net, nets, &mut findings);
             check_retries(net, nets, &mut findings);
             check_unused(net, nets, &mut findings);
+            check_resets(net, &mut findings);
         }
         (build::build(nets), findings)
     }
@@ -142,6 +169,10 @@ impl System {
             Phase::Complete => format!("{}.{transition} completes", net.name()),
             Phase::Fail => format!("{}.{transition} fails", net.name()),
             Phase::Put(command) => format!("command {} to {}", net[command].symbol, net.name()),
+            Phase::Arrive(other) => {
+                let other = self.nets.get(other).map_or("", |net| net.name());
+                format!("tokens of {}.{transition} arrive at {other}", net.name())
+            }
         }
     }
 
@@ -152,7 +183,7 @@ impl System {
             .places
             .iter()
             .zip(marking)
-            .filter(|(place, tokens)| **tokens > 0 && place.stands != Stands::Idle)
+            .filter(|(place, tokens)| **tokens > 0 && !place.stands.is_count())
             .map(|(place, tokens)| match tokens {
                 1 => place.name.clone(),
                 _ => format!("{}*{tokens}", place.name),
@@ -328,6 +359,34 @@ fn check_retries(net: &Net, nets: &[Arc<Net>], findings: &mut Findings) {
                 )
                 .at(transition.at.clone())
                 .help("add a `fail` line that says what to do when the coordinator has given up"),
+            );
+        }
+    }
+}
+
+/// Ways in which the places that a transition empties may be filled, as many as are told apart.
+const MOST_RESETS: u64 = 4096;
+
+/// What a reset arc takes out of a place where room is kept for actions depends on what is there, so
+/// each number of tokens becomes a step of its own.
+fn check_resets(net: &Net, findings: &mut Findings) {
+    for transition in net.transitions() {
+        let ways = transition.resets.iter().map(|id| {
+            let place = &net[*id];
+            let kept = place.capacity.filter(|_| build::keeps_room(net, *id));
+            kept.map_or(1, |capacity| u64::from(capacity) + 1)
+        });
+        if ways.fold(1, u64::saturating_mul) > MOST_RESETS {
+            findings.push(
+                Finding::error(
+                    "pnt::app::wide_reset",
+                    format!(
+                        "transition `{}` empties places of large capacity in which actions are kept room: too many cases to look at",
+                        transition.name
+                    ),
+                )
+                .at(transition.at.clone())
+                .help(format!("let the capacities be smaller, {MOST_RESETS} cases together at most, or leave them away")),
             );
         }
     }

@@ -14,6 +14,7 @@
 
 mod chain;
 mod exact;
+mod levels;
 mod markings;
 mod model;
 mod simulate;
@@ -176,7 +177,7 @@ pub struct Solved {
     pub markings: usize,
     /// Those that the net returns to for ever.
     pub recurrent: usize,
-    /// Sweeps of the iteration; none when it was solved by elimination.
+    /// Cycles and sweeps of the iteration; none when it was solved by elimination.
     pub sweeps: usize,
 }
 

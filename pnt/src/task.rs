@@ -5,6 +5,7 @@
 //! A net's task bears the net's name: that is how other nets find its places.
 
 mod action;
+mod breaks;
 mod carry;
 mod control;
 mod durable;

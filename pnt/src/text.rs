@@ -102,6 +102,7 @@ pub fn parse_with(source: &Source, include: Include<'_>) -> Result<Draft, Findin
     let mut parser = Parser::new(Draft::new(Word::new("", source.at(0..0))), expansion);
     parser.findings = findings;
     parser.lines(lines);
+    parser.unused();
     if !parser.named {
         parser.findings.push(
             Finding::error("pnt::text::no_net", "this text names no net")
@@ -221,6 +222,31 @@ impl<'s> Parser<'s> {
             .and_then(|keyword| self.statement(&keyword, &mut words))
             .and_then(|()| words.end());
         self.findings.keep(result);
+    }
+
+    /// Reads the subnets that the net does not use, for their mistakes. Of a line with a parameter, whose
+    /// meaning is open, only the keyword is judged.
+    fn unused(&mut self) {
+        for lines in self.expansion.unused() {
+            let mut parser =
+                Parser::new(Draft::new(self.draft.name.clone()), self.expansion.lend());
+            parser.named = true;
+            parser.in_subnet = true;
+            for (line, open) in lines {
+                let before = std::mem::take(&mut parser.findings);
+                if !(open && line.begins("use")) {
+                    parser.line(&line);
+                }
+                let found = std::mem::replace(&mut parser.findings, before);
+                for finding in found.into_sorted() {
+                    if !open || finding.code == "pnt::text::keyword" {
+                        parser.findings.push(finding);
+                    }
+                }
+            }
+            self.expansion.take_back(parser.expansion);
+            self.findings.extend(parser.findings);
+        }
     }
 
     /// Adds the places and transitions of an instance of a subnet.

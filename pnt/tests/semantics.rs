@@ -12,9 +12,11 @@ use std::{fs, path::Path, sync::Arc};
 use ctos::diagnostic::Source;
 use pnt::{
     compile,
-    exec::{Execution, FireError},
+    exec::{Execution, FireError, Race},
     net::TransitionId,
 };
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
 
 const PAGE: &str = include_str!("../../docs/net-semantics.md");
 
@@ -78,7 +80,7 @@ fn every_sentence_of_the_page_names_tests_that_there_are() {
             assert!(there, "sentence {number}: there is no test `{name}`");
         }
     }
-    assert!(number >= 25, "only {number} sentences were found");
+    assert!(number >= 40, "only {number} sentences were found");
 }
 
 #[test]
@@ -125,4 +127,36 @@ fn tokens_from_another_net_are_put_all_or_none() {
     assert_eq!(execution.marking(), [0, 0]);
     execution.put_all(&tokens(&["a", "b", "a"])).unwrap();
     assert_eq!(execution.marking(), [2, 1]);
+}
+
+#[test]
+fn a_clock_runs_while_its_transition_is_enabled_and_is_forgotten_when_it_is_not() {
+    const S: u64 = 1_000_000_000;
+    let mut execution = execution(
+        "net n\nplace a = 1, b = 1, c\ntransition slow\n  in a\n  out c\n  time 5 s\ntransition quick\n  in b\n  out a\n  time 2 s\n",
+    );
+    let mut race = Race::new(&execution, ChaCha8Rng::seed_from_u64(1));
+    let mut due = |execution: &mut Execution| {
+        race.refresh(execution, |_| true);
+        let mut due: Vec<u64> = race
+            .clocks(execution)
+            .iter()
+            .map(|clock| clock.due_ns)
+            .collect();
+        due.sort_unstable();
+        due
+    };
+    assert_eq!(due(&mut execution), [2 * S, 5 * S]);
+    // One more token for `slow` at two seconds: its clock goes on.
+    execution.advance_to(2 * S);
+    let quick = id(&execution, "quick");
+    execution.fire(quick).unwrap();
+    assert_eq!(due(&mut execution), [5 * S]);
+    // Both tokens are away from three seconds to four: the clock begins anew.
+    execution.advance_to(3 * S);
+    execution.take_tokens("a", 2).unwrap();
+    assert_eq!(due(&mut execution), [0; 0]);
+    execution.advance_to(4 * S);
+    execution.put_tokens("a", 1).unwrap();
+    assert_eq!(due(&mut execution), [9 * S]);
 }

@@ -9,8 +9,6 @@ mod noise;
 mod raster;
 pub mod truth;
 
-use std::sync::Arc;
-
 pub use lamp::LampView;
 use nalgebra::Vector3;
 pub use noise::Noise;
@@ -84,11 +82,16 @@ impl Renderer {
     }
 
     /// Frame `number` of `scene`: `width * height` grey values, first row first.
-    pub fn render(&mut self, scene: &SceneState, number: u64) -> Arc<[u8]> {
+    pub fn render(&mut self, scene: &SceneState, number: u64) -> Vec<u8> {
+        let mut pixels = vec![0; self.rays.len()];
+        self.render_into(scene, number, &mut pixels);
+        pixels
+    }
+
+    /// [`Self::render`] into memory of somebody else's, of `width * height` bytes.
+    pub fn render_into(&mut self, scene: &SceneState, number: u64, pixels: &mut [u8]) {
         self.draw(scene);
-        let mut pixels = vec![0; self.light.len()];
-        self.noise.expose(number, &self.light, &mut pixels);
-        pixels.into()
+        self.noise.expose(number, &self.light, pixels);
     }
 
     /// The picture before the sensor: grey levels without noise or rounding.

@@ -298,12 +298,16 @@ impl SimCamera {
             .map_err(|error| fault(error.to_string()))?;
         let number = self.taken;
         self.taken += 1;
-        let pixels = self.renderer.render(&scene, number);
-        let truth = self.renderer.truth();
+        let (width, height) = {
+            let truth = self.renderer.truth();
+            (truth.width, truth.height)
+        };
+        let mut pixels = cx.blob(width * height);
+        self.renderer.render_into(&scene, number, &mut pixels);
         Ok(Frame {
-            width: truth.width,
-            height: truth.height,
-            pixels,
+            width,
+            height,
+            pixels: pixels.freeze(),
             stamp: cx.now().since_start(),
             number,
         })

@@ -1,7 +1,7 @@
 //! The simulated cameras against the spot finder that will look through them: the numbers that the
 //! shipped cell promises.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use ctos::diagnostic::Source;
 use sim::{camera::Renderer, cell::Cell};
@@ -39,7 +39,7 @@ fn found_spots_scatter_by_about_0_15_px_around_the_true_projection() {
                     let frame = Frame {
                         width: 500,
                         height: 500,
-                        pixels: Arc::clone(&renderer.render(&scene, number)),
+                        pixels: renderer.render(&scene, number).into(),
                         stamp: Duration::ZERO,
                         number,
                     };

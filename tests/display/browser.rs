@@ -172,6 +172,36 @@ impl Browser {
         self.ask(&format!("{find}.click()"));
     }
 
+    /// Drags what is at the middle of an element by so many px, with a mouse.
+    #[track_caller]
+    pub fn drag(&mut self, selector: &str, (dx, dy): (f64, f64)) {
+        let middle = format!(
+            "(() => {{ const box = document.querySelector({selector:?}).getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; }})()"
+        );
+        let middle = self.ask(&middle);
+        let (x, y) = (middle[0].as_f64().unwrap(), middle[1].as_f64().unwrap());
+        let mut mouse = |kind: &str, buttons: u8, (x, y): (f64, f64)| {
+            let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1 });
+            self.order("Input.dispatchMouseEvent", event);
+        };
+        mouse("mousePressed", 1, (x, y));
+        mouse("mouseMoved", 1, (x + dx / 2.0, y + dy / 2.0));
+        mouse("mouseMoved", 1, (x + dx, y + dy));
+        mouse("mouseReleased", 0, (x + dx, y + dy));
+    }
+
+    /// As seen by somebody who has told the system so: `prefers-color-scheme: dark`, for example.
+    pub fn prefer(&mut self, features: &[(&str, &str)]) {
+        let features: Vec<Value> = features
+            .iter()
+            .map(|(name, value)| json!({ "name": name, "value": value }))
+            .collect();
+        self.order(
+            "Emulation.setEmulatedMedia",
+            json!({ "features": features }),
+        );
+    }
+
     /// Takes a picture of what is seen.
     pub fn picture(&mut self, path: &Path) {
         let told = self.order("Page.captureScreenshot", json!({ "format": "png" }));

@@ -35,8 +35,10 @@ fn scratch() -> Scratch {
 
 /// Boots it; the address of the page.
 fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
-    let display = ["--display=127.0.0.1:0", "--allow-control"];
-    let mut run = scratch.start_boot(&[&display, sets].concat());
+    // A browser beside it makes a machine slow.
+    let slow = ["--set", "app.phase_timeout_s=90"];
+    let display = [&["--display=127.0.0.1:0", "--allow-control"], &slow[..]].concat();
+    let mut run = scratch.start_boot(&[&display[..], sets].concat());
     let line = run.line_with("nets are shown");
     let from = line.find("http://").unwrap();
     let page = line[from..]
@@ -192,4 +194,201 @@ fn whoever_has_no_token_or_comes_from_elsewhere_may_not_intervene() {
     assert!(refused("Host: HERE\r\nOrigin: http://elsewhere.example").contains(" 403 "));
     assert!(refused("Host: elsewhere.example:80").contains(" 403 "));
     assert!(refused("Host: HERE\r\nOrigin: http://HERE").contains(" 101 "));
+}
+
+#[test]
+fn what_a_person_moves_stays_there_for_everybody_and_nothing_else_ever_moves() {
+    let scratch = scratch();
+    scratch.write(
+        "configs/displays.toml",
+        "[display.arm]\ntitle = \"The arm\"\nshow = [\"dispatcher/move_*\", \"motion/*\", \"dispatcher/typo\"]\n",
+    );
+    let displays = "task.display.args.displays=\"displays.toml\"";
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (run, page) = boot(&scratch, &["--set", displays, "--set", waits]);
+    let spots = "JSON.stringify([...nets.picture.nodes.values()].map((one) => [one.key, one.node.x, one.node.y]))";
+    let spot = |key: &str| {
+        format!("(({{ node }}) => [node.x, node.y].join())(nets.picture.nodes.get({key:?}))")
+    };
+
+    // The motion net has no layout file: its first arrangement is kept with the first node that is moved.
+    let mut browser = Browser::open(&format!("{page}#net=motion"), SIZE);
+    browser.wait("nets.picture.nodes.has('motion/move_manip')");
+    let mut other = Browser::open(&format!("{page}#net=motion"), SIZE);
+    other.wait("nets.picture.nodes.has('motion/move_manip')");
+    let before = browser.ask(&spot("motion/move_manip"));
+    let rest = browser.ask(&spot("motion/plan_path"));
+    browser.drag("[data-key=\"motion/move_manip\"]", (60.0, 45.0));
+    browser.wait(&format!("{} !== {before}", spot("motion/move_manip")));
+    let after = browser.ask(&spot("motion/move_manip"));
+    other.wait(&format!("{} === {after}", spot("motion/move_manip")));
+    assert_eq!(other.ask(&spot("motion/plan_path")), rest);
+    let text = scratch.read("configs/nets/motion.layout.toml");
+    assert!(
+        text.contains("move_manip") && text.contains("plan_path"),
+        "{text}"
+    );
+
+    // An overview draws the requests that go from net to net, and keeps its nodes in a file of its own.
+    browser.ask("nets.open('arm', null)");
+    browser.wait("nets.picture.nodes.has('dispatcher/move_robot')");
+    browser.wait("nets.picture.arcs.some((arc) => arc.from === 'dispatcher/move_robot' && arc.to.startsWith('motion/'))");
+    browser.wait("nets.picture.arcs.some((arc) => arc.from.startsWith('motion/') && arc.to === 'dispatcher/move_robot')");
+    let key = "dispatcher/move_robot";
+    let here = browser.ask(&spot(key));
+    browser.drag(&format!("[data-key=\"{key}\"]"), (-20.0, 25.0));
+    browser.wait(&format!("{} !== {here}", spot(key)));
+    other.ask("nets.open('arm', null)");
+    let here = browser.ask(&spot(key));
+    other.wait(&format!("{} === {here}", spot(key)));
+    let all = browser.ask(spots);
+    assert_eq!(other.ask(spots), all);
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    assert_eq!(other.complaints, Vec::<String>::new());
+    drop((browser, other, run));
+
+    // It is so in the next run too.
+    let (_run, page) = boot(&scratch, &["--set", displays, "--set", waits]);
+    let mut browser = Browser::open(&format!("{page}#net=arm"), SIZE);
+    browser.wait("nets.picture.nodes.has('dispatcher/move_robot')");
+    assert_eq!(browser.ask(spots), all);
+    browser.ask("nets.open('motion', null)");
+    assert_eq!(browser.ask(&spot("motion/move_manip")), after);
+}
+
+#[test]
+fn a_breakpoint_set_on_the_page_holds_the_next_run_before_its_first_firing() {
+    let scratch = scratch();
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (run, page) = boot(&scratch, &["--set", waits]);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    browser.wait("nets.picture.nodes.has('dispatcher/read_next_pos')");
+    browser.ask("nets.choose('dispatcher/read_next_pos')");
+    browser.click("Breakpoint");
+    browser.wait("document.querySelector('[data-key=\"dispatcher/read_next_pos\"].armed')");
+    let text = scratch.read("configs/nets/dispatcher.breaks.toml");
+    assert!(
+        text.contains("\"read_next_pos\"") && !text.contains("init_calib"),
+        "{text}"
+    );
+    drop((browser, run));
+
+    let (_run, page) = boot(&scratch, &[]);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    let fired =
+        format!("{DISPATCHER}.head.ended[{DISPATCHER}.index.transitions.get('read_next_pos')]");
+    assert_eq!(browser.ask(&fired), 0);
+    // Taken away, it is nowhere any more.
+    browser.ask("nets.choose('dispatcher/read_next_pos')");
+    browser.click("Breakpoint");
+    browser.wait("!document.querySelector('[data-key=\"dispatcher/read_next_pos\"].armed')");
+    assert!(!scratch.path("configs/nets/dispatcher.breaks.toml").exists());
+}
+
+#[test]
+fn a_person_plays_through_what_would_happen_and_nothing_of_it_does() {
+    let scratch = scratch();
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (_run, page) = boot(&scratch, &["--set", waits]);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    let places = format!("{DISPATCHER}.head.places.join()");
+    let real = browser.ask(&places);
+    browser.ask("nets.choose('dispatcher/init_calib')");
+    browser.click("What if");
+    browser
+        .wait("document.querySelector('#status').textContent.includes('nothing of this happens')");
+    browser.click("Fire");
+    let fork = "nets.forks.get('dispatcher').head.places.join()";
+    browser.wait(&format!("{fork} !== {real}"));
+    assert_eq!(browser.ask(&places), real);
+    browser.click("Take back");
+    browser.wait(&format!("{fork} === {real}"));
+    browser.click("What if");
+    browser.wait("nets.forks.size === 0");
+    // From a transition to its task, what nets asked of it, and back.
+    browser.ask("nets.find('motion')");
+    browser.ask("nets.lookAt('motion')");
+    browser.wait("document.querySelector('#side h2').textContent.startsWith('motion')");
+    browser.click("move_robot");
+    browser.wait("nets.chosen === 'dispatcher/move_robot'");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+/// A net of so many nodes, and one that fires a thousand times a second.
+fn large(nodes: usize) -> (String, &'static str) {
+    let count = nodes / 2;
+    let mut text = "net large\n".to_owned();
+    for index in 0..count {
+        text += &format!("place p{index}{}\n", if index == 0 { " = 1" } else { "" });
+    }
+    for index in 0..count {
+        let next = (index + 1) % count;
+        text += &format!("transition t{index}\n  in p{index}\n  time 5 ms\n  out p{next}\n");
+    }
+    (
+        text,
+        "net fast\nplace a = 1, b\ntransition t\n  in a\n  time 1 ms\n  out b\ntransition u\n  in b\n  out a\n",
+    )
+}
+
+/// Figures are printed, and none is asserted: they are another machine's to have.
+#[test]
+fn a_large_net_and_a_fast_one_are_shown_while_they_fire() {
+    let nodes = std::env::var("CTOS_NODES").map_or(500, |nodes| nodes.parse().unwrap());
+    let scratch = scratch();
+    let (large, fast) = large(nodes);
+    scratch.write("configs/nets/large.net", large);
+    scratch.write("configs/nets/fast.net", fast);
+    let config = scratch.read("configs/calibrate.toml");
+    let net = |name: &str| {
+        format!(
+            "[chassis.{name}]\n[task.{name}]\nhandler = \"coordinators.vision\"\non = \"{name}\"\n[task.{name}.args]\nnet = \"nets/{name}.net\"\ncameras = [\"ceiling_west\"]\nretries = 1\n\n"
+        )
+    };
+    scratch.write(
+        "configs/calibrate.toml",
+        config + "\n" + &net("large") + &net("fast"),
+    );
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (_run, page) = boot(&scratch, &["--set", waits]);
+
+    let mut browser = Browser::open(&format!("{page}#net=large"), SIZE);
+    browser.wait("nets.firstDrawn > 0 && nets.shown === 'large'");
+    let first = browser.ask("nets.firstDrawn");
+    // Frames while it fires.
+    let frames = browser.ask("new Promise((done) => { const gaps = []; let last = performance.now(); const frame = (now) => { gaps.push(now - last); last = now; if (gaps.length < 90) requestAnimationFrame(frame); else done(gaps.sort((a, b) => a - b)); }; requestAnimationFrame(frame); })");
+    let before = browser.ask("nets.nets.get('large').head.seq");
+    browser.wait(&format!("nets.nets.get('large').head.seq > {before}"));
+
+    browser.ask("nets.open('fast', null)");
+    browser.ask("(() => { globalThis.late = []; const take = nets.take.bind(nets); nets.take = (message) => { if (message.net === 'fast') for (const event of message.events ?? []) late.push(performance.timeOrigin + performance.now() - (nets.origin + event.at_ns) / 1e6); take(message); }; globalThis.begun = [performance.now(), nets.nets.get('fast').head.seq]; })()");
+    browser.wait("late.length > 3000");
+    let late = browser.ask("late.sort((a, b) => a - b)");
+    let rate = browser.ask(
+        "(1000 * (nets.nets.get('fast').head.seq - begun[1])) / (performance.now() - begun[0])",
+    );
+    let at = |all: &serde_json::Value, share: f64| {
+        let all = all.as_array().unwrap();
+        all[((all.len() - 1) as f64 * share) as usize]
+            .as_f64()
+            .unwrap()
+    };
+    println!(
+        "{nodes} nodes: first picture after {:.0} ms, frames every {:.1} ms (median), {:.1} ms (p95)",
+        first.as_f64().unwrap(),
+        at(&frames, 0.5),
+        at(&frames, 0.95)
+    );
+    println!(
+        "{:.0} events/s: from firing to browser {:.1} ms (median), {:.1} ms (p95)",
+        rate.as_f64().unwrap(),
+        at(&late, 0.5),
+        at(&late, 0.95)
+    );
+    // Nothing was skipped, and nothing came twice: the marking is the net's.
+    browser.wait("nets.nets.get('fast').head.places.reduce((a, b) => a + b) === 1");
+    assert_eq!(browser.ask("nets.nets.get('fast').skipped"), 0);
+    assert_eq!(browser.complaints, Vec::<String>::new());
 }

@@ -11,6 +11,7 @@
 mod bad_input;
 mod control;
 mod determinism;
+mod displays;
 mod faults;
 mod full_disk;
 mod half_open;

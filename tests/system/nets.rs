@@ -19,7 +19,7 @@ const NETS: [(&str, &str); 3] = [
 ];
 
 /// Three nets, each in a process that comes back; and who counts their tokens.
-fn app(scratch: &Scratch, more: &str) {
+pub fn app(scratch: &Scratch, more: &str) {
     let mut text = "[app]\nname = \"ring\"\nuntil = \"counter\"\nstop_timeout_s = 2\n[chassis.desk]\n[task.counter]\nhandler = \"test.counter\"\non = \"desk\"\nargs = { nets = [\"a\", \"b\", \"c\"], when = \"enough\" }\n".to_owned();
     for (name, net) in NETS {
         scratch.write(&format!("{name}.net"), net);
@@ -78,7 +78,7 @@ fn a_torn_or_foreign_store_stops_the_boot_by_its_name() {
         .must_say("state/b.redb cannot be read as a store");
 }
 
-fn ctos(scratch: &Scratch, arguments: &[&str]) -> Ended {
+pub fn ctos(scratch: &Scratch, arguments: &[&str]) -> Ended {
     scratch.start(MISBEHAVING, arguments, &[]).end()
 }
 

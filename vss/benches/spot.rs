@@ -1,6 +1,6 @@
 //! Finding a spot in a 500x500 picture, and its parts.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use divan::{Bencher, black_box};
 use rand::{RngExt, SeedableRng};
@@ -32,7 +32,7 @@ fn picture(noise: f64, lamp: f64) -> Frame {
     Frame {
         width: SIZE,
         height: SIZE,
-        pixels: Arc::from(pixels),
+        pixels: pixels.into(),
         stamp: Duration::ZERO,
         number: 0,
     }

@@ -2,13 +2,15 @@
 //!
 //! Pixel centres are at whole numbers, the first pixel is (0, 0), u runs right and v down.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
+use ctos::Blob;
 use serde::{Deserialize, Serialize};
 
 /// A grey picture, 8 bit, row after row.
 ///
-/// Cloning shares the pixels; inside a chassis a frame moves between tasks as a pointer.
+/// Cloning shares the pixels. Inside a chassis a frame moves between tasks as a pointer; between chassis that
+/// share memory its pixels are read where they stand.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Frame {
     /// Width, px.
@@ -16,8 +18,7 @@ pub struct Frame {
     /// Height, px.
     pub height: usize,
     /// `width * height` grey values, first row first.
-    #[serde(with = "pixel_bytes")]
-    pub pixels: Arc<[u8]>,
+    pub pixels: Blob,
     /// When the exposure ended, since the start of the app.
     pub stamp: Duration,
     /// Counts the frames of this source from 0.
@@ -46,22 +47,4 @@ pub enum FrameError {
         /// What it says.
         reason: String,
     },
-}
-
-/// Pixels on the wire, between chassis: their bytes.
-mod pixel_bytes {
-    use super::{Arc, Deserialize, Serialize};
-
-    pub(super) fn serialize<S: serde::Serializer>(
-        pixels: &Arc<[u8]>,
-        serializer: S,
-    ) -> Result<S::Ok, S::Error> {
-        pixels.as_ref().serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: serde::Deserializer<'de>>(
-        deserializer: D,
-    ) -> Result<Arc<[u8]>, D::Error> {
-        Vec::<u8>::deserialize(deserializer).map(Arc::from)
-    }
 }

@@ -50,7 +50,7 @@ impl View {
             let frame = Frame {
                 width: renderer.truth().width,
                 height: renderer.truth().height,
-                pixels: renderer.render(&cell.scene(&near), number),
+                pixels: renderer.render(&cell.scene(&near), number).into(),
                 stamp: Duration::ZERO,
                 number,
             };

@@ -145,6 +145,9 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
         }
     }
     if let Some(listen) = args.display {
+        // Before what a person sets, who may set more of it.
+        let display = display_sets(listen, args.allow_control);
+        args.app.sets.splice(0..0, display);
         if args.allow_control
             // What is wrong with the configuration is told below.
             && let Ok(app) = program::app(&args.app.selection())
@@ -153,8 +156,6 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             let allow = nets.map(|net| format!("task.{net}.args.allow_control=true"));
             args.app.sets.extend(allow);
         }
-        let display = display_sets(listen, args.allow_control);
-        args.app.sets.extend(display);
     }
     let args = &args;
     let mut selection = args.app.selection();

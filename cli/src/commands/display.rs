@@ -1,9 +1,11 @@
 //! `ctos display`.
 
+mod hops;
 mod live;
 mod screen;
 
 use std::{
+    collections::BTreeMap,
     io::{self, IsTerminal},
     net::{IpAddr, Ipv4Addr, SocketAddr},
     path::{Path, PathBuf},
@@ -15,6 +17,7 @@ use ctos::{
     diagnostic::{Findings, Source},
     registry::Registry,
 };
+use pnt::layout::Drawing;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use crate::{
@@ -114,7 +117,17 @@ pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
         Ok(overviews) => overviews.unwrap_or_default(),
         Err(code) => return code,
     };
+    let displays = overviews.clone();
     let hub = recorded.hub(overviews);
+    let drawings = recorded.nets.keys();
+    let drawings: BTreeMap<&str, Drawing> = drawings
+        .filter_map(|net| Some((net.as_str(), hub.written(net)?)))
+        .collect();
+    for unknown in displays.unknown(|net| drawings.get(net)) {
+        show::say(&format!(
+            "warning: no net of the record has the node of {unknown}"
+        ));
+    }
     match &args.export {
         Some(file) => export(&hub, file),
         None => serve(hub, args.listen),
@@ -154,7 +167,11 @@ fn watch(args: &DisplayArgs, registry: &Registry) -> u8 {
 fn overviews(path: &Path) -> Result<Overviews, u8> {
     let mut findings = Findings::new();
     let read = findings.keep(Source::read(path));
-    let overviews = read.map(|source| Overviews::read(&source, &mut findings));
+    let overviews = read.map(|source| {
+        let mut overviews = Overviews::read(&source, &mut findings);
+        overviews.arrange_from(path, &mut findings);
+        overviews
+    });
     let wrong = findings.has_errors();
     show::findings(findings);
     overviews.filter(|_| !wrong).ok_or(exit::CONFIG)

@@ -90,7 +90,8 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     if let Some(file) = &args.displays {
         match app.read(file) {
             Ok(source) => {
-                Overviews::read(&source, findings);
+                let mut overviews = Overviews::read(&source, findings);
+                overviews.arrange_from(&app.folder.join(file), findings);
             }
             Err(finding) => findings.push(at(finding, "displays")),
         }

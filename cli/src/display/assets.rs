@@ -9,10 +9,19 @@ const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The scripts, each after those that it imports.
-const SCRIPTS: [Asset; 4] = [
+const SCRIPTS: [Asset; 13] = [
     ("model.js", SCRIPT, include_str!("page/model.js")),
+    ("field.js", SCRIPT, include_str!("page/field.js")),
+    ("shapes.js", SCRIPT, include_str!("page/shapes.js")),
+    ("minimap.js", SCRIPT, include_str!("page/minimap.js")),
+    ("view.js", SCRIPT, include_str!("page/view.js")),
     ("draw.js", SCRIPT, include_str!("page/draw.js")),
+    ("fold.js", SCRIPT, include_str!("page/fold.js")),
+    ("task.js", SCRIPT, include_str!("page/task.js")),
     ("panels.js", SCRIPT, include_str!("page/panels.js")),
+    ("tables.js", SCRIPT, include_str!("page/tables.js")),
+    ("keys.js", SCRIPT, include_str!("page/keys.js")),
+    ("moments.js", SCRIPT, include_str!("page/moments.js")),
     ("app.js", SCRIPT, include_str!("page/app.js")),
 ];
 
@@ -83,6 +92,28 @@ mod tests {
             );
         }
         assert!(asset("../args.rs").is_none() && asset("nothing.js").is_none());
+    }
+
+    #[test]
+    fn scripts_that_become_one_share_no_name() {
+        let mut known = std::collections::BTreeMap::new();
+        for (file, _, text) in SCRIPTS {
+            for line in text.lines() {
+                let line = line.strip_prefix("export ").unwrap_or(line);
+                let named = ["const ", "function ", "class ", "let "];
+                let Some(rest) = named.iter().find_map(|word| line.strip_prefix(word)) else {
+                    continue;
+                };
+                let end =
+                    rest.find(|letter: char| !letter.is_alphanumeric() && !"_$".contains(letter));
+                let end = end.unwrap_or(rest.len());
+                // `const [A, B]` names nothing at this place.
+                if let Some(name) = rest.get(..end).filter(|name| !name.is_empty()) {
+                    let other = known.insert(name.to_owned(), file);
+                    assert!(other.is_none(), "{name} is in {other:?} and in {file}");
+                }
+            }
+        }
     }
 
     #[test]

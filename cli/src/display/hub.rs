@@ -8,14 +8,14 @@ use std::{
 
 use ctos::diagnostic::{Findings, Severity};
 use pnt::{
-    layout::{Detail, Drawing},
+    layout::{Detail, Drawing, LayoutFile},
     stream::{Batch, Event, NetView, Replica, ReplicaError, State},
 };
 use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
-    wire::{Breakpoint, Entry, Note, Told},
+    wire::{Breakpoint, Entry, Note, Overview, Told},
 };
 
 /// Events of each net that are kept for browsers that come later.
@@ -114,6 +114,14 @@ struct Known {
     notes: Vec<Note>,
     now_ns: u64,
     ended: bool,
+    overviews: Overviews,
+}
+
+impl Known {
+    fn displays(&self) -> Vec<Overview> {
+        let written = |net: &str| self.tracks.get(net).map(|track| &track.written);
+        self.overviews.drawn(written)
+    }
 }
 
 /// What all browsers share.
@@ -122,15 +130,18 @@ pub(crate) struct Hub {
     app: String,
     mode: &'static str,
     most: usize,
-    overviews: Overviews,
+    origin_ns: Option<u64>,
     known: Mutex<Known>,
     news: broadcast::Sender<News>,
 }
 
 impl Hub {
     /// For the nets of a running app.
-    pub(crate) fn live(app: &str, overviews: Overviews) -> Self {
-        Self::new(app, "live", KEPT, overviews)
+    pub(crate) fn live(app: &str, overviews: Overviews, origin_ns: Option<u64>) -> Self {
+        Self {
+            origin_ns,
+            ..Self::new(app, "live", KEPT, overviews)
+        }
     }
 
     /// For the nets of a recorded run, whose past is kept as a whole.
@@ -143,8 +154,11 @@ impl Hub {
             app: app.to_owned(),
             mode,
             most,
-            overviews,
-            known: Mutex::default(),
+            origin_ns: None,
+            known: Mutex::new(Known {
+                overviews,
+                ..Known::default()
+            }),
             news: broadcast::Sender::new(BEHIND),
         }
     }
@@ -249,6 +263,47 @@ impl Hub {
         }
     }
 
+    /// A net as it is drawn in its author's words.
+    pub(crate) fn written(&self, net: &str) -> Option<Drawing> {
+        let known = self.known();
+        known.tracks.get(net).map(|track| track.written.clone())
+    }
+
+    /// Nodes of a net stand elsewhere.
+    pub(crate) fn arranged(&self, net: &str, file: LayoutFile) {
+        let mut known = self.known();
+        let Some(track) = known.tracks.get_mut(net) else {
+            return;
+        };
+        // What of the file is another net's was told when it was read first.
+        file.pin(&mut track.view);
+        track.written = Drawing::new(&track.view, Detail::Written);
+        track.full = Drawing::new(&track.view, Detail::Full);
+        self.tell(&Told::Drawing {
+            net,
+            written: &track.written,
+            full: &track.full,
+        });
+        let displays = known.displays();
+        if !displays.is_empty() {
+            self.tell(&Told::Displays { displays });
+        }
+    }
+
+    /// An overview display as it is drawn.
+    pub(crate) fn overview(&self, name: &str) -> Option<Overview> {
+        let displays = self.known().displays();
+        displays.into_iter().find(|display| display.name == name)
+    }
+
+    /// Nodes of overview displays stand elsewhere.
+    pub(crate) fn rearranged(&self, arrange: impl FnOnce(&mut Overviews)) {
+        let mut known = self.known();
+        arrange(&mut known.overviews);
+        let displays = known.displays();
+        self.tell(&Told::Displays { displays });
+    }
+
     /// What the analysis found, as far as it is about nodes.
     pub(crate) fn notes(&self, findings: &Findings) {
         let mut known = self.known();
@@ -295,13 +350,13 @@ impl Hub {
     }
 
     fn hello(&self, known: &Known, control: bool) -> String {
-        let written = |net: &str| known.tracks.get(net).map(|track| &track.written);
         Told::Hello {
             app: &self.app,
             mode: self.mode,
             control,
             nets: known.tracks.keys().map(String::as_str).collect(),
-            displays: self.overviews.drawn(written),
+            displays: known.displays(),
+            origin_ns: self.origin_ns,
         }
         .text()
     }

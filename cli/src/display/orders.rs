@@ -10,6 +10,7 @@ use pnt::task::{Control, Marking, Order};
 use tokio::sync::mpsc;
 
 use super::{
+    arrange,
     hub::Hub,
     server::Asking,
     wire::{Asked, Breakpoint, TaskState, Told},
@@ -19,16 +20,27 @@ use super::{
 const LIMIT: Duration = Duration::from_secs(2);
 
 /// Carries orders out, each beside the others, until the server ends.
-pub(super) async fn carry(cx: &Context, hub: &Arc<Hub>, mut orders: mpsc::Receiver<Asking>) {
+/// `displays` is the file of overview displays, if there is one.
+pub(super) async fn carry(
+    cx: &Context,
+    hub: &Arc<Hub>,
+    displays: Option<String>,
+    mut orders: mpsc::Receiver<Asking>,
+) {
     while let Some((asked, answer)) = orders.recv().await {
         let (child, hub) = (cx.new_trace(), hub.clone());
+        let displays = displays.clone();
         cx.spawn(async move {
             let told = if asked.kind == "task" {
                 Told::Task {
                     task: task(&child, &asked.task).await,
                 }
             } else {
-                let done = order(&child, &hub, &asked).await;
+                let done = if asked.kind == "move" {
+                    arrange::keep(&child, &hub, displays.as_deref(), &asked)
+                } else {
+                    order(&child, &hub, &asked).await
+                };
                 let (ok, text) = done.map_or_else(|e| (false, e.to_string()), |text| (true, text));
                 Told::Answer {
                     id: asked.id,
@@ -120,6 +132,9 @@ fn meant(asked: &Asked, set: &[Breakpoint]) -> Result<Order, HandlerError> {
         "take" => Order::Take {
             place: place()?,
             tokens: 1,
+        },
+        "cancel" => Order::Cancel {
+            transition: transition()?,
         },
         "pause" => Order::Pause,
         "resume" => Order::Resume,

@@ -7,16 +7,24 @@
 //! show = ["dispatcher/move_robot", "dispatcher/find_pos", "motion/*"]
 //! ```
 
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 use ctos::{
     config::Node,
-    diagnostic::{Findings, Source},
+    diagnostic::{Finding, Findings, Severity, Source},
 };
 use pnt::layout::Drawing;
 use serde::Deserialize;
 
 use super::wire::{Overview, OverviewPart};
+
+/// The file beside a file of displays that says where people have put nodes.
+pub(crate) fn layout_beside(displays: &Path) -> PathBuf {
+    displays.with_extension("layout.toml")
+}
 
 /// Px between the parts of two nets.
 const BETWEEN: f64 = 40.0;
@@ -71,6 +79,46 @@ impl Overviews {
         Self { displays }
     }
 
+    /// Takes in the layout file beside the file of displays, if there is one. What is wrong in it stops nothing.
+    pub(crate) fn arrange_from(&mut self, displays: &Path, findings: &mut Findings) {
+        let path = layout_beside(displays);
+        if !path.is_file() {
+            return;
+        }
+        let mut found = Findings::new();
+        if let Some(source) = found.keep(Source::read(&path)) {
+            self.arrange(&source, &mut found);
+        }
+        for mut finding in found.into_sorted() {
+            finding.severity = Severity::Warning;
+            findings.push(finding);
+        }
+    }
+
+    /// Puts nodes where a layout file says: `[display.NAME.node]`, `"NET/NODE" = { x = 0, y = 0 }`.
+    pub(crate) fn arrange(&mut self, source: &Source, findings: &mut Findings) {
+        let root = Node::from_toml(source, findings);
+        let Some(all) = root.get("display") else {
+            return;
+        };
+        for entry in all.entries() {
+            let Some(display) = self.displays.get_mut(&entry.key) else {
+                let text = format!("there is no display `{}` to arrange", entry.key);
+                let place = entry.key_place.clone();
+                let finding = Finding::error("pnt::display::unknown_display", text)
+                    .suggest(&entry.key, self.displays.keys().map(String::as_str));
+                findings.push(finding.at(place.unwrap_or_else(|| source.at(0..0))));
+                continue;
+            };
+            let nodes = entry.value.get("node").map(Node::entries);
+            for node in nodes.unwrap_or_default() {
+                if let Some(spot) = findings.keep(node.value.parse::<Spot>()) {
+                    display.node.insert(node.key.clone(), spot);
+                }
+            }
+        }
+    }
+
     /// The displays as they are drawn, where `drawing` says how a net is. Names that lead nowhere show
     /// nothing; [`Self::unknown`] tells them.
     pub(crate) fn drawn<'d>(&self, drawing: impl Fn(&str) -> Option<&'d Drawing>) -> Vec<Overview> {
@@ -116,11 +164,21 @@ impl Described {
             let Some(whole) = drawing(net) else { continue };
             let mut part = chosen(whole, wanted.get(net).map_or(&[], Vec::as_slice));
             let (left, above, _, below) = part.bounds();
+            let mut moved = Vec::with_capacity(part.nodes.len());
             for node in &mut part.nodes {
+                let usual = (node.x - left, node.y - above + top);
                 (node.x, node.y) = match self.node.get(&format!("{net}/{}", node.name)) {
                     Some(spot) => (spot.x, spot.y),
-                    None => (node.x - left, node.y - above + top),
+                    None => usual,
                 };
+                moved.push((node.x - usual.0).abs() + (node.y - usual.1).abs() > 2.0);
+            }
+            // The way of an arc was made for where its ends were.
+            let has_moved = |at: usize| moved.get(at).copied().unwrap_or(false);
+            for arc in &mut part.arcs {
+                if has_moved(arc.from) || has_moved(arc.to) {
+                    arc.via.clear();
+                }
             }
             for (x, y) in part.arcs.iter_mut().flat_map(|arc| arc.via.iter_mut()) {
                 (*x, *y) = (*x - left, *y - above + top);
@@ -224,6 +282,34 @@ mod tests {
             overviews.unknown(of),
             ["arm: nobody/x", "arm: dispatcher/typo"]
         );
+    }
+
+    #[test]
+    fn nodes_of_a_display_stand_where_they_were_put_and_names_of_no_display_are_told() {
+        let text = "[display.arm]\nshow = [\"dispatcher/*\"]\n";
+        let mut findings = Findings::new();
+        let mut overviews = Overviews::read(&Source::new("d.toml", text), &mut findings);
+        let put = "[display.arm.node]\n\"dispatcher/fork\" = { x = -300, y = 7 }\n[display.leg.node]\n\"a/b\" = { x = 1, y = 1 }\n";
+        overviews.arrange(&Source::new("d.layout.toml", put), &mut findings);
+        let told = findings.to_string();
+        assert!(
+            told.contains("d.layout.toml:3:") && told.contains("no display `leg`"),
+            "{told}"
+        );
+        let drawing = drawing();
+        let drawn = overviews.drawn(|net| (net == "dispatcher").then_some(&drawing));
+        let part = &drawn[0].parts[0].drawing;
+        let fork = part
+            .nodes
+            .iter()
+            .position(|node| node.name == "fork")
+            .unwrap();
+        assert_eq!((part.nodes[fork].x, part.nodes[fork].y), (-300.0, 7.0));
+        let of_fork = part
+            .arcs
+            .iter()
+            .filter(|arc| arc.from == fork || arc.to == fork);
+        assert!(of_fork.clone().count() > 1 && of_fork.clone().all(|arc| arc.via.is_empty()));
     }
 
     #[test]

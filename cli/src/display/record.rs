@@ -312,7 +312,7 @@ mod tests {
 
     #[test]
     fn a_live_display_keeps_a_bounded_past_and_what_it_keeps_leads_to_the_present() {
-        let hub = Hub::live("app", Overviews::default());
+        let hub = Hub::live("app", Overviews::default(), None);
         hub.describe(view(), state(0)).unwrap();
         for seq in 1..=6_001 {
             hub.take("n", batch(&Step::Event(Box::new(event(seq)))))

@@ -187,10 +187,16 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
                     return close(socket, close_code::UNSUPPORTED, "messages are text").await;
                 }
                 Some(Ok(_)) => {}
-                // Too long, or not as the protocol says; the library has closed it.
+                // Too long, or not as the protocol says.
                 Some(Err(error)) => {
                     tracing::debug!(error = %error, "a browser was let go");
-                    return Err(error);
+                    let reason = error.to_string();
+                    let code = if reason.contains("too long") {
+                        close_code::SIZE
+                    } else {
+                        close_code::PROTOCOL
+                    };
+                    return close(socket, code, &reason).await;
                 }
             },
         }
@@ -234,3 +240,6 @@ async fn ask(desk: &Desk, asked: Asked, control: bool) -> String {
         Err(_) => refused("the app is ending"),
     }
 }
+
+#[cfg(test)]
+mod tests;

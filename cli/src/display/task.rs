@@ -12,6 +12,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use super::{
     args::DisplayArgs,
+    arrange,
     hub::Hub,
     orders,
     overview::Overviews,
@@ -42,11 +43,21 @@ impl NetDisplay {
         let args: DisplayArgs = cx.args()?;
         let overviews = match &args.displays {
             // What is wrong in it was said when the app was checked.
-            Some(file) => Overviews::read(&cx.app().read(file)?, &mut Findings::new()),
+            Some(file) => {
+                let path = cx.path(file);
+                let mut nothing = Findings::new();
+                let mut overviews = Overviews::read(&cx.app().read(file)?, &mut nothing);
+                overviews.arrange_from(&path, &mut nothing);
+                overviews
+            }
             None => Overviews::default(),
         };
         Ok(Self {
-            hub: Arc::new(Hub::live(&cx.app().name, overviews)),
+            hub: Arc::new(Hub::live(
+                &cx.app().name,
+                overviews,
+                cx.chassis().clock().origin_ns(),
+            )),
             args,
             stop: None,
             orders: None,
@@ -147,7 +158,8 @@ impl EventHandler for NetDisplay {
                 }
                 if let Some(received) = self.orders.take() {
                     let (child, hub) = (cx.clone(), self.hub.clone());
-                    cx.spawn(async move { orders::carry(&child, &hub, received).await });
+                    let displays = self.args.displays.clone();
+                    cx.spawn(async move { orders::carry(&child, &hub, displays, received).await });
                 }
             }
             Phase::Run => self.analyse(cx),
@@ -189,8 +201,10 @@ async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
         let mut batch = cx.call(&to, follow).deadline(SILENCE).await?;
         after = Some(batch.mark);
         if view.is_some()
-            && let (Some(view), Some(state)) = (view.take(), batch.state.take())
+            && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
         {
+            // Nodes may have been moved since the net read where they are.
+            arrange::pin(cx, &mut view);
             hub.describe(view, state)?;
             hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
         }

@@ -19,6 +19,8 @@ pub(crate) enum Told<'t> {
         control: bool,
         nets: Vec<&'t str>,
         displays: Vec<Overview>,
+        /// When the app began, ns since 1970; not known of a record.
+        origin_ns: Option<u64>,
     },
     /// A net with all that is known of its past.
     Net {
@@ -48,6 +50,14 @@ pub(crate) enum Told<'t> {
         net: &'t str,
         breakpoints: &'t [Breakpoint],
     },
+    /// Somebody has moved nodes of a net.
+    Drawing {
+        net: &'t str,
+        written: &'t Drawing,
+        full: &'t Drawing,
+    },
+    /// Somebody has moved nodes of an overview display.
+    Displays { displays: Vec<Overview> },
     /// What the analysis found.
     Notes { notes: &'t [Note] },
     /// How a task is.
@@ -129,6 +139,13 @@ pub(crate) struct Asked {
     pub(crate) transition: Option<String>,
     #[serde(default)]
     pub(crate) place: Option<String>,
+    /// A node that was moved, the overview display on which it was, and its centre, px.
+    #[serde(default)]
+    pub(crate) node: Option<String>,
+    #[serde(default)]
+    pub(crate) display: Option<String>,
+    #[serde(default)]
+    pub(crate) at: Option<[f64; 2]>,
 }
 
 impl Told<'_> {

@@ -32,6 +32,7 @@ use crate::{
         injure::Injury,
         lookout::Lookout,
         session::{DownReason, Limits, Session, state::Event, state::State},
+        shm::pool::Pool,
         transport::{Address, Listener},
         zenoh::Fabric,
     },
@@ -133,6 +134,8 @@ struct Inner {
     runtime: Handle,
     /// Who reads what comes over plain sockets and shared memory.
     lookout: Arc<Lookout>,
+    /// What stands in it other processes of the host read in place; without one they are joined by sockets.
+    pool: Option<Arc<Pool>>,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
@@ -181,10 +184,14 @@ impl Mesh {
             address: chassis.name().to_owned(),
             error,
         })?;
-        let spin = app.links.spin;
+        let spin = app.links.spin_here();
         let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
         let lookout = lookout.map_err(MeshError::Wait)?;
         chassis.set_lookout(lookout.clone());
+        let pool = pool_of(app.links.same_host);
+        if let Some(pool) = &pool {
+            chassis.set_pool(pool.clone());
+        }
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -194,6 +201,7 @@ impl Mesh {
             fabric,
             runtime: Handle::current(),
             lookout,
+            pool,
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
             live: Mutex::default(),
@@ -295,12 +303,14 @@ impl Mesh {
             fabric.close().await;
         }
         self.inner.lookout.close();
+        self.inner.close_pool();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
         self.inner.lookout.close();
+        self.inner.close_pool();
         for door in &self.doors {
             door.abort();
         }
@@ -431,9 +441,30 @@ impl Inner {
         Some(session)
     }
 
+    /// Nothing is lent any more.
+    fn close_pool(&self) {
+        if let Some(pool) = &self.pool {
+            pool.close();
+        }
+    }
+
     fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
         let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
         Injury::of(config, self.chassis.app.seed, from, to)
+    }
+}
+
+/// The memory to lend from, where the configuration wants memory to be shared and the system has some.
+fn pool_of(same_host: SameHost) -> Option<Arc<Pool>> {
+    if same_host != SameHost::Shared {
+        return None;
+    }
+    match Pool::make() {
+        Ok(pool) => Some(pool),
+        Err(error) => {
+            tracing::warn!(error = %error, "no memory can be shared: the chassis of this host are joined by sockets");
+            None
+        }
     }
 }
 

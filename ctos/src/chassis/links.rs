@@ -224,7 +224,6 @@ impl Chassis {
             // Its thread slept at the links: its last look at the clock may be an old one.
             processor.look_at_clock();
         }
-        let body = body.into_vec();
         if header.flags.contains(Flags::REPLY) {
             return self.receive_reply(peer, call, header.flags, body);
         }
@@ -268,7 +267,7 @@ impl Chassis {
             let slot = ReplySlot::remote(self.clone(), request);
             (None, Acceptance::Told(slot))
         };
-        let data = Data::Bytes(body);
+        let data = Data::from(body);
         let mut message = Message::with_data(header.to, header.from, header.command, data)
             .in_trace(trace)
             .until(deadline);
@@ -278,7 +277,7 @@ impl Chassis {
         task.mailbox.put(message, acceptance);
     }
 
-    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Vec<u8>) {
+    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Body) {
         let pending = {
             let mut links = lock(&self.links);
             // A reply counts only when it comes from the chassis that was asked.
@@ -291,9 +290,9 @@ impl Chassis {
             return;
         };
         pending.answer(if flags.contains(Flags::FAULT) {
-            Err(postcard::from_bytes(&body).unwrap_or(Fault::NoReply))
+            Err(postcard::from_bytes(&body.into_vec()).unwrap_or(Fault::NoReply))
         } else {
-            Ok(Data::Bytes(body))
+            Ok(Data::from(body))
         });
     }
 

@@ -65,12 +65,24 @@ impl Default for LinkConfig {
     }
 }
 
-/// With one CPU the one for which a spinning reader waits could not run.
-fn default_spin() -> Duration {
-    match std::thread::available_parallelism() {
-        Ok(count) if count.get() > 1 => SPIN,
-        _ => Duration::ZERO,
+impl LinkConfig {
+    /// For how long this process looks before it sleeps.
+    pub(crate) fn spin_here(&self) -> Duration {
+        if may_spin() {
+            self.spin
+        } else {
+            Duration::ZERO
+        }
     }
+}
+
+/// With one CPU the one for which a spinning reader waits could not run.
+fn may_spin() -> bool {
+    std::thread::available_parallelism().is_ok_and(|count| count.get() > 1)
+}
+
+fn default_spin() -> Duration {
+    if may_spin() { SPIN } else { Duration::ZERO }
 }
 
 /// What goes wrong on purpose with the links of an app, to see what becomes of it.

@@ -315,7 +315,7 @@ pub struct TaskView {
     pub handled: u64,
     /// Of these, those that ended with an error.
     pub failed: u64,
-    /// Time spent in the handler, waiting for others included, s.
+    /// Time spent in the handler, waiting for others included, and in its synchronous functions, s.
     pub busy_s: f64,
     /// The longest that one message took, s.
     pub longest_s: f64,

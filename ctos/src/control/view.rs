@@ -199,8 +199,8 @@ fn task_view(chassis: &str, survey: &ChassisReport, task: &TaskReport) -> TaskVi
         phase_s: task.phase_since.map_or(0.0, seconds),
         handled: counters.handled,
         failed: counters.failed,
-        // What the message at hand has taken so far counts too.
-        busy_s: counters.busy.as_secs_f64() + in_handler_s.unwrap_or(0.0),
+        // What the message at hand has taken so far counts too, and what synchronous functions took.
+        busy_s: (counters.busy + task.cyclic).as_secs_f64() + in_handler_s.unwrap_or(0.0),
         longest_s: counters.longest.as_secs_f64(),
         in_handler_s,
         command: task.command.clone(),

@@ -230,6 +230,16 @@ impl Lookout {
         }
     }
 
+    /// How long to look before sleeping; zero where that would keep the others from their core.
+    pub(crate) fn spin_time(&self) -> Duration {
+        self.spin
+    }
+
+    /// The present moment.
+    pub(crate) fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
     fn nudge(&self) {
         // It can only fail when it was rung 2^64 times.
         let _ = rustix::io::write(&self.nudge, &1_u64.to_ne_bytes());

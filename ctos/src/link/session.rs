@@ -35,7 +35,7 @@ pub(crate) use self::writer::DirectWrite;
 pub(crate) use self::writer::Writer;
 use self::{
     line::Line,
-    packet::{Kind, PacketError},
+    packet::{Kind, Lend, PacketError},
     state::{Event, State},
     window::{Incoming, Outgoing, Pumped},
 };
@@ -244,6 +244,19 @@ impl Session {
         writer: Writer,
         received: u64,
     ) -> Result<u64, AttachError> {
+        self.attach_lending(writer, received, None)
+    }
+
+    /// [`Self::attach`] for a stream whose other end can read large data in place.
+    ///
+    /// # Errors
+    /// As [`Self::attach`].
+    pub(crate) fn attach_lending(
+        self: &Arc<Self>,
+        writer: Writer,
+        received: u64,
+        lend: Option<Box<dyn Lend>>,
+    ) -> Result<u64, AttachError> {
         let _handing = lock(&self.handing);
         let now = self.clock.now();
         let (stream, first) = {
@@ -257,6 +270,7 @@ impl Session {
                 core.state = next.ok_or(AttachError::State(core.state))?;
             }
             core.outgoing.restart(received)?;
+            core.outgoing.set_lend(lend);
             let core = &mut *core;
             core.line.advance(&mut core.outgoing, now);
             core.writer = Some(writer);
@@ -303,7 +317,10 @@ impl Session {
         };
         core.state = next;
         match next {
-            State::Broken => core.writer = None,
+            State::Broken => {
+                core.writer = None;
+                core.outgoing.set_lend(None);
+            }
             State::Down => {
                 core.reason.get_or_insert(reason);
                 if event == Event::Silence {
@@ -313,6 +330,7 @@ impl Session {
                 // A last attempt; nobody waits for it.
                 let _ = Self::pump_now(core, self.clock.now());
                 core.writer = None;
+                core.outgoing.set_lend(None);
             }
             State::Waiting | State::Up | State::Draining | State::Closing => {}
         }
@@ -464,7 +482,10 @@ impl Session {
             let limit = self.limits.timeout;
             return self.event(Event::Silence, DownReason::Silence(limit));
         }
-        self.put(|core, _| core.outgoing.pulse(Kind::Pulse));
+        self.put(|core, _| {
+            core.outgoing.collect();
+            core.outgoing.pulse(Kind::Pulse);
+        });
     }
 
     /// Ends in order: what was posted goes out first.

@@ -1,5 +1,5 @@
 //! Shared memory between two chassis of one host: a ring of bytes for each direction, and a bell for
-//! each side.
+//! each side. Large data need not go through the ring: it stays in the [`pool`] of its sender.
 //!
 //! The memory has no name: it is a memfd that one side makes and passes over the Unix socket that joins
 //! them, sealed so that neither can make it smaller; the system frees it when both are gone. What is in
@@ -8,6 +8,7 @@
 
 mod memory;
 pub(crate) mod pass;
+pub(crate) mod pool;
 
 use std::{
     io::{self, IoSlice},
@@ -20,7 +21,10 @@ use std::{
 
 use rustix::fs::{MemfdFlags, OFlags, SealFlags};
 
-use self::memory::Memory;
+use self::{
+    memory::Memory,
+    pool::{Foreign, Lending, Pool, Words},
+};
 use crate::link::lookout;
 
 /// Bytes of one ring's data; a power of two.
@@ -30,12 +34,14 @@ const RING: usize = 1 << 20;
 const LINE: usize = 128;
 
 /// Where the fields of a ring stand, in lines from its start: bytes ever written, bytes ever read,
-/// whether the writer waits for room.
+/// whether the writer waits for room, which parts of the writer's pool are lent (two lines).
 const WRITTEN: usize = 0;
 const READ: usize = 1;
 const WANTS_ROOM: usize = 2;
+const LOANS: usize = 3;
 /// Lines of a ring before its data.
-const RING_LINES: usize = 3;
+const RING_LINES: usize = 5;
+const _: () = assert!(pool::SLOTS * size_of::<u32>() <= (RING_LINES - LOANS) * LINE);
 
 /// Lines of a bell: whether anybody sleeps beside it.
 const BELL_LINES: usize = 1;
@@ -77,12 +83,13 @@ pub(crate) struct Corrupt {
 }
 
 /// Memory that two processes share.
-#[derive(Debug)]
 pub(crate) struct Shared {
     memory: Arc<Memory>,
     side: Side,
     /// What wakes the maker, and the guest.
     bells: [OwnedFd; 2],
+    /// What this side lends, and borrows.
+    pools: Option<(Lending, Arc<Foreign>)>,
 }
 
 impl Shared {
@@ -126,7 +133,29 @@ impl Shared {
             memory,
             side,
             bells,
+            pools: None,
         })
+    }
+
+    /// Lends from `pool` what the other side gives back at the end of `pipe`, and borrows from what the other
+    /// side offers.
+    ///
+    /// # Errors
+    /// When that is not what it should be.
+    fn share(&mut self, pool: Arc<Pool>, pipe: OwnedFd, theirs: [OwnedFd; 2]) -> io::Result<()> {
+        let words = |side: Side| Words {
+            memory: self.memory.clone(),
+            start: ring_of(side) + LOANS * LINE,
+        };
+        let lending = Lending::new(pool, words(self.side), pipe);
+        let foreign = Foreign::take(theirs, words(self.side.other()))?;
+        self.pools = Some((lending, foreign));
+        Ok(())
+    }
+
+    /// What this side lends and borrows.
+    pub(crate) fn take_pools(&mut self) -> Option<(Lending, Arc<Foreign>)> {
+        self.pools.take()
     }
 
     /// Both sides in one process, without a file.
@@ -138,6 +167,7 @@ impl Shared {
             memory: memory.clone(),
             side,
             bells: bells.each_ref().map(|bell| bell.try_clone().unwrap()),
+            pools: None,
         };
         (side(Side::Maker), side(Side::Guest))
     }
@@ -149,6 +179,7 @@ impl Shared {
             memory,
             side,
             bells,
+            pools: _,
         } = self;
         let (own, theirs) = match (side, bells) {
             (Side::Maker, [maker, guest]) => (maker, guest),
@@ -161,7 +192,7 @@ impl Shared {
         // A side writes into the ring of its own number.
         let ring = |side: Side| Ring {
             memory: memory.clone(),
-            start: 2 * BELL_LINES * LINE + side.index() * (RING_LINES * LINE + RING),
+            start: ring_of(side),
         };
         let sender = Sender {
             ring: ring(side),
@@ -178,6 +209,11 @@ impl Shared {
         };
         (sender, receiver, own)
     }
+}
+
+/// Where the ring begins into which a side writes.
+fn ring_of(side: Side) -> usize {
+    2 * BELL_LINES * LINE + side.index() * (RING_LINES * LINE + RING)
 }
 
 /// Neither side can make the memory smaller under the other one.

@@ -12,20 +12,14 @@
 
 use std::{
     cell::RefCell,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicUsize, Ordering},
-    },
+    sync::{Arc, LazyLock},
     time::Duration,
 };
 
 use serde::de::DeserializeOwned;
 
-use super::{Data, Flags, Header, PayloadError, Tid};
-use crate::{
-    call::{ReplySlot, lock},
-    time::Instant,
-};
+use super::{Data, Flags, Header, PayloadError, Tid, store::Store};
+use crate::{call::ReplySlot, time::Instant};
 
 /// How many go from thread to thread at once.
 const BATCH: usize = 64;
@@ -53,19 +47,8 @@ thread_local! {
     static SPARE: RefCell<Vec<Box<Letter>>> = const { RefCell::new(Vec::new()) };
 }
 
-/// What threads have too many of, and the buffers that it came in.
-struct Store {
-    full: Vec<Vec<Box<Letter>>>,
-    empty: Vec<Vec<Box<Letter>>>,
-}
-
-static STORE: Mutex<Store> = Mutex::new(Store {
-    full: Vec::new(),
-    empty: Vec::new(),
-});
-
-/// How many batches there are, for a look without the lock. Written under it only.
-static STORED: AtomicUsize = AtomicUsize::new(0);
+/// What threads have too many of.
+static STORE: LazyLock<Store<Box<Letter>>> = LazyLock::new(|| Store::new(MOST_BATCHES));
 
 impl Letter {
     const BLANK: Self = Self {
@@ -98,25 +81,13 @@ impl Letter {
 
     #[cold]
     fn from_store() -> Box<Self> {
-        let new = || Box::new(Self::BLANK);
-        if STORED.load(Ordering::Relaxed) == 0 {
-            return new();
-        }
         let got = SPARE.try_with(|spare| {
             let mut spare = spare.borrow_mut();
-            let mut store = lock(&STORE);
-            if let Some(batch) = store.full.pop() {
-                STORED.store(store.full.len(), Ordering::Relaxed);
-                let empty = std::mem::replace(&mut *spare, batch);
-                if store.empty.len() < MOST_BATCHES {
-                    store.empty.push(empty);
-                }
-            }
-            drop(store);
+            STORE.take(&mut spare);
             spare.pop()
         });
         // It fails where the thread ends.
-        got.ok().flatten().unwrap_or_else(new)
+        got.ok().flatten().unwrap_or_else(|| Box::new(Self::BLANK))
     }
 
     /// The data and whoever waits for the answer; the letter is kept for another message.
@@ -150,23 +121,9 @@ impl Letter {
             let mut spare = spare.borrow_mut();
             spare.push(self);
             if spare.len() >= 2 * BATCH {
-                Self::to_store(&mut spare);
+                STORE.give(&mut spare, BATCH);
             }
         });
-    }
-
-    #[cold]
-    fn to_store(spare: &mut Vec<Box<Self>>) {
-        let mut store = lock(&STORE);
-        if store.full.len() < MOST_BATCHES {
-            let mut batch = store.empty.pop().unwrap_or_default();
-            batch.extend(spare.drain(BATCH..));
-            store.full.push(batch);
-            STORED.store(store.full.len(), Ordering::Relaxed);
-        } else {
-            drop(store);
-            spare.truncate(BATCH);
-        }
     }
 }
 
@@ -209,6 +166,6 @@ mod tests {
         })
         .join()
         .unwrap();
-        assert!(lock(&STORE).full.len() <= MOST_BATCHES);
+        assert!(STORE.len() <= MOST_BATCHES);
     }
 }

@@ -13,6 +13,7 @@ use super::{
     report::RecordReport,
 };
 use crate::{
+    blob::Body,
     call::Fault,
     chassis::WaitFor,
     message::{CommandInfo, Data, Flags, Header, Message, Tid},
@@ -267,7 +268,7 @@ impl Tap {
         header: &Header,
         trace: u64,
         deadline: Option<Instant>,
-        body: &[u8],
+        body: &Body,
     ) -> u64 {
         if !self.is_recording() {
             return 0;
@@ -284,7 +285,7 @@ impl Tap {
             side: Side::Receiver,
         };
         let noted = self.note(header.to, None, what, |buffer| {
-            buffer.extend_from_slice(body);
+            body.append_to(buffer);
             true
         });
         if noted { id } else { 0 }

@@ -64,6 +64,7 @@ cases![
     tasks_that_wait_for_each_other_end_with_an_error,
     many_calls_at_once_from_one_task_each_get_their_own_reply,
     a_mebibyte_goes_there_and_back,
+    images_stay_the_same_while_anybody_has_them,
     what_is_too_large_for_a_link_is_refused_and_the_link_lives,
     a_trace_and_the_time_left_travel_with_the_message,
     every_task_says_what_it_has_done,
@@ -646,12 +647,34 @@ async fn many_calls_at_once_from_one_task_each_get_their_own_reply(suite: Suite)
 async fn a_mebibyte_goes_there_and_back(suite: Suite) -> Outcome {
     let bytes: Vec<u8> = (0..1 << 20).map(|index: u32| (index % 251) as u8).collect();
     let request = Mirror {
-        bytes: bytes.clone(),
+        bytes: bytes.clone().into(),
     };
     let mirrored = suite.cx.call(&suite.peer, request).await?;
-    check(mirrored == bytes, || {
+    check(*mirrored == *bytes, || {
         "the bytes changed on their way".to_owned()
     })
+}
+
+async fn images_stay_the_same_while_anybody_has_them(suite: Suite) -> Outcome {
+    // More than fits into what chassis share, so that some go the ordinary way.
+    let mut kept = Vec::new();
+    for number in 0..80_u8 {
+        let mut image = suite.cx.blob(300_000);
+        image.fill(number);
+        let bytes = image.freeze();
+        kept.push((number, bytes.clone()));
+        kept.push((number, suite.cx.call(&suite.peer, Mirror { bytes }).await?));
+        if number % 3 == 0 {
+            kept.swap_remove(usize::from(number) / 3);
+        }
+    }
+    for (number, image) in kept {
+        check(
+            image.len() == 300_000 && image.iter().all(|byte| *byte == number),
+            || format!("image {number} has changed"),
+        )?;
+    }
+    Ok(())
 }
 
 async fn what_is_too_large_for_a_link_is_refused_and_the_link_lives(suite: Suite) -> Outcome {
@@ -659,7 +682,7 @@ async fn what_is_too_large_for_a_link_is_refused_and_the_link_lives(suite: Suite
     let limit = Duration::from_secs(60);
     let too_large =
         |fault: &Fault| matches!(fault, Fault::BadPayload { text } if text.contains("at most"));
-    let bytes = vec![0; size];
+    let bytes = vec![0; size].into();
     let there = suite
         .cx
         .call(&suite.peer, Mirror { bytes })

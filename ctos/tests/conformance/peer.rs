@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use ctos::{
+    Blob,
     message::{Command, CommandInfo, Message, Replier},
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Handover},
@@ -23,7 +24,7 @@ ctos::command! {
 }
 ctos::command! {
     /// Answers bytes with the same bytes.
-    pub struct Mirror { pub bytes: Vec<u8> } => Vec<u8>, 2, "mirror"
+    pub struct Mirror { pub bytes: Blob } => Blob, 2, "mirror"
 }
 ctos::command! {
     /// Answers with so many bytes.

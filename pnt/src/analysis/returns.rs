@@ -42,21 +42,21 @@ pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
     if explored.markings / 8 > bytes {
         return None;
     }
-    if let Some(bytes) = all_return(explored) {
+    // Where all firings are sure, what is reachable is reachable from wherever the initial marking is.
+    let quick = (!explored.rules.has_whens).then(|| all_return(explored));
+    if let Some(bytes) = quick.flatten() {
+        let mut live = vec![false; explored.model.label_count()];
+        for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
+            if let (Some(label), true) = (transition.label, seen) {
+                live[label as usize] = true;
+            }
+        }
         return Some(Returns {
             reversible: true,
             no_return: None,
             terminal: 1,
             home_states: explored.markings,
-            live: {
-                let mut live = vec![false; explored.model.label_count()];
-                for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
-                    if let (Some(label), true) = (transition.label, seen) {
-                        live[label as usize] = true;
-                    }
-                }
-                live
-            },
+            live,
             bytes,
         });
     }
@@ -80,9 +80,9 @@ pub fn always_reachable(
     Some(components.without_wanted)
 }
 
-/// Index, lowest index, stack and call frame of every marking.
+/// Index, lowest index, stack and call frame of every marking, and whether it returns.
 fn components_bytes(explored: &Explored<'_>) -> Option<usize> {
-    explored.markings.checked_mul(4 + 4 + 4 + 12)
+    explored.markings.checked_mul(4 + 4 + 4 + 12 + 1)
 }
 
 /// The markings of all workers numbered through, and the firings between them.
@@ -228,7 +228,8 @@ struct Components<'a> {
     live: Vec<bool>,
     terminal: usize,
     home_states: usize,
-    initial_component: Option<u32>,
+    /// Of nodes whose component is complete, whether a way leads to the initial marking.
+    returns: Vec<bool>,
     wanted: &'a dyn Fn(&[u32]) -> bool,
     /// A marking of a terminal component that has none as wanted.
     without_wanted: Option<Vec<u32>>,
@@ -239,6 +240,8 @@ struct Frame {
     position: u32,
     /// Whether something leaves the part of the component found so far.
     leaves: bool,
+    /// Whether something leads to a marking from which a way leads to the initial one.
+    returns: bool,
 }
 
 /// Not visited.
@@ -258,16 +261,16 @@ impl<'a> Components<'a> {
             live: vec![true; explored.model.label_count()],
             terminal: 0,
             home_states: 0,
-            initial_component: None,
+            returns: vec![false; explored.markings],
             wanted,
             without_wanted: None,
         }
     }
 
     fn find(mut self, bytes: usize) -> Returns {
-        let initial = self.visit_all();
-        let reversible = self.initial_component.is_some() && self.reversible();
-        let no_return = (!reversible).then(|| self.no_return(initial)).flatten();
+        self.visit_all();
+        let reversible = self.returns.iter().all(|returns| *returns);
+        let no_return = (!reversible).then(|| self.no_return()).flatten();
         Returns {
             reversible,
             no_return,
@@ -282,10 +285,21 @@ impl<'a> Components<'a> {
         }
     }
 
-    /// All components. The number of the initial marking.
-    fn visit_all(&mut self) -> usize {
+    /// All components.
+    fn visit_all(&mut self) {
         let initial = self.graph.initial().unwrap_or(0);
-        self.visit(initial);
+        self.visit_from(initial, initial);
+        // What only firings lead to that are not sure.
+        for root in 0..self.index.len() {
+            if self.index[root] == NEW {
+                self.visit_from(root, initial);
+            }
+        }
+    }
+
+    /// All that is reached from here and was not visited before.
+    fn visit_from(&mut self, root: usize, initial: usize) {
+        self.visit(root);
         while let Some(frame) = self.frames.last() {
             let (node, position) = (frame.node, frame.position as usize);
             self.graph.expand(node as usize);
@@ -296,24 +310,15 @@ impl<'a> Components<'a> {
             }
             self.graph.scratch.enabled = enabled;
         }
-        initial
     }
 
-    /// Whether the initial marking's component is the only one.
-    fn reversible(&self) -> bool {
-        let first = self.initial_component;
-        self.low.iter().all(|component| Some(*component) == first)
-    }
-
-    /// The nearest marking outside the component of the initial one, which no other leads back into:
-    /// all markings are reachable, so those that return are in it.
-    fn no_return(&self, initial: usize) -> Option<Vec<u32>> {
-        let own = self.low[initial];
+    /// The nearest marking from which no way leads to the initial one.
+    fn no_return(&self) -> Option<Vec<u32>> {
         let explored = self.graph.explored;
         let mut best: Option<(usize, Vec<u32>)> = None;
         for (worker, first) in explored.stores().iter().zip(&self.graph.offsets) {
-            let outside = (0..worker.len()).find(|id| self.low[first + id] != own);
-            if let Some(id) = outside {
+            let lost = (0..worker.len()).find(|id| !self.returns[first + id]);
+            if let Some(id) = lost {
                 // A number within one worker has 32 bits.
                 let id = id as u32;
                 let mut marking = Vec::new();
@@ -339,6 +344,7 @@ impl<'a> Components<'a> {
             node,
             position: 0,
             leaves: false,
+            returns: false,
         });
     }
 
@@ -357,7 +363,10 @@ impl<'a> Components<'a> {
                 self.visit(successor);
                 return true;
             }
-            DONE => frame.leaves = true,
+            DONE => {
+                frame.leaves = true;
+                frame.returns |= self.returns[successor];
+            }
             index => {
                 let low = &mut self.low[node as usize];
                 *low = (*low).min(index);
@@ -375,9 +384,10 @@ impl<'a> Components<'a> {
         let low = self.low[node];
         let complete = low == self.index[node];
         if complete {
-            self.complete(frame.node, frame.leaves, initial);
+            self.complete(&frame, initial);
         }
         if let Some(parent) = self.frames.last_mut() {
+            parent.returns |= frame.returns || self.returns[node];
             if complete {
                 parent.leaves = true;
             } else {
@@ -388,19 +398,18 @@ impl<'a> Components<'a> {
         }
     }
 
-    /// The nodes from `root` up on the open stack are a component. From here on `low` is its name.
-    fn complete(&mut self, root: u32, leaves: bool, initial: usize) {
-        let name = self.index[root as usize];
-        let mut fires = (!leaves).then(|| vec![false; self.live.len()]);
+    /// The nodes from that of the frame up on the open stack are a component.
+    fn complete(&mut self, frame: &Frame, initial: usize) {
+        let root = frame.node;
+        let mut fires = (!frame.leaves).then(|| vec![false; self.live.len()]);
         let mut size = 0;
         let mut wanted = false;
+        // The initial marking is visited first, so it is the root of its component.
+        let returns = frame.returns || root as usize == initial;
         while let Some(node) = self.open.pop() {
             size += 1;
             self.index[node as usize] = DONE;
-            self.low[node as usize] = name;
-            if node as usize == initial {
-                self.initial_component = Some(name);
-            }
+            self.returns[node as usize] = returns;
             if let Some(fires) = &mut fires {
                 self.graph.expand(node as usize);
                 wanted |= (self.wanted)(&self.graph.scratch.marking);

@@ -70,7 +70,7 @@ fn workflow(
             Phase::Put(_) => transition.inhibitors.push((budget, 0)),
             _ => {}
         }
-        forbidden.push(step.unasked);
+        forbidden.push(step.unasked || step.overfills.is_some());
     }
     let mut end = model.initial();
     if let Some(tokens) = end.last_mut() {

@@ -436,3 +436,36 @@ fn functions_that_no_library_offers_are_found() {
     ));
     assert!(shown[2].ends_with("no local function `plan_path` (did you mean `plan_paths`?)"));
 }
+
+#[test]
+fn a_token_for_a_full_place_is_found_before_it_is_sent() {
+    // Two orders may be sent for each part that is fetched; the shelf takes one.
+    let sender = "net a\nplace free = 2\ncommand order -> sent\ntransition send\n  in free\n  tape order\n  out shelf@b\n  write sent\n";
+    let shelf = |capacity: u32| {
+        format!(
+            "net b\nplace shelf capacity {capacity}\ntransition fetch\n  in shelf\n  out free@a\n"
+        )
+    };
+    let (_, found) = check_all(&[sender, &shelf(1)]);
+    let message = the(&found, "pnt::check::overfilled", "a.net:4:12");
+    assert!(
+        message.contains("tokens of `a.send` can find no room in `b.shelf`"),
+        "{message}"
+    );
+    let (report, found) = check_all(&[sender, &shelf(2)]);
+    assert!(report.proved && found.is_empty(), "{found:#?}");
+}
+
+#[test]
+fn room_that_is_kept_for_a_running_action_is_no_room() {
+    // The part that is made has its room in `out` from the start; with room for one the two wait for
+    // each other.
+    let found = |capacity: u32| {
+        let text = format!(
+            "net n\nplace raw = 1, other = 1, out capacity {capacity}\ntransition make\n  in raw\n  do make\n  out out\ntransition bring\n  in other\n  out out\ntransition take\n  in out*2\n  out raw, other\n"
+        );
+        check_all(&[&text]).1
+    };
+    assert!(found(1).iter().any(|f| f.code == "pnt::check::deadlock"));
+    assert!(found(2).is_empty());
+}

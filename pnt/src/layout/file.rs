@@ -121,6 +121,7 @@ impl LayoutFile {
             view.place(name).is_some()
                 || view.transition(name).is_some()
                 || view.transitions.iter().any(|one| one.shown == name)
+                || view.sends_to(name)
         };
         let (known, unknown): (BTreeMap<_, _>, BTreeMap<_, _>) =
             self.nodes.into_iter().partition(|(name, _)| shown(name));

@@ -558,7 +558,9 @@ fn names_that_xml_would_change_are_refused() {
 proptest! {
     #[test]
     fn what_is_written_is_read_as_the_same_net(draft in a_draft()) {
-        prop_assume!(!draft.transitions.is_empty());
+        if draft.transitions.is_empty() {
+            return Ok(());
+        }
         let draft = in_pnml(draft);
         let written = write(&file_of(draft.clone())).unwrap_or_else(|f| panic!("{f}"));
         let file = format::read_bytes("w", written.as_bytes());
@@ -571,7 +573,9 @@ proptest! {
 
     #[test]
     fn every_net_that_is_read_has_a_text_form(draft in a_draft()) {
-        prop_assume!(!draft.transitions.is_empty());
+        if draft.transitions.is_empty() {
+            return Ok(());
+        }
         let written = write(&file_of(in_pnml(draft))).unwrap_or_else(|f| panic!("{f}"));
         let file = format::read_bytes("w", written.as_bytes()).unwrap_or_else(|f| panic!("{f}"));
         let text = file.draft.to_string();

@@ -1,17 +1,21 @@
 //! Steady state of a Markov chain given by rates: the embedded chain of its jumps is solved, and each
 //! state weighed by how long it lasts. Knows numbers only.
 
+use super::levels::Chain;
+
 /// States up to which elimination is quick enough: it is exact to rounding and cannot fail.
 const MOST_ELIMINATED: usize = 400;
 
-/// A sweep of the iteration goes nine tenths of the way: going all the way may swing for ever in a
-/// chain that returns only after multiples of some number of jumps.
-const RELAXATION: f64 = 0.9;
+/// States to which the iteration makes a chain smaller before it eliminates.
+const COARSEST: usize = 100;
 
-/// Relative change of a sweep at which the iteration ends.
+/// Relative change of a cycle, or of a sweep, at which the iteration ends.
 const CONVERGED: f64 = 1e-12;
 
-/// Sweeps after which it gives up.
+/// Cycles over chains of all sizes after which it goes on with single sweeps.
+const MOST_CYCLES: usize = 300;
+
+/// Sweeps and cycles after which it gives up.
 const MOST_SWEEPS: usize = 50_000;
 
 /// Rates from each state to others.
@@ -132,7 +136,7 @@ pub(super) fn steady_state(
     let (visits, sweeps) = if class.len() <= MOST_ELIMINATED {
         (eliminate(&jumps, &leaving), 0)
     } else {
-        iterate(&jumps, &leaving)?
+        iterate(&jumps, &leaving, COARSEST)?
     };
     let lasting: Vec<f64> = visits
         .iter()
@@ -187,52 +191,38 @@ fn eliminate(jumps: &[Vec<(usize, f64)>], leaving: &[f64]) -> Vec<f64> {
     visits
 }
 
-/// Visits of the embedded chain by relaxed Gauss-Seidel sweeps.
+/// Visits of the embedded chain by iteration, over chains of sizes down to `coarsest`. A cycle that
+/// swings for ever is not excluded; sweeps alone do not swing, so they have the last word.
 fn iterate(
     jumps: &[Vec<(usize, f64)>],
     leaving: &[f64],
+    coarsest: usize,
 ) -> Result<(Vec<f64>, usize), NoConvergence> {
     let count = jumps.len();
-    // Where from, and how probably: by the state that is reached.
-    let mut begins = vec![0_usize; count + 1];
-    for (to, _) in jumps.iter().flatten() {
-        begins[to + 1] += 1;
-    }
-    for index in 0..count {
-        begins[index + 1] += begins[index];
-    }
-    let mut filled = begins.clone();
-    let mut sources = vec![(0_u32, 0.0_f64); begins[count]];
-    for (from, row) in jumps.iter().enumerate() {
-        for (to, rate) in row {
-            sources[filled[*to]] = (
-                u32::try_from(from).unwrap_or(u32::MAX),
-                rate / leaving[from],
-            );
-            filled[*to] += 1;
-        }
-    }
+    let parts: Vec<Vec<(usize, f64)>> = jumps
+        .iter()
+        .zip(leaving)
+        .map(|(row, leaving)| row.iter().map(|(to, rate)| (*to, rate / leaving)).collect())
+        .collect();
+    let chain = Chain::new(&parts);
     #[allow(clippy::cast_precision_loss, reason = "counts are far below 2^52")]
     let mut visits = vec![1.0 / count as f64; count];
+    let mut before = visits.clone();
     let mut change = 0.0;
     for sweep in 1..=MOST_SWEEPS {
-        change = 0.0_f64;
-        for state in 0..count {
-            let into = &sources[begins[state]..begins[state + 1]];
-            let sum: f64 = into
-                .iter()
-                .map(|(from, part)| visits[*from as usize] * part)
-                .sum();
-            let before = visits[state];
-            let after = before + RELAXATION * (sum - before);
-            visits[state] = after;
-            if after > 0.0 {
-                change = change.max((after - before).abs() / after);
-            }
+        if sweep <= MOST_CYCLES {
+            chain.cycle(&mut visits, coarsest, eliminate);
+        } else {
+            chain.sweep(&mut visits);
         }
         let total: f64 = visits.iter().sum();
-        for visit in &mut visits {
+        change = 0.0_f64;
+        for (visit, before) in visits.iter_mut().zip(&mut before) {
             *visit /= total;
+            if *visit > 0.0 {
+                change = change.max((*visit - *before).abs() / *visit);
+            }
+            *before = *visit;
         }
         if change < CONVERGED {
             return Ok((visits, sweep));
@@ -318,7 +308,7 @@ mod tests {
                 })
                 .collect();
             let leaving: Vec<f64> = jumps.iter().map(|r| r.iter().map(|(_, rate)| rate).sum()).collect();
-            let (visits, _) = iterate(&jumps, &leaving).unwrap();
+            let (visits, _) = iterate(&jumps, &leaving, 4).unwrap();
             let times: Vec<f64> = visits.iter().zip(&leaving).map(|(v, l)| v / l).collect();
             let total: f64 = times.iter().sum();
             for (time, part) in times.iter().zip(&parts) {

@@ -94,34 +94,48 @@ pub(super) fn simulate(model: &Model, options: &Options) -> Result<Run, PerfErro
     #[allow(clippy::cast_precision_loss, reason = "a length of time")]
     let batch_s = batch_ns as f64 / 1e9;
     let t = student::quantile(options.confidence, BATCHES - 1);
-    let intervals = |of: &dyn Fn(&Sums) -> &Vec<f64>| -> Vec<Interval> {
+    let time_s = batch_s * f64::from(BATCHES);
+    let firings = game.timed - before;
+    let unseen = unseen(options.confidence, firings);
+    #[allow(clippy::cast_precision_loss, reason = "a count of firings")]
+    let unseen_per_s = unseen * firings.max(1) as f64 / time_s;
+    let intervals = |of: &dyn Fn(&Sums) -> &Vec<f64>, unseen: f64| -> Vec<Interval> {
         let count = batches.first().map_or(0, |sums| of(sums).len());
         let values =
             (0..count).map(|index| batches.iter().map(move |sums| of(sums)[index] / batch_s));
-        values.map(|values| interval(values, t)).collect()
+        values.map(|values| interval(values, t, unseen)).collect()
     };
     Ok(Run {
         simulated: Simulated {
-            time_s: batch_s * f64::from(BATCHES),
-            firings: game.timed - before,
+            time_s,
+            firings,
             batches: BATCHES as usize,
             confidence: options.confidence,
             seed: options.seed,
         },
-        tokens: intervals(&|sums| &sums.tokens),
-        marked: intervals(&|sums| &sums.marked),
-        throughput: intervals(&|sums| &sums.ends),
-        busy: intervals(&|sums| &sums.busy),
+        tokens: intervals(&|sums| &sums.tokens, unseen),
+        marked: intervals(&|sums| &sums.marked, unseen),
+        throughput: intervals(&|sums| &sums.ends, unseen_per_s),
+        busy: intervals(&|sums| &sums.busy, unseen),
     })
 }
 
-fn interval(values: impl Iterator<Item = f64> + Clone, t: f64) -> Interval {
+/// The part of all firings that something may take with so many firings none of which showed it: the
+/// "rule of three". Batches that are all the same would else say that the value is known exactly.
+fn unseen(confidence: f64, firings: u64) -> f64 {
+    #[allow(clippy::cast_precision_loss, reason = "a count of firings")]
+    let firings = firings.max(1) as f64;
+    (-(1.0 - confidence).ln() / firings).min(1.0)
+}
+
+/// The mean, and an interval that is not narrower than what may have stayed unseen.
+fn interval(values: impl Iterator<Item = f64> + Clone, t: f64, unseen: f64) -> Interval {
     let count = f64::from(BATCHES);
     let mean = values.clone().sum::<f64>() / count;
     let squares: f64 = values.map(|value| (value - mean).powi(2)).sum();
     Interval {
         mean,
-        half_width: t * (squares / (count - 1.0) / count).sqrt(),
+        half_width: (t * (squares / (count - 1.0) / count).sqrt()).max(unseen),
     }
 }
 

@@ -501,6 +501,15 @@ proptest! {
             return Ok(());
         }
         let (both, agree) = report.agreement();
-        prop_assert!(both > 0 && agree == both, "{} of {}\n{}\n{:#?}", agree, both, text, report);
+        prop_assert!(both > 0);
+        if agree == both {
+            return Ok(());
+        }
+        // An interval may miss, that is what its confidence says, and one from few visits to a rare
+        // marking more often. What is wrong stays wrong when it is simulated longer by other chances.
+        let longer = Options { seed: 77, time_s: options.time_s.map(|s| 50.0 * s), ..options };
+        let report = analyse(&nets(&[&text]), &longer).unwrap();
+        let (both, agree) = report.agreement();
+        prop_assert!(agree == both, "{} of {}\n{}\n{:#?}", agree, both, text, report);
     }
 }

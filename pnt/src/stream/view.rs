@@ -201,6 +201,17 @@ impl NetView {
         places.chain(self.transitions.iter().map(|one| one.shown.as_str()))
     }
 
+    /// Whether `name` is `PLACE@NET`, a place of another net to which this one sends tokens.
+    #[must_use]
+    pub fn sends_to(&self, name: &str) -> bool {
+        let Some((place, net)) = name.split_once('@') else {
+            return false;
+        };
+        let sends = self.transitions.iter();
+        let mut sends = sends.flat_map(|one| one.sends.iter().chain(&one.fail_sends));
+        sends.any(|arc| arc.place == place && arc.net == net)
+    }
+
     /// The node, as its author calls it, that stands at `file:line:column` of the net text.
     #[must_use]
     pub fn node_at(&self, at: &str) -> Option<&str> {

@@ -230,13 +230,14 @@ impl Manual {
 }
 
 impl<S: 'static> Engine<S> {
-    /// Sets the breakpoints of the configuration, before anything is fired.
+    /// Sets the breakpoints of the configuration, and those that people left, before anything is fired.
     pub(super) fn arm(&self) -> Result<(), HandlerError> {
+        let kept = self.kept_breakpoints();
         let mut core = self.core.borrow_mut();
         let Core {
             manual, execution, ..
         } = &mut *core;
-        for text in &self.settings.breakpoints {
+        for text in self.settings.breakpoints.iter().chain(&kept) {
             manual.set(text, execution)?;
         }
         Ok(())
@@ -289,7 +290,11 @@ impl<S: 'static> Engine<S> {
         {
             return self.replace(cx, &file, &text, within_ms, reply);
         }
-        let (said, happened) = self.carry_out_order(cx, order)?;
+        let sets = matches!(order, Order::Break { .. } | Order::Clear { .. });
+        let (mut said, happened) = self.carry_out_order(cx, order)?;
+        if sets && let Err(error) = self.keep_breakpoints() {
+            said = format!("{said}, {error}");
+        }
         {
             let mut core = self.core.borrow_mut();
             let net = std::sync::Arc::clone(core.execution.net());

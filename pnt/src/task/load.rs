@@ -8,7 +8,10 @@ use ctos::{
     registry::Registry,
 };
 
-use super::settings::{self, settings};
+use super::{
+    breaks,
+    settings::{self, settings},
+};
 use crate::{
     check::{self, FunctionNames, Limits, Report},
     compile,
@@ -52,6 +55,9 @@ pub fn check_args(
         Ok(net) => {
             check::functions(&net, functions, findings);
             check_layout(&net, task, app, findings);
+            if let Ok(settings) = settings(task) {
+                breaks::check(&net, &app.folder.join(settings.net), findings);
+            }
             if net.name() != task.name {
                 let finding = wrong_name(&task.name, net.name());
                 findings.push(finding.at(task.place.clone()));

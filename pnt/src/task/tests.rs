@@ -358,6 +358,34 @@ fn an_action_without_failure_branch_is_tried_again_and_then_the_net_gives_up_alo
 }
 
 #[test]
+fn timed_transitions_of_a_running_net_fire_when_their_time_is_over() {
+    let net = "net n
+place rest = 1, left, right, both
+command go -> gone
+transition begin\n  in rest\n  tape go\n  out left, right
+transition quick\n  in left\n  out both\n  time 2 s
+transition loses\n  in left\n  out both\n  time 3 s
+transition slow\n  in right\n  out both\n  time 5 s
+transition end\n  in both*2\n  out rest\n  write gone
+";
+    let text = alone(net, "go", || Library::new(())).unwrap();
+    let fired: Vec<(u64, &str)> = text
+        .lines()
+        .filter_map(|line| line.strip_suffix(" fired")?.split_once(' '))
+        .map(|(at_ns, transition)| (at_ns.parse().unwrap(), transition))
+        .collect();
+    let began = fired[0].0;
+    let since: Vec<(u64, &str)> = fired.iter().map(|(at, name)| (at - began, *name)).collect();
+    let expected = [
+        (0, "begin"),
+        (2_000_000_000, "quick"),
+        (5_000_000_000, "slow"),
+        (5_000_000_000, "end"),
+    ];
+    assert_eq!(since, expected);
+}
+
+#[test]
 fn a_net_that_fires_in_a_circle_is_stopped_and_says_so() {
     let circle = "net n\nplace a = 1, b\ncommand go -> gone\ntransition there\n  in a\n  out b\ntransition back\n  in b\n  out a\ntransition never\n  in a*2\n  tape go\n  out a\n  write gone\n";
     let error = alone(circle, "go", || Library::new(())).unwrap_err();

@@ -3,7 +3,10 @@
 //! arguments in the place of the parameters and `I.` before the names of its places and transitions.
 //! Knows no more of the lines than that they are tokens.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
@@ -36,6 +39,16 @@ pub(super) struct Subnet {
     name: Word,
     parameters: Vec<Word>,
     lines: Vec<Line>,
+}
+
+impl Token {
+    /// Its text, if it is a name.
+    fn name(&self) -> Option<&String> {
+        match &self.symbol {
+            Symbol::Name(name) => Some(name),
+            _ => None,
+        }
+    }
 }
 
 /// All subnets that a net can use.
@@ -303,6 +316,8 @@ pub(super) struct Expansion<'s> {
     subnets: &'s Subnets,
     /// Subnets being expanded, outermost first.
     open: Vec<String>,
+    /// Subnets that were expanded.
+    used: BTreeSet<String>,
     /// Lines of all instances so far.
     lines: usize,
 }
@@ -313,6 +328,7 @@ impl<'s> Expansion<'s> {
         Self {
             subnets,
             open: Vec::new(),
+            used: BTreeSet::new(),
             lines: 0,
         }
     }
@@ -322,8 +338,27 @@ impl<'s> Expansion<'s> {
         Self {
             subnets: self.subnets,
             open: std::mem::take(&mut self.open),
+            used: std::mem::take(&mut self.used),
             lines: self.lines,
         }
+    }
+
+    /// The lines of the subnets that were not expanded, each with whether it holds a parameter.
+    pub(super) fn unused(&self) -> Vec<Vec<(Line, bool)>> {
+        let known = self.subnets.known.values();
+        let unused = known.filter(|subnet| !self.used.contains(&subnet.name.text));
+        unused
+            .map(|subnet| {
+                let open = |line: &Line| {
+                    let names = line.tokens.iter().skip(1).filter_map(Token::name);
+                    let mut names =
+                        names.filter(|name| subnet.parameters.iter().any(|p| p.text == **name));
+                    names.next().is_some()
+                };
+                let lines = subnet.lines.iter();
+                lines.map(|line| (line.clone(), open(line))).collect()
+            })
+            .collect()
     }
 
     pub(super) fn take_back(&mut self, lent: Self) {
@@ -381,6 +416,7 @@ impl<'s> Expansion<'s> {
             .map(|line| substituted(line, &subnet.parameters, &wanted.arguments));
         let lines = lines.collect();
         self.open.push(subnet.name.text.clone());
+        self.used.insert(subnet.name.text.clone());
         let mut draft = read(self, lines, findings);
         self.open.pop();
         if let Some(finding) = captured(&draft, &wanted.arguments) {
@@ -449,7 +485,7 @@ fn prefix(draft: &mut Draft, instance: &Word) {
         .iter()
         .map(|place| place.name.text.clone())
         .collect();
-    let own: std::collections::BTreeSet<&str> = own.iter().map(String::as_str).collect();
+    let own: BTreeSet<&str> = own.iter().map(String::as_str).collect();
     let full = |word: &mut Word| *word = word.derived(format!("{instance}.{word}"));
     let arc = |arc: &mut DraftArc| {
         if arc.net.is_none() && own.contains(arc.place.text.as_str()) {

@@ -292,6 +292,30 @@ fn what_is_wrong_with_subnets_is_told_at_its_place() {
 }
 
 #[test]
+fn a_subnet_that_no_net_uses_is_read_for_its_mistakes_too() {
+    let unused = format!("net n\nplace p\n{GRIPPER}");
+    assert!(parse(&Source::new("a.net", unused)).is_ok());
+    let text = "net n\nplace p\nsubnet s(a, size, file)
+place q = size capacity size
+transition t\n  inn a\n  in q, q r\n  out a*size\n  within 3 parsecs\n  do file
+coordinator c : x\nuse other(a) as o\nuse another(q) as o
+end\nsubnet free\nplace a\nplase b\nend\n";
+    let found = findings(text);
+    let starts = [
+        "a.net:6:3: error: no line of net text begins with `inn` (did you mean `in`?)",
+        "a.net:7:",
+        "a.net:9:",
+        "a.net:11:1: error: a subnet has no `coordinator` lines",
+        "a.net:13:5: error: there is no subnet `another`",
+        "a.net:17:1: error: no line of net text begins with `plase` (did you mean `place`?)",
+    ];
+    assert_eq!(found.len(), starts.len(), "{found:#?}");
+    for (found, start) in found.iter().zip(starts) {
+        assert!(found.starts_with(start), "{found} should be {start}");
+    }
+}
+
+#[test]
 fn files_that_include_each_other_and_subnets_that_multiply_are_refused() {
     let source = Source::new("a.net", "net n\ninclude \"b.net\"\n");
     let found = parse_with(&source, &mut |file| {

@@ -5,13 +5,13 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 fn frame(width: usize, height: usize, pixels: Vec<u8>) -> Frame {
     Frame {
         width,
         height,
-        pixels: Arc::from(pixels),
+        pixels: pixels.into(),
         stamp: Duration::ZERO,
         number: 0,
     }

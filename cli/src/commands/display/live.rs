@@ -15,6 +15,7 @@ use ctos::{
     registry::Registry,
 };
 use pnt::{
+    layout::{Detail, Drawing},
     stream::{Batch, Describe, Event, Follow, NetView, Replica, State},
     task::COMMANDS,
 };
@@ -41,6 +42,8 @@ enum News {
 /// A net that is followed.
 pub(super) struct Live {
     pub(super) view: NetView,
+    /// Its nodes and arcs, in its author's words.
+    pub(super) drawing: Drawing,
     replica: Replica,
     pub(super) events: Vec<Event>,
     pub(super) gone: Option<String>,
@@ -119,6 +122,7 @@ impl Nets {
             News::Net(view, state) => {
                 if let Ok(replica) = Replica::new(&view, *state) {
                     let net = Live {
+                        drawing: Drawing::new(&view, Detail::Written),
                         view: *view,
                         replica,
                         events: Vec::new(),

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use pnt::stream::{ArcView, NetView, Standing, State, TransitionView};
+use pnt::stream::{Standing, TransitionView};
 use ratatui::{
     Frame,
     crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers},
@@ -13,7 +13,10 @@ use ratatui::{
     widgets::{Block, Paragraph},
 };
 
-use super::live::{Live, Nets};
+use super::{
+    hops::{self, Look},
+    live::{Live, Nets},
+};
 use crate::{display::text, show};
 
 /// How often the screen is drawn, at most.
@@ -79,8 +82,8 @@ impl Screen {
         let areas = Layout::vertical([
             Constraint::Length(1),
             Constraint::Length(1),
-            Constraint::Min(6),
-            Constraint::Length(9),
+            Constraint::Fill(2),
+            Constraint::Fill(3),
             Constraint::Length(1),
         ]);
         let [head, tabs, middle, around, foot] = areas.areas(frame.area());
@@ -121,7 +124,7 @@ impl Screen {
         let one =
             one.and_then(|(name, ..)| net.view.transitions.iter().find(|one| one.shown == *name));
         if let Some(one) = one {
-            neighbourhood(frame, around, &net.view, net.state(), one);
+            neighbourhood(frame, around, net, &standings, one);
         }
     }
 
@@ -209,71 +212,19 @@ fn events(frame: &mut Frame<'_>, area: Rect, net: &Live) {
     frame.render_widget(Paragraph::new(lines.collect::<Vec<_>>()).block(block), area);
 }
 
-/// A transition with the places around it.
+/// The nodes around a transition, in boxes, with what it calls and where it stands in the title.
 fn neighbourhood(
     frame: &mut Frame<'_>,
     area: Rect,
-    view: &NetView,
-    state: &State,
+    net: &Live,
+    standings: &[(&str, Standing, String)],
     one: &TransitionView,
 ) {
-    let parts: Vec<&TransitionView> = view
+    let parts = net
+        .view
         .transitions
         .iter()
-        .filter(|other| other.shown == one.shown)
-        .collect();
-    let place = |arc: &ArcView, mark: &str| {
-        let index = arc.place as usize;
-        let name = view
-            .places
-            .get(index)
-            .map_or("?", |place| place.name.as_str());
-        let tokens = state.places.get(index).copied().unwrap_or(0);
-        let weight = if arc.weight > 1 {
-            format!(" ×{}", arc.weight)
-        } else {
-            String::new()
-        };
-        let dots = match tokens {
-            0 => "( )".to_owned(),
-            1 => "(●)".to_owned(),
-            many => format!("({many})"),
-        };
-        (!view.hidden(index)).then(|| Line::from(format!("{dots} {name}{weight}{mark}")))
-    };
-    let before = one.inputs.iter().filter_map(|arc| place(arc, ""));
-    let before = before.chain(one.reads.iter().filter_map(|arc| place(arc, " (read)")));
-    let before = before.chain(
-        one.inhibitors
-            .iter()
-            .filter_map(|arc| place(arc, " (must be empty)")),
-    );
-    let after = parts
-        .iter()
-        .filter(|part| part.part != "back")
-        .flat_map(|part| {
-            let fails = part.part == "fail";
-            let mark = if fails { " (on failure)" } else { "" };
-            let puts = part.outputs.iter().map(move |arc| (arc, mark));
-            puts.chain(part.fails.iter().map(|arc| (arc, " (on failure)")))
-        });
-    let after = after.filter_map(|(arc, mark)| place(arc, mark));
-    let sends = one.sends.iter().filter(|arc| !arc.wiring);
-    let sends = sends.map(|arc| Line::from(format!("-> {}@{}", arc.place, arc.net)));
-    let [left, middle, right] = Layout::horizontal([
-        Constraint::Percentage(33),
-        Constraint::Percentage(34),
-        Constraint::Percentage(33),
-    ])
-    .areas(area);
-    let boxed = |title: &str, lines: Vec<Line<'static>>| {
-        Paragraph::new(lines).block(Block::bordered().title(format!(" {title} ")))
-    };
-    frame.render_widget(boxed("takes", before.collect()), left);
-    let mut facts = vec![Line::from(Span::styled(
-        one.shown.clone(),
-        Style::new().add_modifier(Modifier::BOLD),
-    ))];
+        .filter(|other| other.shown == one.shown);
     let listed = [
         (
             "calls",
@@ -282,17 +233,53 @@ fn neighbourhood(
         ("asks", one.task.clone().filter(|_| one.part == "start")),
         ("reads", one.tape.clone()),
         ("when", one.when.clone()),
-        ("writes", parts.iter().find_map(|part| part.write.clone())),
+        ("writes", parts.clone().find_map(|part| part.write.clone())),
         (
             "in",
             Some(one.at.rsplit('/').next().unwrap_or_default().to_owned()),
         ),
     ];
-    facts.extend(
-        listed
-            .into_iter()
-            .filter_map(|(head, fact)| Some(Line::from(format!("{head:<7}{}", fact?)))),
+    let facts = listed
+        .into_iter()
+        .filter_map(|(head, fact)| Some(format!("{head} {}", fact?)));
+    let facts: Vec<String> = facts.collect();
+    let block = Block::bordered().title(format!(" {} · {} ", one.shown, facts.join(" · ")));
+    let inner = block.inner(area);
+    frame.render_widget(block, area);
+    let chosen = net
+        .drawing
+        .nodes
+        .iter()
+        .position(|node| node.name == one.shown);
+    let Some(chosen) = chosen else { return };
+    let standings = standings
+        .iter()
+        .map(|(name, standing, _)| (*name, *standing));
+    let lines = hops::around(
+        (&net.view, &net.drawing, net.state()),
+        &standings.collect(),
+        chosen,
+        (usize::from(inner.width), usize::from(inner.height)),
     );
-    frame.render_widget(boxed("→ transition →", facts), middle);
-    frame.render_widget(boxed("puts", after.chain(sends).collect()), right);
+    let lines: Vec<Line<'_>> = lines.into_iter().map(styled).collect();
+    frame.render_widget(Paragraph::new(lines).centered(), inner);
+}
+
+fn styled(pieces: Vec<hops::Piece>) -> Line<'static> {
+    let span = |(text, look, chosen): hops::Piece| {
+        let colour = match look {
+            Look::Line => Color::DarkGray,
+            Look::Place | Look::Waiting => Color::Reset,
+            Look::Enabled => Color::Green,
+            Look::Running => Color::Yellow,
+        };
+        let style = Style::new().fg(colour);
+        let style = if chosen {
+            style.add_modifier(Modifier::BOLD)
+        } else {
+            style
+        };
+        Span::styled(text, style)
+    };
+    pieces.into_iter().map(span).collect()
 }

@@ -1,20 +1,27 @@
 // The page: what is shown of which net at which moment, and who is told of what a person does.
 
-import { Minimap, Picture } from "./draw.js";
+import { Picture } from "./draw.js";
+import { Fork, fold, linksBetween, subnetsOf } from "./fold.js";
+import { listen } from "./keys.js";
+import { Minimap } from "./minimap.js";
 import { Net, seconds } from "./model.js";
-import { Lanes, Table, make, showSide } from "./panels.js";
+import { Moments } from "./moments.js";
+import { make, showSide } from "./panels.js";
+import { Lanes, Table } from "./tables.js";
 
 const $ = (id) => document.getElementById(id);
 /** Side, lanes and table are drawn anew at most so often, ms. */
 const PANEL_EVERY = 120;
-/** The same for nets of many nodes. */
+/** The same for nets of many nodes, or of many events. */
 const PANEL_EVERY_LARGE = 400;
-const LARGE = 300;
+const MANY_NODES = 300;
+const MANY_EVENTS = 4000;
 const PRESENT_EVERY = 500;
 const RETRY = 1000;
 
-class App {
+class App extends Moments {
   constructor() {
+    super();
     this.nets = new Map();
     this.displays = [];
     this.tasks = new Map();
@@ -26,6 +33,16 @@ class App {
     this.control = false;
     this.detail = "written";
     this.hops = false;
+    /** The subnets that are drawn as one node, by net. */
+    this.folded = new Map();
+    /** What a person plays through: copies of nets, by name. */
+    this.forks = new Map();
+    /** The task that is looked at. */
+    this.task = null;
+    /** What the address asks for, until it is there or a person does something: nets come one by one. */
+    this.wish = new URLSearchParams(location.hash.slice(1));
+    this.touched = false;
+    for (const kind of ["pointerdown", "keydown"]) addEventListener(kind, () => { this.touched = true; this.wish = null; }, { capture: true });
     this.mode = "live";
     this.asked = 0;
     this.offset = null;
@@ -33,13 +50,15 @@ class App {
       select: (key) => this.choose(key),
       open: (key) => this.openNode(key),
       looked: () => this.minimap?.update(),
+      movable: (key) => this.control && this.forks.size === 0 && !("fold" in this.picture.nodes.get(key).node.kind),
+      moved: (key) => this.keep(key),
     });
     this.minimap = new Minimap($("stage"), this.picture);
     this.lanes = new Lanes($("lanes"), this);
     this.table = new Table($("events"), this);
     this.controls();
-    this.keys();
-    new ResizeObserver(() => { if (this.shown !== null) { this.picture.look(this.picture.box); this.stale = true; } }).observe($("stage"));
+    listen(this);
+    new ResizeObserver(() => { if (this.shown !== null) { this.picture.look(this.picture.box); this.changed(); } }).observe($("stage"));
     requestAnimationFrame(() => this.frame());
   }
 
@@ -54,6 +73,8 @@ class App {
       case "state": if (net) { net.gone = null; this.jump(net, message); } break;
       case "gone": if (net) { net.gone = message.reason; this.changed(); this.tabs(); } break;
       case "breakpoints": if (net) { net.breakpoints = message.breakpoints; this.changed(); } break;
+      case "drawing": if (net) { [net.written, net.full] = [message.written, message.full]; this.draw(true); } break;
+      case "displays": this.displays = message.displays; if (this.shown !== null) this.draw(true); break;
       case "notes": this.notes(message.notes); break;
       case "task": this.tasks.set(message.task.name, message.task); this.stale = true; break;
       case "answer": if (!message.ok) this.say(message.text); break;
@@ -69,7 +90,10 @@ class App {
     this.control = message.control;
     this.displays = message.displays;
     this.nets.clear();
+    this.forks.clear();
     this.tasks.clear();
+    /** When the app began, ns since 1970; of a record it is not known. */
+    this.origin = message.origin_ns ?? null;
     this.wanted = message.nets;
     this.picked = false;
   }
@@ -91,14 +115,15 @@ class App {
 
   ready() {
     this.picked = true;
-    const asked = new URLSearchParams(location.hash.slice(1));
-    const name = this.shown !== null && this.known(this.shown) ? this.shown : asked.get("net");
+    const wish = this.wish;
+    const name = this.known(wish?.get("net")) ? wish.get("net") : this.touched ? this.shown : null;
     const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
     this.tabs();
-    this.open(this.known(name) ? name : busiest?.name ?? null, asked.get("node"));
-    if (asked.has("t")) this.goTo(Number(asked.get("t")) * 1e9);
+    $("names").replaceChildren();
+    this.open(this.known(name) ? name : busiest?.name ?? null, wish?.get("node") ?? null);
+    if (this.known(wish?.get("net"))) [this.wish, this.touched] = [null, true];
+    if (wish?.has("t")) this.goTo(Number(wish.get("t")) * 1e9);
     else if (this.mode === "record") this.goTo(this.span()[0]);
-    this.fillNames();
   }
 
   known(name) {
@@ -107,6 +132,8 @@ class App {
 
   events(net, events) {
     const count = net.follow(events);
+    const forgotten = this.mode === "live" ? net.forget() : 0;
+    if (forgotten > 0 && this.cursor?.net === net.name) this.cursor.position = Math.max(0, this.cursor.position - forgotten);
     if (net.gone !== null) { net.gone = null; this.tabs(); }
     this.arrived(net.head.at_ns);
     this.latest = performance.now();
@@ -124,7 +151,7 @@ class App {
 
   notes(notes) {
     for (const net of this.nets.values()) net.notes = notes.filter((one) => one.net === net.name);
-    if (this.shown !== null) this.draw();
+    if (this.shown !== null) this.draw(true);
   }
 
   /** The clock of the app goes on between events. */
@@ -139,125 +166,26 @@ class App {
     this.stale = true;
   }
 
-  // -- moments --------------------------------------------------------------------------
-
-  span() {
-    let [from, to] = [Infinity, -Infinity];
-    for (const net of this.nets.values()) {
-      const [first, last] = net.span;
-      from = Math.min(from, first);
-      to = Math.max(to, last);
-    }
-    if (this.mode === "live" && this.offset !== null) to = Math.max(to, performance.now() * 1e6 + this.offset);
-    return Number.isFinite(from) ? [from, to] : [0, 1];
-  }
-
-  /** The moment shown, ns. */
-  now() {
-    return this.cursor === null ? this.span()[1] : this.cursor.at_ns;
-  }
-
-  positionOf(net) {
-    if (this.cursor === null) return net.events.length;
-    return this.cursor.net === net.name ? this.cursor.position : net.positionAt(this.cursor.at_ns);
-  }
-
-  stateOf(net) {
-    if (this.cursor === null) return net.head;
-    const position = this.positionOf(net);
-    if (net.shownState?.position !== position || net.shownState.of !== net.events) net.shownState = { position, of: net.events, state: net.stateAt(position) };
-    return position >= net.events.length ? net.head : net.shownState.state;
-  }
-
-  eventsOf(net) {
-    return net.events.slice(Math.max(0, this.positionOf(net) - 200), this.positionOf(net));
-  }
-
-  goTo(at_ns) {
-    const [from, to] = this.span();
-    const at = Math.min(to, Math.max(from, at_ns));
-    const net = this.visibleNets()[0];
-    this.cursor = { at_ns: at, net: null, position: 0 };
-    if (net === undefined) this.cursor = null;
-    this.changed();
-    this.remember();
-  }
-
-  goToEvent(net, position) {
-    this.playing = false;
-    this.cursor = { at_ns: position > 0 ? net.events[position - 1].at_ns : net.base.at_ns, net: net.name, position };
-    this.changed();
-    this.remember();
-  }
-
-  step(by) {
-    const net = this.visibleNets()[0];
-    if (net === undefined) return;
-    const position = Math.min(net.events.length, Math.max(0, this.positionOf(net) + by));
-    const before = this.positionOf(net);
-    this.goToEvent(net, position);
-    if (position > before) this.picture.travel(net, net.events.slice(before, position));
-  }
-
-  live() {
-    this.cursor = null;
-    this.playing = false;
-    this.changed();
-    this.remember();
-  }
-
-  togglePlay() {
-    if (this.cursor === null) { this.goTo(this.now()); this.playing = false; return; }
-    this.playing = !this.playing;
-    if (this.playing && this.cursor.at_ns >= this.span()[1]) this.goTo(this.span()[0]);
-    this.cursor.net = null;
-    this.played = performance.now();
-    this.changed();
-  }
-
-  play(now) {
-    const before = this.visibleNets().map((net) => [net, this.positionOf(net)]);
-    const at = this.cursor.at_ns + (now - this.played) * 1e6 * Number($("speed").value);
-    this.played = now;
-    const [, to] = this.span();
-    if (at >= to) {
-      if (this.mode === "live") return this.live();
-      this.playing = false;
-    }
-    this.cursor = { at_ns: Math.min(at, to), net: null, position: 0 };
-    for (const [net, position] of before) {
-      const after = this.positionOf(net);
-      if (after > position) this.picture.travel(net, net.events.slice(position, after));
-    }
-    this.changed();
-  }
-
-  remember() {
-    const values = new URLSearchParams();
-    if (this.shown !== null) values.set("net", this.shown);
-    if (this.cursor !== null) values.set("t", (this.cursor.at_ns / 1e9).toFixed(6));
-    if (this.chosen !== null) values.set("node", this.chosen);
-    globalThis.history.replaceState(null, "", `#${values}`);
-  }
-
   // -- what is shown --------------------------------------------------------------------
 
   visibleNets() {
     const display = this.displays.find((one) => one.name === this.shown);
-    if (display) return display.parts.map((part) => this.nets.get(part.net)).filter((net) => net !== undefined);
-    const net = this.nets.get(this.shown);
-    return net ? [net] : [];
+    const names = display ? display.parts.map((part) => part.net) : [this.shown];
+    return names.map((name) => this.forks.get(name) ?? this.nets.get(name)).filter((net) => net !== undefined);
   }
 
   drawingOf(net) {
     const display = this.displays.find((one) => one.name === this.shown);
-    return display?.parts.find((part) => part.net === net.name)?.drawing ?? net[this.detail];
+    const drawing = display?.parts.find((part) => part.net === net.name)?.drawing ?? (net.real ?? net)[this.detail];
+    const folded = this.folded.get(net.name);
+    return folded?.size > 0 ? fold(drawing, folded) : drawing;
   }
 
   open(name, key) {
     if (name === null || !this.known(name)) return;
     this.shown = name;
     this.chosen = null;
+    this.task = null;
     this.draw();
     if (key !== null && this.picture.nodes.has(key)) this.choose(key);
     this.tabs();
@@ -267,15 +195,23 @@ class App {
   openNode(key) {
     const shown = this.picture.nodes.get(key);
     if (shown?.kind === "remote") this.open(shown.node.kind.remote[0], shown.node.kind.remote.join("/"));
+    else if (shown?.kind === "fold") this.toggleFold(shown.net, shown.node.name);
     else if (shown?.kind === "transition") {
       const task = shown.net.view.transitions[shown.node.kind.transition[0][0]].task;
       if (this.nets.has(task)) this.open(task, null);
     }
   }
 
-  draw() {
+  goToNode(net, name) {
+    const key = `${net.name}/${name}`;
+    if (this.picture.nodes.has(key)) this.choose(key);
+    else this.open(net.name, key);
+  }
+
+  draw(keep = false) {
+    if (this.shown === null) return;
     const parts = this.visibleNets().map((net) => ({ net, drawing: this.drawingOf(net) }));
-    this.picture.show(parts);
+    this.picture.show(parts, linksBetween(parts), keep);
     this.picture.select(this.chosen);
     if (this.hops) this.picture.focus(this.chosen);
     this.minimap.show();
@@ -284,6 +220,7 @@ class App {
 
   choose(key) {
     this.chosen = key;
+    this.task = null;
     this.picture.select(key);
     if (key !== null) this.picture.center(key);
     if (this.hops) this.picture.focus(key);
@@ -291,6 +228,60 @@ class App {
     if (task) this.ask("task", { task });
     this.changed();
     this.remember();
+  }
+
+  /** Looks at a task; its transitions lead back. */
+  lookAt(task) {
+    this.task = task;
+    this.ask("task", { task });
+    this.changed();
+  }
+
+  /** Draws a subnet as one node, or whole again. */
+  toggleFold(net, subnet) {
+    const folded = this.folded.get(net.name) ?? new Set();
+    if (!folded.delete(subnet)) folded.add(subnet);
+    this.folded.set(net.name, folded);
+    this.chosen = null;
+    this.draw();
+  }
+
+  /** The subnets of a net, and whether each is folded. */
+  subnets(net) {
+    const folded = this.folded.get(net.name);
+    return subnetsOf((net.real ?? net)[this.detail]).map((name) => [name, folded?.has(name) ?? false]);
+  }
+
+  foldChosen() {
+    const shown = this.chosen === null ? null : this.picture.nodes.get(this.chosen);
+    if (!shown) return;
+    const subnet = shown.kind === "fold" ? shown.node.name : shown.node.name.split(".").slice(0, -1).join(".");
+    if (subnet !== "") this.toggleFold(shown.net, subnet);
+  }
+
+  /** Begins to play through what would happen from the moment shown, or ends it. */
+  toggleFork() {
+    if (this.forks.size > 0) this.forks.clear();
+    else for (const net of this.visibleNets()) this.forks.set(net.name, new Fork(net, this.stateOf(net)));
+    const key = this.chosen;
+    this.cursor = null;
+    this.playing = false;
+    $("fork").setAttribute("aria-pressed", String(this.forks.size > 0));
+    this.draw(true);
+    if (key !== null) this.choose(key);
+  }
+
+  /** Tells where a person put a node. */
+  keep(key) {
+    const { net, node } = this.picture.nodes.get(key);
+    const display = this.displays.some((one) => one.name === this.shown) ? this.shown : null;
+    this.ask("move", { net: net.name, node: node.name, display, at: [Math.round(node.x), Math.round(node.y)] });
+  }
+
+  nudge(by) {
+    if (this.chosen === null || !this.control) return;
+    this.picture.move(this.chosen, by[0] * 10, by[1] * 10);
+    this.keep(this.chosen);
   }
 
   taskOf(key) {
@@ -306,7 +297,9 @@ class App {
       ...[...this.nets.values()].map((net) => tab(net.name, net.view.title, mark(net))));
   }
 
+  /** What can be found, once somebody looks for something. */
   fillNames() {
+    if ($("names").childElementCount > 0) return;
     const names = [];
     for (const net of this.nets.values()) for (const node of net.written.nodes) names.push(`${net.name}/${node.name}`);
     $("names").replaceChildren(...names.slice(0, 3000).map((name) => make("option", { value: name })));
@@ -324,7 +317,9 @@ class App {
         if (rank < 9 && (best === null || rank < best.rank)) best = { rank, net: net.name, key };
       }
     }
-    if (best === null) this.say(`nothing is called ${text}`);
+    const tasks = new Set([...this.nets.values()].flatMap((net) => net.view.transitions.map((one) => one.task)));
+    if (tasks.has(text.trim())) this.lookAt(text.trim());
+    else if (best === null) this.say(`nothing is called ${text}`);
     else if (this.picture.nodes.has(best.key)) this.choose(best.key);
     else this.open(best.net, best.key);
   }
@@ -341,6 +336,7 @@ class App {
     const gone = this.visibleNets().find((net) => net.gone !== null);
     const paused = this.visibleNets().find((net) => this.stateOf(net).paused !== null);
     const [text, look] = this.lost ? ["connection lost, trying again", "lost"]
+      : this.forks.size > 0 ? ["what if: nothing of this happens", "paused"]
       : this.mode === "record" ? ["recorded", "paused"]
       : this.cursor !== null ? ["looking back; recording goes on", "paused"]
       : this.mode === "ended" ? ["ended", ""]
@@ -353,17 +349,22 @@ class App {
   frame() {
     const now = performance.now();
     if (this.playing) this.play(now);
+    this.picture.tick(now);
     if (this.shown !== null) {
       if (this.dirty) {
         this.dirty = false;
         this.picture.update((net) => this.stateOf(net), this.now());
-        this.minimap.update();
+        if (now - (this.mapped ?? 0) > PANEL_EVERY) {
+          this.mapped = now;
+          this.minimap.update();
+        }
+        this.firstDrawn ??= performance.now();
         this.drawnAt = performance.now();
       } else if (this.cursor === null && this.mode === "live") this.picture.fillBars(this.now());
       const busy = this.cursor === null && this.mode === "live" && this.picture.running?.length > 0;
       // The present goes on also while nothing happens.
       const idle = this.cursor === null && this.mode === "live" && now - (this.panelled ?? 0) > PRESENT_EVERY;
-      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > LARGE ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
+      if (idle || ((this.stale || busy) && now - (this.panelled ?? 0) > (this.picture.nodes.size > MANY_NODES || this.visibleNets().some((net) => net.events.length > MANY_EVENTS) ? PANEL_EVERY_LARGE : PANEL_EVERY))) {
         this.panelled = now;
         this.stale = false;
         this.panels();
@@ -408,8 +409,10 @@ class App {
       this.playing = false;
       this.goTo(from + (Number($("scrub").value) / 1000) * (to - from));
     };
+    $("fork").onclick = () => this.toggleFork();
+    $("search").onfocus = () => this.fillNames();
     $("search").onchange = () => this.find($("search").value);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.changed());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.picture.looked(); this.changed(); });
   }
 
   toggleNear() {
@@ -425,39 +428,14 @@ class App {
     this.draw();
   }
 
-  keys() {
-    const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-    const names = () => [...this.displays.map((one) => one.name), ...this.nets.keys()];
-    const beside = (by) => {
-      const all = names();
-      const next = all[(all.indexOf(this.shown) + by + all.length) % all.length];
-      this.open(next, null);
-    };
-    const orders = {
-      " ": () => this.togglePlay(), ",": () => this.step(-1), ".": () => this.step(1), l: () => this.live(),
-      "[": () => beside(-1), "]": () => beside(1), n: () => this.toggleNear(), d: () => this.toggleDetail(),
-      "+": () => this.picture.zoom(1.25), "=": () => this.picture.zoom(1.25), "-": () => this.picture.zoom(0.8), 0: () => this.picture.fit(),
-      "/": () => $("search").focus(), "?": () => $("keys").showModal(), Escape: () => this.choose(null),
-      Enter: () => this.chosen !== null && this.openNode(this.chosen), f: () => this.byKey("fire"), b: () => this.byKey("break"),
-    };
-    addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey) return;
-      const typing = event.target.closest?.("input:not([type=range]):not([type=checkbox]), select, dialog");
-      if (typing) { if (event.key === "Escape") event.target.blur(); return; }
-      const arrow = arrows[event.key];
-      if (arrow && event.target.type !== "range") {
-        this.choose(this.picture.neighbour(this.chosen, arrow));
-        event.preventDefault();
-      } else if (event.key in orders && !((event.key === " " || event.key === "Enter") && event.target.closest?.("button, tr"))) {
-        orders[event.key]();
-        event.preventDefault();
-      }
-    });
-  }
-
   byKey(what) {
     const shown = this.chosen === null ? null : this.picture.nodes.get(this.chosen);
-    if (!shown || !this.control) return;
+    if (!shown) return;
+    if (shown.net.real) {
+      if (shown.kind === "transition" && what === "fire") this.playOn(shown.net, shown.node, false);
+      return;
+    }
+    if (!this.control) return;
     if (shown.kind === "transition") {
       const transition = shown.net.view.transitions[shown.node.kind.transition[0][0]].name;
       const armed = shown.net.breakpoints.some((one) => one.transition === transition);
@@ -467,6 +445,25 @@ class App {
       const armed = shown.net.breakpoints.some((one) => one.place === place);
       this.order(armed ? "clear" : "break", shown.net, { place });
     }
+  }
+
+  /** Fires in a copy what a person chose, or ends its action. */
+  playOn(fork, node, failed) {
+    const numbers = node.kind.transition[0];
+    const names = numbers.map((number) => fork.view.transitions[number].name);
+    const running = fork.head.running.find((one) => names.includes(one.transition));
+    const number = numbers.find((one) => fork.may(one));
+    if (running) fork.end(running, failed);
+    else if (number !== undefined) fork.fire(number, failed);
+    this.picture.travel(fork, fork.events.slice(-1));
+    this.changed();
+  }
+
+  /** Takes back what was done last in the copy. */
+  undo() {
+    const forks = [...this.forks.values()].filter((fork) => fork.events.length > 0);
+    forks.sort((a, b) => b.head.at_ns - a.head.at_ns)[0]?.undo();
+    this.changed();
   }
 
   order(what, net, more) {

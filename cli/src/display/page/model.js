@@ -3,6 +3,10 @@
 /** So many events stand between two states that are kept for jumping. */
 const STRIDE = 128;
 
+/** A net that is watched for long forgets its oldest events: it keeps between these two numbers. Records are kept whole. */
+const MOST_KEPT = 20000;
+const LEFT_KEPT = 15000;
+
 /** A copy of a state that shares nothing with it. */
 export function copy(state) {
   return {
@@ -91,6 +95,20 @@ export class Net {
     this.jumps = [];
     this.kept = [{ position: 0, state: copy(base) }];
     this.skipped = 0;
+    this.forgotten = 0;
+  }
+
+  /** Forgets what is older than the latest events, if there are too many; how many were forgotten. */
+  forget() {
+    if (this.events.length <= MOST_KEPT) return 0;
+    const cut = this.events.length - LEFT_KEPT;
+    this.base = copy(this.stateAt(cut));
+    this.events = this.events.slice(cut);
+    const later = (list) => list.filter((one) => one.position > cut).map((one) => ({ ...one, position: one.position - cut }));
+    this.jumps = later(this.jumps);
+    this.kept = [{ position: 0, state: copy(this.base) }, ...later(this.kept)];
+    this.forgotten += cut;
+    return cut;
   }
 
   /** The next events. Returns how many were new. */
@@ -180,7 +198,8 @@ export class Net {
 }
 
 /**
- * What a transition waits for, in words; `state` is "running", "enabled" or "waiting".
+ * What a transition waits for, in words; `state` is "running", "enabled" or "waiting", and `free` says that only a guard or
+ * the net itself may keep it from firing.
  * `transition` is one of the net's view.
  */
 export function standing(net, state, transition) {
@@ -205,15 +224,16 @@ export function standing(net, state, transition) {
       ? `symbol ${transition.tape} is awaited, after the answer to ${state.in_progress}`
       : `symbol ${transition.tape} is awaited on the tape`);
   }
+  const free = lacks.length === 0;
   if (running.length > 0) {
     const task = transition.task === null ? "" : ` at task ${transition.task}`;
-    return { state: "running", running, words: `action ${transition.target} is pending${task}` };
+    return { state: "running", running, free, words: `action ${transition.target} is pending${task}` };
   }
-  if (lacks.length > 0) return { state: "waiting", running, words: lacks.join("; ") };
-  if (state.stopped !== null) return { state: "waiting", running, words: "the net has stopped" };
-  if (state.paused !== null) return { state: "enabled", running, words: `the net is paused: ${state.paused}` };
-  if (transition.when !== null) return { state: "waiting", running, words: `guard ${transition.when} is false` };
-  return { state: "enabled", running, words: "enabled" };
+  if (lacks.length > 0) return { state: "waiting", running, free, words: lacks.join("; ") };
+  if (state.stopped !== null) return { state: "waiting", running, free, words: "the net has stopped" };
+  if (state.paused !== null) return { state: "enabled", running, free, words: `the net is paused: ${state.paused}` };
+  if (transition.when !== null) return { state: "waiting", running, free, words: `guard ${transition.when} is false` };
+  return { state: "enabled", running, free, words: "enabled" };
 }
 
 /** The standing of a drawn node, which may be the several parts of a request. */
@@ -229,6 +249,18 @@ export function nodeStanding(net, state, node) {
   const standings = transitions.map((one) => standing(net, state, one));
   const found = standings.find((one) => one.state === "running") ?? standings.find((one) => one.state === "enabled");
   return found ?? standings[0];
+}
+
+/** The standing of a subnet that is drawn as one node. */
+export function foldStanding(net, state, [places, transitions]) {
+  const standings = transitions.map((transition) => nodeStanding(net, state, { name: "", kind: { transition } }));
+  const count = (word) => standings.filter((one) => one.state === word).length;
+  const tokens = places.reduce((sum, place) => sum + state.places[place], 0);
+  const [running, enabled] = [count("running"), count("enabled")];
+  return {
+    state: running > 0 ? "running" : enabled > 0 ? "enabled" : "waiting", tokens,
+    words: `${tokens} token${tokens === 1 ? "" : "s"}, ${running} running, ${enabled} enabled, of ${transitions.length} transitions`,
+  };
 }
 
 /** When the request that `start` began was begun, as far as it is known. */

@@ -1,10 +1,10 @@
-// What stands around the net: the chosen node, what goes on, lanes of actions, the table of events.
+// What stands beside the net: the chosen node or task, and what goes on.
 
-import { nodeStanding, passes, seconds } from "./model.js";
+import { nodeStanding, seconds } from "./model.js";
+import { callers, messagesTo, outcome } from "./task.js";
 
-/** The table shows no more rows than this; filters find the others. */
-const MOST_ROWS = 150;
-const LANE = 17;
+/** Nodes of a kind that are listed. */
+const MOST_LISTED = 24;
 
 export function make(name, attributes = {}, ...children) {
   const made = document.createElement(name);
@@ -16,14 +16,15 @@ export function make(name, attributes = {}, ...children) {
   return made;
 }
 
-const tokens = (list) => list.map(([place, count]) => (count === 1 ? place : `${count} ${place}`)).join(" + ");
+export const tokens = (list) => list.map(([place, count]) => (count === 1 ? place : `${count} ${place}`)).join(" + ");
 
 // -- the side ------------------------------------------------------------------------------
 
 /** Fills the side: `app` has the chosen key, nets, states and what may be done. */
 export function showSide(host, app) {
   const shown = app.chosen === null ? null : app.picture.nodes.get(app.chosen);
-  const parts = [shown ? nodePart(shown, app) : null, ...app.visibleNets().map((net) => netPart(net, app))];
+  const parts = [app.task !== null ? make("section", {}, make("h2", {}, app.task, make("small", {}, "task")), taskPart(app.task, app)) : null,
+    shown && app.task === null ? nodePart(shown, app) : null, ...app.visibleNets().map((net) => netPart(net, app))];
   host.replaceChildren(...parts.filter((part) => part !== null));
 }
 
@@ -33,6 +34,10 @@ function nodePart(shown, app) {
     const [other, place] = node.kind.remote;
     return make("section", {}, make("h2", {}, place, make("small", {}, `place of net ${other}`)),
       link(`Show net ${other}`, () => app.open(other, `${other}/${place}`)));
+  }
+  if (kind === "fold") {
+    return make("section", {}, make("h2", {}, node.name, make("small", {}, "subnet")), make("p", { class: `words ${shown.state}` }, shown.standing.words),
+      make("div", { class: "actions" }, make("button", { onclick: () => app.toggleFold(net, node.name) }, "Unfold")));
   }
   return kind === "place" ? placePart(net, node, app) : transitionPart(net, node, app);
 }
@@ -50,7 +55,7 @@ function placePart(net, node, app) {
     make("h2", {}, place.name, make("small", {}, "place")),
     tokenHistory(net, place.name, app),
     factList(facts), notesOf(net, node),
-    app.control ? make("div", { class: "actions" },
+    app.control && !net.real ? make("div", { class: "actions" },
       make("button", { onclick: () => app.order("put", net, { place: place.name }) }, "Put a token"),
       make("button", { onclick: () => app.order("take", net, { place: place.name }), disabled: count === 0 }, "Take one"),
       breakButton(net, app, { place: place.name })) : null,
@@ -83,8 +88,10 @@ function transitionPart(net, node, app) {
     make("h2", {}, node.name, make("small", {}, request ? "request" : "transition")),
     make("p", { class: `words ${standing.state}` }, standing.words, elapsed(standing, app)),
     factList(facts), notesOf(net, node),
-    app.control ? make("div", { class: "actions" },
+    net.real ? whatIf(net, node, standing, app) : null,
+    app.control && !net.real ? make("div", { class: "actions" },
       make("button", { onclick: () => app.order("fire", net, { transition: transition.name }), disabled: standing.state === "running" }, "Fire"),
+      transition.target === "" ? null : make("button", { onclick: () => app.order("cancel", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as failed" }, "Fail"),
       breakButton(net, app, { transition: transition.name })) : null,
     transition.task !== null ? taskPart(transition.task, app) : null);
 }
@@ -101,18 +108,41 @@ function breakButton(net, app, at) {
   return make("button", { "aria-pressed": String(armed), onclick: () => app.order(armed ? "clear" : "break", net, at) }, "Breakpoint");
 }
 
+/** What can be played in a copy of the net. */
+function whatIf(net, node, standing, app) {
+  const numbers = node.kind.transition[0];
+  const acts = standing.state === "running" || numbers.some((number) => net.view.transitions[number].target !== "");
+  const may = standing.state === "running" || numbers.some((number) => net.may(number));
+  return make("div", { class: "actions" },
+    make("button", { disabled: !may, onclick: () => app.playOn(net, node, false) }, standing.state === "running" ? "It ends well" : "Fire"),
+    acts ? make("button", { disabled: !may, onclick: () => app.playOn(net, node, true) }, "It fails") : null,
+    make("button", { disabled: net.events.length === 0, onclick: () => app.undo() }, "Take back"));
+}
+
+/** How a task is, what nets asked of it last, and what asks it. */
 function taskPart(name, app) {
   const task = app.tasks.get(name);
-  if (task === undefined) {
-    app.ask("task", { task: name });
-    return make("p", { class: "soft" }, `task ${name}`);
+  const nets = [...app.nets.values()];
+  if (task === undefined && app.mode === "live") app.ask("task", { task: name });
+  const facts = app.task === name ? [] : [["task", link(name, () => app.lookAt(name))]];
+  if (task !== undefined) {
+    facts.push(["on", task.on]);
+    if (task.error) facts.push(["state", task.error]);
+    else facts.push(["messages", `${task.handled} handled, ${task.failed} failed`], [task.busy ? "at hand" : "last", task.command ?? "none"]);
   }
-  const facts = [["task", name], ["on", task.on]];
-  if (task.error) facts.push(["state", task.error]);
-  else facts.push(["messages", `${task.handled} handled, ${task.failed} failed`], [task.busy ? "at hand" : "last", task.command ?? "none"]);
+  const messages = messagesTo(name, nets, (net) => app.positionOf(net));
+  const row = (message) => make("li", {},
+    make("button", { class: "link", title: "Go to this moment", onclick: () => app.goToEvent(message.net, message.at) }, seconds(message.event.at_ns)),
+    make("span", {}, message.event.target.split(".").at(-1) || shownOf(message), make("span", { class: "soft" }, ` ${outcome(message.net, message, app.now())}`)));
+  const by = callers(name, nets);
   return make("div", {}, factList(facts),
+    messages.length > 0 ? make("p", { class: "soft" }, "last messages of nets") : null,
+    messages.length > 0 ? make("ul", { "aria-label": "last messages" }, ...messages.map(row)) : null,
+    by.length > 0 ? make("p", { class: "soft" }, "sent by ", ...between(by.map(({ net, name: node }) => link(app.visibleNets().includes(net) ? node : `${net.name}/${node}`, () => app.goToNode(net, node))))) : null,
     app.nets.has(name) ? link(`Show net ${name}`, () => app.open(name, null)) : null);
 }
+
+const shownOf = ({ net, event }) => net.view.transitions[net.index.transitions.get(event.transition)].shown;
 
 /** A place in a file: its folder is told on request. */
 const inText = (at) => ["in the text", at.split("/").at(-1), at];
@@ -154,14 +184,16 @@ function netPart(net, app) {
   const state = app.stateOf(net);
   const drawing = app.drawingOf(net);
   const lists = { running: [], enabled: [] };
+  const subnets = app.subnets(net).slice(0, MOST_LISTED);
   for (const node of drawing.nodes) {
     if (!("transition" in node.kind)) continue;
     const standing = nodeStanding(net, state, node);
     if (standing.state !== "waiting") lists[standing.state].push([node, standing]);
   }
   const marked = drawing.nodes.filter((node) => "place" in node.kind && state.places[node.kind.place] > 0);
-  const rows = (list) => list.map(([node, standing]) => make("li", {}, jump(net, node.name, app), make("span", {}, standing.state === "running" ? elapsedText(standing, app) : standing.words === "enabled" ? "" : standing.words)));
-  const symbols = (list) => list.map((one) => make("span", { class: "symbol" }, one));
+  const more = (list) => (list.length > MOST_LISTED ? [make("li", { class: "soft" }, `and ${list.length - MOST_LISTED} more`)] : []);
+  const rows = (list) => [...list.slice(0, MOST_LISTED).map(([node, standing]) => make("li", {}, jump(net, node.name, app), make("span", {}, standing.state === "running" ? elapsedText(standing, app) : standing.words === "enabled" ? "" : standing.words))), ...more(list)];
+  const symbols = (list) => list.slice(0, MOST_LISTED).map((one) => make("span", { class: "symbol" }, one));
   const answers = app.eventsOf(net).filter((event) => event.wrote !== null).slice(-3).map((event) => event.wrote);
   return make("section", {},
     make("h2", {}, net.name, make("small", {}, "net")),
@@ -169,164 +201,20 @@ function netPart(net, app) {
     net.gone !== null ? make("p", { class: "words failed" }, net.gone) : null,
     state.stopped !== null ? make("p", { class: "words failed" }, `stopped: ${state.stopped}`) : null,
     state.paused !== null ? make("p", { class: "words" }, `paused: ${state.paused}`) : null,
-    app.control ? make("div", { class: "actions" },
+    app.control && !net.real ? make("div", { class: "actions" },
       state.paused === null ? make("button", { onclick: () => app.order("pause", net, {}) }, "Pause net")
         : make("button", { onclick: () => app.order("resume", net, {}) }, "Release net"),
       make("button", { onclick: () => app.order("step", net, {}), disabled: state.paused === null }, "Step")) : null,
+    net.real ? make("div", { class: "actions" }, ...net.view.commands.map(({ symbol }) => make("button", { onclick: () => { net.ask(symbol); app.changed(); } }, `Put ${symbol}`)),
+      make("button", { disabled: net.events.length === 0, onclick: () => app.undo() }, "Take back")) : null,
+    subnets.length > 0 ? make("div", { class: "actions", role: "group", "aria-label": "Subnets" },
+      ...subnets.map(([name, folded]) => make("button", { "aria-pressed": String(folded), title: "Draw this subnet as one node (s)", onclick: () => app.toggleFold(net, name) }, `${folded ? "▸" : "▾"} ${name}`))) : null,
     lists.running.length > 0 ? make("ul", { "aria-label": "running" }, ...rows(lists.running)) : null,
     lists.enabled.length > 0 ? make("ul", { "aria-label": "enabled" }, ...rows(lists.enabled)) : null,
     net.view.commands.length > 0 ? make("p", {}, make("span", { class: "soft" }, "tape "), ...(state.in_progress ? [...symbols([state.in_progress]), " in progress "] : []),
-      ...symbols(state.tape), ...(answers.length > 0 ? [make("span", { class: "soft" }, " answered "), ...symbols(answers)] : [])) : null,
-    make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, 24).map((node) => jump(net, node.name, app))))),
+      ...symbols(state.tape), state.tape.length === 0 && !state.in_progress ? "empty" : "", ...(answers.length > 0 ? [make("span", { class: "soft" }, " answered "), ...symbols(answers)] : [])) : null,
+    make("p", { class: "soft" }, "marked: ", ...(marked.length === 0 ? ["nothing"] : between(marked.slice(0, MOST_LISTED).map((node) => jump(net, node.name, app))))),
     net.skipped > 0 ? make("p", { class: "soft" }, `${net.skipped} events came too fast to be shown`) : null);
 }
 
 const elapsedText = (standing, app) => seconds(Math.max(0, app.now() - Math.min(...standing.running.map((one) => one.since_ns))), 1);
-
-// -- lanes ---------------------------------------------------------------------------------
-
-/** Actions over time: a lane for each transition that did something. */
-export class Lanes {
-  constructor(host, app) {
-    [this.host, this.app] = [host, app];
-    this.canvas = host.querySelector("canvas");
-    this.rows = [];
-    this.canvas.addEventListener("pointerdown", (event) => this.go(event));
-    this.canvas.addEventListener("pointermove", (event) => event.buttons > 0 && this.go(event));
-  }
-
-  go(event) {
-    const rect = this.canvas.getBoundingClientRect();
-    const part = (event.clientX - rect.left - this.left) / (rect.width - this.left - 8);
-    const [from, to] = this.app.span();
-    if (part >= 0) this.app.goTo(from + Math.min(1, part) * (to - from));
-    else {
-      const row = this.rows[Math.floor((event.clientY - rect.top - 4) / LANE)];
-      if (row) this.app.choose(row.key);
-    }
-  }
-
-  draw() {
-    const { app, canvas } = this;
-    const style = getComputedStyle(document.documentElement);
-    const colour = (name) => style.getPropertyValue(`--${name}`).trim();
-    this.rows = [];
-    for (const net of app.visibleNets()) {
-      const shownOf = new Map(net.view.transitions.map((one) => [one.name, one.shown]));
-      const drawn = new Map();
-      for (const [transition, bars] of net.lanes()) {
-        const name = shownOf.get(transition) ?? transition;
-        if (!drawn.has(name)) drawn.set(name, []);
-        drawn.get(name).push(...requestBars(net, transition, bars));
-      }
-      for (const [name, bars] of drawn) this.rows.push({ key: `${net.name}/${name}`, name, bars });
-    }
-    const width = this.host.clientWidth;
-    const height = Math.max(this.host.clientHeight, this.rows.length * LANE + 8);
-    const ratio = devicePixelRatio;
-    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
-      canvas.style.height = `${height}px`;
-    }
-    const pen = canvas.getContext("2d");
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
-    pen.font = "11px ui-sans-serif, system-ui, 'DejaVu Sans', sans-serif";
-    this.left = Math.min(150, width / 3);
-    const [from, to] = app.span();
-    const x = (at) => this.left + ((width - this.left - 8) * (at - from)) / Math.max(1, to - from);
-    const colours = { started: colour("running"), completed: colour("running"), fired: colour("faint"), failed: colour("failed"), cancelled: colour("faint") };
-    this.rows.forEach(({ key, name, bars }, row) => {
-      const y = row * LANE + 4;
-      if (row % 2 === 1) {
-        pen.fillStyle = colour("wash");
-        pen.globalAlpha = 0.5;
-        pen.fillRect(0, y, width, LANE);
-        pen.globalAlpha = 1;
-      }
-      pen.fillStyle = key === app.chosen ? colour("mark") : colour("soft");
-      pen.fillText(clipped(pen, name, this.left - 16), 12, y + 12);
-      for (const bar of bars) {
-        const [a, b] = [x(bar.from), x(bar.to ?? to)];
-        pen.fillStyle = colours[bar.phase] ?? colour("faint");
-        if (bar.to === bar.from) pen.fillRect(a, y + 4, 1.5, LANE - 8);
-        else pen.fillRect(a, y + 3.5, Math.max(2, b - a), LANE - 7);
-      }
-    });
-    pen.fillStyle = colour("mark");
-    pen.fillRect(x(Math.min(app.now(), to)) - 0.5, 0, 1.5, height);
-  }
-}
-
-/** A request lasts from its start to the firing of its end; both are fired in one step. */
-function requestBars(net, transition, bars) {
-  const one = net.view.transitions[net.index.transitions.get(transition)];
-  if (one?.part !== "start") return one?.part === "end" || one?.part === "fail" || one?.part === "back" ? [] : bars;
-  const ends = net.events.filter((event) => net.view.transitions[net.index.transitions.get(event.transition)]?.shown === one.shown && event.transition !== one.name);
-  let next = 0;
-  return bars.map((bar) => {
-    while (next < ends.length && ends[next].at_ns < bar.from) next += 1;
-    const end = ends[next];
-    next += end ? 1 : 0;
-    const failed = end && net.view.transitions[net.index.transitions.get(end.transition)].part !== "end";
-    return { from: bar.from, to: end?.at_ns ?? null, phase: failed ? "failed" : end ? "completed" : "started" };
-  });
-}
-
-function clipped(pen, text, width) {
-  if (pen.measureText(text).width <= width) return text;
-  let short = text;
-  while (short.length > 1 && pen.measureText(`${short}…`).width > width) short = short.slice(0, -1);
-  return `${short}…`;
-}
-
-// -- events --------------------------------------------------------------------------------
-
-const BY_HAND = new Set(["put", "taken", "paused", "resumed", "cancelled"]);
-
-/** The latest events up to the moment shown; a click goes to the moment of one. */
-export class Table {
-  constructor(host, app) {
-    this.app = app;
-    this.body = host.querySelector("tbody");
-    this.count = host.querySelector("#count");
-    this.scroller = host.querySelector(".table");
-    this.inputs = ["with", "without", "all-nets"].map((id) => host.querySelector(`#${id}`));
-    for (const input of this.inputs) input.addEventListener("input", () => this.draw());
-  }
-
-  draw() {
-    const { app } = this;
-    const [wanted, unwanted, all] = this.inputs;
-    const nets = all.checked ? [...app.nets.values()] : app.visibleNets();
-    const seen = [wanted.value, unwanted.value, app.cursor !== null, ...nets.flatMap((net) => [net.name, net.base.seq, app.positionOf(net)])].join("\u0000");
-    if (seen === this.seen) return;
-    this.seen = seen;
-    const found = [];
-    for (const net of nets) {
-      const until = app.positionOf(net);
-      for (let at = until - 1; at >= 0 && found.length < 4 * MOST_ROWS * nets.length; at -= 1) {
-        const event = net.events[at];
-        if (passes(event, wanted.value, unwanted.value)) found.push({ net, event, at: at + 1 });
-      }
-    }
-    found.sort((a, b) => b.event.at_ns - a.event.at_ns || b.event.seq - a.event.seq);
-    const rows = found.slice(0, MOST_ROWS);
-    this.count.textContent = found.length > MOST_ROWS ? `latest ${MOST_ROWS}` : `${rows.length}`;
-    this.body.replaceChildren(...rows.map((row, index) => this.row(row, index === 0)));
-  }
-
-  row({ net, event, at }, first) {
-    const sent = event.sent.map((one) => `${one.place}@${one.net}`);
-    const put = [tokens(event.produced), ...sent].filter((one) => one !== "").join(" + ");
-    const moved = event.consumed.length + event.produced.length + sent.length === 0 ? "" : `${tokens(event.consumed) || "–"} → ${put || "–"}`;
-    const tape = [event.read === null ? "" : `${event.phase === "asked" ? "+" : "‹"} ${event.read}`, event.wrote === null ? "" : `› ${event.wrote}`].filter((one) => one !== "").join(" ");
-    const cells = [seconds(event.at_ns), event.net, event.transition, event.phase, moved, tape, event.text];
-    const paused = this.app.cursor !== null;
-    return make("tr", { class: `${event.phase}${paused && first ? " now" : ""}${BY_HAND.has(event.phase) ? " by-hand" : ""}`, "data-seq": event.seq, tabindex: "0",
-      title: [event.target === "" ? "" : `calls ${event.target}`, event.trace === "" ? "" : `trace ${event.trace}`].filter((one) => one !== "").join(", "),
-      onclick: () => this.app.goToEvent(net, at), onkeydown: (key) => key.key === "Enter" && this.app.goToEvent(net, at) },
-    ...cells.map((cell) => make("td", {}, cell)));
-  }
-}

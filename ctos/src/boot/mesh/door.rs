@@ -156,21 +156,22 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         process,
         listen,
     });
-    let shared = shared && matches!(stream, Stream::Unix(_)) && !session.is_injured();
+    let may_share = shared && matches!(stream, Stream::Unix(_)) && !session.is_injured();
+    let pool = mesh.pool.as_ref().filter(|_| may_share);
     let welcome = Answer::Welcome {
         chassis: mesh.chassis.index(),
         incarnation: mesh.who.incarnation,
         process: mesh.process.clone(),
         received: session.received(),
-        shared,
+        shared: pool.is_some(),
     };
     tokio::time::timeout(HELLO_LIMIT, say(&mut stream, &welcome))
         .await
         .map_err(|_| HandshakeError::Late)??;
-    if !shared {
+    let Some(pool) = pool else {
         return Ok(drive::drive(&session, stream, received, &mesh.lookout).await?);
-    }
-    let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream)).await;
+    };
+    let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream, pool)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;

@@ -73,7 +73,7 @@ impl Session {
             }
             Arrival::Next => {
                 let bye = packet.kind == Kind::Bye;
-                if core.incoming.must_acknowledge(self.limits.room / 16) || bye {
+                if core.incoming.must_acknowledge(self.limits.room / 4) || bye {
                     core.outgoing.pulse(Kind::Pulse);
                     self.pump_or_wake(core, now);
                 }

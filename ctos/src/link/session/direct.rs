@@ -16,7 +16,12 @@ use rustix::{
 };
 use tokio::sync::oneshot;
 
-use super::{Session, drive::rubbish, packet::Decoder, writer::Socket};
+use super::{
+    Session,
+    drive::rubbish,
+    packet::Decoder,
+    writer::{Patience, Socket},
+};
 use crate::{
     call::lock,
     link::{
@@ -73,6 +78,7 @@ impl DirectStream {
         session: Arc<Session>,
         number: u64,
         carrier: Carrier,
+        decoder: Decoder,
     ) -> (Self, oneshot::Receiver<()>) {
         let (ended, ends) = oneshot::channel();
         let stream = Self {
@@ -80,7 +86,7 @@ impl DirectStream {
             number,
             carrier,
             reading: Mutex::new(Reading {
-                decoder: Decoder::default(),
+                decoder,
                 chunk: vec![0; CHUNK],
                 ended: Some(ended),
             }),
@@ -92,19 +98,34 @@ impl DirectStream {
     /// Reads what there is. Whether frames came, and whether it is over.
     fn read(&self, reading: &mut Reading) -> (bool, bool) {
         let mut frames = false;
+        let mut patience = None;
         for _ in 0..READS {
             let (read, count) = self.read_once(reading);
             let taken = count.map(|count| self.take(reading, count, &mut frames));
-            if taken == Some(false) {
-                return (frames, true);
+            match taken {
+                Some(false) => return (frames, true),
+                Some(true) => patience = None,
+                None => {}
             }
             match read {
                 Read::More => {}
-                Read::Drained => return (frames, false),
+                Read::Drained => {
+                    // The rest of something large is being written at this moment.
+                    if !reading.decoder.is_in_large() || !self.looks_again(&mut patience) {
+                        return (frames, false);
+                    }
+                }
                 Read::End => return (frames, true),
             }
         }
         (frames, false)
+    }
+
+    fn looks_again(&self, patience: &mut Option<Patience>) -> bool {
+        let Carrier::Socket(socket) = &self.carrier else {
+            return false;
+        };
+        patience.get_or_insert_with(|| socket.patience()).lasts()
     }
 
     /// One read; how much lies in the chunk, if it was read there. Data of a large frame goes to where

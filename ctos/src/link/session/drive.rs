@@ -10,6 +10,7 @@ use std::{
     time::Duration,
 };
 
+use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
     net::UnixStream,
@@ -19,11 +20,14 @@ use tokio::{
 use super::{
     AttachError, Session, Writer,
     direct::{Carrier, DirectStream},
-    packet::Decoder,
+    packet::{Decoder, Lend},
     state::Event,
     writer::Socket,
 };
 use crate::link::{lookout::Lookout, session::DownReason, shm, transport::Stream};
+
+/// How much a Unix socket holds that has not been read, bytes; TCP finds its own measure.
+const SEND_BUFFER: usize = 1 << 20;
 
 /// How many bytes are read at a time.
 const CHUNK: usize = 64 * 1024;
@@ -94,7 +98,15 @@ pub(crate) async fn drive(
 fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
     match stream {
         Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
-        Stream::Unix(stream) => Ok(stream.into_std()?.into()),
+        Stream::Unix(stream) => {
+            let stream = stream.into_std()?;
+            // An image leaves at once, and its receiver is woken once. What the system refuses is no
+            // reason to do without the socket.
+            if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
+                tracing::debug!(error = %error, "a socket keeps its small buffer");
+            }
+            Ok(stream.into())
+        }
         Stream::Tls(_) | Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
     }
 }
@@ -158,14 +170,20 @@ pub(super) fn rubbish(session: &Session, error: &impl std::fmt::Display) {
 pub(crate) async fn drive_shared(
     session: &Arc<Session>,
     socket: UnixStream,
-    shared: shm::Shared,
+    mut shared: shm::Shared,
     received: u64,
     lookout: &Arc<Lookout>,
 ) -> Result<(), AttachError> {
+    let pools = shared.take_pools();
     let (sender, receiver, bell) = shared.split();
-    let number = session.attach(Writer::Shared(sender), received)?;
+    let (lend, foreign) = match pools {
+        Some((lending, foreign)) => (Some(Box::new(lending) as Box<dyn Lend>), Some(foreign)),
+        None => (None, None),
+    };
+    let number = session.attach_lending(Writer::Shared(sender), received, lend)?;
     let carrier = Carrier::Shared { receiver, bell };
-    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
+    let decoder = Decoder::borrowing(foreign);
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier, decoder);
     let stream = Arc::new(stream);
     let source = stream.clone();
     let watched = lookout.add(move |_| source);
@@ -199,7 +217,8 @@ async fn drive_socket(
     let socket = Arc::new(Socket::new(fd, Arc::downgrade(lookout)));
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
     let carrier = Carrier::Socket(socket.clone());
-    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
+    let (stream, mut ended) =
+        DirectStream::new(session.clone(), number, carrier, Decoder::default());
     let watched = lookout.add(move |id| {
         socket.set_id(id);
         Arc::new(stream)

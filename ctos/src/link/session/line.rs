@@ -30,7 +30,8 @@ impl Line {
         }
     }
 
-    /// Sends a request, or lets it wait for room. Nothing overtakes those that wait.
+    /// Sends a request, or lets it wait for room. Nothing overtakes those that wait, but one of high priority
+    /// overtakes those of normal priority.
     ///
     /// # Errors
     /// [`NoRoom`] when too many wait already.
@@ -40,16 +41,18 @@ impl Line {
         outgoing: &mut Outgoing,
         now: Instant,
     ) -> Result<(), NoRoom> {
-        let size = frame.body.len();
-        let room = outgoing.has_room(Lane::Data, size);
-        let Err(no_room) = room else {
-            if self.waiting.is_empty() {
-                outgoing.put_frame(frame, Lane::Data, now);
-                return Ok(());
-            }
-            return self.join(frame, now, outgoing.bytes());
+        let lane = lane_of_request(&frame);
+        let waits = |(other, _): &(Frame, Instant)| {
+            lane == Lane::Data || lane_of_request(other) == Lane::Urgent
         };
-        self.join(frame, now, no_room.held)
+        match outgoing.has_room(lane, frame.body.len()) {
+            Ok(()) if !self.waiting.iter().any(waits) => {
+                outgoing.put_frame(frame, lane, now);
+                Ok(())
+            }
+            Ok(()) => self.join(frame, now, outgoing.bytes()),
+            Err(NoRoom { held }) => self.join(frame, now, held),
+        }
     }
 
     fn join(&mut self, frame: Frame, now: Instant, held: usize) -> Result<(), NoRoom> {
@@ -81,7 +84,8 @@ impl Line {
     pub(super) fn advance(&mut self, outgoing: &mut Outgoing, now: Instant) -> bool {
         let mut any = false;
         while let Some((frame, _)) = self.waiting.front() {
-            if outgoing.has_room(Lane::Data, frame.body.len()).is_err() {
+            let lane = lane_of_request(frame);
+            if outgoing.has_room(lane, frame.body.len()).is_err() {
                 return any;
             }
             let Some((mut frame, since)) = self.waiting.pop_front() else {
@@ -92,10 +96,19 @@ impl Line {
                 let left = Duration::from_nanos(frame.left_ns).saturating_sub(now.since(since));
                 frame.left_ns = u64::try_from(left.as_nanos()).unwrap_or(NO_DEADLINE - 1);
             }
-            outgoing.put_frame(frame, Lane::Data, now);
+            outgoing.put_frame(frame, lane, now);
             any = true;
         }
         any
+    }
+}
+
+/// The lane of a request.
+pub(super) fn lane_of_request(frame: &Frame) -> Lane {
+    if frame.header.flags.contains(Flags::HIGH_PRIORITY) {
+        Lane::Urgent
+    } else {
+        Lane::Data
     }
 }
 

@@ -5,9 +5,14 @@
 //! number and whatever else travels with it, and the data. Lengths are believed only up to the limit,
 //! and memory is reserved only as bytes arrive.
 
-use bytes::{BufMut, BytesMut};
+use std::sync::Arc;
 
-use crate::link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
+use bytes::{Buf, BufMut, Bytes, BytesMut};
+
+use crate::{
+    blob::Body,
+    link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError, shm::pool::Foreign},
+};
 
 /// Length, kind, two numbers.
 pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
@@ -40,6 +45,61 @@ pub(crate) enum Kind {
     Again = 5,
     /// The other end has been given up.
     GivenUp = 6,
+    /// As a frame, with data that stays where it is and is lent: behind the frame's fixed part stand how
+    /// many pieces are lent (4 bytes), for each where it belongs (see [`Place::put`]), and the other data.
+    Lent = 7,
+    /// The next bytes of the data of a large frame, which others may come between. The first number: how
+    /// many bytes of it came before.
+    Piece = 8,
+    /// A frame with the last bytes of its data; the others have come in pieces.
+    Last = 9,
+}
+
+/// The most pieces of one frame that are lent.
+pub(crate) const MOST_LENT: usize = 16;
+
+/// Where data stands that is lent to a peer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Place {
+    /// Under which number it is lent.
+    pub(crate) slot: u32,
+    /// Where it begins in the lender's pool, bytes.
+    pub(crate) offset: u64,
+    /// How many bytes it is.
+    pub(crate) length: u64,
+}
+
+impl Place {
+    /// Bytes of a place in a packet.
+    const BYTES: usize = 4 + 4 + 8 + 8;
+
+    /// Writes it: before which of the other data it belongs, its slot, offset and length.
+    pub(crate) fn put(&self, into: &mut BytesMut, before: usize) {
+        // Other data is less than a frame may be.
+        into.put_u32_le(u32::try_from(before).unwrap_or(u32::MAX));
+        into.put_u32_le(self.slot);
+        into.put_u64_le(self.offset);
+        into.put_u64_le(self.length);
+    }
+
+    fn get(bytes: &mut &[u8]) -> Option<(usize, Self)> {
+        let before = bytes.try_get_u32_le().ok()?;
+        let place = Self {
+            slot: bytes.try_get_u32_le().ok()?,
+            offset: bytes.try_get_u64_le().ok()?,
+            length: bytes.try_get_u64_le().ok()?,
+        };
+        Some((usize::try_from(before).ok()?, place))
+    }
+}
+
+/// Who lends data to the other end of a stream, so that only its place crosses it.
+pub(crate) trait Lend: Send {
+    /// Keeps `bytes` for the other end until it gives them back. `None` when they must be copied.
+    fn lend(&mut self, bytes: &Bytes) -> Option<Place>;
+
+    /// Takes back what was given back.
+    fn collect(&mut self);
 }
 
 impl Kind {
@@ -51,6 +111,9 @@ impl Kind {
             Self::Pulse,
             Self::Again,
             Self::GivenUp,
+            Self::Lent,
+            Self::Piece,
+            Self::Last,
         ]
         .into_iter()
         .find(|kind| *kind as u8 == byte)
@@ -58,13 +121,18 @@ impl Kind {
 
     /// Whether packets of this kind are numbered, kept until acknowledged and sent again when lost.
     pub(crate) fn is_numbered(self) -> bool {
-        matches!(self, Self::Frame | Self::Notice | Self::Bye)
+        matches!(
+            self,
+            Self::Frame | Self::Notice | Self::Bye | Self::Lent | Self::Last
+        )
     }
 
     /// The bytes that must, and those that may, follow the packet's head.
     fn sizes(self) -> std::ops::RangeInclusive<usize> {
         match self {
-            Self::Frame => FRAME_FIXED..=FRAME_LIMIT,
+            Self::Frame | Self::Last => FRAME_FIXED..=FRAME_LIMIT,
+            Self::Piece => 1..=FRAME_LIMIT,
+            Self::Lent => FRAME_FIXED + 4..=FRAME_LIMIT + 4 + MOST_LENT * Place::BYTES,
             Self::Notice => 0..=NOTICE_LIMIT,
             Self::Bye | Self::Pulse | Self::Again | Self::GivenUp => 0..=0,
         }
@@ -111,6 +179,10 @@ pub(crate) enum PacketError {
         least: usize,
         most: usize,
     },
+    #[error("a frame lends data that is not there")]
+    Lent,
+    #[error("a piece of a frame begins at byte {at} of its data, of which {come} have come")]
+    Piece { at: u64, come: usize },
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error("a packet acknowledges number {received} and only {sent} were sent")]
@@ -135,7 +207,21 @@ enum Stage {
         kind: Kind,
         numbers: [u64; 2],
         size: usize,
+        /// How much of its data came in pieces before.
+        before: usize,
     },
+}
+
+impl Stage {
+    /// How much data of the packet is missing, when so much of it is there.
+    fn missing(&self, there: usize) -> usize {
+        match self {
+            Self::Head => 0,
+            Self::Rest {
+                kind, size, before, ..
+            } => (before + size - fixed_size(*kind)).saturating_sub(there),
+        }
+    }
 }
 
 /// Reads packets out of a stream that is cut anywhere.
@@ -144,6 +230,10 @@ pub(crate) struct Decoder {
     /// What has come of the packet's head, or of its fixed part behind the head.
     head: BytesMut,
     body: Vec<u8>,
+    /// What has come of a frame that comes in pieces.
+    pieces: Vec<u8>,
+    /// Where the other end lends data from.
+    foreign: Option<Arc<Foreign>>,
 }
 
 impl Default for Decoder {
@@ -152,11 +242,37 @@ impl Default for Decoder {
             stage: Stage::Head,
             head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
             body: Vec::new(),
+            pieces: Vec::new(),
+            foreign: None,
         }
     }
 }
 
 impl Decoder {
+    /// Of a stream whose other end lends data from there.
+    pub(crate) fn borrowing(foreign: Option<Arc<Foreign>>) -> Self {
+        Self {
+            foreign,
+            ..Self::default()
+        }
+    }
+
+    /// The data of a frame of which some is lent.
+    fn borrow(&self, body: &[u8]) -> Option<Body> {
+        let foreign = self.foreign.as_ref()?;
+        let mut rest = body;
+        let count = usize::try_from(rest.try_get_u32_le().ok()?).ok()?;
+        if count > MOST_LENT {
+            return None;
+        }
+        let mut blobs = Vec::with_capacity(count);
+        for _ in 0..count {
+            let (before, place) = Place::get(&mut rest)?;
+            blobs.push((before, foreign.borrow(place)?));
+        }
+        Body::of_parts(rest.to_vec(), blobs)
+    }
+
     /// Takes what it needs from the front of `bytes`; a packet when one is complete.
     ///
     /// # Errors
@@ -170,21 +286,22 @@ impl Decoder {
                     }
                     self.begin()?;
                 }
-                Stage::Rest {
-                    kind,
-                    numbers,
-                    size,
-                } => {
-                    let fixed = fixed_size(kind);
-                    if !fill(&mut self.head, fixed, bytes) {
+                Stage::Rest { kind, numbers, .. } => {
+                    if !fill(&mut self.head, fixed_size(kind), bytes) {
                         return Ok(None);
                     }
-                    let missing = size - fixed - self.body.len();
+                    let missing = self.stage.missing(self.body.len());
                     let (now, later) = bytes.split_at(missing.min(bytes.len()));
                     self.body.extend_from_slice(now);
                     *bytes = later;
                     if now.len() < missing {
                         return Ok(None);
+                    }
+                    if kind == Kind::Piece {
+                        self.pieces = std::mem::take(&mut self.body);
+                        self.head.clear();
+                        self.stage = Stage::Head;
+                        continue;
                     }
                     return self.finish(kind, numbers).map(Some);
                 }
@@ -209,22 +326,52 @@ impl Decoder {
             .ok_or(wrong)?;
         let numbers = [number(&self.head, 5, 8), number(&self.head, 13, 8)];
         self.head.clear();
-        self.body = Vec::with_capacity((size - fixed_size(kind)).min(RESERVE));
+        let before = self.body_before(kind, numbers, size)?;
         self.stage = Stage::Rest {
             kind,
             numbers,
             size,
+            before,
         };
         Ok(())
+    }
+
+    /// Prepares the body of a packet: a new one, or what came in pieces before, of which it says the size.
+    fn body_before(
+        &mut self,
+        kind: Kind,
+        [at, _]: [u64; 2],
+        size: usize,
+    ) -> Result<usize, PacketError> {
+        if !matches!(kind, Kind::Piece | Kind::Last) {
+            self.body = Vec::with_capacity((size - fixed_size(kind)).min(RESERVE));
+            return Ok(0);
+        }
+        let mut pieces = std::mem::take(&mut self.pieces);
+        if kind == Kind::Piece && at == 0 {
+            // The first of a frame; perhaps of one that begins anew.
+            pieces.clear();
+        }
+        let before = pieces.len();
+        let fits = kind == Kind::Last || at == before as u64;
+        if !fits || before + size > FRAME_LIMIT {
+            return Err(PacketError::Piece { at, come: before });
+        }
+        self.body = pieces;
+        Ok(before)
     }
 
     fn finish(&mut self, kind: Kind, numbers: [u64; 2]) -> Result<Packet, PacketError> {
         self.stage = Stage::Head;
         let body = std::mem::take(&mut self.body);
         let content = match kind {
-            Kind::Frame => Content::Frame(Frame::from_parts(&self.head, body)?),
+            Kind::Frame | Kind::Last => Content::Frame(Frame::from_parts(&self.head, body.into())?),
+            Kind::Lent => {
+                let body = self.borrow(&body).ok_or(PacketError::Lent)?;
+                Content::Frame(Frame::from_parts(&self.head, body)?)
+            }
             Kind::Notice => Content::Notice(body),
-            Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => Content::Nothing,
+            Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp | Kind::Piece => Content::Nothing,
         };
         self.head.clear();
         let [number, received] = numbers;
@@ -242,16 +389,20 @@ impl Decoder {
         self.body.capacity()
     }
 
+    /// Whether a large packet has come in part.
+    pub(crate) fn is_in_large(&self) -> bool {
+        self.stage.missing(self.body.len()) >= LARGE
+    }
+
     /// Where the data of a large packet goes, when much of it is still to come: what is read into the
     /// free place there, all of it or less, is not copied again. [`Self::feed`], with nothing, completes
     /// the packet.
     pub(crate) fn large_body(&mut self) -> Option<&mut Vec<u8>> {
-        let Stage::Rest { kind, size, .. } = self.stage else {
+        let Stage::Rest { kind, .. } = self.stage else {
             return None;
         };
-        let fixed = fixed_size(kind);
-        let missing = (size - fixed).saturating_sub(self.body.len());
-        if self.head.len() < fixed || missing < LARGE {
+        let missing = self.stage.missing(self.body.len());
+        if self.head.len() < fixed_size(kind) || missing < LARGE {
             return None;
         }
         // Grows with what has come: an announcement alone reserves little.
@@ -270,8 +421,8 @@ impl Decoder {
 /// What stands between a packet's head and its data.
 fn fixed_size(kind: Kind) -> usize {
     match kind {
-        Kind::Frame => FRAME_FIXED,
-        Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp => 0,
+        Kind::Frame | Kind::Lent | Kind::Last => FRAME_FIXED,
+        Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp | Kind::Piece => 0,
     }
 }
 
@@ -349,7 +500,8 @@ mod tests {
             let mut decoder = Decoder::default();
             let mut rest = bytes.as_slice();
             while let Ok(Some(_)) = decoder.feed(&mut rest) {}
-            prop_assert!(decoder.body.capacity() <= RESERVE.max(bytes.len()));
+            let reserved = decoder.body.capacity().max(decoder.pieces.capacity());
+            prop_assert!(reserved <= RESERVE.max(2 * bytes.len()));
         }
 
         #[test]

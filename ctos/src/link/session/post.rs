@@ -3,7 +3,7 @@
 
 use super::{
     BYTES_OUT, FRAMES_OUT, REFUSED, Session,
-    line::gives_up,
+    line::{gives_up, lane_of_request},
     window::{Lane, NoRoom},
 };
 use crate::{
@@ -29,7 +29,7 @@ impl Link for Session {
         );
         let mut result = Ok(());
         self.put(|core, now| match lane {
-            Lane::Data => {
+            Lane::Data | Lane::Urgent => {
                 if let Err(NoRoom { held }) = core.line.send(frame, &mut core.outgoing, now) {
                     self.count(REFUSED, 1);
                     result = Err(Full { bytes: held });
@@ -67,7 +67,7 @@ fn lane_of(frame: &Frame) -> Lane {
     if answers || frame.header.command >= SYSTEM_COMMANDS {
         Lane::Control
     } else {
-        Lane::Data
+        lane_of_request(frame)
     }
 }
 

@@ -14,7 +14,14 @@ use super::{
 };
 use crate::{
     config::InjuryConfig,
-    link::{FRAME_FIXED, Link as _, lookout::Lookout},
+    link::{
+        FRAME_FIXED, Link as _,
+        lookout::Lookout,
+        shm::pool::{
+            Pool,
+            tests::{is_free, lent_to_a_peer, private},
+        },
+    },
     message::{Flags, SYSTEM_COMMANDS},
 };
 
@@ -55,6 +62,8 @@ struct End {
     /// On their way to the other end.
     wire: VecDeque<u8>,
     posted: u64,
+    /// Where it lends large data from, if it does.
+    pool: Option<Arc<Pool>>,
     /// The numbers of the frames that were handed over.
     heard: Vec<u64>,
 }
@@ -67,6 +76,7 @@ impl End {
             decoder: Decoder::default(),
             wire: VecDeque::new(),
             posted: 0,
+            pool: None,
             heard: Vec::new(),
         }
     }
@@ -154,6 +164,19 @@ impl Pair {
             end.decoder = Decoder::default();
             end.outgoing.restart(received).unwrap();
         }
+        self.join();
+    }
+
+    /// Joins the pools, if there are any, as a new stream does.
+    fn join(&mut self) {
+        for index in 0..2 {
+            let (lender, borrower) = self.both(index);
+            if let Some(pool) = &lender.pool {
+                let (lending, foreign) = lent_to_a_peer(pool);
+                lender.outgoing.set_lend(Some(Box::new(lending)));
+                borrower.decoder = Decoder::borrowing(Some(foreign));
+            }
+        }
     }
 
     fn make(&mut self, step: &Step) {
@@ -209,9 +232,12 @@ fn injury(drop: f64, break_bytes: usize, seed: u64, from: &str) -> Option<Injury
 
 fn play(steps: &[Step], drop: f64, break_bytes: usize, seed: u64) {
     let end = |name| End::new(injury(drop, break_bytes, seed, name));
-    let mut pair = Pair {
-        ends: [end("a"), end("b")],
-    };
+    play_between([end("a"), end("b")], steps);
+}
+
+fn play_between(ends: [End; 2], steps: &[Step]) {
+    let mut pair = Pair { ends };
+    pair.join();
     for step in steps {
         pair.make(step);
     }
@@ -220,6 +246,8 @@ fn play(steps: &[Step], drop: f64, break_bytes: usize, seed: u64) {
         let (hearer, poster) = pair.both(index);
         assert_eq!(hearer.heard, (1..=poster.posted).collect::<Vec<_>>());
         assert_eq!(poster.outgoing.bytes(), 0);
+        poster.outgoing.collect();
+        assert!(poster.pool.as_ref().is_none_or(|pool| is_free(pool)));
     }
 }
 
@@ -240,6 +268,14 @@ proptest! {
     }
 
     #[test]
+    fn what_is_lent_over_streams_that_break_arrives_once_and_comes_back(
+        steps in proptest::collection::vec(step(), 0..200),
+    ) {
+        let end = || End { pool: Some(private()), ..End::new(None) };
+        play_between([end(), end()], &steps);
+    }
+
+    #[test]
     fn what_a_peer_may_not_acknowledge_is_an_error(posted in 0..10_u64, received in 11..u64::MAX) {
         let mut end = End::new(None);
         for _ in 0..posted {
@@ -248,6 +284,108 @@ proptest! {
         prop_assert!(end.outgoing.acknowledge(received).is_err());
         prop_assert!(end.outgoing.acknowledge(posted).is_ok());
     }
+}
+
+/// Posts frames of both priorities at one end, lets the stream take bytes and break, and gives back what the
+/// other end heard: the numbers of the frames, in order.
+fn play_lanes(frames: &[(usize, bool)], writes: &[usize], breaks: &[bool]) -> Vec<u64> {
+    let mut pair = Pair {
+        ends: [End::new(None), End::new(None)],
+    };
+    pair.ends[0].outgoing.cut_into(3_000);
+    let mut heard = Vec::new();
+    let mut writes = writes.iter().cycle();
+    let mut breaks = breaks.iter().cycle();
+    let mut frames = (1..).zip(frames);
+    loop {
+        let next = frames.next();
+        let is_over = next.is_none() && pair.ends[0].outgoing.is_empty();
+        if let Some((call, (size, urgent))) = next {
+            let mut frame = Frame::of_body(vec![call as u8; *size]);
+            frame.call = call;
+            let lane = if *urgent { Lane::Urgent } else { Lane::Data };
+            pair.ends[0].outgoing.put_frame(frame, lane, Instant::START);
+        } else {
+            // Whatever is missing is asked for, and everything acknowledged.
+            pair.make(&Step::Pulse(0));
+            pair.make(&Step::Pulse(1));
+            pair.make(&Step::Write(1, MANY));
+            let back: Vec<u8> = pair.ends[1].wire.drain(..).collect();
+            pair.ends[0].read(&back);
+        }
+        let most = writes.next().copied().unwrap_or(MANY);
+        pair.ends[0].write(most.max(if next.is_none() { 50_000 } else { 1 }));
+        let bytes: Vec<u8> = pair.ends[0].wire.drain(..).collect();
+        pair.ends[1].read(&bytes);
+        heard.append(&mut pair.ends[1].heard);
+        if is_over {
+            return heard;
+        }
+        if next.is_some() && breaks.next() == Some(&true) {
+            pair.break_stream();
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn each_priority_keeps_its_order_and_nothing_is_lost_or_doubled(
+        frames in proptest::collection::vec((0..20_000_usize, any::<bool>()), 1..40),
+        writes in proptest::collection::vec(1..30_000_usize, 1..20),
+        breaks in proptest::collection::vec(proptest::bool::weighted(0.1), 1..40),
+    ) {
+        let heard = play_lanes(&frames, &writes, &breaks);
+        for urgent in [false, true] {
+            let of = |calls: &mut dyn Iterator<Item = u64>| -> Vec<u64> {
+                calls.filter(|call| frames[*call as usize - 1].1 == urgent).collect()
+            };
+            let sent = of(&mut (1..=frames.len() as u64));
+            prop_assert_eq!(of(&mut heard.iter().copied()), sent);
+        }
+    }
+}
+
+#[test]
+fn an_urgent_frame_and_a_sign_of_life_come_between_the_pieces_of_a_large_one() {
+    let mut end = End::new(None);
+    end.outgoing.cut_into(100_000);
+    let frame = |call: u64, size: usize| {
+        let mut frame = Frame::of_body(vec![call as u8; size]);
+        frame.call = call;
+        frame
+    };
+    let large = frame(1, 1_000_000);
+    end.outgoing.put_frame(large, Lane::Data, Instant::START);
+    end.write(25_000);
+    end.outgoing
+        .put_frame(frame(2, 10), Lane::Urgent, Instant::START);
+    end.outgoing.pulse(Kind::Pulse);
+    end.write(150_000);
+    let mut other = End::new(None);
+    let bytes: Vec<u8> = end.wire.drain(..).collect();
+    other.read(&bytes);
+    assert_eq!(other.heard, [2]);
+    assert!(bytes.len() < 200_000);
+    end.write(MANY);
+    let bytes: Vec<u8> = end.wire.drain(..).collect();
+    other.read(&bytes);
+    assert_eq!(other.heard, [2, 1]);
+}
+
+#[test]
+fn a_piece_that_does_not_follow_the_one_before_is_rubbish() {
+    let piece = |at: u64| {
+        let mut bytes = bytes::BytesMut::new();
+        packet::put_head(&mut bytes, Kind::Piece, [at, 0], 3);
+        bytes.extend_from_slice(&[1, 2, 3]);
+        bytes
+    };
+    let mut decoder = Decoder::default();
+    assert_eq!(decoder.feed(&mut &piece(0)[..]), Ok(None));
+    assert_eq!(decoder.feed(&mut &piece(3)[..]), Ok(None));
+    assert_eq!(decoder.feed(&mut &piece(0)[..]), Ok(None));
+    let wrong = decoder.feed(&mut &piece(4)[..]);
+    assert_eq!(wrong, Err(PacketError::Piece { at: 4, come: 3 }));
 }
 
 #[test]

@@ -5,8 +5,9 @@ use std::{collections::VecDeque, io, io::IoSlice};
 
 use bytes::{Buf, BufMut, Bytes, BytesMut};
 
-use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
+use super::packet::{Kind, Lend, MOST_LENT, PACKET_HEAD, PacketError, Place, put_head};
 use crate::{
+    blob,
     link::{FRAME_FIXED, Frame, injure::Injury},
     time::Instant,
 };
@@ -18,6 +19,10 @@ const COPIED: usize = 4 * 1024;
 /// How many bytes are made ready for the stream at a time, at least.
 const BATCH: usize = 64 * 1024;
 
+/// Frames with more data than this, bytes, are cut, so that signs of life and messages of high priority
+/// come between their pieces.
+const PIECE: usize = 256 * 1024;
+
 /// How many slices one write takes.
 const SLICES: usize = 32;
 
@@ -26,6 +31,8 @@ const SLICES: usize = 32;
 pub(crate) enum Lane {
     /// Requests of tasks.
     Data,
+    /// Requests of high priority: they overtake those that have not left yet.
+    Urgent,
     /// Answers, and everything of the runtime: never kept out by requests.
     Control,
 }
@@ -39,6 +46,8 @@ struct Kept {
     /// What follows the body: blobs that were not copied, and what is between them.
     more: Vec<Bytes>,
     lane: Lane,
+    /// How much of its data has left in pieces on this stream.
+    cut: usize,
     /// Not to be sent before (injured links only).
     ready: Instant,
 }
@@ -52,6 +61,62 @@ impl Kept {
 
     fn size(&self) -> usize {
         PACKET_HEAD + self.rest()
+    }
+
+    /// Its data, in parts.
+    fn parts(&self) -> impl Iterator<Item = &Bytes> {
+        std::iter::once(&self.body).chain(&self.more)
+    }
+
+    /// How many bytes its data has.
+    fn data(&self) -> usize {
+        self.rest() - self.head.len()
+    }
+
+    /// The next `size` bytes of data, of which so many have left before.
+    fn data_from(&self, from: usize, size: usize) -> impl Iterator<Item = Bytes> {
+        let mut skip = from;
+        let mut left = size;
+        self.parts().filter_map(move |part| {
+            let begin = skip.min(part.len());
+            skip -= begin;
+            let end = begin + left.min(part.len() - begin);
+            left -= end - begin;
+            (end > begin).then(|| part.slice(begin..end))
+        })
+    }
+
+    /// Writes it with its large parts lent. False when none could be; nothing is written then.
+    fn put_lent(&self, into: &mut BytesMut, numbers: [u64; 2], lend: &mut dyn Lend) -> bool {
+        let mut lent: Vec<(usize, Place)> = Vec::new();
+        let mut other: Vec<&Bytes> = Vec::new();
+        let mut size = 0;
+        for part in self.parts() {
+            let large = part.len() >= blob::LEAST && lent.len() < MOST_LENT;
+            match large.then(|| lend.lend(part)).flatten() {
+                Some(place) => lent.push((size, place)),
+                None => {
+                    size += part.len();
+                    other.push(part);
+                }
+            }
+        }
+        if lent.is_empty() {
+            return false;
+        }
+        let mut table = BytesMut::new();
+        table.put_u32_le(u32::try_from(lent.len()).unwrap_or(u32::MAX));
+        for (before, place) in &lent {
+            place.put(&mut table, *before);
+        }
+        let rest = self.head.len() + table.len() + size;
+        put_head(into, Kind::Lent, numbers, rest);
+        into.put_slice(&self.head);
+        into.put_slice(&table);
+        for part in other {
+            into.put_slice(part);
+        }
+        true
     }
 }
 
@@ -78,14 +143,21 @@ pub(crate) struct Outgoing {
     acked: u64,
     /// The next number that goes to the stream.
     next: u64,
+    /// The last number that ever went to a stream: the other end may know its packet by it.
+    known: u64,
+    /// How large the data of a frame may be before it is cut.
+    piece: usize,
     /// Bytes on their way into the stream.
     staged: VecDeque<Bytes>,
     /// An unnumbered packet that goes before the next numbered one.
     pulse: Option<Kind>,
     room: usize,
     held_data: usize,
+    held_urgent: usize,
     held_control: usize,
     injury: Option<Injury>,
+    /// Who lends large data to the other end, where it can be read in place.
+    lend: Option<Box<dyn Lend>>,
 }
 
 impl Outgoing {
@@ -95,12 +167,28 @@ impl Outgoing {
             kept: VecDeque::new(),
             acked: 0,
             next: 1,
+            known: 0,
+            piece: PIECE,
             staged: VecDeque::new(),
             pulse: None,
             room,
             held_data: 0,
+            held_urgent: 0,
             held_control: 0,
             injury,
+            lend: None,
+        }
+    }
+
+    /// From now on large data is lent to the other end, or no longer.
+    pub(crate) fn set_lend(&mut self, lend: Option<Box<dyn Lend>>) {
+        self.lend = lend;
+    }
+
+    /// Takes back what the other end has given back.
+    pub(crate) fn collect(&mut self) {
+        if let Some(lend) = &mut self.lend {
+            lend.collect();
         }
     }
 
@@ -108,6 +196,7 @@ impl Outgoing {
     pub(crate) fn has_room(&self, lane: Lane, size: usize) -> Result<(), NoRoom> {
         let held = match lane {
             Lane::Data => self.held_data,
+            Lane::Urgent => self.held_urgent,
             Lane::Control => self.held_control,
         };
         if held > 0 && held.saturating_add(size) > self.room {
@@ -119,6 +208,7 @@ impl Outgoing {
     fn held(&mut self, lane: Lane) -> &mut usize {
         match lane {
             Lane::Data => &mut self.held_data,
+            Lane::Urgent => &mut self.held_urgent,
             Lane::Control => &mut self.held_control,
         }
     }
@@ -154,10 +244,21 @@ impl Outgoing {
             body,
             more,
             lane,
+            cut: 0,
             ready,
         };
         *self.held(lane) += kept.size();
-        self.kept.push_back(kept);
+        // On an injured link everything keeps its place: what is late is late in its order.
+        if lane == Lane::Urgent && self.injury.is_none() {
+            let first =
+                usize::try_from(self.known.saturating_sub(self.acked)).unwrap_or(usize::MAX);
+            let mut later = self.kept.iter().skip(first);
+            let overtaken = later.position(|kept| kept.lane != Lane::Urgent);
+            let place = overtaken.map_or(self.kept.len(), |place| first + place);
+            self.kept.insert(place, kept);
+        } else {
+            self.kept.push_back(kept);
+        }
     }
 
     /// Asks for a packet without a number.
@@ -191,7 +292,7 @@ impl Outgoing {
 
     /// Bytes under way.
     pub(crate) fn bytes(&self) -> usize {
-        self.held_data + self.held_control
+        self.held_data + self.held_urgent + self.held_control
     }
 
     /// The other end has received everything up to `received`.
@@ -218,6 +319,12 @@ impl Outgoing {
     /// Begins again after the last acknowledged packet.
     pub(crate) fn again(&mut self) {
         self.next = self.acked + 1;
+        self.kept.iter_mut().for_each(|kept| kept.cut = 0);
+    }
+
+    #[cfg(test)]
+    pub(crate) fn cut_into(&mut self, piece: usize) {
+        self.piece = piece;
     }
 
     /// A new stream whose other end has received everything up to `received`.
@@ -318,15 +425,32 @@ impl Outgoing {
             let Some(kept) = self.kept.get(index).filter(|kept| kept.ready <= now) else {
                 break;
             };
+            if self.injury.is_none()
+                && self.lend.is_none()
+                && kept.kind == Kind::Frame
+                && kept.lane != Lane::Urgent
+                && (kept.cut > 0 || kept.data() > self.piece)
+            {
+                size += self.stage_piece(&mut small, index, received);
+                continue;
+            }
             let number = self.next;
             self.next += 1;
+            self.known = self.known.max(number);
             size += kept.size();
             if self.injury.as_mut().is_some_and(Injury::loses) {
                 continue;
             }
+            if let Some(lend) = &mut self.lend
+                && kept.kind == Kind::Frame
+                && kept.rest() >= blob::LEAST
+                && kept.put_lent(&mut small, [number, received], &mut **lend)
+            {
+                continue;
+            }
             put_head(&mut small, kept.kind, [number, received], kept.rest());
             small.put_slice(&kept.head);
-            for part in std::iter::once(&kept.body).chain(&kept.more) {
+            for part in kept.parts() {
                 if part.len() <= COPIED {
                     small.put_slice(part);
                 } else {
@@ -340,6 +464,29 @@ impl Outgoing {
         if !small.is_empty() {
             self.staged.push_back(small.freeze());
         }
+    }
+
+    /// Makes the next piece of the large frame at `index` ready; how large it is.
+    fn stage_piece(&mut self, small: &mut BytesMut, index: usize, received: u64) -> usize {
+        let Some(kept) = self.kept.get_mut(index) else {
+            return 0;
+        };
+        let from = kept.cut;
+        let size = (kept.data() - from).min(self.piece);
+        if from + size < kept.data() {
+            put_head(small, Kind::Piece, [from as u64, received], size);
+            kept.cut += size;
+        } else {
+            let rest = kept.head.len() + size;
+            put_head(small, Kind::Last, [self.next, received], rest);
+            small.put_slice(&kept.head);
+            kept.cut = 0;
+            self.known = self.known.max(self.next);
+            self.next += 1;
+        }
+        self.staged.push_back(small.split().freeze());
+        self.staged.extend(kept.data_from(from, size));
+        size
     }
 
     fn loses(&mut self) -> bool {

@@ -11,7 +11,8 @@
 //! the test of the ring holds that under Miri. A dishonest process may write at any moment: that is
 //! outside of this program's memory model, as with any device, and the copy then holds some bytes or
 //! others, which are checked after they were copied as everything from a network is. The file is sealed
-//! against shrinking, so no access can fault.
+//! against shrinking, so no access can fault. The one exception are the slices of a [`super::pool`], whose
+//! argument stands there.
 
 #![allow(
     unsafe_code,
@@ -43,7 +44,15 @@ unsafe impl Sync for Memory {}
 impl Memory {
     /// Maps the first `size` bytes of a file.
     pub(super) fn of_file(file: BorrowedFd<'_>, size: usize) -> io::Result<Self> {
-        let protection = ProtFlags::READ | ProtFlags::WRITE;
+        Self::map(file, size, ProtFlags::READ | ProtFlags::WRITE)
+    }
+
+    /// Maps the first `size` bytes of a file, of which nothing may be written.
+    pub(super) fn of_file_to_read(file: BorrowedFd<'_>, size: usize) -> io::Result<Self> {
+        Self::map(file, size, ProtFlags::READ)
+    }
+
+    fn map(file: BorrowedFd<'_>, size: usize, protection: ProtFlags) -> io::Result<Self> {
         // SAFETY: a new mapping at an address of the system's choice touches nothing that exists.
         let start = unsafe {
             rustix::mm::mmap(ptr::null_mut(), size, protection, MapFlags::SHARED, file, 0)
@@ -87,6 +96,41 @@ impl Memory {
         assert!(place.is_multiple_of(8) && place < self.size && self.size - place >= 8);
         // SAFETY: in bounds and aligned (the start is page-aligned); all accesses to it are atomic.
         unsafe { AtomicU64::from_ptr(self.start.add(place).cast().as_ptr()) }
+    }
+
+    /// How many bytes it is.
+    pub(super) fn size(&self) -> usize {
+        self.size
+    }
+
+    /// Where `bytes` stand, if they stand in it.
+    pub(super) fn place_of(&self, bytes: &[u8]) -> Option<usize> {
+        let place = bytes.as_ptr().addr().checked_sub(self.start.addr().get())?;
+        (place <= self.size && self.size - place >= bytes.len()).then_some(place)
+    }
+
+    /// The `size` bytes at `place`, to be read.
+    ///
+    /// # Safety
+    /// Nobody writes to them while they are borrowed.
+    pub(super) unsafe fn bytes(&self, place: usize, size: usize) -> &[u8] {
+        assert!(place <= self.size && self.size - place >= size);
+        // SAFETY: in bounds, and every byte of a mapping has a value; the rest is for the caller.
+        unsafe { std::slice::from_raw_parts(self.start.add(place).as_ptr(), size) }
+    }
+
+    /// The `size` bytes at `place`, to be written.
+    ///
+    /// # Safety
+    /// The mapping may be written to, and nobody else reads or writes them while they are borrowed.
+    #[allow(
+        clippy::mut_from_ref,
+        reason = "the caller says that nobody else has them"
+    )]
+    pub(super) unsafe fn bytes_mut(&self, place: usize, size: usize) -> &mut [u8] {
+        assert!(place <= self.size && self.size - place >= size);
+        // SAFETY: as above.
+        unsafe { std::slice::from_raw_parts_mut(self.start.add(place).as_ptr(), size) }
     }
 
     /// Copies `bytes` to `place`.

@@ -18,7 +18,7 @@ pub struct Rules {
     pub(in crate::analysis) has_priorities: bool,
     /// Enabling function of each transition.
     whens: Vec<Option<(u32, bool)>>,
-    has_whens: bool,
+    pub(in crate::analysis) has_whens: bool,
     functions: usize,
     groups: usize,
     /// Places that some transition is inhibited by.
@@ -33,6 +33,8 @@ pub struct Scratch {
     /// Per enabled transition, whether nothing can keep it from firing.
     pub(in crate::analysis) sure: Vec<bool>,
     most: Vec<u32>,
+    /// Per enabling function, the highest priority at which it, and its negation, is asked.
+    sides: Vec<[Option<u32>; 2]>,
     polarities: Vec<[bool; 2]>,
 }
 
@@ -124,21 +126,37 @@ impl Rules {
         }
     }
 
-    /// A net never starts a transition while a more urgent one without enabling function waits.
+    /// A net never starts a transition while a more urgent one may fire. What its enabling functions say
+    /// is not known, only that each says one thing to all that ask it: so a transition waits for a more
+    /// urgent one without enabling function, for one with the same, and where the two sides of one
+    /// function are both more urgent.
     fn drop_low_priorities(&self, scratch: &mut Scratch) {
         scratch.most.clear();
         scratch.most.resize(self.groups, 0);
+        scratch.sides.clear();
+        scratch.sides.resize(self.functions, [None; 2]);
         for number in &scratch.enabled {
             let (group, priority) = self.priorities[*number as usize];
-            if self.whens[*number as usize].is_none() {
-                let most = &mut scratch.most[group as usize];
-                *most = priority.unwrap_or(0).max(*most);
-            }
+            let most = match self.whens[*number as usize] {
+                None => priority.unwrap_or(0),
+                Some((function, negated)) => {
+                    let sides = &mut scratch.sides[function as usize];
+                    let side = &mut sides[usize::from(negated)];
+                    *side = (*side).max(priority);
+                    // One of the two sides can fire, whatever the function says.
+                    sides[0].min(sides[1]).unwrap_or(0)
+                }
+            };
+            let all = &mut scratch.most[group as usize];
+            *all = most.max(*all);
         }
-        let most = &scratch.most;
+        let (most, sides) = (&scratch.most, &scratch.sides);
         scratch.enabled.retain(|number| {
             let (group, priority) = self.priorities[*number as usize];
-            priority.is_none_or(|priority| priority >= most[group as usize])
+            let side = self.whens[*number as usize]
+                .and_then(|(function, negated)| sides[function as usize][usize::from(negated)]);
+            priority
+                .is_none_or(|priority| priority >= most[group as usize] && side <= Some(priority))
         });
     }
 

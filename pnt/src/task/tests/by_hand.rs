@@ -398,3 +398,47 @@ fn a_net_asks_another_for_one_of_its_commands_and_takes_its_failure_branch_for_a
     );
     assert_eq!(PutTape::NAME, "put_tape");
 }
+
+#[test]
+fn a_breakpoint_that_was_set_by_hand_is_armed_again_before_the_first_firing() {
+    let more = "durable = false, allow_control = true";
+    let deaths = [5_u64, 15].map(|at_s| Mishap::Kill {
+        chassis: "on_n".to_owned(),
+        at: Instant::from_nanos(at_s * 1_000_000_000),
+    });
+    let script = Faults::of_script("two deaths", deaths.to_vec());
+    let found = run_with(more, PUMP, script, |cx| {
+        Box::pin(async move {
+            let mut said = Vec::new();
+            said.push(
+                order(
+                    &cx,
+                    Order::Break {
+                        at: "pump".to_owned(),
+                    },
+                )
+                .await,
+            );
+            cx.sleep(Duration::from_secs(10)).await;
+            let again = marking(&cx).await;
+            said.push(format!(
+                "{:?} after {} firings",
+                again.paused, again.firings
+            ));
+            said.push(order(&cx, Order::Clear { at: None }).await);
+            cx.sleep(Duration::from_secs(10)).await;
+            let free = marking(&cx).await;
+            said.push(format!("{:?} {:?}", free.paused, free.breakpoints));
+            Ok(said.join("\n"))
+        })
+    });
+    assert_eq!(
+        found.unwrap().lines().collect::<Vec<_>>(),
+        [
+            "break at pump",
+            "Some(\"breakpoint `pump`\") after 0 firings",
+            "no breakpoints",
+            "None []",
+        ]
+    );
+}
