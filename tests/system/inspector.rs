@@ -1,5 +1,12 @@
 //! `scott` at a running app with two daemons, in processes of their own.
 
+use std::{
+    io::{Read, Write},
+    process::{Child, ChildStdin, Command, Stdio},
+    sync::mpsc::{Receiver, channel},
+    time::Duration,
+};
+
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -273,4 +280,159 @@ fn classes_are_described_by_the_app_itself() {
             "{class} of {names:?}"
         );
     }
+}
+
+#[test]
+fn the_clocks_of_two_processes_differ_by_no_more_than_is_said() {
+    let scratch = Scratch::new();
+    let _run = up(&scratch);
+    said(&scratch, "shmem_w.beat@d2 CTRL -floats 2 -slots 4");
+    said(&scratch, "shmem_w.beat@d2 EXEC FMSG 2 1 2");
+    said(&scratch, "shmem_far.beat CTRL -daemon d2");
+    let asked = |statement: &str| {
+        let ended = scratch.scott(&["--json", "-c", statement]);
+        ended.must_exit_leaving(0);
+        ended.json()
+    };
+    // Both have the clock of this machine: the truth is zero, and lies within what is said.
+    let mut errors = Vec::new();
+    for _ in 0..5 {
+        let clock = asked("shmem_far.beat EXEC clock");
+        let [offset, error] = [0, 1].map(|index| clock["floats"][index].as_f64().unwrap());
+        assert!(error > 0.0 && offset.abs() <= error, "{offset} {error}");
+        errors.push(error);
+    }
+    // More exchanges say more, but for what drift allows meanwhile.
+    assert!(errors[4] < errors[0] + 0.1, "{errors:?}");
+    let latest = asked("shmem_far.beat EXEC latest");
+    assert_eq!(latest["floats"], serde_json::json!([1.0, 2.0]));
+    let number = |index: usize| latest["ints"][index].as_i64().unwrap();
+    let (age, error) = (number(2), number(6));
+    assert!(error > 0 && age > -error, "{latest}");
+}
+
+#[test]
+fn the_environment_of_a_daemon_gives_recipes_over_those_of_files() {
+    let scratch = Scratch::new();
+    scratch.edit(
+        "configs/objects.dict",
+        "queue.small -capacity 3",
+        "queue.small -capacity 3\nqueue.tiny -capacity 2",
+    );
+    let variables = [
+        ("SORMA_queue__small", "-capacity 1"),
+        ("SORMA_queue__words", "-capacity '7'"),
+    ];
+    let mut run = scratch.start(CTOS, &["boot", "configs/objects.toml"], &variables);
+    run.wait_for("phase 3");
+    // Both daemons are processes that the boot started.
+    for (name, capacity) in [
+        ("queue.small", "-capacity 1"),
+        ("queue.words", "-capacity 7"),
+        ("queue.words@d2", "-capacity 7"),
+        ("queue.tiny", "-capacity 2"),
+    ] {
+        let dump = said(&scratch, &format!("{name} CTRL -dump"));
+        assert!(dump.contains(capacity), "{name}: {dump}");
+    }
+}
+
+#[test]
+fn an_environment_that_is_no_recipe_stops_the_boot_and_names_the_variable() {
+    let scratch = Scratch::new();
+    let variables = [("SORMA_queue__small", "-capacity '1")];
+    let run = scratch.start(CTOS, &["boot", "configs/objects.toml"], &variables);
+    let ended = run.end();
+    assert_ne!(ended.code, Some(0));
+    ended.must_say("SORMA_queue__small");
+}
+
+/// `scott` at a terminal, which util-linux's `script` makes.
+struct Terminal {
+    child: Child,
+    keys: ChildStdin,
+    drawn: Receiver<Vec<u8>>,
+    shown: String,
+}
+
+impl Terminal {
+    fn start(scratch: &Scratch, app: &str) -> Self {
+        let line = format!("stty cols 100 rows 30; exec '{SCOTT}' {app}");
+        let mut child = Command::new("script")
+            .args(["--quiet", "--flush", "--command", &line, "/dev/null"])
+            .env("XDG_RUNTIME_DIR", scratch.path(""))
+            .env("HOME", scratch.path(""))
+            .env("SHELL", "/bin/sh")
+            .env("TERM", "xterm")
+            .current_dir(scratch.path(""))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("install util-linux: this test needs a terminal, which `script` makes");
+        let keys = child.stdin.take().unwrap();
+        let mut screen = child.stdout.take().unwrap();
+        let (sender, drawn) = channel();
+        std::thread::spawn(move || {
+            let mut bytes = [0; 4096];
+            while let Ok(count @ 1..) = screen.read(&mut bytes) {
+                if sender.send(bytes[..count].to_vec()).is_err() {
+                    return;
+                }
+            }
+        });
+        let shown = String::new();
+        Self {
+            child,
+            keys,
+            drawn,
+            shown,
+        }
+    }
+
+    /// Reads what is drawn until a text has come, and forgets what came before it.
+    #[track_caller]
+    fn until(&mut self, text: &str) {
+        /// How a program asks where the cursor is.
+        const WHERE: &str = "\u{1b}[6n";
+        loop {
+            while let Some(at) = self.shown.find(WHERE) {
+                self.shown.replace_range(at..at + WHERE.len(), "");
+                self.keys.write_all(b"\x1b[1;1R").unwrap();
+            }
+            if let Some(at) = self.shown.find(text) {
+                self.shown.drain(..at + text.len());
+                return;
+            }
+            match self.drawn.recv_timeout(Duration::from_secs(120)) {
+                Ok(bytes) => self.shown += &String::from_utf8_lossy(&bytes),
+                Err(why) => panic!("no `{text}` ({why}) in {:?}", self.shown),
+            }
+        }
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn the_prompt_tells_that_the_app_is_gone_and_back_while_nobody_types() {
+    let scratch = Scratch::new();
+    let run = up(&scratch);
+    let mut terminal = Terminal::start(&scratch, "objects");
+    terminal.until("scott objects");
+    run.signal(Signal::INT);
+    run.end();
+    terminal.until("app `objects` is gone");
+    terminal.until("scott objects (gone)");
+    let _anew = up(&scratch);
+    terminal.until("app `objects` is back");
+    terminal.until("scott objects");
+    // What is typed reaches the new one.
+    terminal.keys.write_all(b"foo.a EXEC\r").unwrap();
+    terminal.until("breakfast");
 }

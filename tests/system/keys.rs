@@ -6,7 +6,7 @@ use std::{fs, net::TcpStream, path::Path};
 use rustix::process::Signal;
 
 use crate::{
-    harness::{CTOS, Ended, MISBEHAVING, Run, Scratch},
+    harness::{CTOS, Ended, MISBEHAVING, Run, SCOTT, Scratch},
     hosts::{Agent, ask, boot, free_port, pair},
 };
 
@@ -403,4 +403,46 @@ fn both_programs_can_be_agents() {
             help.told
         );
     }
+}
+
+#[test]
+fn objects_of_an_app_on_another_host_are_asked_with_a_key_that_may_control() {
+    let [here, away] = [Scratch::empty(), Scratch::empty()];
+    keys(
+        &here,
+        &[("cell", "boot"), ("screen", "watch"), ("desk", "control")],
+    );
+    for name in ["screen", "desk"] {
+        carry(&here, &away, name);
+    }
+    let port = free_port();
+    here.write(
+        "app.toml",
+        format!(
+            "{}[task.objects]\nhandler = \"sorma.daemon\"\non = \"cage\"\n",
+            watched(port, "cell").replace(
+                "[task.arm]\nhandler = \"test.steady\"\non = \"cage\"\nargs = { slow_s = 0.0 }\n",
+                ""
+            )
+        ),
+    );
+    let mut run = here.start(CTOS, &["boot", "app.toml"], &[]);
+    run.wait_for("phase 3");
+    let at = format!("127.0.0.1:{port}");
+    let asked = |key: &str, line: &str| {
+        let key = format!("keys/{key}");
+        let arguments = ["--at", &at, "--key", &key, "-c", line];
+        away.start(SCOTT, &arguments, &[]).end()
+    };
+    let ended = asked("desk", "foo.a EXEC");
+    assert!(ended.must_exit(0).stdout.starts_with("foo.a RET 0"));
+    // What went wrong over there has its report here.
+    let ended = asked("desk", "nothing.a EXEC");
+    assert_ne!(ended.code, Some(0));
+    ended.must_say("nothing");
+    let ended = asked("screen", "foo.a EXEC");
+    assert_ne!(ended.code, Some(0));
+    ended.must_say("watch");
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
 }
