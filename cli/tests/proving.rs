@@ -210,3 +210,64 @@ fn the_engines_agree_and_threads_change_nothing() {
         assert_eq!(one[key], many[key], "{key}");
     }
 }
+
+#[test]
+fn the_performance_of_a_net_is_told_with_its_exact_and_its_simulated_values() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("a net");
+    write(
+        "machine.net",
+        "net machine\nplace up = 1, down\ntransition breaks\n  in up\n  out down\n  time exponential 3 s\ntransition repair\n  in down\n  out up\n  time exponential 1 s\n",
+    );
+    write(
+        "untimed.net",
+        "net n\nplace a = 1\ntransition t\n  in a\n  out a\n",
+    );
+    write(
+        "stops.net",
+        "net n\nplace a = 1\ntransition t\n  in a\n  time exponential 1 s\n",
+    );
+    let perf = |arguments: &[&str]| ctos(folder.path(), &[&["net", "perf"], arguments].concat());
+    let output = perf(&[
+        "machine.net",
+        "--time",
+        "5000",
+        "--confidence",
+        "0.9999",
+        "--json",
+    ]);
+    assert_eq!(output.status.code(), Some(0));
+    let report: Value = serde_json::from_slice(&output.stdout).expect("an object");
+    let up = &report["places"][0];
+    assert_eq!(up["place"], "up");
+    let number = |value: &Value| value.as_f64().expect("a number");
+    // Up for three seconds of four.
+    let (exact, simulated) = (number(&up["tokens"]["exact"]), &up["tokens"]["simulated"]);
+    assert!((exact - 0.75).abs() < 1e-9);
+    assert!((number(&simulated["mean"]) - 0.75).abs() <= number(&simulated["half_width"]));
+    let breaks = &report["transitions"][0]["throughput_per_s"]["exact"];
+    assert!((number(breaks) - 0.25).abs() < 1e-9);
+    let again = perf(&[
+        "machine.net",
+        "--time",
+        "5000",
+        "--confidence",
+        "0.9999",
+        "--json",
+    ]);
+    assert_eq!(output.stdout, again.stdout);
+    let words = perf(&["machine.net", "--time", "100"]);
+    let words = String::from_utf8(words.stdout).expect("text");
+    assert!(
+        words.contains("breaks") && words.contains("0.75"),
+        "{words}"
+    );
+    for (arguments, code) in [
+        (["machine.net", "--confidence", "2"], 2),
+        (["untimed.net", "--time", "1"], 3),
+        (["nowhere.net", "--time", "1"], 3),
+        (["stops.net", "--time", "1"], 1),
+    ] {
+        assert_eq!(perf(&arguments).status.code(), Some(code), "{arguments:?}");
+    }
+}

@@ -4,11 +4,14 @@
 use std::{
     ops::Range,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use ctos::diagnostic::{Finding, Findings, Severity, Source};
 use pnt::{
+    check::{self, Limits, Rule},
     compile,
+    net::Net,
     text::{
         self, grammar,
         outline::{Kind, Occurrence, Outline},
@@ -24,6 +27,36 @@ pub struct Document {
     outline: Outline,
     /// The file it is, if it is one.
     path: Option<PathBuf>,
+}
+
+/// How far an editor's net is looked at, so that it answers while its author types.
+const LIMITS: Limits = Limits {
+    markings: 20_000,
+    bytes: 64 << 20,
+    threads: 1,
+};
+
+/// What a net that stands by itself does not prove. Of one that works with others nothing is told, nor of
+/// one with too many markings: `ctos net check` looks at those.
+fn soundness(net: Net) -> Findings {
+    let alone =
+        net.remote_nets().is_empty() && net.coordinators().is_empty() && net.serves().is_empty();
+    if !alone || net.transitions().is_empty() {
+        return Findings::new();
+    }
+    let nets = [Arc::new(net)];
+    let options = check::Options::new(Rule::of(&nets), LIMITS);
+    let found = match check::prove(&nets, &options, &mut |_| {}) {
+        Ok(proof) => proof.findings,
+        Err(found) => found,
+    };
+    let mut told = Findings::new();
+    for finding in found.into_sorted() {
+        if finding.code != "pnt::check::not_proved" {
+            told.push(finding);
+        }
+    }
+    told
 }
 
 impl Document {
@@ -94,7 +127,7 @@ impl Document {
         let folder = folder.unwrap_or(Path::new("")).to_owned();
         let mut include = |file: &str| Source::read(&folder.join(file));
         let found = match compile::net_with(&self.source, &mut include) {
-            Ok(_) => Findings::new(),
+            Ok(net) => soundness(net),
             Err(found) => found,
         };
         // A file of subnets only is included by others and is no net.
