@@ -95,9 +95,7 @@ impl Browser {
             .clone_into(&mut browser.session);
         browser.order("Runtime.enable", json!({}));
         browser.order("Page.enable", json!({}));
-        let metrics =
-            json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
-        browser.order("Emulation.setDeviceMetricsOverride", metrics);
+        browser.resize((width, height));
         browser.order("Page.navigate", json!({ "url": url }));
         browser
     }
@@ -200,6 +198,13 @@ impl Browser {
             "Emulation.setEmulatedMedia",
             json!({ "features": features }),
         );
+    }
+
+    /// Gives the page so many px to be seen in.
+    pub fn resize(&mut self, (width, height): (u32, u32)) {
+        let metrics =
+            json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        self.order("Emulation.setDeviceMetricsOverride", metrics);
     }
 
     /// Takes a picture of what is seen.
