@@ -48,6 +48,8 @@ pub enum NetCommand {
     Break(control::BreakArgs),
     /// End the action of a transition as failed
     Cancel(control::TransitionArgs),
+    /// End the action of a transition as completed; what it would have put into data objects is not put
+    Complete(control::TransitionArgs),
     /// Put another net in the place of a running one
     ///
     /// It is checked together with all nets of the app first, and put in place at the next safe marking: one that the
@@ -87,6 +89,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Step(args) => control::step(args),
         NetCommand::Break(args) => control::set_breakpoint(args),
         NetCommand::Cancel(args) => control::cancel(args),
+        NetCommand::Complete(args) => control::complete(args),
         NetCommand::Replace(args) => control::replace(args),
         NetCommand::Tape(args) => control::tape(args),
         NetCommand::Marking(args) => control::marking(args),

@@ -136,6 +136,9 @@ fn meant(asked: &Asked, set: &[Breakpoint]) -> Result<Order, HandlerError> {
         "cancel" => Order::Cancel {
             transition: transition()?,
         },
+        "complete" => Order::Complete {
+            transition: transition()?,
+        },
         "pause" => Order::Pause,
         "resume" => Order::Resume,
         "step" => Order::Step { firings: 1 },

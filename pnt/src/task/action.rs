@@ -40,9 +40,9 @@ impl<S: 'static> Engine<S> {
             self.told(&cx).await?;
             self.action(id, action).await
         };
-        let (acted, cancelled) = match Abortable::new(acting, cancel).await {
+        let (acted, by_hand) = match Abortable::new(acting, cancel).await {
             Ok(acted) => (acted, false),
-            Err(Aborted) => (Err(HandlerError::new("cancelled by hand")), true),
+            Err(Aborted) => (self.ended_by_hand(firing), true),
         };
         let net = self.net();
         let transition = &net[id];
@@ -59,7 +59,7 @@ impl<S: 'static> Engine<S> {
             notes
                 .borrow_mut()
                 .push(format!("{}: {error}", transition.name));
-            if transition.fail.is_none() && !cancelled {
+            if transition.fail.is_none() && !by_hand {
                 if tries >= MOST_TRIES {
                     self.halt(&format!(
                         "transition `{}` failed {tries} times: {error}",
@@ -75,6 +75,14 @@ impl<S: 'static> Engine<S> {
             self.halt(&error.to_string());
         }
         self.advance(&cx);
+    }
+
+    /// What a person said that an action came to.
+    fn ended_by_hand(&self, firing: FiringId) -> Acted {
+        match self.core.borrow().acting.get(&firing) {
+            Some(acting) if acting.completed => Ok(()),
+            _ => Err(HandlerError::new("cancelled by hand")),
+        }
     }
 
     /// The third phase of a firing.
@@ -204,10 +212,29 @@ impl<S: 'static> Engine<S> {
     }
 }
 
-/// What ends an action from outside.
-pub(super) fn cancellable() -> (AbortRegistration, AbortHandle) {
-    let (handle, registration) = AbortHandle::new_pair();
-    (registration, handle)
+/// An action that is going on, as it is seen from outside.
+pub(super) struct Acting {
+    handle: AbortHandle,
+    /// It was ended by hand, as completed.
+    completed: bool,
+}
+
+impl Acting {
+    /// With what the action looks at.
+    pub(super) fn new() -> (AbortRegistration, Self) {
+        let (handle, registration) = AbortHandle::new_pair();
+        let acting = Self {
+            handle,
+            completed: false,
+        };
+        (registration, acting)
+    }
+
+    /// Ends it, as completed or as failed.
+    pub(super) fn end(&mut self, completed: bool) {
+        self.completed = completed;
+        self.handle.abort();
+    }
 }
 
 /// Whether a task takes what nets take.

@@ -375,8 +375,12 @@ impl<S: 'static> Engine<S> {
                 })
             }
             Order::Cancel { transition } => {
-                core.cancel(&transition)?;
+                core.end_action(&transition, false)?;
                 ordered(format!("cancel {transition}"))
+            }
+            Order::Complete { transition } => {
+                core.end_action(&transition, true)?;
+                ordered(format!("complete {transition}"))
             }
             // It waits, and was taken out before.
             Order::Replace { file, .. } => ordered(format!("replace by {file}")),
@@ -419,7 +423,8 @@ impl<S: 'static> Engine<S> {
 
 impl Core {
     /// Ends the action of a transition as failed.
-    fn cancel(&mut self, name: &str) -> Handled {
+    /// Ends the action of a transition, as completed or as failed.
+    fn end_action(&mut self, name: &str, completed: bool) -> Handled {
         let net = std::sync::Arc::clone(self.execution.net());
         let found = self
             .execution
@@ -429,12 +434,12 @@ impl Core {
             let text = format!("transition `{name}` is not in action");
             return Err(HandlerError::new(text));
         };
-        if net[id].fail.is_none() {
+        if !completed && net[id].fail.is_none() {
             // Or it would begin again at once.
             self.manual.pause(format!("`{name}` was cancelled by hand"));
         }
-        if let Some(acting) = self.acting.get(&firing) {
-            acting.abort();
+        if let Some(acting) = self.acting.get_mut(&firing) {
+            acting.end(completed);
         }
         Ok(())
     }

@@ -16,9 +16,9 @@ use ctos::{
     mix,
     task::{Context, Handled, HandlerError},
 };
-use futures_util::future::AbortHandle;
 
 use super::{
+    action::Acting,
     carry::Carrying,
     control::Manual,
     durable::Durable,
@@ -76,8 +76,8 @@ pub(super) struct Core {
     pub(super) untold: Vec<(u64, String, bool)>,
     /// Failures in a row, per transition.
     pub(super) failures: Vec<u32>,
-    /// Actions that are going on, to be cancelled.
-    pub(super) acting: BTreeMap<FiringId, AbortHandle>,
+    /// Actions that are going on, to be ended by hand.
+    pub(super) acting: BTreeMap<FiringId, Acting>,
     pub(super) manual: Manual,
     pub(super) replacing: Option<Replacing>,
     /// Counts the changes of all that is stored.

@@ -188,8 +188,8 @@ impl<S: 'static> Engine<S> {
             },
             command,
         };
-        let (registration, handle) = super::action::cancellable();
-        core.acting.insert(firing, handle);
+        let (registration, acting) = super::action::Acting::new();
+        core.acting.insert(firing, acting);
         drop(core);
         let engine = Rc::clone(self);
         self.cx

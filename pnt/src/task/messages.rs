@@ -125,6 +125,12 @@ pub enum Order {
         /// Its name.
         transition: String,
     },
+    /// Ends the action of a transition that is going on, as completed; what it would have put into data
+    /// objects is not put.
+    Complete {
+        /// Its name.
+        transition: String,
+    },
     /// Replaces the net at its next safe marking.
     Replace {
         /// The name of the file, for findings.

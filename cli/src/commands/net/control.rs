@@ -1,5 +1,5 @@
 //! Interventions in a running net, and looking at it: `ctos net fire`, `put`, `take`, `pause`, `resume`,
-//! `step`, `break`, `cancel`, `replace`, `tape` and `marking`.
+//! `step`, `break`, `cancel`, `complete`, `replace`, `tape` and `marking`.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -118,6 +118,13 @@ pub fn fire(args: &TransitionArgs) -> u8 {
 pub fn cancel(args: &TransitionArgs) -> u8 {
     let transition = args.transition.clone();
     order(&args.task, Order::Cancel { transition })
+}
+
+/// Runs `ctos net complete`.
+#[must_use]
+pub fn complete(args: &TransitionArgs) -> u8 {
+    let transition = args.transition.clone();
+    order(&args.task, Order::Complete { transition })
 }
 
 /// Runs `ctos net put`.

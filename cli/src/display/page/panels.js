@@ -92,6 +92,7 @@ function transitionPart(net, node, app) {
     app.control && !net.real ? make("div", { class: "actions" },
       make("button", { onclick: () => app.order("fire", net, { transition: transition.name }), disabled: standing.state === "running" }, "Fire"),
       transition.target === "" ? null : make("button", { onclick: () => app.order("cancel", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as failed" }, "Fail"),
+      transition.target === "" ? null : make("button", { onclick: () => app.order("complete", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as completed, without its results" }, "Succeed"),
       breakButton(net, app, { transition: transition.name })) : null,
     transition.task !== null ? taskPart(transition.task, app) : null);
 }

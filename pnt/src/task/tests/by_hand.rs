@@ -65,6 +65,55 @@ fn a_net_is_not_controlled_unless_its_task_allows_it() {
 }
 
 #[test]
+fn an_action_is_ended_by_hand_as_completed_or_as_failed() {
+    const TWO: &str = "net n\nplace tank = 2, good, bad\ncommand go -> gone\n\
+        transition pump\n  in tank\n  do work\n  out good\n  fail bad\n\
+        transition drain\n  in good, bad\n  tape go\n  write gone\n";
+    let more = "allow_control = true, breakpoints = [\"pump\"]";
+    let found = run_with(more, TWO, Faults::none(), |cx| {
+        Box::pin(async move {
+            let transition = || "pump".to_owned();
+            let mut said = Vec::new();
+            let (complete, cancel) = (
+                Order::Complete {
+                    transition: transition(),
+                },
+                Order::Cancel {
+                    transition: transition(),
+                },
+            );
+            order(&cx, Order::Clear { at: None }).await;
+            for end in [complete, cancel] {
+                order(&cx, Order::Step { firings: 1 }).await;
+                assert_eq!(marking(&cx).await.in_action.len(), 1);
+                order(&cx, end).await;
+                cx.sleep(Duration::from_millis(10)).await;
+                let now = marking(&cx).await;
+                said.push(format!(
+                    "{} good, {} bad, {} running",
+                    tokens(&now, "good"),
+                    tokens(&now, "bad"),
+                    now.in_action.len()
+                ));
+            }
+            let transition = transition();
+            said.push(order(&cx, Order::Complete { transition }).await);
+            Ok(said.join("\n"))
+        })
+    });
+    let found = found.unwrap();
+    let lines: Vec<&str> = found.lines().collect();
+    assert_eq!(
+        lines[..2],
+        ["1 good, 0 bad, 0 running", "1 good, 1 bad, 0 running"]
+    );
+    assert!(
+        lines[2].contains("transition `pump` is not in action"),
+        "{found}"
+    );
+}
+
+#[test]
 fn a_net_is_paused_stepped_fired_filled_emptied_and_its_actions_are_cancelled_by_hand() {
     let more = "allow_control = true, breakpoints = [\"pump\"]";
     let found = run_with(more, PUMP, Faults::none(), |cx| {
