@@ -90,6 +90,15 @@ pub fn run(args: &DisplayArgs, registry: &Registry) -> u8 {
         Ok(recorded) => recorded,
         Err(error) => {
             show::say(&format!("error: {error}"));
+            if let [name] = args.records.as_slice()
+                && name.extension().is_none()
+                && !name.exists()
+            {
+                let name = name.display();
+                show::say(&format!(
+                    "to watch a running app: ctos display --app {name}"
+                ));
+            }
             return exit::CONFIG;
         }
     };
