@@ -299,6 +299,8 @@ fn a_person_plays_through_what_would_happen_and_nothing_of_it_does() {
     browser.click("What if");
     browser
         .wait("document.querySelector('#status').textContent.includes('nothing of this happens')");
+    // The buttons are those of the copy now.
+    browser.wait("[...document.querySelectorAll('#side button')].some((one) => one.textContent === 'Take back')");
     browser.click("Fire");
     let fork = "nets.forks.get('dispatcher').head.places.join()";
     browser.wait(&format!("{fork} !== {real}"));

@@ -467,6 +467,8 @@ class App extends Moments {
   }
 
   order(what, net, more) {
+    // A button that was shown for the net itself, and clicked when its copy had taken its place.
+    if (this.forks.size > 0) return;
     this.ask(what, { net: net.name, ...more });
   }
 
