@@ -31,7 +31,11 @@ use crate::{
 /// A test that takes longer hangs; none takes a fraction of it.
 const WATCHDOG: Duration = Duration::from_secs(60);
 
-const SILENCE: Duration = Duration::from_millis(400);
+/// After this a hasty boot is missed: long for whatever must have happened before, also on a machine that is busy.
+const SILENCE: Duration = Duration::from_secs(3);
+
+/// What whoever does not end by itself is given, before it is ended.
+const STOP: Duration = Duration::from_millis(300);
 
 fn run<T>(test: impl Future<Output = T>) -> T {
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -110,18 +114,37 @@ impl Host {
     }
 }
 
-/// A boot that is missed soon, unless it is called "patient".
+/// A boot that has as much time as the test, and gives as much.
 fn hello(run: &str) -> Hello {
-    let silence = if run == "patient" { WATCHDOG } else { SILENCE };
     Hello {
         protocol: PROTOCOL,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         run: Token(run.to_owned()),
         replaces: None,
         app: "cell".to_owned(),
-        silence_ms: u64::try_from(silence.as_millis()).unwrap(),
-        stop_ms: 300,
+        silence_ms: milliseconds(WATCHDOG),
+        stop_ms: milliseconds(WATCHDOG),
     }
+}
+
+/// One that ends soon what does not end by itself.
+fn strict(run: &str) -> Hello {
+    Hello {
+        stop_ms: milliseconds(STOP),
+        ..hello(run)
+    }
+}
+
+/// A strict one that is missed soon.
+fn hasty(run: &str) -> Hello {
+    Hello {
+        silence_ms: milliseconds(SILENCE),
+        ..strict(run)
+    }
+}
+
+fn milliseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap()
 }
 
 async fn say_hello(at: SocketAddr, hello: &Hello) -> (TcpStream, HelloAnswer) {
@@ -139,8 +162,8 @@ struct Boot {
 }
 
 impl Boot {
-    async fn call(host: &Host, run: &str, expect_known: bool) -> Self {
-        let (stream, answer) = say_hello(host.address, &hello(run)).await;
+    async fn call(host: &Host, hello: &Hello, expect_known: bool) -> Self {
+        let (stream, answer) = say_hello(host.address, hello).await;
         let HelloAnswer::Welcome { known, .. } = answer else {
             panic!("{answer:?}");
         };
@@ -152,8 +175,8 @@ impl Boot {
     }
 
     /// One whose app the agent has.
-    async fn with_app(host: &Host, run: &str) -> Self {
-        let mut boot = Self::call(host, run, false).await;
+    async fn with_app(host: &Host, hello: &Hello) -> Self {
+        let mut boot = Self::call(host, hello, false).await;
         boot.outbox.say(ToAgent::App(Box::new(files(&[]))));
         assert_eq!(boot.hear().await, ToBoot::Unpacked);
         boot
@@ -210,7 +233,7 @@ fn a_chassis_is_started_with_the_app_its_files_and_its_variables() {
     run(async {
         let script = r#"echo "$@" >&2; cat "$2" >&2; echo "$CTOS_TEST_ARM ${HOME-unset} $CTOS_RUN_TOKEN $CTOS_INCARNATION" >&2; exit 3"#;
         let host = Host::start(script).await;
-        let mut boot = Boot::with_app(&host, "r").await;
+        let mut boot = Boot::with_app(&host, &hello("r")).await;
         boot.start(2, 7);
         let (heard, lines, code) = boot.until_ended().await;
         assert_eq!((lines, code), (3, Some(3)));
@@ -222,6 +245,7 @@ fn a_chassis_is_started_with_the_app_its_files_and_its_variables() {
         boot.outbox.say(ToAgent::Bye);
         assert_eq!(boot.hear().await, ToBoot::Over);
         assert_eq!(host.runs(), 0);
+        drop(boot);
         host.end().await;
     });
 }
@@ -231,7 +255,7 @@ fn lines_are_numbered_and_those_that_do_not_fit_are_missing_from_the_count_only(
     run(async {
         let count = 40_000;
         let host = Host::start(&format!("seq 1 {count} >&2")).await;
-        let mut boot = Boot::with_app(&host, "r").await;
+        let mut boot = Boot::with_app(&host, &hello("r")).await;
         boot.start(1, 1);
         let (heard, lines, _) = boot.until_ended().await;
         assert_eq!(lines, count);
@@ -242,6 +266,7 @@ fn lines_are_numbered_and_those_that_do_not_fit_are_missing_from_the_count_only(
         );
         assert!(heard.is_sorted(), "out of order");
         assert!(heard.len() >= LINES_WAITING.min(1000), "{}", heard.len());
+        drop(boot);
         host.end().await;
     });
 }
@@ -266,13 +291,13 @@ fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
     run(async {
         // Both end with their hold on the agent; the second one does so at once.
         let host = Host::start(r#"case "$*" in *c2*) exit 4;; esac; echo up >&2; cat"#).await;
-        let mut boot = Boot::with_app(&host, "r").await;
+        let mut boot = Boot::with_app(&host, &hello("r")).await;
         boot.start(1, 1);
         boot.start(2, 1);
         let (_, _, code) = boot.until_ended().await;
         assert_eq!(code, Some(4));
         drop(boot);
-        let mut boot = Boot::call(&host, "r", true).await;
+        let mut boot = Boot::call(&host, &hello("r"), true).await;
         let mut seen = Vec::new();
         while seen.len() < 2 {
             match boot.hear().await {
@@ -292,6 +317,7 @@ fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
         let (_, _, code) = boot.until_ended().await;
         assert_eq!(code, Some(0), "it was let go, and ended by itself");
         assert_eq!(boot.hear().await, ToBoot::Over);
+        drop(boot);
         let events = host.end().await;
         let started = events
             .iter()
@@ -305,11 +331,11 @@ fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
 fn nothing_of_a_lost_run_is_left_when_the_one_that_replaces_it_begins() {
     run(async {
         let mut host = Host::start("trap '' TERM; echo up >&2; while :; do sleep 1000; done").await;
-        let mut lost = Boot::with_app(&host, "patient").await;
+        let mut lost = Boot::with_app(&host, &strict("lost")).await;
         lost.start(1, 1);
         while !matches!(lost.hear().await, ToBoot::Line { .. }) {}
         let hello = Hello {
-            replaces: Some(Token("patient".to_owned())),
+            replaces: Some(Token("lost".to_owned())),
             ..hello("r")
         };
         let (stream, answer) = say_hello(host.address, &hello).await;
@@ -323,6 +349,7 @@ fn nothing_of_a_lost_run_is_left_when_the_one_that_replaces_it_begins() {
         assert_eq!(host.runs(), 1);
         host.tells("was killed by signal 9").await;
         host.tells("its boot has begun anew").await;
+        drop(anew);
         host.end().await;
     });
 }
@@ -332,7 +359,7 @@ fn what_a_boot_leaves_behind_is_ended_also_when_it_does_not_want_to() {
     run(async {
         // Neither the loss of its hold nor SIGTERM ends it.
         let mut host = Host::start("trap '' TERM; echo up >&2; while :; do sleep 1000; done").await;
-        let mut boot = Boot::with_app(&host, "r").await;
+        let mut boot = Boot::with_app(&host, &hasty("r")).await;
         boot.start(1, 1);
         while !matches!(boot.hear().await, ToBoot::Line { .. }) {}
         drop(boot);
@@ -347,10 +374,11 @@ fn what_a_boot_leaves_behind_is_ended_also_when_it_does_not_want_to() {
 fn a_boot_that_is_silent_is_gone_although_its_connection_is_there() {
     run(async {
         let host = Host::start("cat").await;
-        let mut boot = Boot::with_app(&host, "r").await;
+        let mut boot = Boot::with_app(&host, &hasty("r")).await;
         boot.start(1, 1);
         // It says nothing from here on, and is hung up on.
         while boot.connection.hear::<ToBoot>().await.is_ok() {}
+        drop(boot);
         let events = host.end().await.join("\n");
         assert!(events.contains("nothing was heard of it"), "{events}");
     });
@@ -394,7 +422,7 @@ fn another_version_is_refused_with_both() {
 fn an_app_whose_handlers_the_agent_has_otherwise_is_refused() {
     run(async {
         let host = Host::start("exit 0").await;
-        let mut boot = Boot::call(&host, "r", false).await;
+        let mut boot = Boot::call(&host, &hello("r"), false).await;
         let handler = HandlerView {
             name: "arm".to_owned(),
             commands: vec![(1, "go".to_owned())],
@@ -404,6 +432,7 @@ fn an_app_whose_handlers_the_agent_has_otherwise_is_refused() {
             panic!("not refused");
         };
         assert!(reason.contains("no event handler `arm`"), "{reason}");
+        drop(boot);
         host.end().await;
     });
 }
@@ -412,7 +441,7 @@ fn an_app_whose_handlers_the_agent_has_otherwise_is_refused() {
 fn what_is_too_long_or_unreadable_ends_its_own_run_alone() {
     run(async {
         let host = Host::start("cat").await;
-        let mut good = Boot::with_app(&host, "patient").await;
+        let mut good = Boot::with_app(&host, &hello("good")).await;
         good.start(1, 1);
         assert!(matches!(good.hear().await, ToBoot::Started { .. }));
         let too_long = u32::try_from(BUNDLE_LIMIT + 1).unwrap().to_le_bytes();
@@ -445,6 +474,7 @@ fn what_is_too_long_or_unreadable_ends_its_own_run_alone() {
             matches!(over, WireError::HungUp | WireError::Io(_)),
             "{over}"
         );
+        drop(good);
         host.end().await;
     });
 }
@@ -453,7 +483,7 @@ fn what_is_too_long_or_unreadable_ends_its_own_run_alone() {
 fn a_bundle_that_would_write_elsewhere_is_refused() {
     run(async {
         let host = Host::start("exit 0").await;
-        let mut boot = Boot::call(&host, "r", false).await;
+        let mut boot = Boot::call(&host, &hello("r"), false).await;
         let mut evil = files(&[]);
         evil.bundle
             .files
@@ -461,6 +491,7 @@ fn a_bundle_that_would_write_elsewhere_is_refused() {
         boot.outbox.say(ToAgent::App(Box::new(evil)));
         assert!(matches!(boot.hear().await, ToBoot::Refused { .. }));
         assert!(!host.folder.path().join("runs/evil").exists());
+        drop(boot);
         host.end().await;
     });
 }
