@@ -229,7 +229,8 @@ impl Context {
         let mut message = self.message(to, command.code, Data::Bytes(data));
         message.letter.to = Some(to.name.clone());
         message.letter.limit = deadline;
-        let mut ask = Ask::call(self.inner.clone(), command.name, message);
+        let mut ask = Ask::new(self.inner.clone(), message);
+        ask.begin(command.name).map_err(|error| *error)?;
         let mut answer = Vec::new();
         let ended = poll_fn(|poll| {
             ask.poll(poll, command.name, &mut |letter| {

@@ -299,10 +299,14 @@ impl Calls {
         slot.timer.is_none().then_some((key, at))
     }
 
-    /// Notes who asked whom for what.
-    pub(crate) fn set_note(&mut self, key: CallKey, note: Note) {
-        if let Some(slot) = self.slot(key) {
-            slot.note = Some(note);
+    /// Notes who asked whom for what. The note is written where it stays: what is moved right after it was
+    /// written in small pieces is waited for.
+    #[inline(always)]
+    pub(crate) fn set_note(&mut self, key: CallKey, note: impl FnOnce() -> Note) {
+        if let Some(slot) = self.slot(key)
+            && slot.note.is_none()
+        {
+            slot.note = Some(note());
         }
     }
 

@@ -224,7 +224,7 @@ impl Message {
         letter.trace = 0;
         letter.deadline = None;
         letter.recorded = 0;
-        letter.data = data;
+        letter.write(data);
         Self { letter }
     }
 
@@ -284,7 +284,10 @@ impl Message {
     /// When the sender stops waiting for the reply; `None` when it does not wait for one.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
-        self.letter.deadline
+        let letter = &self.letter;
+        // What stays on its processor carries none: the call itself waits there.
+        let of_call = || letter.reply.as_ref()?.deadline_here();
+        letter.deadline.or_else(of_call)
     }
 
     /// Takes the typed request and the right to answer it.
@@ -337,7 +340,7 @@ impl<C: Command> Replier<C> {
     #[inline]
     pub fn ok(self, reply: C::Reply) -> crate::task::Handled {
         if let Some(mut letter) = self.letter {
-            letter.data = Data::of(reply);
+            letter.write(Data::of(reply));
             letter.go_home();
         }
         Ok(())

@@ -14,6 +14,7 @@ mod alarm;
 mod calls;
 mod futures;
 mod handle;
+mod stopwatch;
 
 use std::{
     any::Any,
@@ -28,6 +29,7 @@ use self::{
     alarm::Timed,
     futures::{Futures, WakerOf},
     handle::Item,
+    stopwatch::Stopwatch,
 };
 use crate::{
     call::ReplySlot,
@@ -52,6 +54,8 @@ pub(crate) struct Processor {
     recent: Cell<Instant>,
     /// Whether no code of tasks has run since then.
     fresh: Cell<bool>,
+    /// How rarely it looks at the clock while the code of its tasks is brief.
+    stopwatch: Stopwatch,
     futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
     current: Cell<Option<(FutureId, WakerOf)>>,
@@ -98,6 +102,7 @@ impl Processor {
             handle,
             recent: Cell::new(clock.now()),
             fresh: Cell::new(false),
+            stopwatch: Stopwatch::new(clock.origin_ns().is_some()),
             clock,
             futures: RefCell::default(),
             current: Cell::new(None),
@@ -132,20 +137,54 @@ impl Processor {
     /// Reads the clock where code of a task has just ended.
     #[inline]
     pub(crate) fn look_at_clock(&self) -> Instant {
+        self.measure();
+        self.recent.get()
+    }
+
+    /// Looks at the clock; what the last of the turns since the look before took, ns.
+    #[inline]
+    fn measure(&self) -> u64 {
         let now = self.clock.now();
+        let took = self.stopwatch.looked(now.since(self.recent.get()));
         self.recent.set(now);
         self.fresh.set(true);
-        now
+        took
     }
 
     /// The moment at which code of a task has ended: that of the last look, if none has run since.
     #[inline]
     fn moment(&self) -> Instant {
-        if self.fresh.get() {
+        if self.is_exact() {
             self.recent.get()
         } else {
             self.look_at_clock()
         }
+    }
+
+    /// Whether the last look at the clock was at this moment.
+    #[inline]
+    fn is_exact(&self) -> bool {
+        self.fresh.get() && !self.stopwatch.is_behind()
+    }
+
+    /// How long a handler took that began at `began` and has just ended, ns: looked up if it must be
+    /// `exact`, else perhaps estimated (see [`Stopwatch`]).
+    #[inline]
+    pub(crate) fn time_since(&self, began: Instant, exact: bool) -> u64 {
+        // One that has waited for others began before the last look.
+        let at_once = began == self.recent.get();
+        if exact {
+            self.stopwatch.begin_anew();
+        } else if at_once && self.stopwatch.skips() {
+            self.fresh.set(true);
+            return self.stopwatch.estimate();
+        }
+        let took = self.measure();
+        if at_once {
+            return took;
+        }
+        let took = self.recent.get().since(began).as_nanos();
+        u64::try_from(took).unwrap_or(u64::MAX)
     }
 
     /// Code of a task is about to run: the last look at the clock will be an old one.
@@ -362,6 +401,7 @@ impl Processor {
     /// Waits for something to do: awake for a while if so told, then asleep.
     fn wait(&self) {
         let now = self.moment();
+        self.start_begun(now);
         if self.spin(now) {
             return;
         }

@@ -185,12 +185,11 @@ impl ReplySlot {
         self.serial
     }
 
-    /// When the caller gives up, if it is a task of `processor`.
-    #[inline]
-    pub(crate) fn deadline_on(&self, processor: &Processor) -> Option<Instant> {
+    /// When the caller gives up, if it is a task of the processor that this thread runs.
+    pub(crate) fn deadline_here(&self) -> Option<Instant> {
         match &self.to {
-            Some(ReplyTo::Local(ticket)) if Arc::ptr_eq(ticket.home(), &processor.handle) => {
-                processor.call_deadline(ticket.key())
+            Some(ReplyTo::Local(ticket)) => {
+                Processor::here_if(ticket.home())?.call_deadline(ticket.key())
             }
             _ => None,
         }

@@ -8,6 +8,7 @@ use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc
 
 use futures_util::{FutureExt, future::LocalBoxFuture};
 
+use self::serving::AtHand;
 pub(crate) use self::serving::{Served, Serving};
 use crate::{
     call::Fault,
@@ -267,7 +268,8 @@ impl Runner {
         }
         let serving = self.serving.clone();
         let mut message = message;
-        let at_hand = serving.begin(&mut message);
+        let at_hand = AtHand::default();
+        serving.begin(&at_hand, &mut message);
         let cx = self.cx.within(message.trace());
         let interruptible = !interrupts(message.command());
         let ended = {
@@ -276,10 +278,10 @@ impl Runner {
                 poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll));
             let ended = ended.await;
             let processor = serving.cx.processor();
-            processor.handling(at_hand.serial, || handling.set(None));
+            processor.handling(at_hand.serial.get(), || handling.set(None));
             ended
         };
-        match serving.end(at_hand, ended) {
+        match serving.end(&at_hand, ended) {
             Some(text) => {
                 let why = format!("its handler panicked: {text}");
                 self.supervise(Ending::Failure, why).await

@@ -62,11 +62,9 @@ impl TaskStatistics {
             .store(now.as_nanos().saturating_add(1), Ordering::Release);
     }
 
-    /// The handler has returned.
-    pub(crate) fn end(&self, ok: bool, now: Instant) {
-        let began = self.began_ns.load(Ordering::Relaxed);
+    /// The handler has returned, after `took` nanoseconds.
+    pub(crate) fn end(&self, ok: bool, took: u64) {
         self.began_ns.store(0, Ordering::Release);
-        let took = now.as_nanos().saturating_add(1).saturating_sub(began);
         add(&self.busy_ns, took);
         if took > self.longest_ns.load(Ordering::Relaxed) {
             self.longest_ns.store(took, Ordering::Relaxed);
@@ -133,9 +131,9 @@ mod tests {
         statistics.entered(Phase::Run, Instant::START);
         statistics.begin(7, Instant::START);
         assert_eq!(statistics.read().began, Some(Instant::START));
-        statistics.end(true, Instant::from_nanos(30));
+        statistics.end(true, 30);
         statistics.begin(8, Instant::from_nanos(40));
-        statistics.end(false, Instant::from_nanos(50));
+        statistics.end(false, 10);
         let counters = statistics.read();
         assert_eq!(
             counters,

@@ -82,12 +82,12 @@ impl Chassis {
         let key = ticket.key();
         let slot = ReplySlot::call(ticket);
         if let Some(replay) = self.tap.replay() {
-            processor.note_call(key, note(asked, 0));
+            processor.note_call(key, || note(asked, 0));
             replay.dispatch(&message, WaitFor::Reply, self.clock.now(), slot);
             return (key, None);
         }
         let recorded = self.tap.sent(&message, Some(WaitFor::Reply));
-        processor.note_call(key, note(asked, recorded));
+        processor.note_call(key, || note(asked, recorded));
         if !here {
             let outbound = self.post(message, WaitFor::Reply, Some(slot));
             return (key, outbound.map(Box::new));

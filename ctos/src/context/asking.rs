@@ -54,48 +54,18 @@ impl<C: Command> IntoFuture for Call<C> {
 
     #[inline]
     fn into_future(self) -> Calling<C> {
-        Calling(CallState::New(self))
+        Calling {
+            ask: Ask::new(self.asker, self.message),
+            command: PhantomData,
+        }
     }
 }
 
 /// A call under way. Dropped before its end, it tells the receiver that nobody waits.
 #[must_use = "a call is made when it is awaited"]
-pub struct Calling<C: Command>(CallState<C>);
-
-enum CallState<C: Command> {
-    New(Call<C>),
-    Asked(Ask),
-    Ended,
-}
-
-impl<C: Command> CallState<C> {
-    /// The call, if it has not been made yet.
-    #[inline]
-    fn take_new(&mut self) -> Option<Call<C>> {
-        if !matches!(self, Self::New(_)) {
-            return None;
-        }
-        match std::mem::replace(self, Self::Ended) {
-            Self::New(call) => Some(call),
-            Self::Asked(_) | Self::Ended => None,
-        }
-    }
-
-    /// Looks for the end of a call that has been made; `open` is given the answer, if there is one.
-    #[inline]
-    fn poll(
-        &mut self,
-        poll: &mut PollContext<'_>,
-        open: &mut dyn FnMut(Box<Letter>) -> Result<(), Fault>,
-    ) -> Poll<Result<(), CallError>> {
-        let Self::Asked(ask) = self else {
-            // Polled after its end, which is the fault of whoever polls.
-            return Poll::Pending;
-        };
-        let result = std::task::ready!(ask.poll(poll, C::NAME, open));
-        *self = Self::Ended;
-        Poll::Ready(result.map_err(|error| *error))
-    }
+pub struct Calling<C: Command> {
+    ask: Ask,
+    command: PhantomData<fn(C) -> C::Reply>,
 }
 
 impl<C: Command> Unpin for Calling<C> {}
@@ -105,10 +75,8 @@ impl<C: Command> Future for Calling<C> {
 
     #[inline]
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let Self(state) = self.get_mut();
-        if let Some(call) = state.take_new() {
-            *state = CallState::Asked(Ask::call(call.asker, C::NAME, call.message));
-        }
+        let Self { ask, .. } = self.get_mut();
+        ask.begin(C::NAME).map_err(|error| *error)?;
         let mut reply = None;
         let mut open = |letter: Box<Letter>| {
             let taken = letter.take::<C::Reply>();
@@ -117,7 +85,8 @@ impl<C: Command> Future for Calling<C> {
             })?);
             Ok(())
         };
-        std::task::ready!(state.poll(poll, &mut open))?;
+        let ended = std::task::ready!(ask.poll(poll, C::NAME, &mut open));
+        ended.map_err(|error| *error)?;
         // It was opened, or there would be an error.
         reply.map_or(Poll::Pending, |reply| Poll::Ready(Ok(reply)))
     }
@@ -148,13 +117,19 @@ impl<C: Command> IntoFuture for Send<C> {
     type IntoFuture = Sending<C>;
 
     fn into_future(self) -> Sending<C> {
-        Sending(CallState::New(self.call))
+        Sending {
+            ask: Ask::new(self.call.asker, self.call.message),
+            command: PhantomData,
+        }
     }
 }
 
 /// A one-way message under way. Dropped before it is taken, it is not delivered.
 #[must_use = "a message is sent when it is awaited"]
-pub struct Sending<C: Command>(CallState<C>);
+pub struct Sending<C: Command> {
+    ask: Ask,
+    command: PhantomData<fn(C)>,
+}
 
 impl<C: Command> Unpin for Sending<C> {}
 
@@ -162,28 +137,15 @@ impl<C: Command> Future for Sending<C> {
     type Output = Result<(), CallError>;
 
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let Self(state) = self.get_mut();
-        if let Some(Call {
-            asker, mut message, ..
-        }) = state.take_new()
-        {
-            let to = message.letter.to.take();
-            let limit = message.letter.limit;
-            match asker.chassis.send(&asker.processor, message, limit) {
-                Sent::Ended(Ok(())) => return Poll::Ready(Ok(())),
-                Sent::Ended(Err(fault)) => {
-                    let error = call_error(&asker, to.as_deref(), C::NAME, fault);
-                    return Poll::Ready(Err(error));
-                }
-                Sent::Waits(question) => {
-                    *state = CallState::Asked(Ask::waiting(asker, to, C::NAME, question));
-                }
-            }
-        }
-        state.poll(poll, &mut |letter| {
-            letter.open();
-            Ok(())
-        })
+        let Self { ask, .. } = self.get_mut();
+        let ended = match ask.begin_send(C::NAME) {
+            Poll::Ready(ended) => Poll::Ready(ended),
+            Poll::Pending => ask.poll(poll, C::NAME, &mut |letter| {
+                letter.open();
+                Ok(())
+            }),
+        };
+        ended.map_err(|error| *error)
     }
 }
 
@@ -239,10 +201,10 @@ enum Circle {
 }
 
 enum AskState {
+    /// The message, which has not been sent yet.
+    New(Message),
     /// The call, and the way to take it back when it went over a link.
     Asked(CallKey, Option<Box<Outbound>>),
-    /// There was no time at all to send this.
-    TooLate(Message),
     Ended,
 }
 
@@ -258,40 +220,43 @@ impl Circle {
 }
 
 impl Ask {
-    fn new(asker: Rc<Inner>, state: AskState) -> Self {
+    /// Will send this.
+    #[inline]
+    pub(super) fn new(asker: Rc<Inner>, message: Message) -> Self {
         Self {
             asker,
-            state,
+            state: AskState::New(message),
             circle: None,
         }
     }
 
-    /// Waits for the end of what has been sent to task `to` already.
-    fn waiting(
-        asker: Rc<Inner>,
-        to: Option<Arc<str>>,
-        command: &'static str,
-        question: Question,
-    ) -> Self {
-        let note = Note {
-            asker: asker.clone(),
-            to,
-            command,
-            asked: question.asked,
-            recorded: question.recorded,
-            place: None,
-        };
-        asker.processor.note_call(question.key, note);
-        Self::new(asker, AskState::Asked(question.key, question.outbound))
+    /// The message, if it has not been sent yet.
+    #[inline]
+    fn take_new(&mut self) -> Option<Message> {
+        if !matches!(self.state, AskState::New(_)) {
+            return None;
+        }
+        match std::mem::replace(&mut self.state, AskState::Ended) {
+            AskState::New(message) => Some(message),
+            AskState::Asked(..) | AskState::Ended => None,
+        }
     }
 
-    /// Makes a call, at once.
-    pub(super) fn call(asker: Rc<Inner>, command: &'static str, mut message: Message) -> Self {
+    /// Makes the call, if that has not been done yet.
+    ///
+    /// # Errors
+    /// When there is no time at all for it.
+    pub(super) fn begin(&mut self, command: &'static str) -> Result<(), Box<CallError>> {
+        let Some(mut message) = self.take_new() else {
+            return Ok(());
+        };
+        let asker = &self.asker;
+        let to = message.letter.to.take();
         let limit = message.letter.limit;
         if limit == Duration::ZERO {
-            return Self::new(asker, AskState::TooLate(message));
+            let fault = Fault::Deadline { after: limit };
+            return Err(Box::new(call_error(asker, to.as_deref(), command, fault)));
         }
-        let to = message.letter.to.take();
         let note = |asked, recorded| Note {
             asker: asker.clone(),
             to,
@@ -300,9 +265,44 @@ impl Ask {
             recorded,
             place: None,
         };
-        let (chassis, processor) = (&asker.chassis, &asker.processor);
-        let (key, outbound) = chassis.call(processor, message, limit, note);
-        Self::new(asker, AskState::Asked(key, outbound))
+        let (key, outbound) = asker.chassis.call(&asker.processor, message, limit, note);
+        self.state = AskState::Asked(key, outbound);
+        Ok(())
+    }
+
+    /// Sends the message, if that has not been done yet. Pending when its end is still to come.
+    fn begin_send(&mut self, command: &'static str) -> Poll<Result<(), Box<CallError>>> {
+        let Some(mut message) = self.take_new() else {
+            return Poll::Pending;
+        };
+        let asker = &self.asker;
+        let to = message.letter.to.take();
+        let limit = message.letter.limit;
+        match asker.chassis.send(&asker.processor, message, limit) {
+            Sent::Ended(Ok(())) => Poll::Ready(Ok(())),
+            Sent::Ended(Err(fault)) => {
+                let error = call_error(asker, to.as_deref(), command, fault);
+                Poll::Ready(Err(Box::new(error)))
+            }
+            Sent::Waits(question) => {
+                let Question {
+                    key,
+                    outbound,
+                    recorded,
+                    asked,
+                } = question;
+                asker.processor.note_call(key, || Note {
+                    asker: asker.clone(),
+                    to,
+                    command,
+                    asked,
+                    recorded,
+                    place: None,
+                });
+                self.state = AskState::Asked(key, outbound);
+                Poll::Pending
+            }
+        }
     }
 
     /// Looks for the answer to `command`; `open` is given it, if there is one, and says what is wrong
@@ -314,7 +314,8 @@ impl Ask {
         open: &mut dyn FnMut(Box<Letter>) -> Result<(), Fault>,
     ) -> Poll<Result<(), Box<CallError>>> {
         let AskState::Asked(key, _) = &self.state else {
-            return self.poll_late(command).map(Err);
+            // Polled after its end, which is the fault of whoever polls.
+            return Poll::Pending;
         };
         let mut note = None;
         let fault = match self.asker.processor.poll_call(*key, &mut note, poll) {
@@ -381,20 +382,6 @@ impl Ask {
             outbound.abandon();
         }
         fault
-    }
-
-    #[cold]
-    fn poll_late(&mut self, command: &str) -> Poll<Box<CallError>> {
-        match std::mem::replace(&mut self.state, AskState::Ended) {
-            AskState::TooLate(message) => {
-                let after = Duration::ZERO;
-                let to = message.letter.to.as_deref();
-                let error = call_error(&self.asker, to, command, Fault::Deadline { after });
-                Poll::Ready(Box::new(error))
-            }
-            // Polled after its end, which is the fault of whoever polls.
-            AskState::Asked(..) | AskState::Ended => Poll::Pending,
-        }
     }
 }
 

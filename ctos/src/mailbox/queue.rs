@@ -169,6 +169,7 @@ impl TaskQueue {
             return delivery.refuse();
         }
         let Delivery { message, place } = delivery;
+        message.letter.glance();
         let (urgent, _) = is_urgent(&message);
         let room = self.mailbox.room(urgent);
         let command = message.command();

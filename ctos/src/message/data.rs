@@ -141,7 +141,8 @@ impl Data {
         }
     }
 
-    /// [`Self::take`] from where the data stands, which spares moving it first.
+    /// [`Self::take`] from where the data stands, which spares moving it first. What is left of data that
+    /// was a `T` needs no destructor.
     ///
     /// # Errors
     /// As [`Self::take`].
@@ -160,7 +161,11 @@ impl Data {
                 }),
             },
             Self::Bytes(bytes) => blob::read_from(std::mem::take(bytes), decode::<T>),
-            Self::Parts(body) => read(std::mem::take(&mut **body)),
+            Self::Parts(body) => {
+                let body = std::mem::take(&mut **body);
+                *self = Self::NOTHING;
+                read(body)
+            }
         }
     }
 

@@ -11,29 +11,45 @@ use crate::{
 };
 
 impl Processor {
-    /// Looks at the clock after a poll; the time of the calls that were made in it runs from now.
+    /// A poll has ended: the time of the calls that were made in it runs from now, or from the next look at
+    /// the clock, which is near.
     #[inline]
     pub(super) fn start_calls(&self) {
-        let now = self.moment();
+        if !self.is_exact() && (self.fresh.get() || self.stopwatch.skips()) {
+            self.fresh.set(true);
+            return;
+        }
+        self.start_begun(self.moment());
+    }
+
+    /// The time of the calls that were made since the last look at the clock runs from `now`.
+    #[inline]
+    pub(super) fn start_begun(&self, now: Instant) {
         let mut begun = self.begun.borrow_mut();
         if begun.is_empty() {
             return;
         }
         for key in begun.drain(..) {
-            let started = self.calls.borrow_mut().start(key, now);
-            match started {
-                Started::Done => {}
-                Started::List(slot) => {
-                    let mut young = self.young.borrow_mut();
-                    if young.is_empty() {
-                        self.young_until.set(now + SOON / 2);
-                    }
-                    young.push(slot);
+            self.start_call(key, now);
+        }
+    }
+
+    /// The time of a call runs from `now`, unless it does so already.
+    #[inline]
+    fn start_call(&self, key: CallKey, now: Instant) {
+        let started = self.calls.borrow_mut().start(key, now);
+        match started {
+            Started::Done => {}
+            Started::List(slot) => {
+                let mut young = self.young.borrow_mut();
+                if young.is_empty() {
+                    self.young_until.set(now + SOON / 2);
                 }
-                Started::Urgent => {
-                    let call = self.calls.borrow_mut().settle_call(key);
-                    self.set_timer(call);
-                }
+                young.push(slot);
+            }
+            Started::Urgent => {
+                let call = self.calls.borrow_mut().settle_call(key);
+                self.set_timer(call);
             }
         }
     }
@@ -66,8 +82,8 @@ impl Processor {
     }
 
     /// Notes who asked whom for what in a call.
-    #[inline]
-    pub(crate) fn note_call(&self, key: CallKey, note: Note) {
+    #[inline(always)]
+    pub(crate) fn note_call(&self, key: CallKey, note: impl FnOnce() -> Note) {
         self.calls.borrow_mut().set_note(key, note);
     }
 
@@ -120,6 +136,8 @@ impl Processor {
 
     /// When the caller of a call of this processor gives up.
     pub(crate) fn call_deadline(&self, key: CallKey) -> Option<Instant> {
+        // If its time does not run yet, it does so from here.
+        self.start_call(key, self.now());
         self.calls.borrow_mut().deadline(key)
     }
 

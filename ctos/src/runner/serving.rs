@@ -11,7 +11,7 @@ use std::{
 };
 
 use crate::{
-    call::{Fault, ReplyKey, ReplySlot},
+    call::{Fault, ReplyKey},
     chassis::TaskRecord,
     context::Context,
     mailbox::TaskQueue,
@@ -20,6 +20,7 @@ use crate::{
     record::{self, Ending as HandlerEnding},
     system::StopTask,
     task::{EventHandler, Handled},
+    time::Instant,
 };
 
 /// What the loop of a task needs besides its handler.
@@ -49,13 +50,16 @@ pub(super) enum Ended {
     Interrupted(bool),
 }
 
-/// A message that is about to be handled, or is.
+/// The message that is about to be handled, or is. One place serves message after message: what is moved
+/// right after it was written in small pieces is waited for.
+#[derive(Default)]
 pub(super) struct AtHand {
-    command: u16,
-    pub(super) serial: u64,
-    owed: Option<ReplyKey>,
-    /// The message, for the record.
-    noted: record::AtHand,
+    command: Cell<u16>,
+    pub(super) serial: Cell<u64>,
+    began: Cell<Instant>,
+    owed: Cell<Option<ReplyKey>>,
+    /// The message, for the record, if there is one.
+    noted: Cell<Option<record::AtHand>>,
 }
 
 impl Serving {
@@ -66,7 +70,7 @@ impl Serving {
             if self.queue.poll_next(next).is_pending() {
                 return Poll::Pending;
             }
-            if next.as_mut().is_none_or(|message| self.is_wanted(message)) {
+            if next.as_ref().is_none_or(|message| self.is_wanted(message)) {
                 return Poll::Ready(());
             }
             if let Some(message) = next.take() {
@@ -84,7 +88,7 @@ impl Serving {
 
     /// Whether a message is still to be begun.
     #[inline]
-    fn is_wanted(&self, message: &mut Message) -> bool {
+    fn is_wanted(&self, message: &Message) -> bool {
         if self.refuses(message) {
             return false;
         }
@@ -92,13 +96,7 @@ impl Serving {
             return true;
         };
         // A stop is carried out even when whoever ordered it had to go on.
-        if slot.is_abandoned() && message.command() != StopTask::CODE {
-            return false;
-        }
-        if message.letter.deadline.is_none() {
-            message.letter.deadline = slot.deadline_on(self.cx.processor());
-        }
-        true
+        !slot.is_abandoned() || message.command() == StopTask::CODE
     }
 
     /// Ends a message that is not begun.
@@ -116,54 +114,70 @@ impl Serving {
     /// The handler is called with `message`. This is the one place that every message passes on its
     /// way to a handler.
     #[inline]
-    pub(super) fn begin(&self, message: &mut Message) -> AtHand {
+    pub(super) fn begin(&self, at_hand: &AtHand, message: &mut Message) {
         let processor = self.cx.processor();
         let chassis = self.cx.chassis();
-        let began = processor.recent();
-        let at_hand = AtHand {
-            command: message.command(),
-            noted: record::AtHand::of(self.record.tid, message, began),
-            serial: processor.next_serial(),
-            owed: message.letter.reply.as_ref().and_then(ReplySlot::key),
-        };
-        if let Some(slot) = &mut message.letter.reply {
-            slot.set_serial(at_hand.serial);
-        }
+        let (began, command) = (processor.recent(), message.command());
+        let serial = processor.next_serial();
+        at_hand.command.set(command);
+        at_hand.serial.set(serial);
+        at_hand.began.set(began);
+        let owed = message.letter.reply.as_mut().and_then(|slot| {
+            slot.set_serial(serial);
+            slot.key()
+        });
+        at_hand.owed.set(owed);
         chassis.delivered(&self.record, message);
-        self.record.statistics.begin(at_hand.command, began);
-        chassis.tap.began(&at_hand.noted);
-        at_hand
+        self.record.statistics.begin(command, began);
+        if chassis.tap.is_on() {
+            let noted = record::AtHand::of(self.record.tid, message, began);
+            chassis.tap.began(&noted);
+            at_hand.noted.set(Some(noted));
+        }
     }
 
     /// The handler has ended, in whatever way: what it owes is answered. What its panic said, if it
     /// panicked.
-    pub(super) fn end(&self, at_hand: AtHand, ended: Ended) -> Option<String> {
-        let AtHand {
-            command,
-            serial,
-            owed,
-            noted,
-            ..
-        } = at_hand;
+    #[inline]
+    pub(super) fn end(&self, at_hand: &AtHand, ended: Ended) -> Option<String> {
+        let (command, serial) = (at_hand.command.get(), at_hand.serial.get());
         let processor = self.cx.processor();
         let ok = matches!(ended, Ended::Done(Ok(())));
-        let now = processor.look_at_clock();
-        self.record.statistics.end(ok, now);
-        self.cx.chassis().tap.ended(&noted, now, || match &ended {
-            Ended::Done(Ok(())) => HandlerEnding::Done,
-            Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
-            Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
-            Ended::Interrupted(_) => HandlerEnding::Stopped,
-        });
+        let tap = &self.cx.chassis().tap;
+        let took = processor.time_since(at_hand.began.get(), tap.is_on());
+        self.record.statistics.end(ok, took);
+        if let Some(noted) = at_hand.noted.take() {
+            tap.ended(&noted, processor.recent(), || match &ended {
+                Ended::Done(Ok(())) => HandlerEnding::Done,
+                Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
+                Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
+                Ended::Interrupted(_) => HandlerEnding::Stopped,
+            });
+        }
+        let owed = at_hand.owed.take();
+        if ok {
+            // A right to answer that it kept is still good; one that it dropped is not.
+            drop(processor.take_orphan(serial).map(|mut slot| {
+                slot.set_serial(0);
+                slot
+            }));
+            return None;
+        }
+        self.end_badly(command, serial, owed, ended)
+    }
+
+    /// The handler has ended otherwise than well.
+    #[cold]
+    fn end_badly(
+        &self,
+        command: u16,
+        serial: u64,
+        owed: Option<ReplyKey>,
+        ended: Ended,
+    ) -> Option<String> {
+        let processor = self.cx.processor();
         let (fault, panic) = match ended {
-            Ended::Done(Ok(())) => {
-                // A right to answer that it kept is still good; one that it dropped is not.
-                drop(processor.take_orphan(serial).map(|mut slot| {
-                    slot.set_serial(0);
-                    slot
-                }));
-                return None;
-            }
+            Ended::Done(Ok(())) => return None,
             Ended::Done(Err(error)) => {
                 tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
                 let text = error.to_string();
@@ -204,7 +218,7 @@ impl Serving {
         processor.leave();
         let polled = self.record.statistics.meter.in_turn(|| {
             catch_unwind(AssertUnwindSafe(|| {
-                processor.handling(at_hand.serial, || handling.poll(cx))
+                processor.handling(at_hand.serial.get(), || handling.poll(cx))
             }))
         });
         match polled {
@@ -222,14 +236,15 @@ impl Serving {
     /// See [`DynHandler::serve`].
     pub(crate) async fn serve<H: EventHandler>(&self, handler: &mut H, first: Message) -> Served {
         let mut next = Some(first);
+        let at_hand = AtHand::default();
         while let Some(mut message) = next.take() {
-            let at_hand = self.begin(&mut message);
+            self.begin(&at_hand, &mut message);
             let cx = self.cx.within(message.trace());
             let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
             let ended = poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await;
             let processor = self.cx.processor();
-            processor.handling(at_hand.serial, || handling.set(None));
-            if let Some(panic) = self.end(at_hand, ended) {
+            processor.handling(at_hand.serial.get(), || handling.set(None));
+            if let Some(panic) = self.end(&at_hand, ended) {
                 return Served::Panicked(panic);
             }
             poll_fn(|_| self.poll_next(&mut next)).await;

@@ -1,0 +1,152 @@
+//! How often a processor looks at the clock while the code of its tasks is brief.
+//!
+//! A look costs about as much as a brief handler. So once many turns of tasks in a row have each been over
+//! within [`BRIEF`], only every few of them are measured together, and each is taken to have lasted as long
+//! as the last that were. What turns out to have been long is charged to the turn after which that was
+//! seen, which may be a few turns late, and everything is measured again. A virtual clock, which
+//! costs nothing and stands still while code runs, is always looked at; so is any clock while something
+//! is recorded.
+
+use std::{cell::Cell, time::Duration};
+
+/// A turn that is no longer than this is brief.
+const BRIEF: Duration = Duration::from_micros(1);
+
+/// So many looks in a row must have found brief turns before any is left out.
+const BRIEF_LOOKS: u32 = 16;
+
+/// Turns between two looks. With the measured one this makes a prime number, so that tasks that take
+/// turns are all measured.
+const SKIPPED: u32 = 4;
+
+/// Counts turns and looks.
+pub(super) struct Stopwatch {
+    real: bool,
+    /// Turns since the last look.
+    skipped: Cell<u32>,
+    /// Looks in a row that found brief turns.
+    brief: Cell<u32>,
+    /// What a turn took by the last look, ns.
+    each_ns: Cell<u64>,
+    /// By how much the turns before the last look were taken to have lasted too long together, ns.
+    excess_ns: Cell<u64>,
+}
+
+impl Stopwatch {
+    /// For a clock that is a real one, or not.
+    pub(super) fn new(real: bool) -> Self {
+        Self {
+            real,
+            skipped: Cell::new(0),
+            brief: Cell::new(0),
+            each_ns: Cell::new(0),
+            excess_ns: Cell::new(0),
+        }
+    }
+
+    /// A turn has ended: whether it goes without a look. It counts as one that did.
+    #[inline]
+    pub(super) fn skips(&self) -> bool {
+        let skipped = self.skipped.get();
+        let skips = self.brief.get() >= BRIEF_LOOKS && skipped < SKIPPED && self.real;
+        if skips {
+            self.skipped.set(skipped + 1);
+        }
+        skips
+    }
+
+    /// Every turn is measured until many have been brief again.
+    pub(super) fn begin_anew(&self) {
+        self.brief.set(0);
+    }
+
+    /// Whether turns have ended since the last look.
+    #[inline]
+    pub(super) fn is_behind(&self) -> bool {
+        self.skipped.get() > 0
+    }
+
+    /// What a turn that was not measured is taken to have lasted, ns.
+    #[inline]
+    pub(super) fn estimate(&self) -> u64 {
+        self.each_ns.get()
+    }
+
+    /// The clock was looked at, `since` after the look before. What is left of that for the last turn, ns: the
+    /// turns before it were estimated.
+    #[inline]
+    pub(super) fn looked(&self, since: Duration) -> u64 {
+        let skipped = self.skipped.replace(0);
+        let since_ns = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX);
+        let before = u64::from(skipped) * self.each_ns.get() + self.excess_ns.get();
+        self.excess_ns.set(before.saturating_sub(since_ns));
+        if since <= BRIEF * (skipped + 1) {
+            self.each_ns.set(since_ns / u64::from(skipped + 1));
+            self.brief.set(self.brief.get().saturating_add(1));
+        } else {
+            self.brief.set(0);
+        }
+        since_ns.saturating_sub(before)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn brief(stopwatch: &Stopwatch) {
+        for _ in 0..BRIEF_LOOKS {
+            assert!(!stopwatch.skips());
+            stopwatch.looked(BRIEF / 2);
+        }
+    }
+
+    #[test]
+    fn brief_turns_are_measured_together_after_a_while_and_long_ones_one_by_one() {
+        let stopwatch = Stopwatch::new(true);
+        brief(&stopwatch);
+        for _ in 0..SKIPPED {
+            assert!(stopwatch.skips());
+        }
+        assert!(!stopwatch.skips());
+        assert_eq!(stopwatch.estimate(), 500);
+        // Four were taken to have lasted 500 ns each.
+        assert_eq!(stopwatch.looked(Duration::from_millis(1)), 998_000);
+        assert!(!stopwatch.is_behind());
+        assert!(!stopwatch.skips(), "a long turn was seen");
+    }
+
+    #[test]
+    fn a_virtual_clock_is_always_looked_at() {
+        let stopwatch = Stopwatch::new(false);
+        brief(&stopwatch);
+        assert!(!stopwatch.skips());
+    }
+
+    proptest! {
+        #[test]
+        fn what_turns_are_charged_makes_up_the_time_that_passed(
+            turns in proptest::collection::vec(0_u64..1_500, 1..500),
+        ) {
+            // As `Processor::time_since` does it.
+            let stopwatch = Stopwatch::new(true);
+            let (mut charged, mut passed, mut since_look) = (0, 0, 0);
+            for turn in turns {
+                passed += turn;
+                since_look += turn;
+                if stopwatch.skips() {
+                    charged += stopwatch.estimate();
+                } else {
+                    charged += stopwatch.looked(Duration::from_nanos(since_look));
+                    since_look = 0;
+                }
+                // Off by what brief turns between two looks last, at most, however many there were.
+                let most = 2 * u64::from(SKIPPED) * 1_000;
+                prop_assert!(charged <= passed + most, "{charged} ns of {passed}");
+                prop_assert!(charged + since_look >= passed, "{charged} ns of {passed}");
+            }
+        }
+    }
+}
