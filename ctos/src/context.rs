@@ -162,6 +162,11 @@ impl Context {
         &self.inner.commands
     }
 
+    /// The same, to be kept beside the task.
+    pub(crate) fn shared_commands(&self) -> Arc<[CommandInfo]> {
+        self.inner.commands.clone()
+    }
+
     /// The kinds of event handlers that this program knows.
     #[must_use]
     pub fn registry(&self) -> &crate::registry::Registry {

@@ -87,7 +87,8 @@ pub(crate) struct Runner {
     build: Build,
     /// None between two incarnations.
     pub(crate) handler: Option<Box<dyn DynHandler>>,
-    restarts: Restarts,
+    /// Made when there is something to judge: most tasks never end before their app.
+    restarts: Option<Box<Restarts>>,
     state: State,
     /// What the next handler takes over.
     pub(crate) kept: Option<Vec<u8>>,
@@ -119,10 +120,6 @@ pub(crate) fn start_at(
     spec: TaskSpec,
     origin: Origin,
 ) -> Result<(), HandlerError> {
-    let policy = spec
-        .config
-        .as_ref()
-        .map_or_else(Policy::default, |config| config.restart);
     let cx = Context::new(
         spec.record.clone(),
         chassis.clone(),
@@ -133,8 +130,8 @@ pub(crate) fn start_at(
     let handler = build_contained(&spec.build, &cx)?;
     let queue = TaskQueue::new(spec.record.mailbox.clone());
     processor.add_queue(spec.record.tid.slot(), queue.clone());
+    spec.record.statistics.meter.count(cx.shared_commands());
     chassis.add_task(spec.record.clone());
-    spec.record.statistics.meter.count(cx.commands());
     chassis
         .tap
         .built(spec.record.tid, &spec.record.name, cx.commands());
@@ -155,7 +152,7 @@ pub(crate) fn start_at(
         }),
         build: spec.build,
         handler: Some(handler),
-        restarts: Restarts::new(policy, cx.seed_of("restart")),
+        restarts: None,
         state: State::Running,
         kept: None,
         phase: None,
@@ -240,6 +237,17 @@ impl Runner {
 
     pub(crate) fn is_running(&self) -> bool {
         self.state == State::Running && self.phase == Some(Phase::Run)
+    }
+
+    /// What judges its ends by its policy.
+    fn restarts(&mut self) -> &mut Restarts {
+        let cx = &self.cx;
+        self.restarts.get_or_insert_with(|| {
+            let policy = cx
+                .config()
+                .map_or_else(Policy::default, |config| config.restart);
+            Box::new(Restarts::new(policy, cx.seed_of("restart")))
+        })
     }
 
     pub(crate) fn is_child(&self) -> bool {

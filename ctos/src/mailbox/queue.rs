@@ -91,7 +91,7 @@ pub(super) struct Lanes {
     pub(super) normal: Lane,
     /// Nothing more is taken into the queues: the task is about to leave, or has left.
     pub(super) held: bool,
-    pub(super) gate: Option<Gate>,
+    pub(super) gate: Option<Box<Gate>>,
 }
 
 impl Lanes {
@@ -119,9 +119,11 @@ impl TaskQueue {
     /// The queue behind `mailbox`.
     pub(crate) fn new(mailbox: Arc<Mailbox>) -> Rc<Self> {
         let closed = std::mem::take(&mut *lock(&mailbox.gates));
-        let gate = (!closed.is_empty()).then(|| Gate {
-            closed,
-            held: Vec::new(),
+        let gate = (!closed.is_empty()).then(|| {
+            Box::new(Gate {
+                closed,
+                held: Vec::new(),
+            })
         });
         Rc::new(Self {
             lanes: RefCell::new(Lanes {

@@ -129,7 +129,7 @@ impl Guest {
             .map_err(|error| error.to_string())?;
         for task in chassis.tasks() {
             let commands = task.statistics.meter.counted();
-            recorder.named(task.tid, &task.name, &commands);
+            recorder.named(task.tid, &task.name, commands);
         }
         chassis.tap.admit(recorder.clone());
         log::admit(&recorder, chassis.index());

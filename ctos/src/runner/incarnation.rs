@@ -105,7 +105,8 @@ impl Runner {
             let verdict = if self.state == State::Stopped {
                 Verdict::StayDown
             } else {
-                self.restarts.judge(ending, self.cx.now())
+                let now = self.cx.now();
+                self.restarts().judge(ending, now)
             };
             let Verdict::RestartAfter(backoff) = verdict else {
                 self.give_up(ending, &why, verdict).await;

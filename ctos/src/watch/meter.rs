@@ -1,7 +1,7 @@
 //! What is counted of a task for whoever watches: cheap to count, readable from any thread.
 
 use std::sync::{
-    OnceLock,
+    Arc, OnceLock,
     atomic::{AtomicU64, Ordering},
 };
 
@@ -17,22 +17,29 @@ pub(super) fn bound_s(bucket: usize) -> f64 {
     1e-6 * 4_f64.powi(i32::try_from(bucket).unwrap_or(i32::MAX))
 }
 
-#[derive(Debug)]
-struct CommandMeter {
-    info: CommandInfo,
+/// How many messages ended well, and how many otherwise.
+#[derive(Debug, Default)]
+struct Count {
     ok: AtomicU64,
     failed: AtomicU64,
+}
+
+#[derive(Debug)]
+struct Counts {
+    /// One more than [`BUCKETS`]: the last counts what is longer than all bounds.
+    durations: [AtomicU64; BUCKETS + 1],
+    /// By command, in the order of the commands that are counted.
+    commands: Box<[Count]>,
+    /// Messages of other commands, those of the runtime.
+    other: Count,
 }
 
 /// The meter of one task.
 #[derive(Debug, Default)]
 pub(crate) struct TaskMeter {
-    /// One more than [`BUCKETS`]: the last counts what is longer than all bounds.
-    durations: [AtomicU64; BUCKETS + 1],
-    commands: OnceLock<Vec<CommandMeter>>,
-    /// Messages of other commands, those of the runtime.
-    other_ok: AtomicU64,
-    other_failed: AtomicU64,
+    commands: OnceLock<Arc<[CommandInfo]>>,
+    /// Made for the first message: of very many tasks most may be idle.
+    counts: OnceLock<Box<Counts>>,
     /// Odd while the handler keeps its processor.
     turns: AtomicU64,
 }
@@ -47,21 +54,24 @@ pub(crate) struct CommandCount {
 
 impl TaskMeter {
     /// Counts these commands one by one.
-    pub(crate) fn count(&self, commands: &[CommandInfo]) {
-        self.commands.get_or_init(|| {
-            let meter = |command: &CommandInfo| CommandMeter {
-                info: *command,
-                ok: AtomicU64::new(0),
-                failed: AtomicU64::new(0),
-            };
-            commands.iter().map(meter).collect()
-        });
+    pub(crate) fn count(&self, commands: Arc<[CommandInfo]>) {
+        // Once: a task takes the same commands as long as it lives.
+        let _ = self.commands.set(commands);
     }
 
     /// The commands that are counted.
-    pub(crate) fn counted(&self) -> Vec<CommandInfo> {
-        let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
-        commands.iter().map(|command| command.info).collect()
+    pub(crate) fn counted(&self) -> &[CommandInfo] {
+        self.commands.get().map_or(&[], |commands| commands)
+    }
+
+    fn counts(&self) -> &Counts {
+        self.counts.get_or_init(|| {
+            Box::new(Counts {
+                durations: Default::default(),
+                commands: self.counted().iter().map(|_| Count::default()).collect(),
+                other: Count::default(),
+            })
+        })
     }
 
     /// A handler has returned from a message of `command` after `nanos`.
@@ -69,40 +79,34 @@ impl TaskMeter {
         let micros = nanos.saturating_sub(1) / 1000;
         // 0 for up to 1 us, then one more for every factor of four.
         let bucket = (u64::BITS - micros.leading_zeros()).div_ceil(2) as usize;
-        if let Some(bucket) = self.durations.get(bucket.min(BUCKETS)) {
+        let counts = self.counts();
+        if let Some(bucket) = counts.durations.get(bucket.min(BUCKETS)) {
             add(bucket, 1);
         }
-        let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
-        let known = commands.iter().find(|known| known.info.code == command);
-        let counter = match (known, ok) {
-            (Some(known), true) => &known.ok,
-            (Some(known), false) => &known.failed,
-            (None, true) => &self.other_ok,
-            (None, false) => &self.other_failed,
-        };
-        add(counter, 1);
+        let mut known = self.counted().iter().zip(&counts.commands);
+        let known = known.find(|(info, _)| info.code == command);
+        let count = known.map_or(&counts.other, |(_, count)| count);
+        add(if ok { &count.ok } else { &count.failed }, 1);
     }
 
     /// How many messages took at most the bound of each bucket, and longer than all.
     pub(crate) fn durations(&self) -> Vec<u64> {
         let read = |bucket: &AtomicU64| bucket.load(Ordering::Relaxed);
-        self.durations.iter().map(read).collect()
+        self.counts().durations.iter().map(read).collect()
     }
 
     /// Messages by command.
     pub(crate) fn commands(&self) -> Vec<CommandCount> {
-        let commands = self.commands.get().map_or(&[][..], Vec::as_slice);
-        let count = |command: &str, ok: &AtomicU64, failed: &AtomicU64| CommandCount {
+        let counts = self.counts();
+        let read = |command: &str, count: &Count| CommandCount {
             command: command.to_owned(),
-            ok: ok.load(Ordering::Relaxed),
-            failed: failed.load(Ordering::Relaxed),
+            ok: count.ok.load(Ordering::Relaxed),
+            failed: count.failed.load(Ordering::Relaxed),
         };
-        let mut counts: Vec<_> = commands
-            .iter()
-            .map(|known| count(known.info.name, &known.ok, &known.failed))
-            .collect();
-        counts.push(count("runtime", &self.other_ok, &self.other_failed));
-        counts
+        let known = self.counted().iter().zip(&counts.commands);
+        let mut all: Vec<_> = known.map(|(info, count)| read(info.name, count)).collect();
+        all.push(read("runtime", &counts.other));
+        all
     }
 
     /// The turn that the handler has on its processor at this moment, if it has one.
