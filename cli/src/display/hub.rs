@@ -15,7 +15,7 @@ use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
-    wire::{Breakpoint, Entry, Note, Overview, Told},
+    wire::{Breakpoint, Entry, Note, Overview, TaskState, Told},
 };
 
 /// Events of each net that are kept for browsers that come later.
@@ -112,6 +112,8 @@ impl Track {
 struct Known {
     tracks: BTreeMap<String, Track>,
     notes: Vec<Note>,
+    /// What a record says of tasks.
+    tasks: Vec<TaskState>,
     now_ns: u64,
     ended: bool,
     overviews: Overviews,
@@ -329,6 +331,11 @@ impl Hub {
         known.notes = notes;
     }
 
+    /// What a record says of the tasks that nets call.
+    pub(crate) fn tasks(&self, tasks: Vec<TaskState>) {
+        self.known().tasks = tasks;
+    }
+
     /// The app has ended.
     pub(crate) fn end(&self) {
         self.known().ended = true;
@@ -343,6 +350,8 @@ impl Hub {
         let mut told = vec![self.hello(&known, control)];
         let nets = known.tracks.values();
         told.extend(nets.map(|track| track.told(&known.notes, known.now_ns)));
+        let tasks = known.tasks.iter().cloned();
+        told.extend(tasks.map(|task| Told::Task { task }.text()));
         if known.ended {
             told.push(Told::End {}.text());
         }

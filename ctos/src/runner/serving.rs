@@ -130,7 +130,11 @@ impl Serving {
             slot.set_serial(at_hand.serial);
         }
         chassis.delivered(&self.record, message);
-        self.record.statistics.begin(at_hand.command, began);
+        let statistics = &self.record.statistics;
+        statistics.begin(at_hand.command, began);
+        statistics
+            .recent
+            .began(message.from(), at_hand.command, began);
         chassis.tap.began(&at_hand.noted);
         at_hand
     }
@@ -149,12 +153,14 @@ impl Serving {
         let ok = matches!(ended, Ended::Done(Ok(())));
         let now = processor.look_at_clock();
         self.record.statistics.end(ok, now);
-        self.cx.chassis().tap.ended(&noted, now, || match &ended {
+        let ending = || match &ended {
             Ended::Done(Ok(())) => HandlerEnding::Done,
             Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
             Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
             Ended::Interrupted(_) => HandlerEnding::Stopped,
-        });
+        };
+        self.record.statistics.recent.ended(command, now, ending);
+        self.cx.chassis().tap.ended(&noted, now, ending);
         let (fault, panic) = match ended {
             Ended::Done(Ok(())) => {
                 // A right to answer that it kept is still good; one that it dropped is not.

@@ -18,6 +18,8 @@ const MANY_NODES = 300;
 const MANY_EVENTS = 4000;
 const PRESENT_EVERY = 500;
 const RETRY = 1000;
+/** A task that is looked at is asked how it is so often, ms. */
+const ASK_EVERY = 1000;
 
 class App extends Moments {
   constructor() {
@@ -39,6 +41,8 @@ class App extends Moments {
     this.forks = new Map();
     /** The task that is looked at. */
     this.task = null;
+    /** What a person fills in for the next breakpoint of a place. */
+    this.predicate = { sign: ">=", tokens: "1" };
     /** What the address asks for, until it is there or a person does something: nets come one by one. */
     this.wish = new URLSearchParams(location.hash.slice(1));
     this.touched = false;
@@ -203,9 +207,17 @@ class App extends Moments {
   }
 
   goToNode(net, name) {
+    if (this.keyOf(net, name) === null) this.open(net.name, null);
+    const key = this.keyOf(net, name);
+    if (key !== null) this.choose(key);
+  }
+
+  /** The drawn node that is called `name`, or in detail one of the parts of the request of that name; `null` when neither is drawn. */
+  keyOf(net, name) {
     const key = `${net.name}/${name}`;
-    if (this.picture.nodes.has(key)) this.choose(key);
-    else this.open(net.name, key);
+    if (this.picture.nodes.has(key)) return key;
+    const isPart = ({ net: other, kind, node }) => other.name === net.name && kind === "transition" && node.kind.transition[0].some((number) => net.view.transitions[number].shown === name);
+    return [...this.picture.nodes.values()].find(isPart)?.key ?? null;
   }
 
   draw(keep = false) {
@@ -219,13 +231,14 @@ class App extends Moments {
   }
 
   choose(key) {
+    // What is filled in for a node goes with it.
+    if (document.activeElement?.matches("#side input, #side select")) document.activeElement.blur();
     this.chosen = key;
     this.task = null;
     this.picture.select(key);
     if (key !== null) this.picture.center(key);
     if (this.hops) this.picture.focus(key);
-    const task = key === null ? null : this.taskOf(key);
-    if (task) this.ask("task", { task });
+    this.asking = null;
     this.changed();
     this.remember();
   }
@@ -233,8 +246,16 @@ class App extends Moments {
   /** Looks at a task; its transitions lead back. */
   lookAt(task) {
     this.task = task;
-    this.ask("task", { task });
+    this.asking = null;
     this.changed();
+  }
+
+  /** Asks how a task is, not too often. */
+  askTask(task) {
+    const now = performance.now();
+    if (this.asking?.task === task && now - this.asking.at < ASK_EVERY) return;
+    this.asking = { task, at: now };
+    this.ask("task", { task });
   }
 
   /** Draws a subnet as one node, or whole again. */
@@ -282,11 +303,6 @@ class App extends Moments {
     if (this.chosen === null || !this.control) return;
     this.picture.move(this.chosen, by[0] * 10, by[1] * 10);
     this.keep(this.chosen);
-  }
-
-  taskOf(key) {
-    const shown = this.picture.nodes.get(key);
-    return shown?.kind === "transition" ? shown.net.view.transitions[shown.node.kind.transition[0][0]].task : null;
   }
 
   tabs() {
@@ -386,10 +402,18 @@ class App extends Moments {
     this.table.draw();
     const [from, to] = this.span();
     $("clock").textContent = seconds(this.now());
+    this.older();
     if (document.activeElement !== $("scrub") || this.cursor === null || this.playing) $("scrub").value = String((1000 * (this.now() - from)) / Math.max(1, to - from));
     $("play").textContent = this.cursor === null || this.playing ? "❚❚" : "▶";
     $("live").disabled = this.mode === "record";
     $("live").setAttribute("aria-pressed", String(this.cursor === null && this.mode !== "record"));
+  }
+
+  /** Says so where the past that is shown is not all there was. */
+  older() {
+    const before = this.visibleNets().reduce((sum, net) => sum + (net.real ?? net).base.seq, 0);
+    const text = before === 0 ? "" : this.mode === "record" ? `the record begins after ${before} events` : `${before} earlier events: only in a record`;
+    if ($("older").textContent !== text) [$("older").textContent, $("older").hidden] = [text, text === ""];
   }
 
   // -- what a person does ---------------------------------------------------------------

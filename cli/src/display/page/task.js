@@ -1,4 +1,4 @@
-// A task as nets see it: how it is, what nets asked of it last, and which transitions do.
+// A task: what it handled last, as it says itself and as nets know it, and which transitions ask it.
 
 import { seconds } from "./model.js";
 
@@ -25,6 +25,23 @@ export function messagesTo(task, nets, positionOf) {
   return found.slice(0, MOST);
 }
 
+/** What a task handled up to `now_ns`, latest first, as it tells itself; at moments of which it tells nothing, what nets sent
+ * it, `sent`. */
+export function lastOf(task, sent, now_ns) {
+  const known = (task?.messages ?? []).filter((one) => one.at_ns <= now_ns).reverse();
+  return (known.length > 0 ? known : sent).slice(0, MOST);
+}
+
+/** A message as the task tells it, in words, at `now_ns`. */
+export function ofTask({ from, command, at_ns, took_ns, failed }, now_ns) {
+  const ended = took_ns !== null && at_ns + took_ns <= now_ns;
+  const how = !ended ? `for ${brief(now_ns - at_ns)}` : failed === null ? `done in ${brief(took_ns)}` : `failed after ${brief(took_ns)}: ${failed}`;
+  return { words: command, more: `from ${from}, ${how}`, failed: ended && failed !== null };
+}
+
+/** A duration, in the unit that a person would choose. */
+const brief = (ns) => (ns >= 1e8 ? seconds(ns, 2) : ns >= 1e5 ? `${(ns / 1e6).toFixed(1)} ms` : `${(ns / 1e3).toFixed(0)} µs`);
+
 /** The event that ended what `event` began: of the same firing, or the next end of the same request. */
 function endOf(net, event, at, until) {
   const of = (name) => net.view.transitions[net.index.transitions.get(name)];
@@ -41,6 +58,18 @@ export function outcome(net, { event, end }, now_ns) {
   const part = net.view.transitions[net.index.transitions.get(end.transition)].part;
   const failed = end.phase === "failed" || end.phase === "cancelled" || part === "fail" || part === "back";
   return `${failed ? "failed after" : "done in"} ${seconds(end.at_ns - event.at_ns, 2)}`;
+}
+
+/** The nodes of other nets that put tokens into a place: it is one place for all of them. */
+export function sendersTo(net, place, nets) {
+  const found = new Map();
+  for (const other of nets) {
+    for (const one of other.view.transitions) {
+      const sends = [...one.sends, ...one.fail_sends].some((arc) => arc.net === net && arc.place === place);
+      if (sends) found.set(`${other.name}/${one.shown}`, { net: other, name: one.shown });
+    }
+  }
+  return [...found.values()];
 }
 
 /** The nodes whose transitions send to a task: `{ net, name }`. */
