@@ -112,7 +112,9 @@ impl Track {
 struct Known {
     tracks: BTreeMap<String, Track>,
     notes: Vec<Note>,
-    /// What a record says of tasks.
+    /// The tasks of which more can be told.
+    names: Vec<String>,
+    /// What a record says of them.
     tasks: Vec<TaskState>,
     now_ns: u64,
     ended: bool,
@@ -144,6 +146,12 @@ impl Hub {
             origin_ns,
             ..Self::new(app, "live", KEPT, overviews)
         }
+    }
+
+    /// With the names of the app's tasks, of which whoever asks is told more.
+    pub(crate) fn with_tasks(self, names: Vec<String>) -> Self {
+        self.known().names = names;
+        self
     }
 
     /// For the nets of a recorded run, whose past is kept as a whole.
@@ -333,7 +341,9 @@ impl Hub {
 
     /// What a record says of the tasks that nets call.
     pub(crate) fn tasks(&self, tasks: Vec<TaskState>) {
-        self.known().tasks = tasks;
+        let mut known = self.known();
+        known.names = tasks.iter().map(|task| task.name.clone()).collect();
+        known.tasks = tasks;
     }
 
     /// The app has ended.
@@ -364,6 +374,7 @@ impl Hub {
             mode: self.mode,
             control,
             nets: known.tracks.keys().map(String::as_str).collect(),
+            tasks: &known.names,
             displays: known.displays(),
             origin_ns: self.origin_ns,
         }

@@ -53,12 +53,11 @@ impl NetDisplay {
             }
             None => Overviews::default(),
         };
+        let origin_ns = cx.chassis().clock().origin_ns();
+        let hub = Hub::live(&cx.app().name, overviews, origin_ns);
+        let tasks = cx.app().tasks.iter().map(|task| task.name.clone());
         Ok(Self {
-            hub: Arc::new(Hub::live(
-                &cx.app().name,
-                overviews,
-                cx.chassis().clock().origin_ns(),
-            )),
+            hub: Arc::new(hub.with_tasks(tasks.collect())),
             args,
             stop: None,
             orders: None,

@@ -18,6 +18,8 @@ pub(crate) enum Told<'t> {
         mode: &'t str,
         control: bool,
         nets: Vec<&'t str>,
+        /// The tasks of which more can be told.
+        tasks: &'t [String],
         displays: Vec<Overview>,
         /// When the app began, ns since 1970; not known of a record.
         origin_ns: Option<u64>,

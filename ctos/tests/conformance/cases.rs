@@ -10,6 +10,7 @@ use std::{
 };
 
 use ctos::{
+    Command as _,
     call::{CallError, Fault},
     message::{CommandInfo, Message},
     recent::{Ending, TaskLook},

@@ -26,7 +26,9 @@ class App extends Moments {
     super();
     this.nets = new Map();
     this.displays = [];
+    /** What is known of tasks, and the names of those of which more can be told. */
     this.tasks = new Map();
+    this.appTasks = [];
     this.shown = null;
     this.chosen = null;
     /** The moment shown: null is the present; else `{ at_ns, net, position }`. */
@@ -99,6 +101,7 @@ class App extends Moments {
     /** When the app began, ns since 1970; of a record it is not known. */
     this.origin = message.origin_ns ?? null;
     this.wanted = message.nets;
+    this.appTasks = message.tasks;
     this.picked = false;
   }
 
@@ -313,10 +316,15 @@ class App extends Moments {
       ...[...this.nets.values()].map((net) => tab(net.name, net.view.title, mark(net))));
   }
 
+  /** The tasks that can be looked at. */
+  taskNames() {
+    return new Set([...this.appTasks, ...[...this.nets.values()].flatMap((net) => net.view.transitions.map((one) => one.task))]);
+  }
+
   /** What can be found, once somebody looks for something. */
   fillNames() {
     if ($("names").childElementCount > 0) return;
-    const names = [];
+    const names = [...this.appTasks];
     for (const net of this.nets.values()) for (const node of net.written.nodes) names.push(`${net.name}/${node.name}`);
     $("names").replaceChildren(...names.slice(0, 3000).map((name) => make("option", { value: name })));
   }
@@ -333,8 +341,7 @@ class App extends Moments {
         if (rank < 9 && (best === null || rank < best.rank)) best = { rank, net: net.name, key };
       }
     }
-    const tasks = new Set([...this.nets.values()].flatMap((net) => net.view.transitions.map((one) => one.task)));
-    if (tasks.has(text.trim())) this.lookAt(text.trim());
+    if (this.taskNames().has(text.trim())) this.lookAt(text.trim());
     else if (best === null) this.say(`nothing is called ${text}`);
     else if (this.picture.nodes.has(best.key)) this.choose(best.key);
     else this.open(best.net, best.key);
@@ -407,13 +414,6 @@ class App extends Moments {
     $("play").textContent = this.cursor === null || this.playing ? "❚❚" : "▶";
     $("live").disabled = this.mode === "record";
     $("live").setAttribute("aria-pressed", String(this.cursor === null && this.mode !== "record"));
-  }
-
-  /** Says so where the past that is shown is not all there was. */
-  older() {
-    const before = this.visibleNets().reduce((sum, net) => sum + (net.real ?? net).base.seq, 0);
-    const text = before === 0 ? "" : this.mode === "record" ? `the record begins after ${before} events` : `${before} earlier events: only in a record`;
-    if ($("older").textContent !== text) [$("older").textContent, $("older").hidden] = [text, text === ""];
   }
 
   // -- what a person does ---------------------------------------------------------------

@@ -1,7 +1,7 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
 import { nodeStanding, seconds } from "./model.js";
-import { callers, lastOf, messagesTo, ofTask, outcome, sendersTo } from "./task.js";
+import { callers, lastOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
 /** Nodes of a kind that are listed. */
 const MOST_LISTED = 24;
@@ -153,23 +153,21 @@ function taskPart(name, app) {
     facts.push(["state", task.now.doing ?? "is idle"], ["messages", `${task.now.handled} handled, ${task.now.failed} failed, ${task.now.queued} waiting`]);
     if (task.now.restarts > 0) facts.push(["restarted", `${task.now.restarts} times`]);
   }
-  const rows = lastOf(task, messagesTo(name, nets, (net) => app.positionOf(net)), app.now());
   const row = ({ at_ns, words, more, failed, go }) => make("li", { class: failed ? "failed" : null },
-    make("button", { class: "link", title: "Go to this moment", onclick: go ?? (() => app.goTo(at_ns)) }, seconds(at_ns)),
+    make("button", { class: "link", title: "Go to this moment", onclick: go }, seconds(at_ns)),
     make("span", {}, words, make("span", { class: "soft" }, ` ${more}`)));
-  const told = rows.map((one) => row(one.net === undefined ? { ...one, ...ofTask(one, app.now()) }
-    : { at_ns: one.event.at_ns, words: one.event.target.split(".").at(-1) || shownOf(one), more: `from ${one.net.name}, ${outcome(one.net, one, app.now())}`, go: () => app.goToEvent(one.net, one.at) }));
+  const list = (title, rows) => (rows.length === 0 ? [] : [make("p", { class: "soft" }, title), make("ul", { class: "messages", "aria-label": title }, ...rows.map(row))]);
+  const handled = lastOf(task, app.now()).map((one) => ({ ...ofTask(one, app.now()), at_ns: one.at_ns, go: () => app.goTo(one.at_ns) }));
+  // A net's task handles tokens; what they ask it for, the nets know that sent them.
+  const sent = app.nets.has(name) || handled.length === 0 ? messagesTo(name, nets, (net) => app.positionOf(net)) : [];
+  const asked = sent.map((one) => ({ ...ofNet(one, app.now()), go: () => app.goToEvent(one.net, one.at) }));
   const by = callers(name, nets);
   return make("div", {}, factList(facts),
-    told.length > 0 ? make("p", { class: "soft" }, "last messages") : null,
-    told.length > 0 ? make("ul", { class: "messages", "aria-label": "last messages" }, ...told) : null,
+    ...list("asked by nets", asked), ...list("last messages", handled),
     task?.left_out > 0 ? make("p", { class: "soft" }, `${task.left_out} earlier messages are in the record only`) : null,
     by.length > 0 ? make("p", { class: "soft" }, "sent by ", ...between(by.map(({ net, name: node }) => link(app.visibleNets().includes(net) ? node : `${net.name}/${node}`, () => app.goToNode(net, node))))) : null,
     app.nets.has(name) ? link(`Show net ${name}`, () => app.open(name, null)) : null);
 }
-
-/** The node of the drawing in which an event's transition stands. */
-const shownOf = ({ net, event }) => net.view.transitions[net.index.transitions.get(event.transition)].shown;
 
 /** A place in a file: its folder is told on request. */
 const inText = (at) => ["in the text", at.split("/").at(-1), at];
