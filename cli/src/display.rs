@@ -9,6 +9,7 @@ mod args;
 mod arrange;
 pub(crate) mod assets;
 pub(crate) mod figure;
+mod handled;
 pub(crate) mod hub;
 mod orders;
 pub(crate) mod overview;

@@ -8,6 +8,7 @@ pub mod commands;
 pub mod display;
 pub mod exit;
 pub mod log;
+mod page;
 pub mod panel;
 pub mod program;
 pub mod scott;

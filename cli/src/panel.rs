@@ -15,7 +15,6 @@ mod task;
 pub use args::{DEFAULT_LISTEN, HANDLER};
 
 use std::{
-    fmt::Write as _,
     io,
     net::{SocketAddr, TcpListener},
     path::Path,
@@ -26,7 +25,7 @@ use ctos::{
     registry::Registry,
 };
 
-use crate::{exit, scott::backend::Backend, show};
+use crate::{exit, page::drawn_token, scott::backend::Backend, show};
 use desk::{Desk, Door};
 use pool::Pool;
 use script::Panel;
@@ -98,16 +97,4 @@ fn serve(listener: TcpListener, pool: Pool, panel: Panel) -> io::Result<()> {
             std::future::pending::<()>().await;
         }
     }))
-}
-
-/// 128 bits that nobody guesses.
-fn drawn_token() -> io::Result<String> {
-    let mut bytes = [0_u8; 16];
-    getrandom::fill(&mut bytes).map_err(io::Error::other)?;
-    let mut token = String::new();
-    for byte in bytes {
-        // Writing to a `String` cannot fail.
-        let _ = write!(token, "{byte:02x}");
-    }
-    Ok(token)
 }

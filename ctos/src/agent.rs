@@ -11,6 +11,7 @@ use crate::{
     context::{Context, TaskRef},
     message::{Command, CommandInfo, Message, Replier, Tid},
     moving::{self, Arrivals},
+    recent::{self, LookAt},
     record::{Attached, BeginRecord, EndRecord, ReadRecord},
     runner::{TaskSpec, record, start_task},
     survey::{Survey, survey},
@@ -23,10 +24,11 @@ use crate::{
 };
 
 /// What an agent takes.
-pub(crate) const COMMANDS: [CommandInfo; 13] = [
+pub(crate) const COMMANDS: [CommandInfo; 14] = [
     CreateTasks::INFO,
     Exit::INFO,
     Survey::INFO,
+    LookAt::INFO,
     AnnounceUp::INFO,
     Gather::INFO,
     MoveIn::INFO,
@@ -75,6 +77,10 @@ impl EventHandler for Agent {
             Survey::CODE => {
                 let (Survey {}, reply) = message.open::<Survey>()?;
                 reply.ok(survey(cx.chassis()))
+            }
+            LookAt::CODE => {
+                let (LookAt { task, without }, reply) = message.open::<LookAt>()?;
+                reply.ok(recent::seen(cx.chassis(), task, &without))
             }
             AnnounceUp::CODE => {
                 let (AnnounceUp { chassis }, _) = message.open::<AnnounceUp>()?;

@@ -26,6 +26,7 @@ pub mod diagnostic;
 pub mod disk;
 pub mod message;
 pub mod realtime;
+pub mod recent;
 pub mod record;
 pub mod registry;
 pub mod remote;

@@ -20,13 +20,13 @@ use crate::{
     message::{Command, CommandInfo, Message, Replier, Tid},
     system::{
         self, AbortMove, AwaitTid, Change, CommitMove, FirstSlots, Monitor, MoveTask, MovedTasks,
-        Place, QueryTid, Rebound, RegisterTid, TaskChanged, TaskName, WhoWaits,
+        NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged, TaskName, WhoWaits,
     },
     task::{EventHandler, Handled},
 };
 
 /// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 11] = [
+pub(crate) const COMMANDS: [CommandInfo; 12] = [
     RegisterTid::INFO,
     QueryTid::INFO,
     AwaitTid::INFO,
@@ -38,6 +38,7 @@ pub(crate) const COMMANDS: [CommandInfo; 11] = [
     CommitMove::INFO,
     AbortMove::INFO,
     MovedTasks::INFO,
+    NamesOf::INFO,
 ];
 
 /// A task that waits for a name.
@@ -153,6 +154,12 @@ impl EventHandler for TidServer {
                 let state = self.state.borrow();
                 let homes = state.homes.iter();
                 reply.ok(homes.map(|(name, place)| (name.clone(), *place)).collect())
+            }
+            NamesOf::CODE => {
+                let (NamesOf { tids }, reply) = message.open::<NamesOf>()?;
+                let state = self.state.borrow();
+                let name = |tid: &Tid| state.used.get(tid).cloned();
+                reply.ok(tids.iter().map(name).collect())
             }
             _ => cx.default_processing(message),
         }

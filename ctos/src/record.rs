@@ -40,7 +40,7 @@ pub use report::RecordReport;
 
 pub(crate) use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
 
-pub(crate) use event::Ending;
+pub use event::Ending;
 pub(crate) use tap::{Asked, AtHand, Tap};
 
 use names::Names;

@@ -8,7 +8,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use crate::{task::Phase, time::Instant, watch::TaskMeter};
+use crate::{recent::Recent, task::Phase, time::Instant, watch::TaskMeter};
 
 /// The counters of one task.
 #[derive(Debug, Default)]
@@ -25,6 +25,8 @@ pub(crate) struct TaskStatistics {
     phase_since_ns: AtomicU64,
     /// What whoever watches counts besides.
     pub(crate) meter: TaskMeter,
+    /// Its last messages, for whoever looks at it.
+    pub(crate) recent: Recent,
 }
 
 /// Adds to a counter that has one writer, the loop of its task: no other addition can come between.

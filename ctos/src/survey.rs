@@ -112,6 +112,11 @@ fn cyclic_times(functions: &[(String, Arc<CyclicStatistics>)]) -> BTreeMap<Strin
     times
 }
 
+/// One of its tasks.
+pub(crate) fn of_task(chassis: &Chassis, task: &TaskRecord) -> TaskReport {
+    report(chassis, task, &cyclic_times(&chassis.cyclics()))
+}
+
 fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Duration>) -> TaskReport {
     let counters = task.statistics.read();
     let config = chassis.app.task(&task.name);
@@ -133,7 +138,7 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
 }
 
 /// The name of a command, as far as it is known.
-fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
+pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
     let kind = chassis.registry.kind(handler);
     let own = kind.into_iter().flat_map(|kind| kind.commands());
     let mut all = own.chain(crate::system::ALL);

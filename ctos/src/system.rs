@@ -238,6 +238,7 @@ pub(crate) const ALL: &[CommandInfo] = &[
     RestartChassis::INFO,
     Overview::INFO,
     crate::survey::Survey::INFO,
+    crate::recent::LookAt::INFO,
     Shutdown::INFO,
     Broke::INFO,
     MoveTask::INFO,
@@ -256,6 +257,7 @@ pub(crate) const ALL: &[CommandInfo] = &[
     FirstSlots::INFO,
     WhoWaits::INFO,
     MovedTasks::INFO,
+    NamesOf::INFO,
     TaskMoved::INFO,
 ];
 command! {
@@ -348,6 +350,11 @@ command! {
 command! {
     /// Asks where the tasks are that were moved away from where the configuration puts them.
     pub(crate) struct MovedTasks => Vec<(String, Place)>, 0xff13, "moved_tasks"
+}
+
+command! {
+    /// Asks for the names of tasks, those too that have ended.
+    pub(crate) struct NamesOf { pub(crate) tids: Vec<Tid> } => Vec<Option<String>>, 0xff14, "names_of"
 }
 
 command! {

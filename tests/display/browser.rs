@@ -188,6 +188,23 @@ impl Browser {
         mouse("mouseReleased", 0, (x + dx, y + dy));
     }
 
+    /// Clicks at a point of an element, px from its upper left corner, with a mouse.
+    #[track_caller]
+    pub fn click_at(&mut self, selector: &str, (dx, dy): (f64, f64)) {
+        let corner = format!(
+            "(() => {{ const box = document.querySelector({selector:?}).getBoundingClientRect(); return [box.x, box.y]; }})()"
+        );
+        let corner = self.ask(&corner);
+        let (x, y) = (
+            corner[0].as_f64().unwrap() + dx,
+            corner[1].as_f64().unwrap() + dy,
+        );
+        for (kind, buttons) in [("mousePressed", 1), ("mouseReleased", 0)] {
+            let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1 });
+            self.order("Input.dispatchMouseEvent", event);
+        }
+    }
+
     /// As seen by somebody who has told the system so: `prefers-color-scheme: dark`, for example.
     pub fn prefer(&mut self, features: &[(&str, &str)]) {
         let features: Vec<Value> = features

@@ -13,11 +13,21 @@ mod browser;
 #[path = "../system/harness.rs"]
 #[allow(dead_code, reason = "the other tests use the rest of it")]
 mod harness;
+mod looking;
+mod panel;
 
 use browser::Browser;
 use harness::{Run, Scratch};
 
 const SIZE: (u32, u32) = (1440, 900);
+
+/// A browser beside an app makes a machine slow: nobody is given up because of that.
+const SLOW: [&str; 4] = [
+    "--set",
+    "app.phase_timeout_s=90",
+    "--set",
+    "app.peer_timeout_s=60",
+];
 
 /// The calibration with a display, and one net more on a chassis of its own that is started again.
 fn scratch() -> Scratch {
@@ -35,9 +45,7 @@ fn scratch() -> Scratch {
 
 /// Boots it; the address of the page.
 fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
-    // A browser beside it makes a machine slow.
-    let slow = ["--set", "app.phase_timeout_s=90"];
-    let display = [&["--display=127.0.0.1:0", "--allow-control"], &slow[..]].concat();
+    let display = [&["--display=127.0.0.1:0", "--allow-control"], &SLOW[..]].concat();
     let mut run = scratch.start_boot(&[&display[..], sets].concat());
     let line = run.line_with("nets are shown");
     let from = line.find("http://").unwrap();
@@ -50,6 +58,22 @@ fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
 }
 
 const DISPATCHER: &str = "nets.nets.get('dispatcher')";
+
+/// Takes pictures of a page, for whoever wants to look: `CTOS_PICTURES` is the folder. In light and dark colours, and
+/// narrow.
+fn pictures(browser: &mut Browser, name: &str) {
+    let Some(folder) = std::env::var_os("CTOS_PICTURES").map(std::path::PathBuf::from) else {
+        return;
+    };
+    for scheme in ["light", "dark"] {
+        browser.prefer(&[("prefers-color-scheme", scheme)]);
+        browser.picture(&folder.join(format!("{name}-{scheme}.png")));
+    }
+    browser.resize((420, 1400));
+    browser.picture(&folder.join(format!("{name}-narrow.png")));
+    browser.prefer(&[]);
+    browser.resize(SIZE);
+}
 
 #[test]
 fn a_person_watches_stops_scrubs_and_releases_a_running_calibration() {

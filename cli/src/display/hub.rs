@@ -15,7 +15,7 @@ use tokio::sync::broadcast;
 
 use super::{
     overview::Overviews,
-    wire::{Breakpoint, Entry, Note, Overview, Told},
+    wire::{Breakpoint, Entry, Note, Overview, TaskState, Told},
 };
 
 /// Events of each net that are kept for browsers that come later.
@@ -112,6 +112,10 @@ impl Track {
 struct Known {
     tracks: BTreeMap<String, Track>,
     notes: Vec<Note>,
+    /// The tasks of which more can be told.
+    names: Vec<String>,
+    /// What a record says of them.
+    tasks: Vec<TaskState>,
     now_ns: u64,
     ended: bool,
     overviews: Overviews,
@@ -142,6 +146,12 @@ impl Hub {
             origin_ns,
             ..Self::new(app, "live", KEPT, overviews)
         }
+    }
+
+    /// With the names of the app's tasks, of which whoever asks is told more.
+    pub(crate) fn with_tasks(self, names: Vec<String>) -> Self {
+        self.known().names = names;
+        self
     }
 
     /// For the nets of a recorded run, whose past is kept as a whole.
@@ -329,6 +339,13 @@ impl Hub {
         known.notes = notes;
     }
 
+    /// What a record says of the tasks that nets call.
+    pub(crate) fn tasks(&self, tasks: Vec<TaskState>) {
+        let mut known = self.known();
+        known.names = tasks.iter().map(|task| task.name.clone()).collect();
+        known.tasks = tasks;
+    }
+
     /// The app has ended.
     pub(crate) fn end(&self) {
         self.known().ended = true;
@@ -343,6 +360,8 @@ impl Hub {
         let mut told = vec![self.hello(&known, control)];
         let nets = known.tracks.values();
         told.extend(nets.map(|track| track.told(&known.notes, known.now_ns)));
+        let tasks = known.tasks.iter().cloned();
+        told.extend(tasks.map(|task| Told::Task { task }.text()));
         if known.ended {
             told.push(Told::End {}.text());
         }
@@ -355,6 +374,7 @@ impl Hub {
             mode: self.mode,
             control,
             nets: known.tracks.keys().map(String::as_str).collect(),
+            tasks: &known.names,
             displays: known.displays(),
             origin_ns: self.origin_ns,
         }

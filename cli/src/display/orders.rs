@@ -3,17 +3,22 @@
 use std::{sync::Arc, time::Duration};
 
 use ctos::{
-    system::Statistics,
+    Command as _,
+    recent::{Ending, LastMessage, TaskLook},
     task::{Context, HandlerError, TaskRef},
+    time::Instant,
 };
-use pnt::task::{Control, Marking, Order};
+use pnt::{
+    stream::{Describe, Follow},
+    task::{Control, Marking, Order},
+};
 use tokio::sync::mpsc;
 
 use super::{
     arrange,
     hub::Hub,
     server::Asking,
-    wire::{Asked, Breakpoint, TaskState, Told},
+    wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, Told},
 };
 
 /// How long whoever is asked may take.
@@ -54,35 +59,85 @@ pub(super) async fn carry(
     }
 }
 
-/// How a task is.
+/// How a task is, and what it handled last.
 async fn task(cx: &Context, name: &str) -> TaskState {
     let on = cx.app().task(name).map(|task| task.chassis.clone());
-    let mut state = TaskState {
+    let state = TaskState {
         name: name.to_owned(),
         on: on.unwrap_or_default(),
         ..TaskState::default()
     };
-    let counters = async {
-        let to = cx.task(name).await?;
-        let counters = cx.call(&to, Statistics {}).deadline(LIMIT).await?;
-        Ok::<_, HandlerError>(counters)
-    };
-    match counters.await {
-        Ok(counters) => {
-            state.handled = counters.handled;
-            state.failed = counters.failed;
-            state.busy = counters.began.is_some();
-            let kind = cx
-                .app()
-                .task(name)
-                .and_then(|task| cx.registry().kind(&task.handler));
-            let mut commands = kind.into_iter().flat_map(|kind| kind.commands());
-            let command = commands.find(|command| command.code == counters.command);
-            state.command = command.map(|command| command.name.to_owned());
-        }
-        Err(error) => state.error = Some(error.to_string()),
+    match look(cx, name).await {
+        Ok(look) => TaskState {
+            now: Some(now(&look)),
+            messages: look.last.into_iter().map(message).collect(),
+            ..state
+        },
+        Err(error) => TaskState {
+            error: Some(error.to_string()),
+            ..state
+        },
     }
-    state
+}
+
+/// Looks at a task, whose last messages are kept from then on. Those by which displays follow a net are nobody's
+/// concern.
+pub(super) async fn look(cx: &Context, name: &str) -> Result<TaskLook, HandlerError> {
+    let is_net = pnt::task::net_tasks(cx.app(), cx.registry())
+        .iter()
+        .any(|net| net == name);
+    let without: &[u16] = if is_net {
+        &[Describe::CODE, Follow::CODE, Marking::CODE]
+    } else {
+        &[]
+    };
+    let to = cx.task(name).await?;
+    cx.look_at(&to, without).await
+}
+
+fn now(look: &TaskLook) -> TaskNow {
+    let task = &look.task;
+    TaskNow {
+        handled: task.counters.handled,
+        failed: task.counters.failed,
+        queued: task.queue.urgent + task.queue.normal,
+        restarts: task.counters.restarts,
+        doing: doing(look),
+    }
+}
+
+/// What a task does, in words.
+fn doing(look: &TaskLook) -> Option<String> {
+    let seconds = |since: Instant| look.now.since(since).as_secs_f64();
+    if let Some(wait) = look.task.waits.first() {
+        let (to, command) = (&wait.to, &wait.command);
+        let waited = seconds(wait.since);
+        return Some(format!(
+            "waits for `{to}` to answer `{command}`, {waited:.1} s"
+        ));
+    }
+    let began = look.task.counters.began?;
+    let command = look.task.command.as_deref().unwrap_or("a message");
+    Some(format!("is at `{command}`, {:.1} s", seconds(began)))
+}
+
+fn message(last: LastMessage) -> TaskMessage {
+    let failed = match &last.ended {
+        None | Some((_, Ending::Done)) => None,
+        Some((_, Ending::Refused(text))) => Some(text.clone()),
+        Some((_, Ending::Panicked(text))) => Some(format!("panicked: {text}")),
+        Some((_, Ending::Stopped)) => Some("stopped".to_owned()),
+    };
+    TaskMessage {
+        at_ns: last.began.as_nanos(),
+        from: last.from,
+        command: last.command,
+        took_ns: last.ended.map(|(took, _)| {
+            // 584 years.
+            u64::try_from(took.as_nanos()).unwrap_or(u64::MAX)
+        }),
+        failed,
+    }
 }
 
 /// Has an order carried out by its net.
@@ -142,16 +197,18 @@ fn meant(asked: &Asked, set: &[Breakpoint]) -> Result<Order, HandlerError> {
         "pause" => Order::Pause,
         "resume" => Order::Resume,
         "step" => Order::Step { firings: 1 },
-        // A place that gets a token is what a person waits for.
+        // A place that gets a token is what a person waits for, who does not say more.
         "break" => Order::Break {
-            at: match &asked.transition {
-                Some(transition) => transition.clone(),
-                None => format!("{}>=1", place()?),
+            at: match (&asked.transition, &asked.when) {
+                (Some(transition), _) => transition.clone(),
+                (None, Some(when)) => format!("{}{when}", place()?),
+                (None, None) => format!("{}>=1", place()?),
             },
         },
         "clear" => {
-            let same = |one: &&Breakpoint| {
-                (&one.transition, &one.place) == (&asked.transition, &asked.place)
+            let same = |one: &&Breakpoint| match &asked.breakpoint {
+                Some(at) => one.at == *at,
+                None => (&one.transition, &one.place) == (&asked.transition, &asked.place),
             };
             let at = set.iter().find(same).map(|one| one.at.clone());
             Order::Clear {
@@ -184,6 +241,19 @@ mod tests {
                 at: "p>=1".to_owned()
             })
         );
+        assert_eq!(
+            order(r#"{"kind":"break","net":"n","place":"p","when":"<=3"}"#),
+            Ok(Order::Break {
+                at: "p<=3".to_owned()
+            })
+        );
+        assert_eq!(
+            order(r#"{"kind":"clear","net":"n","breakpoint":"p>=1"}"#),
+            Ok(Order::Clear {
+                at: Some("p>=1".to_owned())
+            })
+        );
+        assert!(order(r#"{"kind":"clear","net":"n","breakpoint":"p>=2"}"#).is_err());
         assert_eq!(
             order(r#"{"kind":"clear","net":"n","place":"p"}"#),
             Ok(Order::Clear {

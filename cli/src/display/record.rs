@@ -11,7 +11,11 @@ use ctos::record::{ReadError, scan};
 use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
 use serde::Deserialize;
 
-use super::{hub::Hub, overview::Overviews};
+use super::{
+    handled::{Ended, Handled},
+    hub::Hub,
+    overview::Overviews,
+};
 
 /// The nets of a run.
 #[derive(Debug, Default)]
@@ -20,6 +24,8 @@ pub(crate) struct Recorded {
     pub(crate) app: String,
     /// The nets, by name.
     pub(crate) nets: BTreeMap<String, RecordedNet>,
+    /// What tasks handled.
+    handled: Handled,
     /// What a person should know of the records.
     pub(crate) warnings: Vec<String>,
 }
@@ -70,6 +76,9 @@ impl Recorded {
                 serde_json::from_slice(&entry.json).map(|whole| self.whole(whole))
             } else if topic.starts_with("/firing/") {
                 serde_json::from_slice(&entry.json).map(|event| self.event(event))
+            } else if topic.starts_with("/ended/") {
+                serde_json::from_slice::<Ended>(&entry.json)
+                    .map(|ended| self.handled.take(entry.at, ended))
             } else {
                 return;
             };
@@ -84,7 +93,7 @@ impl Recorded {
             self.warnings.push(text);
         }
         if odd > 0 {
-            let text = format!("{name} has {odd} lines about nets of another version");
+            let text = format!("{name} has {odd} lines of another version");
             self.warnings.push(text);
         }
         Ok(())
@@ -135,6 +144,7 @@ impl Recorded {
                 let _ = hub.take(&net.view.name, batch(step));
             }
         }
+        hub.tasks(self.handled.by(self.nets.values().map(|net| &net.view)));
         hub
     }
 }

@@ -1,13 +1,13 @@
 //! The task of a display: follows the nets, carries orders to them, and keeps the server.
 
-use std::{net::TcpListener, sync::Arc, time::Duration};
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
 use ctos::{
     diagnostic::Findings,
     message::Message,
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
-use pnt::stream::{Describe, Follow};
+use pnt::stream::{Describe, Follow, NetView};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use super::{
@@ -18,6 +18,7 @@ use super::{
     overview::Overviews,
     server::{self, Asking, Desk},
 };
+use crate::page::Front;
 
 /// How long a net waits for something to happen before it answers.
 const PATIENCE_MS: u32 = 2_000;
@@ -52,12 +53,11 @@ impl NetDisplay {
             }
             None => Overviews::default(),
         };
+        let origin_ns = cx.chassis().clock().origin_ns();
+        let hub = Hub::live(&cx.app().name, overviews, origin_ns);
+        let tasks = cx.app().tasks.iter().map(|task| task.name.clone());
         Ok(Self {
-            hub: Arc::new(Hub::live(
-                &cx.app().name,
-                overviews,
-                cx.chassis().clock().origin_ns(),
-            )),
+            hub: Arc::new(hub.with_tasks(tasks.collect())),
             args,
             stop: None,
             orders: None,
@@ -66,45 +66,23 @@ impl NetDisplay {
 
     /// Binds the address and serves it on a thread of its own.
     fn open(&mut self, cx: &Context) -> Result<(), HandlerError> {
-        let listen = self.args.listen;
-        let failed = |error: std::io::Error| {
-            HandlerError::new(format!(
-                "the page cannot be served at {listen}: {error}; choose another `listen`"
-            ))
-        };
-        let listener = TcpListener::bind(listen).map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
-        let token = match (self.args.allow_control, &self.args.token) {
-            (false, _) => None,
-            (true, Some(token)) => Some(token.clone()),
-            (true, None) => Some(drawn_token()?),
-        };
+        let args = &self.args;
+        let front = Front::bind(args.listen, args.allow_control, args.token.as_deref())?;
         let (orders, received) = mpsc::channel(ORDERS);
-        let (stop, stopped) = oneshot::channel();
         let desk = Desk {
             hub: self.hub.clone(),
-            address,
-            token: token.clone(),
-            viewers: self.args.viewers,
-            room: Arc::new(Semaphore::new(self.args.viewers)),
+            address: front.address,
+            token: front.token.clone(),
+            viewers: args.viewers,
+            room: Arc::new(Semaphore::new(args.viewers)),
             orders,
         };
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(failed)?;
-        let serve = move || {
-            let served = runtime.block_on(server::serve(listener, desk, stopped));
-            if let Err(error) = served {
-                tracing::error!(error = %error, "the page is not served any more");
-            }
-        };
-        let thread = std::thread::Builder::new().name("display".to_owned());
-        thread.spawn(serve).map_err(failed)?;
+        let token = front.token.as_ref();
         let token = token.map_or_else(String::new, |token| format!("?token={token}"));
-        let page = format!("http://{address}/{token}");
+        let page = format!("http://{}/{token}", front.address);
+        let serve = |listener, stopped| server::serve(listener, desk, stopped);
+        self.stop = Some(front.serve("display", serve)?);
         tracing::warn!(task = cx.name(), page, "nets are shown");
-        self.stop = Some(stop);
         self.orders = Some(received);
         Ok(())
     }
@@ -127,13 +105,6 @@ impl NetDisplay {
             None => all,
         }
     }
-}
-
-/// 128 bits that nobody guesses.
-fn drawn_token() -> Result<String, HandlerError> {
-    let mut bytes = [0_u8; 16];
-    getrandom::fill(&mut bytes)?;
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 impl EventHandler for NetDisplay {
@@ -188,6 +159,19 @@ async fn follow(cx: &Context, net: &str, hub: &Hub) {
     }
 }
 
+/// Has the last messages kept of a net's task, and of those that it calls: they are there when somebody asks.
+fn keep_messages(cx: &Context, view: &NetView) {
+    let called = view.transitions.iter().filter_map(|one| one.task.as_ref());
+    let names: BTreeSet<String> = called.chain([&view.name]).cloned().collect();
+    let child = cx.clone();
+    cx.spawn(async move {
+        for name in names {
+            // One that is not there is told to whoever asks for it.
+            let _ = orders::look(&child, &name).await;
+        }
+    });
+}
+
 async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
     let to = cx.task(net).await?;
     let view = cx.call(&to, Describe {}).deadline(SILENCE).await?;
@@ -205,6 +189,7 @@ async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
         {
             // Nodes may have been moved since the net read where they are.
             arrange::pin(cx, &mut view);
+            keep_messages(cx, &view);
             hub.describe(view, state)?;
             hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
         }

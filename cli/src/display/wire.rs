@@ -18,6 +18,8 @@ pub(crate) enum Told<'t> {
         mode: &'t str,
         control: bool,
         nets: Vec<&'t str>,
+        /// The tasks of which more can be told.
+        tasks: &'t [String],
         displays: Vec<Overview>,
         /// When the app began, ns since 1970; not known of a record.
         origin_ns: Option<u64>,
@@ -110,17 +112,44 @@ pub(crate) struct Note {
     pub(crate) at: String,
 }
 
-/// A task, as far as it says.
+/// A task at a moment, or all that a record says of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub(crate) struct TaskState {
     pub(crate) name: String,
+    /// Its chassis; empty where that is not known.
     pub(crate) on: String,
+    /// What is told of a running app only.
+    pub(crate) now: Option<TaskNow>,
+    /// The messages that it handled last, oldest first.
+    pub(crate) messages: Vec<TaskMessage>,
+    /// So many are not told, because there are too many.
+    pub(crate) left_out: u64,
+    /// Why nothing is known.
+    pub(crate) error: Option<String>,
+}
+
+/// How a task is.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub(crate) struct TaskNow {
     pub(crate) handled: u64,
     pub(crate) failed: u64,
-    pub(crate) busy: bool,
-    /// The command at hand, or the last one.
-    pub(crate) command: Option<String>,
-    pub(crate) error: Option<String>,
+    pub(crate) queued: u64,
+    pub(crate) restarts: u64,
+    /// What it does, in words; `None` when it is idle.
+    pub(crate) doing: Option<String>,
+}
+
+/// A message that a task handled.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct TaskMessage {
+    /// When its handler was called, ns.
+    pub(crate) at_ns: u64,
+    pub(crate) from: String,
+    pub(crate) command: String,
+    /// How long the handler took; `None` while it has not returned.
+    pub(crate) took_ns: Option<u64>,
+    /// Why it failed, if it did.
+    pub(crate) failed: Option<String>,
 }
 
 /// What a page asks for.
@@ -139,6 +168,12 @@ pub(crate) struct Asked {
     pub(crate) transition: Option<String>,
     #[serde(default)]
     pub(crate) place: Option<String>,
+    /// What of a place a breakpoint waits for: `>=`, `=` or `<=`, and a number.
+    #[serde(default)]
+    pub(crate) when: Option<String>,
+    /// A breakpoint as it was written.
+    #[serde(default)]
+    pub(crate) breakpoint: Option<String>,
     /// A node that was moved, the overview display on which it was, and its centre, px.
     #[serde(default)]
     pub(crate) node: Option<String>,

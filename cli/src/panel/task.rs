@@ -1,6 +1,6 @@
 //! The task of a panel: carries the lines of its pages to the app's daemons, and keeps the server.
 
-use std::{net::TcpListener, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use ctos::{
     diagnostic::Findings,
@@ -14,11 +14,10 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 use super::{
     args::PanelArgs,
     desk::{Desk, Door, Objects},
-    drawn_token,
     script::Panel,
     server,
 };
-use crate::scott::attach::refusal;
+use crate::{page::Front, scott::attach::refusal};
 
 /// Lines that may wait for this task.
 const LINES: usize = 64;
@@ -75,44 +74,23 @@ impl ObjectPanel {
 
     /// Binds the address and serves it on a thread of its own.
     fn open(&mut self, cx: &Context) -> Result<(), HandlerError> {
-        let listen = self.args.listen;
-        let failed = |error: std::io::Error| {
-            HandlerError::new(format!(
-                "the panel cannot be served at {listen}: {error}; choose another `listen`"
-            ))
-        };
-        let listener = TcpListener::bind(listen).map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
-        let token = match (self.args.allow_control, &self.args.token) {
-            (false, _) => None,
-            (true, Some(token)) => Some(token.clone()),
-            (true, None) => Some(drawn_token()?),
-        };
+        let args = &self.args;
+        let front = Front::bind(args.listen, args.allow_control, args.token.as_deref())?;
         let (lines, asked) = mpsc::channel(LINES);
-        let (stop, stopped) = oneshot::channel();
-        let shown = token.as_ref().map(|token| format!("#{token}"));
         let door = Door {
-            token,
+            token: front.token.clone(),
             anybody_looks: true,
         };
+        let token = front.token.as_ref();
+        let token = token.map_or_else(String::new, |token| format!("#{token}"));
+        let page = format!("http://{}/{token}", front.address);
         let panels = std::mem::take(&mut self.panels);
         let desk = Desk::new(&cx.app().name, panels, door, Carried(lines));
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(failed)?;
-        let serve = move || {
-            let stopped = stopped.map(|_| ());
-            let served = runtime.block_on(server::serve(listener, desk, stopped));
-            if let Err(error) = served {
-                tracing::error!(error = %error, "the panel is not served any more");
-            }
+        let serve = |listener, stopped: oneshot::Receiver<()>| {
+            server::serve(listener, desk, stopped.map(|_| ()))
         };
-        let thread = std::thread::Builder::new().name("panel".to_owned());
-        thread.spawn(serve).map_err(failed)?;
-        let page = format!("http://{address}/{}", shown.unwrap_or_default());
+        self.stop = Some(front.serve("panel", serve)?);
         tracing::warn!(task = cx.name(), page, "a panel is served");
-        self.stop = Some(stop);
         self.asked = Some(asked);
         Ok(())
     }

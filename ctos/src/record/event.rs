@@ -34,7 +34,7 @@ impl Side {
 
 /// How a handler ended a message.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) enum Ending {
+pub enum Ending {
     /// It returned `Ok`.
     Done,
     /// It returned an error.

@@ -128,7 +128,9 @@ impl Serving {
         });
         at_hand.owed.set(owed);
         chassis.delivered(&self.record, message);
-        self.record.statistics.begin(command, began);
+        let statistics = &self.record.statistics;
+        statistics.begin(command, began);
+        statistics.recent.began(message.from(), command, began);
         if chassis.tap.is_on() {
             let noted = record::AtHand::of(self.record.tid, message, began);
             chassis.tap.began(&noted);
@@ -144,15 +146,22 @@ impl Serving {
         let processor = self.cx.processor();
         let ok = matches!(ended, Ended::Done(Ok(())));
         let tap = &self.cx.chassis().tap;
-        let took = processor.time_since(at_hand.began.get(), tap.is_on());
-        self.record.statistics.end(ok, took);
-        if let Some(noted) = at_hand.noted.take() {
-            tap.ended(&noted, processor.recent(), || match &ended {
+        let statistics = &self.record.statistics;
+        let is_seen = tap.is_on() || statistics.recent.is_kept();
+        let took = processor.time_since(at_hand.began.get(), is_seen);
+        statistics.end(ok, took);
+        if is_seen {
+            let ending = || match &ended {
                 Ended::Done(Ok(())) => HandlerEnding::Done,
                 Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
                 Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
                 Ended::Interrupted(_) => HandlerEnding::Stopped,
-            });
+            };
+            let now = processor.recent();
+            statistics.recent.ended(command, now, ending);
+            if let Some(noted) = at_hand.noted.take() {
+                tap.ended(&noted, now, ending);
+            }
         }
         let owed = at_hand.owed.take();
         if ok {

@@ -10,8 +10,10 @@ use std::{
 };
 
 use ctos::{
+    Command as _,
     call::{CallError, Fault},
     message::{CommandInfo, Message},
+    recent::{Ending, TaskLook},
     registry::Registry,
     system::{AppResult, Introspect, Ping, Statistics},
     task::{Context, EventHandler, Handled, NameError, Phase, TaskRef},
@@ -68,6 +70,7 @@ cases![
     what_is_too_large_for_a_link_is_refused_and_the_link_lives,
     a_trace_and_the_time_left_travel_with_the_message,
     every_task_says_what_it_has_done,
+    a_task_that_is_looked_at_shows_its_last_messages,
     a_semaphore_of_the_app_counts_its_permits_and_gives_them_on,
 ];
 
@@ -232,6 +235,55 @@ async fn every_task_says_what_it_has_done(suite: Suite) -> Outcome {
     same(after.handled - before.handled, 3)?;
     same(after.failed - before.failed, 1)?;
     same(after.phase, Some(Phase::Run))
+}
+
+async fn a_task_that_is_looked_at_shows_its_last_messages(suite: Suite) -> Outcome {
+    // From the first look on.
+    let before = suite.cx.look_at(&suite.peer, &[Echo::CODE]).await?;
+    let know = |look: &TaskLook| -> Vec<(String, String, bool)> {
+        let last = look.last.iter();
+        last.map(|one| {
+            let done = matches!(one.ended, Some((_, Ending::Done)));
+            (one.from.clone(), one.command.clone(), done)
+        })
+        .collect()
+    };
+    suite.note(1).await?;
+    let echo = Echo {
+        value: Value::Nothing,
+    };
+    suite.cx.call(&suite.peer, echo).await?;
+    let refused = suite.cx.call(&suite.peer, Refuse {}).await;
+    check(refused.is_err(), || "it was not refused".to_owned())?;
+    let after = suite.cx.look_at(&suite.peer, &[]).await?;
+    let me = suite.cx.name().to_owned();
+    let new = know(&after);
+    let new = new.get(know(&before).len()..).unwrap_or_default().to_vec();
+    let expected = [("note", true), ("refuse", false)];
+    same(
+        new,
+        expected
+            .map(|(command, done)| (me.clone(), command.to_owned(), done))
+            .to_vec(),
+    )?;
+    let moments = after.last.windows(2);
+    check(
+        moments.clone().all(|two| two[0].began <= two[1].began),
+        || "they are not in order".to_owned(),
+    )?;
+    same(after.task.name, suite.peer.name().to_owned())?;
+    // While its handler waits, too.
+    let blocked = suite.block().await?;
+    let busy = suite.cx.look_at(&suite.peer, &[]).await?;
+    suite.open().await?;
+    blocked.await?;
+    let at_hand = busy
+        .last
+        .last()
+        .map(|one| (one.command.clone(), one.ended.is_none()));
+    same(at_hand, Some(("block".to_owned(), true)))?;
+    same(busy.task.waits.len(), 1)?;
+    Ok(())
 }
 
 async fn a_call_brings_back_what_the_receiver_answers(suite: Suite) -> Outcome {

@@ -18,13 +18,17 @@ const MANY_NODES = 300;
 const MANY_EVENTS = 4000;
 const PRESENT_EVERY = 500;
 const RETRY = 1000;
+/** A task that is looked at is asked how it is so often, ms. */
+const ASK_EVERY = 1000;
 
 class App extends Moments {
   constructor() {
     super();
     this.nets = new Map();
     this.displays = [];
+    /** What is known of tasks, and the names of those of which more can be told. */
     this.tasks = new Map();
+    this.appTasks = [];
     this.shown = null;
     this.chosen = null;
     /** The moment shown: null is the present; else `{ at_ns, net, position }`. */
@@ -39,6 +43,8 @@ class App extends Moments {
     this.forks = new Map();
     /** The task that is looked at. */
     this.task = null;
+    /** What a person fills in for the next breakpoint of a place. */
+    this.predicate = { sign: ">=", tokens: "1" };
     /** What the address asks for, until it is there or a person does something: nets come one by one. */
     this.wish = new URLSearchParams(location.hash.slice(1));
     this.touched = false;
@@ -95,6 +101,7 @@ class App extends Moments {
     /** When the app began, ns since 1970; of a record it is not known. */
     this.origin = message.origin_ns ?? null;
     this.wanted = message.nets;
+    this.appTasks = message.tasks;
     this.picked = false;
   }
 
@@ -203,9 +210,17 @@ class App extends Moments {
   }
 
   goToNode(net, name) {
+    if (this.keyOf(net, name) === null) this.open(net.name, null);
+    const key = this.keyOf(net, name);
+    if (key !== null) this.choose(key);
+  }
+
+  /** The drawn node that is called `name`, or in detail one of the parts of the request of that name; `null` when neither is drawn. */
+  keyOf(net, name) {
     const key = `${net.name}/${name}`;
-    if (this.picture.nodes.has(key)) this.choose(key);
-    else this.open(net.name, key);
+    if (this.picture.nodes.has(key)) return key;
+    const isPart = ({ net: other, kind, node }) => other.name === net.name && kind === "transition" && node.kind.transition[0].some((number) => net.view.transitions[number].shown === name);
+    return [...this.picture.nodes.values()].find(isPart)?.key ?? null;
   }
 
   draw(keep = false) {
@@ -219,13 +234,14 @@ class App extends Moments {
   }
 
   choose(key) {
+    // What is filled in for a node goes with it.
+    if (document.activeElement?.matches("#side input, #side select")) document.activeElement.blur();
     this.chosen = key;
     this.task = null;
     this.picture.select(key);
     if (key !== null) this.picture.center(key);
     if (this.hops) this.picture.focus(key);
-    const task = key === null ? null : this.taskOf(key);
-    if (task) this.ask("task", { task });
+    this.asking = null;
     this.changed();
     this.remember();
   }
@@ -233,8 +249,16 @@ class App extends Moments {
   /** Looks at a task; its transitions lead back. */
   lookAt(task) {
     this.task = task;
-    this.ask("task", { task });
+    this.asking = null;
     this.changed();
+  }
+
+  /** Asks how a task is, not too often. */
+  askTask(task) {
+    const now = performance.now();
+    if (this.asking?.task === task && now - this.asking.at < ASK_EVERY) return;
+    this.asking = { task, at: now };
+    this.ask("task", { task });
   }
 
   /** Draws a subnet as one node, or whole again. */
@@ -284,11 +308,6 @@ class App extends Moments {
     this.keep(this.chosen);
   }
 
-  taskOf(key) {
-    const shown = this.picture.nodes.get(key);
-    return shown?.kind === "transition" ? shown.net.view.transitions[shown.node.kind.transition[0][0]].task : null;
-  }
-
   tabs() {
     const tab = (name, title, mark) => make("button", { role: "tab", "aria-selected": String(name === this.shown), title, onclick: () => this.open(name, null) }, name, mark);
     const mark = (net) => (net.gone !== null ? make("span", { class: "gone" }, " gone") : null);
@@ -297,10 +316,15 @@ class App extends Moments {
       ...[...this.nets.values()].map((net) => tab(net.name, net.view.title, mark(net))));
   }
 
+  /** The tasks that can be looked at. */
+  taskNames() {
+    return new Set([...this.appTasks, ...[...this.nets.values()].flatMap((net) => net.view.transitions.map((one) => one.task))]);
+  }
+
   /** What can be found, once somebody looks for something. */
   fillNames() {
     if ($("names").childElementCount > 0) return;
-    const names = [];
+    const names = [...this.appTasks];
     for (const net of this.nets.values()) for (const node of net.written.nodes) names.push(`${net.name}/${node.name}`);
     $("names").replaceChildren(...names.slice(0, 3000).map((name) => make("option", { value: name })));
   }
@@ -317,8 +341,7 @@ class App extends Moments {
         if (rank < 9 && (best === null || rank < best.rank)) best = { rank, net: net.name, key };
       }
     }
-    const tasks = new Set([...this.nets.values()].flatMap((net) => net.view.transitions.map((one) => one.task)));
-    if (tasks.has(text.trim())) this.lookAt(text.trim());
+    if (this.taskNames().has(text.trim())) this.lookAt(text.trim());
     else if (best === null) this.say(`nothing is called ${text}`);
     else if (this.picture.nodes.has(best.key)) this.choose(best.key);
     else this.open(best.net, best.key);
@@ -386,6 +409,7 @@ class App extends Moments {
     this.table.draw();
     const [from, to] = this.span();
     $("clock").textContent = seconds(this.now());
+    this.older();
     if (document.activeElement !== $("scrub") || this.cursor === null || this.playing) $("scrub").value = String((1000 * (this.now() - from)) / Math.max(1, to - from));
     $("play").textContent = this.cursor === null || this.playing ? "❚❚" : "▶";
     $("live").disabled = this.mode === "record";

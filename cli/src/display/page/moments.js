@@ -37,6 +37,16 @@ export class Moments {
     return net.events.slice(Math.max(0, this.positionOf(net) - 200), this.positionOf(net));
   }
 
+  /** Says so where the past that is shown is not all there was. */
+  older() {
+    // What comes before the first firing is no past.
+    const began = ({ forgotten, base }) => forgotten > 0 || base.running.length > 0 || [...base.ended, ...base.failed].some((count) => count > 0);
+    const before = this.visibleNets().map((net) => net.real ?? net).filter(began).reduce((sum, net) => sum + net.base.seq, 0);
+    const text = before === 0 ? "" : this.mode === "record" ? `the record begins after ${before} events` : `${before} earlier events: only in a record`;
+    const mark = byName("older");
+    if (mark.textContent !== text) [mark.textContent, mark.hidden] = [text, text === ""];
+  }
+
   goTo(at_ns) {
     const [from, to] = this.span();
     const at = Math.min(to, Math.max(from, at_ns));

@@ -1,7 +1,7 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
 import { nodeStanding, seconds } from "./model.js";
-import { callers, messagesTo, outcome } from "./task.js";
+import { callers, lastOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
 /** Nodes of a kind that are listed. */
 const MOST_LISTED = 24;
@@ -22,6 +22,8 @@ export const tokens = (list) => list.map(([place, count]) => (count === 1 ? plac
 
 /** Fills the side: `app` has the chosen key, nets, states and what may be done. */
 export function showSide(host, app) {
+  // What a person fills in stays until that is done.
+  if (host.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
   const shown = app.chosen === null ? null : app.picture.nodes.get(app.chosen);
   const parts = [app.task !== null ? make("section", {}, make("h2", {}, app.task, make("small", {}, "task")), taskPart(app.task, app)) : null,
     shown && app.task === null ? nodePart(shown, app) : null, ...app.visibleNets().map((net) => netPart(net, app))];
@@ -51,14 +53,16 @@ function placePart(net, node, app) {
   if (place.data !== null) facts.push(["says whether valid", place.data]);
   facts.push(inText(place.at));
   const takers = net.view.transitions.filter((one) => one.inputs.some((arc) => arc.place === node.kind.place));
+  const senders = sendersTo(net.name, place.name, [...app.nets.values()]);
   return make("section", {},
     make("h2", {}, place.name, make("small", {}, "place")),
     tokenHistory(net, place.name, app),
     factList(facts), notesOf(net, node),
     app.control && !net.real ? make("div", { class: "actions" },
       make("button", { onclick: () => app.order("put", net, { place: place.name }) }, "Put a token"),
-      make("button", { onclick: () => app.order("take", net, { place: place.name }), disabled: count === 0 }, "Take one"),
-      breakButton(net, app, { place: place.name })) : null,
+      make("button", { onclick: () => app.order("take", net, { place: place.name }), disabled: count === 0 }, "Take one")) : null,
+    app.control && !net.real ? predicates(net, place.name, app) : null,
+    senders.length > 0 ? make("p", { class: "soft" }, "put from ", ...between(senders.map(({ net: other, name }) => link(`${other.name}/${name}`, () => app.goToNode(other, name))))) : null,
     takers.length > 0 ? make("p", { class: "soft" }, "taken by ", ...between(takers.map((one) => jump(net, one.shown, app)))) : null);
 }
 
@@ -93,7 +97,7 @@ function transitionPart(net, node, app) {
       make("button", { onclick: () => app.order("fire", net, { transition: transition.name }), disabled: standing.state === "running" }, "Fire"),
       transition.target === "" ? null : make("button", { onclick: () => app.order("cancel", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as failed" }, "Fail"),
       transition.target === "" ? null : make("button", { onclick: () => app.order("complete", net, { transition: transition.name }), disabled: standing.state !== "running", title: "End the action as completed, without its results" }, "Succeed"),
-      breakButton(net, app, { transition: transition.name })) : null,
+      breakButton(net, app, transition.name)) : null,
     transition.task !== null ? taskPart(transition.task, app) : null);
 }
 
@@ -103,10 +107,27 @@ function elapsed(standing, app) {
   return make("span", { class: "soft" }, ` · ${seconds(Math.max(0, app.now() - since), 1)}`);
 }
 
-function breakButton(net, app, at) {
-  // What a breakpoint is not about is null in it.
-  const armed = net.breakpoints.some((one) => one.transition === (at.transition ?? null) && one.place === (at.place ?? null));
-  return make("button", { "aria-pressed": String(armed), onclick: () => app.order(armed ? "clear" : "break", net, at) }, "Breakpoint");
+/** The breakpoints of a place, and a form for one more: what it waits for. */
+function predicates(net, place, app) {
+  const set = net.breakpoints.filter((one) => one.place === place);
+  const kept = app.predicate;
+  const input = (name, attributes, ...children) => make(name, { ...attributes, onchange: (event) => { kept[attributes.name] = event.target.value; } }, ...children);
+  const signs = [[">=", "at least"], ["=", "exactly"], ["<=", "at most"]];
+  return make("form", { class: "predicate", "aria-label": `Breakpoints at ${place}`, onsubmit: (event) => {
+    event.preventDefault();
+    app.order("break", net, { place, when: `${kept.sign}${Math.max(0, Math.round(Number(kept.tokens) || 0))}` });
+    document.activeElement.blur();
+  } },
+  make("span", { class: "soft" }, "stop at"),
+  input("select", { name: "sign", "aria-label": "Comparison" }, ...signs.map(([sign, words]) => make("option", { value: sign, selected: sign === kept.sign }, words))),
+  input("input", { name: "tokens", type: "number", min: "0", step: "1", value: kept.tokens, "aria-label": "Tokens" }),
+  make("button", {}, "Set"),
+  ...set.map((one) => make("button", { type: "button", class: "set", title: "Clear this breakpoint", onclick: () => app.order("clear", net, { breakpoint: one.at }) }, `${one.at} ✕`)));
+}
+
+function breakButton(net, app, transition) {
+  const armed = net.breakpoints.some((one) => one.transition === transition);
+  return make("button", { "aria-pressed": String(armed), onclick: () => app.order(armed ? "clear" : "break", net, { transition }) }, "Breakpoint");
 }
 
 /** What can be played in a copy of the net. */
@@ -120,36 +141,39 @@ function whatIf(net, node, standing, app) {
     make("button", { disabled: net.events.length === 0, onclick: () => app.undo() }, "Take back"));
 }
 
-/** How a task is, what nets asked of it last, and what asks it. */
+/** How a task is, what it handled last, and what asks it. */
 function taskPart(name, app) {
   const task = app.tasks.get(name);
   const nets = [...app.nets.values()];
-  if (task === undefined && app.mode === "live") app.ask("task", { task: name });
+  if (app.mode === "live" && app.cursor === null) app.askTask(name);
   const facts = app.task === name ? [] : [["task", link(name, () => app.lookAt(name))]];
-  if (task !== undefined) {
-    facts.push(["on", task.on]);
-    if (task.error) facts.push(["state", task.error]);
-    else facts.push(["messages", `${task.handled} handled, ${task.failed} failed`], [task.busy ? "at hand" : "last", task.command ?? "none"]);
+  if (task?.on) facts.push(["on", task.on]);
+  if (task?.error) facts.push(["state", task.error]);
+  else if (task?.now) {
+    facts.push(["state", task.now.doing ?? "is idle"], ["messages", `${task.now.handled} handled, ${task.now.failed} failed, ${task.now.queued} waiting`]);
+    if (task.now.restarts > 0) facts.push(["restarted", `${task.now.restarts} times`]);
   }
-  const messages = messagesTo(name, nets, (net) => app.positionOf(net));
-  const row = (message) => make("li", {},
-    make("button", { class: "link", title: "Go to this moment", onclick: () => app.goToEvent(message.net, message.at) }, seconds(message.event.at_ns)),
-    make("span", {}, message.event.target.split(".").at(-1) || shownOf(message), make("span", { class: "soft" }, ` ${outcome(message.net, message, app.now())}`)));
+  const row = ({ at_ns, words, more, failed, go }) => make("li", { class: failed ? "failed" : null },
+    make("button", { class: "link", title: "Go to this moment", onclick: go }, seconds(at_ns)),
+    make("span", {}, words, make("span", { class: "soft" }, ` ${more}`)));
+  const list = (title, rows) => (rows.length === 0 ? [] : [make("p", { class: "soft" }, title), make("ul", { class: "messages", "aria-label": title }, ...rows.map(row))]);
+  const handled = lastOf(task, app.now()).map((one) => ({ ...ofTask(one, app.now()), at_ns: one.at_ns, go: () => app.goTo(one.at_ns) }));
+  // A net's task handles tokens; what they ask it for, the nets know that sent them.
+  const sent = app.nets.has(name) || handled.length === 0 ? messagesTo(name, nets, (net) => app.positionOf(net)) : [];
+  const asked = sent.map((one) => ({ ...ofNet(one, app.now()), go: () => app.goToEvent(one.net, one.at) }));
   const by = callers(name, nets);
   return make("div", {}, factList(facts),
-    messages.length > 0 ? make("p", { class: "soft" }, "last messages of nets") : null,
-    messages.length > 0 ? make("ul", { "aria-label": "last messages" }, ...messages.map(row)) : null,
+    ...list("asked by nets", asked), ...list("last messages", handled),
+    task?.left_out > 0 ? make("p", { class: "soft" }, `${task.left_out} earlier messages are in the record only`) : null,
     by.length > 0 ? make("p", { class: "soft" }, "sent by ", ...between(by.map(({ net, name: node }) => link(app.visibleNets().includes(net) ? node : `${net.name}/${node}`, () => app.goToNode(net, node))))) : null,
     app.nets.has(name) ? link(`Show net ${name}`, () => app.open(name, null)) : null);
 }
-
-const shownOf = ({ net, event }) => net.view.transitions[net.index.transitions.get(event.transition)].shown;
 
 /** A place in a file: its folder is told on request. */
 const inText = (at) => ["in the text", at.split("/").at(-1), at];
 const factList = (facts) => make("dl", {}, ...facts.flatMap(([key, value, whole]) => [make("dt", {}, key), make("dd", { title: whole }, value)]));
 const link = (text, go) => make("button", { class: "link", onclick: go }, text);
-const jump = (net, name, app) => link(name, () => app.choose(`${net.name}/${name}`));
+const jump = (net, name, app) => link(name, () => app.goToNode(net, name));
 const between = (list) => list.flatMap((one, at) => (at === 0 ? [one] : [", ", one]));
 
 function notesOf(net, node) {

@@ -12,7 +12,7 @@ const LANE = 17;
 
 // -- lanes ---------------------------------------------------------------------------------
 
-/** Actions over time: a lane for each transition that did something. */
+/** Actions over time: a lane for each transition that did something, or for each task. */
 export class Lanes {
   constructor(host, app) {
     [this.host, this.app] = [host, app];
@@ -52,9 +52,11 @@ export class Lanes {
     for (const net of app.visibleNets()) {
       for (const [transition, bars] of net.lanes()) {
         const one = net.view.transitions[net.index.transitions.get(transition)];
-        if (byTask && one.task === null) continue;
-        const [key, name] = byTask ? [one.task, one.task] : [`${net.name}/${one.shown}`, one.shown];
-        if (!rows.has(key)) rows.set(key, { key, name, task: byTask ? one.task : null, bars: [] });
+        // Local actions are done by the net's own task.
+        const task = one.task ?? (one.target === "" ? null : net.name);
+        if (byTask && task === null) continue;
+        const [key, name] = byTask ? [task, task] : [`${net.name}/${one.shown}`, one.shown];
+        if (!rows.has(key)) rows.set(key, { key, name, task: byTask ? task : null, bars: [] });
         rows.get(key).bars.push(...requestBars(net, transition, bars));
       }
     }
@@ -171,8 +173,8 @@ export class Table {
     const sent = event.sent.map((one) => `${one.place}@${one.net}`);
     const put = [tokens(event.produced), ...sent].filter((one) => one !== "").join(" + ");
     const moved = event.consumed.length + event.produced.length + sent.length === 0 ? "" : `${tokens(event.consumed) || "–"} → ${put || "–"}`;
-    const tape = [event.read === null ? "" : `${event.phase === "asked" ? "+" : "‹"} ${event.read}`, event.wrote === null ? "" : `› ${event.wrote}`].filter((one) => one !== "").join(" ");
-    const cells = [seconds(event.at_ns), event.net, event.transition, event.phase, moved, tape, event.text];
+    const read = event.read === null ? "" : `${event.phase === "asked" ? "+ " : ""}${event.read}`;
+    const cells = [seconds(event.at_ns), event.net, event.transition, event.phase, moved, read, event.wrote ?? "", event.text];
     const paused = this.app.cursor !== null;
     return make("tr", { class: `${event.phase}${paused && first ? " now" : ""}${BY_HAND.has(event.phase) ? " by-hand" : ""}`, "data-seq": event.seq, tabindex: "0",
       title: [event.target === "" ? "" : `calls ${event.target}`, event.trace === "" ? "" : `trace ${event.trace}`].filter((one) => one !== "").join(", "),

@@ -1,0 +1,137 @@
+//! What the tasks of a recorded run handled: the lines `/ended/TASK` of its records.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use ctos::{Command as _, time::Instant};
+use pnt::{
+    stream::{Describe, Follow, NetView},
+    task::Marking,
+};
+use serde::Deserialize;
+
+use super::wire::{TaskMessage, TaskState};
+
+/// So many messages of a task are shown, the last ones.
+const MOST: usize = 2_000;
+
+/// A line of a record, as far as it matters here.
+#[derive(Debug, Deserialize)]
+pub(super) struct Ended {
+    task: String,
+    from: String,
+    command: String,
+    took_s: f64,
+    result: String,
+    #[serde(default)]
+    text: String,
+}
+
+/// What tasks handled, by their names, each in the order in which it ended.
+#[derive(Debug, Default)]
+pub(super) struct Handled(BTreeMap<String, Messages>);
+
+#[derive(Debug, Default)]
+struct Messages {
+    last: VecDeque<TaskMessage>,
+    left_out: u64,
+}
+
+impl Handled {
+    /// A handler ended at `at`.
+    pub(super) fn take(&mut self, at: Instant, ended: Ended) {
+        // Displays follow nets all the time.
+        let follows = [Describe::INFO.name, Follow::INFO.name, Marking::INFO.name];
+        if follows.contains(&ended.command.as_str()) {
+            return;
+        }
+        // A handler that took longer than the app has run is none; `as` ends at the largest number.
+        let took_ns = (ended.took_s.max(0.0) * 1e9).round() as u64;
+        let failed = match ended.result.as_str() {
+            "ok" => None,
+            "refused" => Some(ended.text),
+            other => Some(format!("{other} {}", ended.text).trim_end().to_owned()),
+        };
+        let of_task = self.0.entry(ended.task).or_default();
+        if of_task.last.len() == MOST {
+            of_task.last.pop_front();
+            of_task.left_out += 1;
+        }
+        of_task.last.push_back(TaskMessage {
+            at_ns: at.as_nanos().saturating_sub(took_ns),
+            from: ended.from,
+            command: ended.command,
+            took_ns: Some(took_ns),
+            failed,
+        });
+    }
+
+    /// What is known of the tasks that `nets` call, and of those that run them.
+    pub(super) fn by<'n>(&self, nets: impl Iterator<Item = &'n NetView>) -> Vec<TaskState> {
+        let mut names = BTreeSet::new();
+        for net in nets {
+            names.insert(net.name.as_str());
+            names.extend(net.transitions.iter().filter_map(|one| one.task.as_deref()));
+        }
+        let known = names.into_iter().filter_map(|name| {
+            let messages = self.0.get(name)?;
+            Some(TaskState {
+                name: name.to_owned(),
+                messages: messages.last.iter().cloned().collect(),
+                left_out: messages.left_out,
+                ..TaskState::default()
+            })
+        });
+        known.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ctos::diagnostic::Source;
+    use pnt::compile;
+
+    use super::*;
+
+    fn ended(task: &str, command: &str, result: &str) -> Ended {
+        let line = serde_json::json!({
+            "id": "1.2", "task": task, "from": "x", "command": command, "code": 3, "trace": "1.1",
+            "took_s": 0.5, "result": result, "text": "why", "tid": 7
+        });
+        serde_json::from_value(line).unwrap()
+    }
+
+    fn view() -> NetView {
+        let text = "net n\nplace a = 1\ntransition t\n  in a\n  do arm.go()\n  out a\n";
+        let net = compile::net(&Source::new("n.net", text)).unwrap_or_else(|f| panic!("{f}"));
+        NetView::new(&net)
+    }
+
+    #[test]
+    fn what_a_task_that_nets_call_handled_is_told_with_when_it_began_and_how_it_ended() {
+        let mut handled = Handled::default();
+        let second = Instant::from_nanos(1_000_000_000);
+        handled.take(second, ended("arm", "go", "ok"));
+        handled.take(second, ended("arm", "go", "refused"));
+        handled.take(second, ended("arm", "go", "panicked"));
+        handled.take(second, ended("other", "go", "ok"));
+        handled.take(second, ended("n", "follow", "ok"));
+        let view = view();
+        let told = handled.by([&view].into_iter());
+        assert_eq!(told.len(), 1);
+        let messages = &told[0].messages;
+        assert!(messages.iter().all(|one| one.at_ns == 500_000_000));
+        let failed: Vec<_> = messages.iter().map(|one| one.failed.as_deref()).collect();
+        assert_eq!(failed, [None, Some("why"), Some("panicked why")]);
+    }
+
+    #[test]
+    fn of_very_many_messages_the_last_ones_are_told_and_how_many_are_not() {
+        let mut handled = Handled::default();
+        for at in 0..5_000 {
+            handled.take(Instant::from_nanos(at), ended("arm", "go", "ok"));
+        }
+        let view = view();
+        let told = handled.by([&view].into_iter());
+        assert_eq!((told[0].messages.len(), told[0].left_out), (2_000, 3_000));
+    }
+}
