@@ -267,3 +267,20 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_form_that_wants_a_name_after_its_word_is_none_without_one() {
+    let form = Form {
+        text: "camera NAME",
+        floats: 0,
+        takes: "",
+        gives: "",
+        help: "",
+    };
+    for text in ["camera left", "camera  the left one"] {
+        assert!(form.is_of(text), "{text}");
+    }
+    for text in ["", "camera", "camera ", "cameras left", "left camera"] {
+        assert!(!form.is_of(text), "{text}");
+    }
+}
