@@ -9,10 +9,18 @@ use crate::{DISPATCHER, SIZE, boot, browser::Browser, choose, pictures, scratch}
 fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_back() {
     let scratch = scratch();
     // It waits after the first round, in which every coordinator was asked.
-    let waits = "task.dispatcher.args.breakpoints=[\"loop_again\"]";
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\", \"loop_again\"]";
     let (run, page) = boot(&scratch, &["--set", waits, "--record", "run.mcap"]);
     let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
     browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    // A task that no net calls is found by its name; what it handles is kept from now on.
+    browser.ask("nets.find('mcs')");
+    browser.wait("document.querySelector('#side h2').textContent.startsWith('mcs')");
+    browser.wait("nets.tasks.get('mcs')?.now !== null && nets.tasks.has('mcs')");
+    choose(&mut browser, "init_calib");
+    browser.click("Breakpoint");
+    browser.click("Release net");
+    browser.wait(&format!("{DISPATCHER}.head.paused?.includes('loop_again')"));
 
     // The coordinator that a request goes to: what it was asked, by whom, and how that ended.
     choose(&mut browser, "move_robot");
@@ -26,7 +34,7 @@ fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_bac
         false
     );
 
-    // A task that other tasks than nets send to, found by its name.
+    // One that others than nets send to.
     browser.ask("nets.find('mcs')");
     browser.wait("document.querySelector('#side h2').textContent.startsWith('mcs')");
     browser.wait("nets.tasks.get('mcs')?.messages.length > 0 && nets.tasks.get('mcs').messages.every((one) => one.command !== '' && one.from !== '')");

@@ -240,10 +240,17 @@ fn what_a_person_moves_stays_there_for_everybody_and_nothing_else_ever_moves() {
     browser.wait("nets.picture.nodes.has('motion/move_manip')");
     let mut other = Browser::open(&format!("{page}#net=motion"), SIZE);
     other.wait("nets.picture.nodes.has('motion/move_manip')");
+    // Where a node is dragged to is rounded, and kept so.
+    let settled = |key: &str| {
+        format!(
+            "(({{ node }}) => Number.isInteger(node.x) && Number.isInteger(node.y))(nets.picture.nodes.get({key:?}))"
+        )
+    };
     let before = browser.ask(&spot("motion/move_manip"));
     let rest = browser.ask(&spot("motion/plan_path"));
     browser.drag("[data-key=\"motion/move_manip\"]", (60.0, 45.0));
     browser.wait(&format!("{} !== {before}", spot("motion/move_manip")));
+    browser.wait(&settled("motion/move_manip"));
     let after = browser.ask(&spot("motion/move_manip"));
     other.wait(&format!("{} === {after}", spot("motion/move_manip")));
     assert_eq!(other.ask(&spot("motion/plan_path")), rest);
@@ -262,6 +269,7 @@ fn what_a_person_moves_stays_there_for_everybody_and_nothing_else_ever_moves() {
     let here = browser.ask(&spot(key));
     browser.drag(&format!("[data-key=\"{key}\"]"), (-20.0, 25.0));
     browser.wait(&format!("{} !== {here}", spot(key)));
+    browser.wait(&settled(key));
     other.ask("nets.open('arm', null)");
     let here = browser.ask(&spot(key));
     other.wait(&format!("{} === {here}", spot(key)));
