@@ -290,9 +290,7 @@ impl<'a> Scan<'a> {
             }
             Part::Message { header, data } => self.message(&header, &data, see),
             Part::Metadata(metadata) if metadata.name == NAMES => {
-                if !self.glossary.add(&metadata.metadata) {
-                    self.tear("the names in it cannot be read");
-                }
+                self.names(&metadata.metadata);
             }
             Part::Metadata(metadata) if metadata.name == RUN => {
                 self.run.noted.extend(metadata.metadata);
@@ -303,6 +301,12 @@ impl<'a> Scan<'a> {
             }
             Part::Footer(_) => self.closed = true,
             _ => {}
+        }
+    }
+
+    fn names(&mut self, metadata: &BTreeMap<String, String>) {
+        if !self.glossary.add(metadata) {
+            self.tear("the names in it cannot be read");
         }
     }
 
