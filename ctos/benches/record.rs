@@ -1,8 +1,9 @@
 //! What recording costs: calls and one-way messages between two tasks, recorded and not, in turns.
 //!
 //! Two apps are booted, one of which is recorded to a file; rounds of both are interleaved, so that
-//! what else the machine does hits both. Prints medians and the ratio of the rates, and what the record
-//! lacks: a rate that is kept by dropping events is none.
+//! what else the machine does hits both. The handler of the message works for 0, 1, 10 or 100 us, since what
+//! recording costs of the rate depends on what a message is otherwise good for. Prints medians and the median
+//! ratio of the rates, and what the record lacks: a rate that is kept by dropping events is none.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,6 +19,7 @@ use std::{
     path::Path,
     sync::Arc,
     thread::JoinHandle,
+    time::Duration,
 };
 
 use ctos::{
@@ -31,14 +33,15 @@ use ctos::{
     time::Clock,
 };
 
-/// Calls, or messages, of one round.
-const BATCH: u32 = 2000;
+/// Calls, or messages, of one round, by the work of the handler in us; an order names its place.
+const WORK: [(u64, u32); 4] = [(0, 2000), (1, 2000), (10, 500), (100, 100)];
 /// Rounds of each, and after `--quick`.
 const ROUNDS: usize = 200;
 const QUICK: usize = 40;
 /// The first argument of a process that is a chassis and not the benchmark.
 const CHASSIS: &str = "bench-chassis";
 
+/// The work in us, and seven numbers more.
 type Data = [u64; 8];
 
 ctos::command! {
@@ -50,6 +53,14 @@ ctos::command! {
     struct Tell { data: Data } => (), 2, "tell"
 }
 
+/// Works for so long.
+fn work(cx: &Context, micros: u64) {
+    let end = cx.now() + Duration::from_micros(micros);
+    while micros > 0 && cx.now() < end {
+        std::hint::spin_loop();
+    }
+}
+
 struct Far;
 
 impl EventHandler for Far {
@@ -57,10 +68,12 @@ impl EventHandler for Far {
         match message.command() {
             Ask::CODE => {
                 let (Ask { data }, reply) = message.open::<Ask>()?;
+                work(cx, data[0]);
                 reply.ok(data[0])
             }
             Tell::CODE => {
-                let (Tell { .. }, reply) = message.open::<Tell>()?;
+                let (Tell { data }, reply) = message.open::<Tell>()?;
+                work(cx, data[0]);
                 reply.ok(())
             }
             _ => cx.default_processing(message),
@@ -95,9 +108,11 @@ async fn obey(cx: Context, mut socket: TcpStream) {
     let far = cx.task("far").await.unwrap();
     let mut order = [0];
     while socket.read_exact(&mut order).is_ok() {
-        for _ in 0..BATCH {
-            let data = Data::default();
-            if order == [0] {
+        let (one_way, place) = (order[0] >= 4, usize::from(order[0] % 4));
+        let (micros, batch) = WORK[place];
+        for _ in 0..batch {
+            let data = [micros, 0, 0, 0, 0, 0, 0, 0];
+            if !one_way {
                 cx.call(&far, Ask { data }).await.unwrap();
             } else {
                 cx.send(&far, Tell { data }).await.unwrap();
@@ -163,7 +178,7 @@ impl Booted {
         let began = clock.now();
         self.socket.write_all(&[order]).unwrap();
         self.socket.read_exact(&mut [0]).unwrap();
-        clock.now().since(began).as_nanos() as f64 / f64::from(BATCH)
+        clock.now().since(began).as_nanos() as f64 / f64::from(WORK[usize::from(order % 4)].1)
     }
 
     fn end(self) {
@@ -195,20 +210,23 @@ fn main() {
     let mut plain = Booted::new("none");
     let mut recorded = Booted::new(file.to_str().unwrap());
     println!(
-        "{:<10}{:>12}{:>14}{:>12}",
-        "ns each", "plain", "recorded", "rate kept"
+        "{:<10}{:>10}{:>12}{:>14}{:>12}",
+        "ns each", "work, us", "plain", "recorded", "rate kept"
     );
-    for (order, name) in [(0, "call"), (1, "one-way")] {
-        let (mut without, mut with) = (Vec::new(), Vec::new());
+    for order in 0..8_u8 {
+        let name = if order < 4 { "call" } else { "one-way" };
+        let micros = WORK[usize::from(order % 4)].0;
+        let (mut without, mut with, mut kept) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..if quick { QUICK } else { ROUNDS } {
-            without.push(plain.round(&clock, order));
-            with.push(recorded.round(&clock, order));
+            let plain = plain.round(&clock, order);
+            let recorded = recorded.round(&clock, order);
+            without.push(plain);
+            with.push(recorded);
+            kept.push(100.0 * plain / recorded);
         }
         let (without, with) = (median(&mut without), median(&mut with));
-        println!(
-            "{name:<10}{without:>12.0}{with:>14.0}{:>11.0}%",
-            100.0 * without / with
-        );
+        let kept = median(&mut kept);
+        println!("{name:<10}{micros:>10}{without:>12.0}{with:>14.0}{kept:>11.0}%");
     }
     plain.end();
     recorded.end();

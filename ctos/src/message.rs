@@ -7,7 +7,9 @@
 mod command;
 mod data;
 mod letter;
+mod shape;
 mod store;
+mod trace;
 
 use std::fmt;
 
@@ -20,6 +22,7 @@ use crate::{
 
 pub(crate) use self::letter::Letter;
 pub(crate) use data::append;
+pub(crate) use shape::Shape;
 
 pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
 pub use data::{Data, Parcel, Payload, PayloadError};

@@ -3,11 +3,14 @@
 //!
 //! Each process writes a file of its own, so that the end of one takes nothing from another; a simulated
 //! app, which is one process, writes one. What is noted costs its processor a lock that nobody else
-//! takes and an encoding into a buffer; the rest is done by a writer beside it. The page
-//! `docs/recording.md` shows how it is used.
+//! takes and some bytes in a buffer, which a writer beside it puts into the file as they are; lines that
+//! people and viewers read are made of them when the file is read. The page `docs/recording.md` shows how
+//! it is used.
 
 mod attach;
+mod batch;
 mod event;
+mod glossary;
 mod lines;
 mod log;
 mod names;
@@ -17,6 +20,7 @@ mod recorder;
 mod replay;
 mod report;
 mod tap;
+mod traffic;
 mod writer;
 
 use std::{
@@ -34,7 +38,7 @@ use crate::{
 
 pub use lines::Number;
 pub use log::RecordLayer;
-pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan};
+pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan, scan_only};
 pub use replay::{Difference, ReplayError, ReplayReport, replay};
 pub use report::RecordReport;
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use ctos::{
-    record::{Entry, Filter, ReadError, Record, Run, scan},
+    record::{Entry, Filter, ReadError, Record, Run, scan_only},
     time::Instant,
 };
 
@@ -146,7 +146,12 @@ pub fn run(args: &LogCommandArgs) -> u8 {
 
 fn info(files: &[PathBuf], json: bool) -> Result<(), ReadError> {
     for (index, file) in files.iter().enumerate() {
-        let run = scan(file, |_| ())?;
+        // Counted, not shown.
+        let nothing = Filter {
+            topics: vec![String::new()],
+            ..Filter::default()
+        };
+        let run = scan_only(file, &nothing, |_| ())?;
         let text = if json {
             info_json(&run).to_string()
         } else {

@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use ctos::record::{ReadError, scan};
+use ctos::record::{Filter, ReadError, scan_only};
 use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
 use serde::Deserialize;
 
@@ -70,7 +70,11 @@ impl Recorded {
 
     fn file(&mut self, path: &Path) -> Result<(), ReadError> {
         let mut odd = 0_u64;
-        let run = scan(path, |entry| {
+        let nets = Filter {
+            topics: vec!["/net/*".to_owned(), "/firing/*".to_owned()],
+            ..Filter::default()
+        };
+        let run = scan_only(path, &nets, |entry| {
             let topic = &entry.channel.topic;
             let taken = if topic.starts_with("/net/") {
                 serde_json::from_slice(&entry.json).map(|whole| self.whole(whole))

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{PayloadError, data::decode};
+use super::{PayloadError, data::decode, shape::Shape};
 
 pub use ctos_derive::Command;
 
@@ -63,13 +63,24 @@ pub struct CommandInfo {
 
 /// Turns postcard bytes of one type into JSON, for people and programs that do not know the type.
 #[derive(Clone, Copy)]
-pub struct ToJson(fn(&[u8], &mut Vec<u8>) -> Result<(), PayloadError>);
+pub struct ToJson {
+    convert: fn(&[u8], &mut Vec<u8>) -> Result<(), PayloadError>,
+    shape: fn() -> Option<Shape>,
+}
 
 impl ToJson {
     /// For values of type `T`.
     #[must_use]
     pub const fn of<T: Serialize + DeserializeOwned + 'static>() -> Self {
-        Self(to_json::<T>)
+        Self {
+            convert: to_json::<T>,
+            shape: Shape::of::<T>,
+        }
+    }
+
+    /// What such values look like, where that can be found.
+    pub(crate) fn shape(self) -> Option<Shape> {
+        (self.shape)()
     }
 
     /// Appends `bytes` as JSON to `json`, which is left as it was when they are not such a value.
@@ -78,7 +89,7 @@ impl ToJson {
     /// What is wrong with the bytes.
     pub fn convert(self, bytes: &[u8], json: &mut Vec<u8>) -> Result<(), PayloadError> {
         let length = json.len();
-        let converted = (self.0)(bytes, json);
+        let converted = (self.convert)(bytes, json);
         if converted.is_err() {
             json.truncate(length);
         }

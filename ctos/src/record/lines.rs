@@ -1,27 +1,33 @@
-//! What stands in a record: for each thing that happened its channel, and one JSON object.
+//! The lines of a record: for each thing that happened its channel, and one JSON object.
 //!
-//! The shapes are told by JSON schemas, so that the field's viewers can read them. The data of a
-//! message is there twice: as JSON for people, as base64 of its postcard bytes for replay.
+//! Lines about messages are made when a record is read, the others when it is written. JSON schemas tell what
+//! they look like, so that the field's viewers can read them. The data of a message is there twice: as JSON
+//! for people, as base64 of its postcard bytes for replay.
 
-use std::{fmt, panic::AssertUnwindSafe};
+use std::{fmt, sync::Arc};
 
 use base64::{Engine, display::Base64Display, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    event::{Ending, Happened, Head, Side},
+    event::{Ending, Key, Side, Step, Told, Traffic, What},
+    glossary::{Glossary, Known},
     names::Names,
 };
-use crate::message::{Flags, ToJson};
+use crate::message::{Flags, Shape};
 
 /// Data of more bytes than this is not shown as JSON: it is a picture, not something to read.
 const SHOWN: usize = 4096;
 
-/// The shape of a channel's objects: name and JSON schema.
+/// What a channel holds: the name of its schema, the schema, and how both are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Schema {
     pub(crate) name: &'static str,
     pub(crate) text: &'static str,
+    /// How the schema is written.
+    pub(crate) language: &'static str,
+    /// How what stands in the channel is written.
+    pub(crate) encoding: &'static str,
 }
 
 macro_rules! schema {
@@ -29,9 +35,19 @@ macro_rules! schema {
         pub(crate) const $constant: Schema = Schema {
             name: $name,
             text: include_str!($file),
+            language: "jsonschema",
+            encoding: "json",
         };
     };
 }
+
+/// Stretches of what happened to messages, as [`Events`](super::traffic::Events) reads them.
+pub(crate) const EVENTS: Schema = Schema {
+    name: "ctos.Events",
+    text: include_str!("schemas/events.txt"),
+    language: "text",
+    encoding: "ctos.events",
+};
 
 schema!(MESSAGE, "ctos.Message", "schemas/message.json");
 schema!(BEGAN, "ctos.Began", "schemas/began.json");
@@ -196,122 +212,163 @@ struct LogLine<'a> {
     line: u32,
 }
 
-/// Writes what happened as one JSON object into `json`, which is cleared first. Returns its channel
+/// On which channel something that happened to a message stands, and its shape.
+pub(crate) fn channel_of(step: &Step, task: &str) -> (String, Schema) {
+    let (kind, schema) = match step {
+        Step::Sent { .. } => ("message", MESSAGE),
+        Step::Began => ("began", BEGAN),
+        Step::Ended { .. } => ("ended", ENDED),
+        Step::Answered { .. } => ("reply", REPLY),
+    };
+    (format!("/{kind}/{task}"), schema)
+}
+
+/// What is known of a message by its numbers.
+struct Named<'a> {
+    id: Number,
+    task: Arc<str>,
+    peer: Arc<str>,
+    command: String,
+    known: Option<&'a Known>,
+    trace: Number,
+}
+
+impl<'a> Named<'a> {
+    fn new(chassis: u8, key: &Key, glossary: &'a Glossary) -> Self {
+        let task = glossary.task(key.task);
+        let known = glossary.command(&task, key.command);
+        Self {
+            id: Number {
+                chassis,
+                number: key.id,
+            },
+            peer: glossary.task(key.peer),
+            command: command_name(known, key.command),
+            known,
+            trace: Number::of_trace(key.trace),
+            task,
+        }
+    }
+}
+
+/// What happened to a message, as one JSON object.
+pub(crate) fn traffic(
+    event: &Traffic,
+    data: &[u8],
+    glossary: &Glossary,
+) -> Result<Vec<u8>, serde_json::Error> {
+    let key = &event.key;
+    let named = Named::new(event.chassis, key, glossary);
+    match &event.step {
+        Step::Sent {
+            flags,
+            deadline,
+            side,
+        } => {
+            let flags = Flags::from_bits(*flags);
+            let line = MessageLine {
+                id: named.id,
+                to: named.task.to_string(),
+                from: named.peer.to_string(),
+                command: named.command,
+                code: key.command,
+                trace: named.trace,
+                priority: priority(flags).to_owned(),
+                waits: waits(flags).to_owned(),
+                deadline_ns: *deadline,
+                noted: side.word().to_owned(),
+                to_tid: key.task.bits(),
+                from_tid: key.peer.bits(),
+            };
+            let mut json = serde_json::to_vec(&line)?;
+            let shape = named.known.and_then(|known| known.request.as_ref());
+            append_data(&mut json, data, shape);
+            Ok(json)
+        }
+        Step::Began => serde_json::to_vec(&BeganLine {
+            id: named.id,
+            task: named.task.to_string(),
+            from: named.peer.to_string(),
+            command: named.command,
+            code: key.command,
+            trace: named.trace,
+            tid: key.task.bits(),
+        }),
+        Step::Ended { began, ending } => {
+            let (result, text) = words(ending);
+            serde_json::to_vec(&EndedLine {
+                id: named.id,
+                task: named.task.to_string(),
+                from: named.peer.to_string(),
+                command: named.command,
+                code: key.command,
+                trace: named.trace,
+                took_s: event.at.saturating_sub(*began) as f64 * 1e-9,
+                result: result.to_owned(),
+                text: text.to_owned(),
+                tid: key.task.bits(),
+            })
+        }
+        Step::Answered { side, fault } => {
+            let line = ReplyLine {
+                id: named.id,
+                by: named.task.to_string(),
+                to: named.peer.to_string(),
+                command: named.command,
+                code: key.command,
+                trace: named.trace,
+                noted: side.word().to_owned(),
+                result: fault
+                    .as_ref()
+                    .map_or_else(|| "ok".to_owned(), |fault| format!("{fault:?}")),
+                fault: fault
+                    .as_ref()
+                    .and_then(|fault| postcard::to_stdvec(fault).ok())
+                    .map(|bytes| STANDARD.encode(bytes))
+                    .unwrap_or_default(),
+                by_tid: key.task.bits(),
+                to_tid: key.peer.bits(),
+            };
+            let mut json = serde_json::to_vec(&line)?;
+            let shape = named.known.and_then(|known| known.reply.as_ref());
+            append_data(&mut json, data, shape);
+            Ok(json)
+        }
+    }
+}
+
+/// Writes what was told as one JSON object into `json`, which is cleared first. Returns its channel
 /// and shape.
-pub(crate) fn write(
-    head: &Head,
+pub(crate) fn told(
+    told: &Told,
     data: &[u8],
     names: &Names,
     json: &mut Vec<u8>,
 ) -> Result<(String, Schema), serde_json::Error> {
     json.clear();
-    let chassis = head.chassis;
-    let number = |number| Number { chassis, number };
-    match &head.what {
-        Happened::Message {
-            id,
-            to,
-            from,
-            command,
-            flags,
-            trace,
-            deadline,
-            side,
-        } => {
-            let receiver = names.task(*to);
-            let known = names.command(&receiver, *command);
-            let flags = Flags::from_bits(*flags);
-            let line = MessageLine {
-                id: number(*id),
-                to: receiver.to_string(),
-                from: names.task(*from).to_string(),
-                command: command_name(known.map(|known| known.name), *command),
-                code: *command,
-                trace: Number::of_trace(*trace),
-                priority: priority(flags).to_owned(),
-                waits: waits(flags).to_owned(),
-                deadline_ns: *deadline,
-                noted: side.word().to_owned(),
-                to_tid: to.bits(),
-                from_tid: from.bits(),
-            };
-            serde_json::to_writer(&mut *json, &line)?;
-            append_data(json, data, known.map(|known| known.request));
-            Ok((format!("/message/{receiver}"), MESSAGE))
-        }
-        Happened::Began {
-            id,
-            task,
-            from,
-            command,
-            trace,
-        } => {
-            let name = names.task(*task);
-            let known = names.command(&name, *command);
-            let line = BeganLine {
-                id: number(*id),
-                task: name.to_string(),
-                from: names.task(*from).to_string(),
-                command: command_name(known.map(|known| known.name), *command),
-                code: *command,
-                trace: Number::of_trace(*trace),
-                tid: task.bits(),
-            };
-            serde_json::to_writer(json, &line)?;
-            Ok((format!("/began/{name}"), BEGAN))
-        }
-        Happened::Ended {
-            id,
-            task,
-            from,
-            command,
-            trace,
-            began,
-            ending,
-        } => {
-            let name = names.task(*task);
-            let known = names.command(&name, *command);
-            let (result, text) = words(ending);
-            let line = EndedLine {
-                id: number(*id),
-                task: name.to_string(),
-                from: names.task(*from).to_string(),
-                command: command_name(known.map(|known| known.name), *command),
-                code: *command,
-                trace: Number::of_trace(*trace),
-                took_s: head.at.saturating_sub(*began) as f64 * 1e-9,
-                result: result.to_owned(),
-                text: text.to_owned(),
-                tid: task.bits(),
-            };
-            serde_json::to_writer(json, &line)?;
-            Ok((format!("/ended/{name}"), ENDED))
-        }
-        Happened::Answered { .. } => answered(head, data, names, json),
-        Happened::Phase { task, phase } => {
-            let name = names.task(*task);
+    match &told.what {
+        What::Phase { task, phase } => {
             let line = PhaseLine {
-                task: &name,
+                task: &names.task(*task),
                 phase: phase.map_or_else(|| "built".to_owned(), |phase| phase.to_string()),
             };
             serde_json::to_writer(json, &line)?;
             Ok(("/phase".to_owned(), PHASE))
         }
-        Happened::Log {
+        What::Log {
             level,
             target,
             task,
             message,
         } => {
-            let name = task.as_deref().unwrap_or(target);
             let line = LogLine {
                 timestamp: Timestamp {
-                    sec: head.at / 1_000_000_000,
-                    nsec: (head.at % 1_000_000_000) as u32,
+                    sec: told.at / 1_000_000_000,
+                    nsec: (told.at % 1_000_000_000) as u32,
                 },
                 level: *level,
                 message,
-                name,
+                name: task.as_deref().unwrap_or(target),
                 file: target,
                 line: 0,
             };
@@ -320,62 +377,15 @@ pub(crate) fn write(
             append_member(json, "fields", |json| json.extend_from_slice(data));
             Ok((format!("/log/{}", task.as_deref().unwrap_or("ctos")), LOG))
         }
-        Happened::Value { channel } => {
+        What::Value { channel } => {
             json.extend_from_slice(if data.is_empty() { b"null" } else { data });
             Ok((channel.clone(), VALUE))
         }
     }
 }
 
-fn answered(
-    head: &Head,
-    data: &[u8],
-    names: &Names,
-    json: &mut Vec<u8>,
-) -> Result<(String, Schema), serde_json::Error> {
-    let Happened::Answered {
-        id,
-        by,
-        to,
-        command,
-        trace,
-        side,
-        fault,
-    } = &head.what
-    else {
-        return Ok(("/reply".to_owned(), REPLY));
-    };
-    let name = names.task(*by);
-    let known = names.command(&name, *command);
-    let line = ReplyLine {
-        id: Number {
-            chassis: head.chassis,
-            number: *id,
-        },
-        by: name.to_string(),
-        to: names.task(*to).to_string(),
-        command: command_name(known.map(|known| known.name), *command),
-        code: *command,
-        trace: Number::of_trace(*trace),
-        noted: side.word().to_owned(),
-        result: fault
-            .as_ref()
-            .map_or_else(|| "ok".to_owned(), |fault| format!("{fault:?}")),
-        fault: fault
-            .as_ref()
-            .and_then(|fault| postcard::to_stdvec(fault).ok())
-            .map(|bytes| STANDARD.encode(bytes))
-            .unwrap_or_default(),
-        by_tid: by.bits(),
-        to_tid: to.bits(),
-    };
-    serde_json::to_writer(&mut *json, &line)?;
-    append_data(json, data, known.map(|known| known.reply));
-    Ok((format!("/reply/{name}"), REPLY))
-}
-
-fn command_name(known: Option<&'static str>, code: u16) -> String {
-    known.map_or_else(|| format!("{code:#06x}"), str::to_owned)
+fn command_name(known: Option<&Known>, code: u16) -> String {
+    known.map_or_else(|| format!("{code:#06x}"), |known| known.name.clone())
 }
 
 pub(crate) fn priority(flags: Flags) -> &'static str {
@@ -419,17 +429,13 @@ fn append_member(json: &mut Vec<u8>, name: &str, value: impl FnOnce(&mut Vec<u8>
 }
 
 /// Adds the data of a message: as JSON where it can be read, and as it is.
-fn append_data(json: &mut Vec<u8>, data: &[u8], to_json: Option<ToJson>) {
+fn append_data(json: &mut Vec<u8>, data: &[u8], shape: Option<&Shape>) {
     append_member(json, "data", |json| {
-        let length = json.len();
-        let readable = to_json.filter(|_| data.len() <= SHOWN);
-        let shown = readable.is_some_and(|to_json| {
-            // Types of others are read here; theirs to fail, not the record's.
-            let convert = AssertUnwindSafe(|| to_json.convert(data, json));
-            matches!(std::panic::catch_unwind(convert), Ok(Ok(())))
-        });
-        if !shown {
-            json.truncate(length);
+        let readable = shape.filter(|_| data.len() <= SHOWN);
+        if readable
+            .and_then(|shape| shape.convert(data, json))
+            .is_none()
+        {
             json.extend_from_slice(b"null");
         }
     });

@@ -17,7 +17,7 @@ use tracing::{
 use tracing_subscriber::layer::{Context, Layer};
 
 use super::{
-    event::{Happened, Head},
+    event::{Told, What},
     recorder::Recorder,
 };
 use crate::{call::lock, message::Tid};
@@ -105,10 +105,9 @@ impl<S: Subscriber> Layer<S> for RecordLayer {
 fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
     let mut line = Line::default();
     event.record(&mut line);
-    let head = Head {
+    let told = Told {
         at: recorder.now(),
-        chassis: *chassis,
-        what: Happened::Log {
+        what: What::Log {
             level: level_of(*event.metadata().level()),
             target: event.metadata().target().to_owned(),
             task: line.task,
@@ -117,7 +116,7 @@ fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
     };
     let fields = line.fields;
     // On the runtime's own processor: which one this thread belongs to is not known here.
-    recorder.note(Tid::new(*chassis, 0, 0), &head, |buffer| {
+    recorder.told(Tid::new(*chassis, 0, 0), &told, |buffer| {
         serde_json::to_writer(buffer, &fields).is_ok()
     });
 }

@@ -23,6 +23,17 @@ pub(crate) struct Names {
     tasks: Mutex<BTreeMap<Tid, Arc<str>>>,
     commands: Mutex<BTreeMap<Arc<str>, Vec<CommandInfo>>>,
     system: Vec<CommandInfo>,
+    /// All that has become known, in order, for those who write it down.
+    news: Mutex<Vec<News>>,
+}
+
+/// Something that has become known.
+#[derive(Debug, Clone)]
+pub(crate) enum News {
+    /// The name of a task.
+    Task(Tid, Arc<str>),
+    /// What the task of a name takes.
+    Takes(Arc<str>, Vec<CommandInfo>),
 }
 
 impl Names {
@@ -56,7 +67,15 @@ impl Names {
         all.extend(bootstrap::COMMANDS);
         all.extend(names::COMMANDS);
         all.extend(semaphore::server::COMMANDS);
+        let named = tasks
+            .iter()
+            .map(|(tid, name)| News::Task(*tid, name.clone()));
+        let taken = commands.iter();
+        let taken = taken.map(|(name, takes): (&Arc<str>, &Vec<CommandInfo>)| {
+            News::Takes(name.clone(), takes.clone())
+        });
         Self {
+            news: Mutex::new(named.chain(taken).collect()),
             tasks: Mutex::new(tasks),
             commands: Mutex::new(commands),
             system: all,
@@ -67,14 +86,30 @@ impl Names {
     pub(crate) fn name(&self, task: Tid, name: &Arc<str>) {
         // The tasks of the runtime have names that say where they are.
         if task.processor() > 0 {
-            lock(&self.tasks).insert(task, name.clone());
+            let before = lock(&self.tasks).insert(task, name.clone());
+            if before.as_ref() != Some(name) {
+                lock(&self.news).push(News::Task(task, name.clone()));
+            }
         }
     }
 
     /// What the task `name` takes, which no configuration need declare.
     pub(crate) fn takes(&self, name: &Arc<str>, commands: &[CommandInfo]) {
         let mut all = lock(&self.commands);
-        all.entry(name.clone()).or_insert_with(|| commands.to_vec());
+        all.entry(name.clone()).or_insert_with(|| {
+            lock(&self.news).push(News::Takes(name.clone(), commands.to_vec()));
+            commands.to_vec()
+        });
+    }
+
+    /// What has become known after the first `known`.
+    pub(crate) fn news(&self, known: usize) -> Vec<News> {
+        lock(&self.news).get(known..).unwrap_or(&[]).to_vec()
+    }
+
+    /// What all tasks take.
+    pub(crate) fn system(&self) -> &[CommandInfo] {
+        &self.system
     }
 
     /// The name of a task; its id when it has none that is known.

@@ -32,19 +32,24 @@ use crate::call::lock;
 const CHUNK: u64 = 128 * 1024;
 /// After a disk has failed, the next file is tried this much later, ns.
 const RETRY_NS: u64 = 5_000_000_000;
-/// What a line costs in a file besides its JSON, bytes: record and index.
+/// What a line costs in a file besides what it says, bytes: record and index.
 const OVERHEAD: u64 = 47;
 /// The metadata record that says what a file is a record of.
 pub(crate) const RUN: &str = "ctos.run";
 /// The metadata record that says what a file lacks.
 pub(crate) const LOST: &str = "ctos.lost";
 
-/// One line of a record.
+/// The metadata record that says what numbers mean.
+pub(crate) const NAMES: &str = "ctos.names";
+
+/// One line of a record, or a stretch of several.
 pub(crate) struct Line<'a> {
     pub(crate) topic: &'a str,
     pub(crate) schema: Schema,
     pub(crate) at: u64,
-    pub(crate) json: &'a [u8],
+    pub(crate) bytes: &'a [u8],
+    /// How many it stands for.
+    pub(crate) lines: u64,
 }
 
 /// A file that remembers its first error and swallows what comes afterwards: whoever writes formats
@@ -163,6 +168,8 @@ pub(crate) struct Parts {
     place: Place,
     run: BTreeMap<String, String>,
     part: Option<Part>,
+    /// Files that were begun.
+    begun: u64,
     retry_at: u64,
     lost: u64,
     lost_in_all: u64,
@@ -189,6 +196,7 @@ impl Parts {
                 ..RecordReport::default()
             },
             part: Some(part),
+            begun: 1,
             retry_at: 0,
             lost: 0,
             lost_in_all: 0,
@@ -249,7 +257,8 @@ impl Parts {
                 topic: "/recorder",
                 schema: RECORDER,
                 at: now,
-                json: line.as_bytes(),
+                bytes: line.as_bytes(),
+                lines: 1,
             },
         );
     }
@@ -257,14 +266,14 @@ impl Parts {
     /// Writes one line; it is lost, and counted, when there is no file to write to.
     pub(crate) fn write(&mut self, now: u64, line: &Line<'_>) {
         if !self.ready(now) {
-            return self.lost(1, "the disk took nothing more");
+            return self.lost(line.lines, "the disk took nothing more");
         }
         let full = match &mut self.part {
             Some(part) => match part.write(line) {
                 Ok(()) => part.bytes >= self.place.max_bytes,
                 Err(error) => {
                     tracing::warn!(topic = line.topic, error = %error, "a line could not be recorded");
-                    return self.lost(1, "a line could not be recorded");
+                    return self.lost(line.lines, "a line could not be recorded");
                 }
             },
             None => return,
@@ -276,8 +285,22 @@ impl Parts {
         }
     }
 
+    /// Which of the files is written: another number stands for another one, which holds nothing yet.
+    pub(crate) fn number(&self) -> u64 {
+        self.begun
+    }
+
+    /// Puts something into the present file that is no line.
+    pub(crate) fn note(&mut self, name: &str, metadata: BTreeMap<String, String>) {
+        if let Some(part) = &mut self.part {
+            let bytes: usize = metadata.values().map(String::len).sum();
+            part.bytes += u64::try_from(bytes).unwrap_or(u64::MAX / 4);
+            part.metadata(name, metadata);
+        }
+    }
+
     /// Whether there is a file; a new one is tried when it is time.
-    fn ready(&mut self, now: u64) -> bool {
+    pub(crate) fn ready(&mut self, now: u64) -> bool {
         if self.part.is_none() && now >= self.retry_at {
             self.begin_part(now);
         }
@@ -289,6 +312,7 @@ impl Parts {
             Ok(part) => {
                 self.report.file = part.path.display().to_string();
                 self.part = Some(part);
+                self.begun += 1;
             }
             Err(error) => {
                 let path = PathBuf::from(&error.path);
@@ -431,12 +455,12 @@ impl Part {
 
     fn write(&mut self, line: &Line<'_>) -> mcap::McapResult<()> {
         let header = self.header(line)?;
-        self.writer.write_to_known_channel(&header, line.json)?;
-        let bytes = OVERHEAD + u64::try_from(line.json.len()).unwrap_or(u64::MAX / 4);
+        self.writer.write_to_known_channel(&header, line.bytes)?;
+        let bytes = OVERHEAD + u64::try_from(line.bytes.len()).unwrap_or(u64::MAX / 4);
         self.bytes += bytes;
         self.unsafe_bytes += bytes;
-        self.unsafe_lines += 1;
-        self.lines += 1;
+        self.unsafe_lines += line.lines;
+        self.lines += line.lines;
         if self.unsafe_bytes >= CHUNK {
             self.flush();
         }
@@ -449,16 +473,18 @@ impl Part {
                 Some(id) => *id,
                 None => {
                     let text = line.schema.text.as_bytes();
-                    let id = self
-                        .writer
-                        .add_schema(line.schema.name, "jsonschema", text)?;
-                    self.schemas.insert(line.schema.name, id);
+                    let Schema { name, language, .. } = line.schema;
+                    let id = self.writer.add_schema(name, language, text)?;
+                    self.schemas.insert(name, id);
                     id
                 }
             };
-            let id = self
-                .writer
-                .add_channel(schema, line.topic, "json", &BTreeMap::new())?;
+            let id = self.writer.add_channel(
+                schema,
+                line.topic,
+                line.schema.encoding,
+                &BTreeMap::new(),
+            )?;
             let channel = Channel { id, sequence: 0 };
             self.channels.insert(line.topic.to_owned(), channel);
         }

@@ -1,6 +1,7 @@
 //! Reading records, those too that were not closed: everything up to the last chunk that is whole.
 //!
-//! Several files are read as one, in the order of their moments.
+//! Several files are read as one, in the order of their moments. What happened to messages stands in a file
+//! as it was noted, and is turned here into the lines that everybody reads.
 
 use std::{
     collections::BTreeMap,
@@ -16,7 +17,13 @@ use mcap::{
     sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
-use super::parts::{LOST, RUN};
+use super::{
+    event::Traffic,
+    glossary::Glossary,
+    lines::{self, EVENTS, Schema},
+    parts::{LOST, NAMES, RUN},
+    traffic::Events,
+};
 use crate::time::Instant;
 
 /// The longest record of a file that is read, bytes.
@@ -55,6 +62,18 @@ pub struct Channel {
     encoding: String,
 }
 
+impl Channel {
+    fn new(topic: String, schema: Schema) -> Self {
+        Self {
+            topic,
+            schema: schema.name.to_owned(),
+            schema_text: schema.text.as_bytes().to_vec(),
+            schema_encoding: schema.language.to_owned(),
+            encoding: schema.encoding.to_owned(),
+        }
+    }
+}
+
 /// One line of a record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
@@ -77,7 +96,7 @@ pub struct Run {
     pub torn: Option<String>,
     /// Events that its writer knows it lacks.
     pub lost: u64,
-    /// Lines and bytes of JSON of each channel.
+    /// Lines of each channel, and the bytes that they take in the file.
     pub channels: BTreeMap<String, (u64, u64)>,
     /// The first and the last moment.
     pub span: Option<(Instant, Instant)>,
@@ -149,11 +168,9 @@ impl Record {
         let mut record = Self::default();
         for path in paths {
             let entries = &mut record.entries;
-            record.runs.push(scan(path, |entry| {
-                if filter.takes(&entry.channel.topic, entry.at) {
-                    entries.push(entry);
-                }
-            })?);
+            record
+                .runs
+                .push(scan_only(path, filter, |entry| entries.push(entry))?);
         }
         // Stable: lines of one file at one moment keep their order.
         record.entries.sort_by_key(|entry| entry.at);
@@ -220,15 +237,33 @@ impl Record {
 }
 
 /// What has been read of a file so far.
-#[derive(Default)]
-struct Scan {
+struct Scan<'a> {
+    filter: &'a Filter,
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
     channels: BTreeMap<u16, Arc<Channel>>,
+    glossary: Glossary,
+    /// The channels of what happened to messages, by their names.
+    traffic: BTreeMap<String, Arc<Channel>>,
     run: Run,
     closed: bool,
 }
 
-impl Scan {
+impl<'a> Scan<'a> {
+    fn new(path: &Path, filter: &'a Filter) -> Self {
+        Self {
+            filter,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            glossary: Glossary::default(),
+            traffic: BTreeMap::new(),
+            run: Run {
+                path: path.to_owned(),
+                ..Run::default()
+            },
+            closed: false,
+        }
+    }
+
     /// Takes one record of the file.
     fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
         match part {
@@ -253,7 +288,10 @@ impl Scan {
                     }),
                 );
             }
-            Part::Message { header, data } => self.message(&header, data.into_owned(), see),
+            Part::Message { header, data } => self.message(&header, &data, see),
+            Part::Metadata(metadata) if metadata.name == NAMES => {
+                self.names(&metadata.metadata);
+            }
             Part::Metadata(metadata) if metadata.name == RUN => {
                 self.run.noted.extend(metadata.metadata);
             }
@@ -266,18 +304,85 @@ impl Scan {
         }
     }
 
-    fn message(&mut self, header: &MessageHeader, json: Vec<u8>, see: &mut impl FnMut(Entry)) {
+    fn names(&mut self, metadata: &BTreeMap<String, String>) {
+        if !self.glossary.add(metadata) {
+            self.tear("the names in it cannot be read");
+        }
+    }
+
+    /// What follows cannot be trusted.
+    fn tear(&mut self, why: &str) {
+        self.run.torn.get_or_insert_with(|| why.to_owned());
+    }
+
+    fn message(&mut self, header: &MessageHeader, data: &[u8], see: &mut impl FnMut(Entry)) {
         let Some(channel) = self.channels.get(&header.channel_id).cloned() else {
             return;
         };
+        if channel.encoding == EVENTS.encoding {
+            return self.stretch(data, see);
+        }
         let at = Instant::from_nanos(header.log_time);
-        let counted = self.run.channels.entry(channel.topic.clone()).or_default();
-        counted.0 += 1;
-        counted.1 += u64::try_from(json.len()).unwrap_or(0);
+        self.count(&channel.topic, at, data.len());
+        if self.filter.takes(&channel.topic, at) {
+            let json = data.to_vec();
+            see(Entry { at, channel, json });
+        }
+    }
+
+    fn count(&mut self, topic: &str, at: Instant, bytes: usize) {
+        let channels = &mut self.run.channels;
+        if !channels.contains_key(topic) {
+            channels.insert(topic.to_owned(), (0, 0));
+        }
+        if let Some(counted) = channels.get_mut(topic) {
+            counted.0 += 1;
+            counted.1 += u64::try_from(bytes).unwrap_or(0);
+        }
         let span = self.run.span.get_or_insert((at, at));
         span.0 = span.0.min(at);
         span.1 = span.1.max(at);
-        see(Entry { at, channel, json });
+    }
+
+    /// Takes what happened to messages.
+    fn stretch(&mut self, bytes: &[u8], see: &mut impl FnMut(Entry)) {
+        let mut events = Events::new(bytes);
+        for (event, data, length) in events.by_ref() {
+            let (topic, schema) =
+                lines::channel_of(&event.step, &self.glossary.task(event.key.task));
+            let at = Instant::from_nanos(event.at);
+            self.count(&topic, at, length);
+            if self.filter.takes(&topic, at) {
+                self.line(topic, schema, &event, data, see);
+            }
+        }
+        if !events.is_at_end() {
+            self.tear("what happened to messages cannot be read any further");
+        }
+    }
+
+    fn line(
+        &mut self,
+        topic: String,
+        schema: Schema,
+        event: &Traffic,
+        data: &[u8],
+        see: &mut impl FnMut(Entry),
+    ) {
+        match lines::traffic(event, data, &self.glossary) {
+            Ok(json) => {
+                let channel = self
+                    .traffic
+                    .entry(topic)
+                    .or_insert_with_key(|topic| Arc::new(Channel::new(topic.clone(), schema)));
+                see(Entry {
+                    at: Instant::from_nanos(event.at),
+                    channel: channel.clone(),
+                    json,
+                });
+            }
+            Err(error) => self.tear(&error.to_string()),
+        }
     }
 }
 
@@ -285,7 +390,19 @@ impl Scan {
 ///
 /// # Errors
 /// [`ReadError`] when it cannot be opened, or is no MCAP file from its first byte.
-pub fn scan(path: &Path, mut see: impl FnMut(Entry)) -> Result<Run, ReadError> {
+pub fn scan(path: &Path, see: impl FnMut(Entry)) -> Result<Run, ReadError> {
+    scan_only(path, &Filter::default(), see)
+}
+
+/// As [`scan`], but shows only what `filter` takes; the rest is counted.
+///
+/// # Errors
+/// As [`scan`].
+pub fn scan_only(
+    path: &Path,
+    filter: &Filter,
+    mut see: impl FnMut(Entry),
+) -> Result<Run, ReadError> {
     let failed = |error| ReadError::Io {
         path: path.to_owned(),
         error,
@@ -296,8 +413,7 @@ pub fn scan(path: &Path, mut see: impl FnMut(Entry)) -> Result<Run, ReadError> {
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(RECORD_LIMIT);
     let mut reader = LinearReader::new_with_options(options);
-    let mut scan = Scan::default();
-    scan.run.path = path.to_owned();
+    let mut scan = Scan::new(path, filter);
     let mut begun = false;
     while let Some(event) = reader.next_event() {
         let torn = match event {
@@ -328,7 +444,7 @@ pub fn scan(path: &Path, mut see: impl FnMut(Entry)) -> Result<Run, ReadError> {
             scan.run.torn = Some(error.to_string());
             break;
         }
-        if scan.closed {
+        if scan.closed || scan.run.torn.is_some() {
             break;
         }
     }

@@ -14,7 +14,8 @@ use std::{
 };
 
 use super::{
-    event::{Head, push},
+    batch::Batch,
+    event::{Told, Traffic},
     names::Names,
     report::RecordReport,
     writer::Writer,
@@ -26,14 +27,20 @@ use crate::{
 };
 
 /// A buffer of this size wakes the writer, bytes.
-const WAKE: usize = 256 * 1024;
+const WAKE: usize = 128 * 1024;
 /// How often the writer looks unasked.
 const LOOK: Duration = Duration::from_millis(100);
 
 #[derive(Default)]
 struct Lane {
-    bytes: Vec<u8>,
+    batch: Batch,
     dropped: u64,
+}
+
+/// The writer, and the buffers that it has emptied: they go back to the lanes in turn.
+struct Emptying {
+    writer: Writer,
+    batches: Vec<Batch>,
 }
 
 /// What the writer's thread is told, and tells.
@@ -55,7 +62,7 @@ pub(crate) struct Recorder {
     /// Events that found none on the disk.
     unwritten: AtomicU64,
     report: Mutex<RecordReport>,
-    writer: Mutex<Option<Writer>>,
+    writer: Mutex<Option<Emptying>>,
     threaded: bool,
     flush: Duration,
     ended: AtomicBool,
@@ -99,6 +106,8 @@ impl Recorder {
         threaded: bool,
     ) -> Self {
         let names = writer.names().clone();
+        let report = Mutex::new(writer.report());
+        let batches = (0..lanes).map(|_| Batch::default()).collect();
         Self {
             clock,
             lanes: (0..lanes).map(|_| Mutex::default()).collect(),
@@ -106,8 +115,8 @@ impl Recorder {
             next_id: AtomicU64::new(1),
             dropped: AtomicU64::new(0),
             unwritten: AtomicU64::new(0),
-            report: Mutex::new(writer.report()),
-            writer: Mutex::new(Some(writer)),
+            report,
+            writer: Mutex::new(Some(Emptying { writer, batches })),
             threaded,
             flush,
             ended: AtomicBool::new(false),
@@ -143,27 +152,46 @@ impl Recorder {
         lock(&self.report).clone()
     }
 
-    /// Notes one event at the processor of `task`. False when it was dropped.
-    pub(crate) fn note(
+    /// Notes what happened to a message at the processor of `place`. False when it was dropped.
+    #[inline]
+    pub(crate) fn traffic(
         &self,
-        task: Tid,
-        head: &Head,
+        place: Tid,
+        event: &Traffic,
         data: impl FnOnce(&mut Vec<u8>) -> bool,
     ) -> bool {
+        self.note(place, |batch| {
+            batch.traffic(event, data);
+            true
+        })
+    }
+
+    /// Notes what is told at the processor of `place`. False when it was dropped.
+    pub(crate) fn told(
+        &self,
+        place: Tid,
+        told: &Told,
+        data: impl FnOnce(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        self.note(place, |batch| batch.told(told, data).is_ok())
+    }
+
+    #[inline]
+    fn note(&self, place: Tid, add: impl FnOnce(&mut Batch) -> bool) -> bool {
         if self.ended.load(Ordering::Relaxed) {
             return false;
         }
-        let place = usize::from(task.processor());
+        let place = usize::from(place.processor());
         let Some(lane) = self.lanes.get(place).or_else(|| self.lanes.first()) else {
             return false;
         };
         let mut lane = lock(lane);
-        if lane.bytes.len() >= self.limit || push(&mut lane.bytes, head, data).is_err() {
+        if lane.batch.len() >= self.limit || !add(&mut lane.batch) {
             lane.dropped += 1;
             self.dropped.fetch_add(1, Ordering::Relaxed);
             return false;
         }
-        let grown = lane.bytes.len() >= WAKE;
+        let grown = lane.batch.len() >= WAKE;
         drop(lane);
         if grown {
             self.call_writer();
@@ -171,6 +199,7 @@ impl Recorder {
         true
     }
 
+    #[cold]
     fn call_writer(&self) {
         if !self.threaded {
             return self.write(false);
@@ -190,19 +219,18 @@ impl Recorder {
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return,
         };
-        let Some(writer) = writer.as_mut() else {
+        let Some(Emptying { writer, batches }) = writer.as_mut() else {
             return;
         };
-        let mut batch = Vec::with_capacity(self.lanes.len());
         let mut dropped = 0;
-        for lane in &self.lanes {
+        for (lane, batch) in self.lanes.iter().zip(&mut *batches) {
             let mut lane = lock(lane);
-            let room = Vec::with_capacity(lane.bytes.len().min(WAKE));
-            batch.push(std::mem::replace(&mut lane.bytes, room));
+            std::mem::swap(&mut lane.batch, batch);
             dropped += std::mem::take(&mut lane.dropped);
         }
         let now = self.now();
-        writer.write(now, &batch, dropped);
+        writer.write(now, batches, dropped);
+        batches.iter_mut().for_each(Batch::clear);
         if flush {
             writer.flush(now);
         }
@@ -246,7 +274,7 @@ impl Recorder {
 
     fn close(&self) {
         let writer = lock(&self.writer).take();
-        if let Some(mut writer) = writer {
+        if let Some(Emptying { mut writer, .. }) = writer {
             writer.close(self.now());
             self.tell(&writer);
         }

@@ -7,7 +7,7 @@ use std::sync::{
 };
 
 use super::{
-    event::{Ending, Happened, Head, Side},
+    event::{Ending, Key, Side, Step, Told, Traffic, What},
     recorder::Recorder,
     replay::Desk,
     report::RecordReport,
@@ -73,11 +73,7 @@ impl Asked {
 /// A message at whose handler a task is.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AtHand {
-    id: u64,
-    task: Tid,
-    from: Tid,
-    command: u16,
-    trace: u64,
+    key: Key,
     began: u64,
 }
 
@@ -85,11 +81,13 @@ impl AtHand {
     /// `task` begins with `message` now.
     pub(crate) fn of(task: Tid, message: &Message, now: Instant) -> Self {
         Self {
-            id: message.letter.recorded,
-            task,
-            from: message.from(),
-            command: message.command(),
-            trace: message.trace(),
+            key: Key {
+                id: message.letter.recorded,
+                task,
+                peer: message.from(),
+                command: message.command(),
+                trace: message.trace(),
+            },
             began: now.as_nanos(),
         }
     }
@@ -199,29 +197,56 @@ impl Tap {
         }
     }
 
-    /// Notes something at `at`, or now, with everybody who records; whether somebody took it.
-    fn note(
+    /// Notes with everybody who records what happened to a message, at `at`, or now; whether somebody took
+    /// it.
+    #[inline]
+    fn traffic(
         &self,
-        task: Tid,
+        place: Tid,
         at: Option<u64>,
-        what: impl FnOnce() -> Happened,
+        key: Key,
+        step: Step,
         data: impl Fn(&mut Vec<u8>) -> bool,
     ) -> bool {
         let first = self.first();
-        let guests = self.guests();
-        let Some(one) = first.or(guests.first()) else {
-            return false;
-        };
-        let head = Head {
-            at: at.unwrap_or_else(|| one.now()),
+        let event = |recorder: &Recorder| Traffic {
+            at: at.unwrap_or_else(|| recorder.now()),
             chassis: self.index,
+            key,
+            step,
+        };
+        match first {
+            Some(only) if !self.visited.load(Ordering::Relaxed) => {
+                only.traffic(place, &event(only), data)
+            }
+            _ => {
+                let recorders = self.recorders();
+                let Some(one) = recorders.first() else {
+                    return false;
+                };
+                let event = event(one);
+                let mut noted = false;
+                for recorder in &recorders {
+                    noted |= recorder.traffic(place, &event, &data);
+                }
+                noted
+            }
+        }
+    }
+
+    /// Notes with everybody who records what is told now.
+    fn told(&self, place: Tid, what: impl FnOnce() -> What, data: impl Fn(&mut Vec<u8>) -> bool) {
+        let recorders = self.recorders();
+        let Some(one) = recorders.first() else {
+            return;
+        };
+        let told = Told {
+            at: one.now(),
             what: what(),
         };
-        let mut noted = false;
-        for recorder in first.into_iter().chain(&guests) {
-            noted |= recorder.note(task, &head, &data);
+        for recorder in &recorders {
+            recorder.told(place, &told, &data);
         }
-        noted
     }
 
     /// A task sends a message. The number stands for it in the record; 0 when it is not in it.
@@ -242,14 +267,9 @@ impl Tap {
             Some(WaitFor::Acceptance) => Flags::ACCEPT_WAIT,
             None => Flags::NONE,
         };
-        let id = self.fresh_id();
-        let what = || Happened::Message {
-            id,
-            to: header.to,
-            from: header.from,
-            command: header.command,
+        let key = self.fresh_key(header, message.trace());
+        let step = Step::Sent {
             flags: header.flags.with(flag).bits(),
-            trace: message.trace(),
             deadline: message.deadline().map(Instant::as_nanos),
             side: if header.to.chassis() == self.index {
                 Side::Here
@@ -258,8 +278,18 @@ impl Tap {
             },
         };
         let data = |buffer: &mut Vec<u8>| message.letter.data.append_to(buffer).is_ok();
-        let noted = self.note(header.from, None, what, data);
-        if noted { id } else { 0 }
+        let noted = self.traffic(header.from, None, key, step, data);
+        if noted { key.id } else { 0 }
+    }
+
+    fn fresh_key(&self, header: &Header, trace: u64) -> Key {
+        Key {
+            id: self.fresh_id(),
+            task: header.to,
+            peer: header.from,
+            command: header.command,
+            trace,
+        }
     }
 
     /// A message has come over a link.
@@ -273,75 +303,41 @@ impl Tap {
         if !self.is_recording() {
             return 0;
         }
-        let id = self.fresh_id();
-        let what = || Happened::Message {
-            id,
-            to: header.to,
-            from: header.from,
-            command: header.command,
+        let key = self.fresh_key(header, trace);
+        let step = Step::Sent {
             flags: header.flags.bits(),
-            trace,
             deadline: deadline.map(Instant::as_nanos),
             side: Side::Receiver,
         };
-        let noted = self.note(header.to, None, what, |buffer| {
+        let noted = self.traffic(header.to, None, key, step, |buffer| {
             body.append_to(buffer);
             true
         });
-        if noted { id } else { 0 }
+        if noted { key.id } else { 0 }
     }
 
     /// A handler is called.
     #[inline]
     pub(crate) fn began(&self, at_hand: &AtHand) {
-        if !self.is_recording() {
-            return;
+        if self.is_recording() {
+            let AtHand { key, began } = *at_hand;
+            self.traffic(key.task, Some(began), key, Step::Began, |_| true);
         }
-        let AtHand {
-            id,
-            task,
-            from,
-            command,
-            trace,
-            began,
-        } = *at_hand;
-        let what = || Happened::Began {
-            id,
-            task,
-            from,
-            command,
-            trace,
-        };
-        self.note(task, Some(began), what, |_| true);
     }
 
     /// It has returned.
     #[inline]
     pub(crate) fn ended(&self, at_hand: &AtHand, now: Instant, ending: impl FnOnce() -> Ending) {
+        let AtHand { key, began } = *at_hand;
         if let Some(desk) = self.replay() {
-            return desk.ended(at_hand.command, ending());
+            return desk.ended(key.command, ending());
         }
         if !self.is_recording() {
             return;
         }
-        let AtHand {
-            id,
-            task,
-            from,
-            command,
-            trace,
-            began,
-        } = *at_hand;
-        let what = || Happened::Ended {
-            id,
-            task,
-            from,
-            command,
-            trace,
-            began,
-            ending: ending(),
-        };
-        self.note(task, Some(now.as_nanos()), what, |_| true);
+        let ending = ending();
+        let step = Step::Ended { began, ending };
+        self.traffic(key.task, Some(now.as_nanos()), key, step, |_| true);
     }
 
     /// A sender has what it waited for.
@@ -381,41 +377,41 @@ impl Tap {
 
     #[cold]
     fn do_note_answer(&self, id: u64, asked: &Asked, side: Side, answer: Result<&Data, &Fault>) {
-        let what = || Happened::Answered {
+        let key = Key {
             id,
-            by: asked.to,
-            to: asked.by,
+            task: asked.to,
+            peer: asked.by,
             command: asked.command,
             trace: asked.trace,
-            side,
-            fault: answer.err().cloned(),
         };
+        let fault = answer.err().cloned();
+        let step = Step::Answered { side, fault };
         // Noted where it happened: at the one who answers, or at the one who asked.
         let place = if side == Side::Receiver {
             asked.to
         } else {
             asked.by
         };
-        self.note(place, None, what, |buffer| {
+        self.traffic(place, None, key, step, |buffer| {
             answer.is_ok_and(|data| data.append_to(buffer).is_ok())
         });
     }
 
     /// A task has entered a startup phase; without one, its handler has been built.
     pub(crate) fn phase(&self, task: Tid, phase: Option<Phase>) {
-        self.note(task, None, || Happened::Phase { task, phase }, |_| true);
+        self.told(task, || What::Phase { task, phase }, |_| true);
     }
 
     /// A task puts a value on a channel of its own.
     pub(crate) fn value<T: serde::Serialize + ?Sized>(&self, task: Tid, channel: &str, value: &T) {
-        let what = || Happened::Value {
+        let what = || What::Value {
             channel: if channel.starts_with('/') {
                 channel.to_owned()
             } else {
                 format!("/{channel}")
             },
         };
-        self.note(task, None, what, |buffer| {
+        self.told(task, what, |buffer| {
             serde_json::to_writer(buffer, value).is_ok()
         });
     }

@@ -1,20 +1,25 @@
-//! The one who empties the buffers: turns events into lines and puts them into files, and keeps
-//! account of what was lost on the way.
+//! The one who empties the buffers: puts what happened to messages into files as it is, and all else as
+//! lines, with the names that belong to both, and keeps account of what was lost on the way.
 
 use std::sync::Arc;
 
 use super::{
-    event::{Head, events},
-    lines,
+    batch::{Batch, Noted},
+    event::Told,
+    glossary,
+    lines::{self, EVENTS},
     names::Names,
-    parts::{Line, Parts},
+    parts::{Line, NAMES, Parts},
     read::matches,
     report::RecordReport,
+    traffic::Events,
 };
 
 /// Writes one record.
 pub(crate) struct Writer {
     names: Arc<Names>,
+    /// Which file has been told how much of them.
+    told: (u64, usize),
     parts: Parts,
     /// Which channels are written; none: all.
     channels: Vec<String>,
@@ -27,6 +32,7 @@ impl Writer {
     pub(crate) fn new(names: Arc<Names>, parts: Parts) -> Self {
         Self {
             names,
+            told: (0, 0),
             parts,
             channels: Vec::new(),
             json: Vec::new(),
@@ -58,8 +64,8 @@ impl Writer {
         &self.names
     }
 
-    /// Writes the events of all buffers in the order of their moments; `dropped` more were not taken.
-    pub(crate) fn write(&mut self, now: u64, batch: &[Vec<u8>], dropped: u64) {
+    /// Writes what all buffers hold; `dropped` more were not taken. What one buffer holds keeps its order.
+    pub(crate) fn write(&mut self, now: u64, batches: &[Batch], dropped: u64) {
         if dropped > 0 {
             if self.dropped == 0 {
                 tracing::warn!(
@@ -71,27 +77,78 @@ impl Writer {
             self.parts
                 .lost(dropped, "more happened than could be written");
         }
-        let mut all: Vec<(Head, &[u8])> = batch.iter().flat_map(|bytes| events(bytes)).collect();
-        if batch.len() > 1 {
-            // Stable: what one task did keeps its order.
-            all.sort_by_key(|(head, _)| head.at);
-        }
-        for (head, data) in all {
-            self.write_one(now, &head, data);
+        for noted in batches.iter().flat_map(Batch::noted) {
+            match noted {
+                Noted::Traffic { bytes, events, at } if self.channels.is_empty() => {
+                    self.stretch(now, at, bytes, events);
+                }
+                Noted::Traffic { bytes, .. } => self.chosen(now, bytes),
+                Noted::Told(told, data) => self.line(now, &told, data),
+            }
         }
         self.parts.tell_lost(now);
     }
 
-    fn write_one(&mut self, now: u64, head: &Head, data: &[u8]) {
-        match lines::write(head, data, &self.names, &mut self.json) {
+    /// Writes a stretch of what happened to messages, behind the names that it needs.
+    fn stretch(&mut self, now: u64, at: u64, bytes: &[u8], events: u64) {
+        if self.parts.ready(now) {
+            self.tell_names();
+        }
+        self.parts.write(
+            now,
+            &Line {
+                topic: "/events",
+                schema: EVENTS,
+                at,
+                bytes,
+                lines: events,
+            },
+        );
+    }
+
+    fn tell_names(&mut self) {
+        let (part, known) = self.told;
+        let known = if part == self.parts.number() {
+            known
+        } else {
+            0
+        };
+        if let Some((page, known)) = glossary::page(&self.names, known) {
+            self.parts.note(NAMES, page);
+            self.told = (self.parts.number(), known);
+        }
+    }
+
+    /// Writes what is wanted of a stretch.
+    fn chosen(&mut self, now: u64, bytes: &[u8]) {
+        let mut chosen = Batch::default();
+        for (event, data, _) in Events::new(bytes) {
+            let (topic, _) = lines::channel_of(&event.step, &self.names.task(event.key.task));
+            if self.takes(&topic) {
+                chosen.traffic(&event, |buffer| {
+                    buffer.extend_from_slice(data);
+                    true
+                });
+            }
+        }
+        for noted in chosen.noted() {
+            if let Noted::Traffic { bytes, events, at } = noted {
+                self.stretch(now, at, bytes, events);
+            }
+        }
+    }
+
+    fn line(&mut self, now: u64, told: &Told, data: &[u8]) {
+        match lines::told(told, data, &self.names, &mut self.json) {
             Ok((topic, _)) if !self.takes(&topic) => {}
             Ok((topic, schema)) => self.parts.write(
                 now,
                 &Line {
                     topic: &topic,
                     schema,
-                    at: head.at,
-                    json: &self.json,
+                    at: told.at,
+                    bytes: &self.json,
+                    lines: 1,
                 },
             ),
             Err(error) => {
@@ -109,5 +166,117 @@ impl Writer {
     /// Closes the record.
     pub(crate) fn close(&mut self, now: u64) {
         self.parts.close(now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{collections::BTreeMap, path::Path};
+
+    use super::*;
+    use crate::{
+        message::Tid,
+        record::{
+            event::{Ending, Key, Side, Step, Traffic},
+            parts::{Place, parts_of},
+            read::{Filter, Record},
+        },
+        registry::Registry,
+    };
+
+    const TASK: Tid = Tid::new(1, 1, 0);
+
+    fn writer(path: &Path) -> Writer {
+        let app = "[chassis.a.processors.p]\n[task.arm]\nhandler = \"h\"\non = \"a/p\"\n";
+        let app = crate::config::load_texts(&[("app.toml", app)], &[], &[]).unwrap();
+        let names = Arc::new(Names::new(&app, &Registry::new()));
+        let place = Place::new(path.to_owned(), 100_000, 100);
+        Writer::new(names, Parts::open(place, BTreeMap::new()).unwrap())
+    }
+
+    /// Message `id` to the task of this name, from itself, and what becomes of it.
+    fn batch(task: Tid, id: u64) -> Batch {
+        let mut batch = Batch::default();
+        let key = Key {
+            id,
+            task,
+            peer: task,
+            command: 0x0001,
+            trace: id,
+        };
+        let sent = Step::Sent {
+            flags: 0,
+            deadline: None,
+            side: Side::Here,
+        };
+        let ended = Step::Ended {
+            began: 10 * id,
+            ending: Ending::Done,
+        };
+        for step in [sent, Step::Began, ended] {
+            let event = Traffic {
+                at: 10 * id,
+                chassis: 1,
+                key,
+                step,
+            };
+            batch.traffic(&event, |data| {
+                data.extend_from_slice(&[7; 1000]);
+                true
+            });
+        }
+        batch
+    }
+
+    #[test]
+    fn each_file_of_a_record_can_be_read_by_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let mut writer = writer(&path);
+        let late = Tid::new(1, 1, 5);
+        for id in 1..=600 {
+            if id == 300 {
+                writer.names().name(late, &"late".into());
+            }
+            let task = if id < 300 { TASK } else { late };
+            writer.write(id, &[batch(task, id)], 0);
+        }
+        writer.close(600);
+        let files = parts_of(&path).unwrap();
+        assert!(files.len() > 3, "{files:?}");
+        let mut ids = Vec::new();
+        for file in files.into_values() {
+            let record = Record::read(&[file], &Filter::default()).unwrap();
+            assert_eq!(record.runs[0].torn, None);
+            for entry in &record.entries {
+                let Some(name) = entry.channel.topic.strip_prefix("/message/") else {
+                    continue;
+                };
+                let line: serde_json::Value = serde_json::from_slice(&entry.json).unwrap();
+                let id: u64 = line["id"].as_str().unwrap()[2..].parse().unwrap();
+                assert_eq!(name, if id < 300 { "arm" } else { "late" });
+                assert_eq!(line["from"], name);
+                ids.push(id);
+            }
+        }
+        assert_eq!(ids, (1..=600).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn of_chosen_channels_all_is_written_and_of_others_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let mut writer = writer(&path).choosing(vec!["/ended/a*".to_owned()]);
+        for id in 1..=9 {
+            writer.write(id, &[batch(TASK, id), batch(Tid::new(1, 1, 5), id)], 0);
+        }
+        assert_eq!(writer.report().lines, 9);
+        writer.close(9);
+        let record = Record::read(&[path], &Filter::default()).unwrap();
+        let topics = record
+            .entries
+            .iter()
+            .map(|entry| entry.channel.topic.as_str());
+        assert_eq!(topics.collect::<Vec<_>>(), ["/ended/arm"; 9]);
     }
 }

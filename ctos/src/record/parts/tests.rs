@@ -13,7 +13,8 @@ fn line(at: u64, json: &[u8]) -> Line<'_> {
         topic: "/x",
         schema: VALUE,
         at,
-        json,
+        bytes: json,
+        lines: 1,
     }
 }
 
@@ -204,7 +205,7 @@ mod slow {
     use crate::{
         message::Tid,
         record::{
-            event::{Happened, Head},
+            event::{Told, What},
             names::Names,
             recorder::Recorder,
             writer::Writer,
@@ -226,10 +227,9 @@ mod slow {
         let limit = 1 << 20;
         let flush = Duration::from_millis(1);
         let recorder = Recorder::threaded(Clock::real(), writer, 1, limit, flush).unwrap();
-        let head = Head {
+        let told = Told {
             at: 1,
-            chassis: 0,
-            what: Happened::Value {
+            what: What::Value {
                 channel: "/x".to_owned(),
             },
         };
@@ -237,7 +237,7 @@ mod slow {
         let refused = AtomicBool::new(false);
         // The pipe holds 64 KiB, the buffer 1 MiB, the writer one batch.
         for _ in 0..1000 {
-            let noted = recorder.note(Tid::default(), &head, |buffer| {
+            let noted = recorder.told(Tid::default(), &told, |buffer| {
                 buffer.extend_from_slice(json.as_bytes());
                 true
             });
