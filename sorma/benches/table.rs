@@ -223,7 +223,7 @@ impl Caller {
             let mut medians = Vec::new();
             for size in SIZES {
                 let request: Request = "nop@far EXEC".parse().unwrap();
-                let mut bytes = vec![1; size];
+                let mut bytes = sorma::Opaque::from(vec![1; size]);
                 let mut times = Vec::new();
                 let clock = Clock::real();
                 while clock.now().since_start() < LIMIT {

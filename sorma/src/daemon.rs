@@ -181,7 +181,8 @@ impl Daemon {
                 method: request.method,
                 body: request.body,
             };
-            let answer = sorm.ask(&Tasks::of(&here), request).await;
+            let mut answer = sorm.ask(&Tasks::of(&here), request).await;
+            answer.body.opaque.share();
             // Whoever asked may be gone.
             let _ = reply.ok(answer.body);
         });

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 /// One form of EXEC that a class understands, as it is written in the class's table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Form {
-    /// The text of the request: a word as it stands, or in capitals what stands there (`FILE`);
-    /// empty when the request has no text.
+    /// The text of the request: a word as it stands, in capitals what stands there (`FILE`), or the one
+    /// before the other (`camera NAME`); empty when the request has no text.
     pub text: &'static str,
     /// How many floats go in.
     pub floats: usize,
@@ -27,6 +27,19 @@ impl Form {
     pub fn is_placeholder(&self) -> bool {
         self.text
             .starts_with(|first: char| first.is_ascii_uppercase())
+    }
+
+    /// Whether the text of a request is of this form.
+    pub(crate) fn is_of(&self, text: &str) -> bool {
+        if self.is_placeholder() {
+            return !text.is_empty();
+        }
+        match self.text.split_once(' ') {
+            Some((word, _)) => text
+                .split_once(char::is_whitespace)
+                .is_some_and(|(first, rest)| first == word && !rest.trim().is_empty()),
+            None => self.text == text,
+        }
     }
 }
 

@@ -212,7 +212,7 @@ impl<T: Clone + Default> OptionTable<T> {
     /// What is wrong with the request, and what would have been right.
     pub fn form(&self, io: &Transport) -> Result<&'static Form, Report> {
         let text = io.text.trim();
-        let fits = |form: &&Form| form.text == text || form.is_placeholder() && !text.is_empty();
+        let fits = |form: &&Form| form.is_of(text);
         let mut fitting = self.forms.iter().filter(fits);
         // Forms of one text differ by the count of their floats.
         let counted = fitting.clone().find(|form| form.floats == io.floats.len());

@@ -116,6 +116,7 @@ impl Handle {
 
 impl Claim<'_> {
     /// EXEC, at the cost of a virtual call. Results and reports are in `io`.
+    #[inline]
     pub fn exec(&mut self, sorm: &Sorm, io: &mut Transport) {
         self.slot.exec(&mut self.body, sorm, None, io);
     }
@@ -188,8 +189,13 @@ impl Slot {
     #[inline]
     pub(crate) fn publish(&self, sorm: &Sorm, body: &Transport) {
         if let Some(results) = self.results.get() {
-            results.publish(sorm.now(), body);
+            Self::publish_to(results, sorm, body);
         }
+    }
+
+    #[cold]
+    fn publish_to(results: &Results, sorm: &Sorm, body: &Transport) {
+        results.publish(sorm.now(), body);
     }
 
     /// Waits until nobody else is served.
@@ -310,12 +316,10 @@ impl Slot {
         }
     }
 
+    /// EXEC of an object that is held. Into its caller goes what every call does; all else is apart.
+    #[inline]
     fn exec(&self, body: &mut Body, sorm: &Sorm, within: Option<&Context<'_>>, io: &mut Transport) {
-        if body.reserved.is_some()
-            && let Err(report) = self.free_for(body, sorm, &io.from)
-        {
-            io.code = 0;
-            io.report(report);
+        if (body.reserved.is_some() || self.waits()) && !self.may_exec(body, sorm, io) {
             return;
         }
         let cx = Context {
@@ -325,16 +329,29 @@ impl Slot {
         };
         io.code = 0;
         let before = io.reports.len();
-        let outcome = if self.waits() {
-            Err(self.must_wait())
-        } else {
-            body.object.exec(&cx, io)
-        };
+        let outcome = body.object.exec(&cx, io);
         body.meta.execs += 1;
         if outcome.is_err() || io.reports.len() != before || io.code != 0 {
             self.collect(body, sorm, before, outcome, io);
         }
         self.publish(sorm, io);
+    }
+
+    /// Whether an object that is locked, or waits for others, may be called so; if not, `io` says why.
+    #[cold]
+    fn may_exec(&self, body: &mut Body, sorm: &Sorm, io: &mut Transport) -> bool {
+        io.code = 0;
+        if let Err(report) = self.free_for(body, sorm, &io.from) {
+            io.report(report);
+            return false;
+        }
+        if self.waits() {
+            body.meta.execs += 1;
+            let before = io.reports.len();
+            self.collect(body, sorm, before, Err(self.must_wait()), io);
+            return false;
+        }
+        true
     }
 
     #[cold]

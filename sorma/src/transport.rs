@@ -1,6 +1,7 @@
 //! The transport structure: the one public data interface of every service object, used in both
 //! directions (SORMA technical report, section 1.3.3).
 
+use crate::opaque::Opaque;
 use crate::report::{Report, Severity};
 use crate::watching::Trace;
 use serde::{Deserialize, Serialize};
@@ -22,57 +23,11 @@ pub struct Transport {
     /// Whole numbers (`IMSG`).
     pub ints: Vec<i64>,
     /// Untyped bytes, for example an image. They have no textual form.
-    #[serde(with = "bytes")]
-    pub opaque: Vec<u8>,
+    pub opaque: Opaque,
     /// Return code: 0 when done, else the code of the error that stopped it.
     pub code: i32,
     /// Reports so far (`TDBX`), oldest first.
     pub reports: Vec<Report>,
-}
-
-/// Bytes as a whole and not one by one, which takes a hundred times as long; on the wire they are the same.
-mod bytes {
-    use serde::de::{Error, SeqAccess, Visitor};
-    use serde::{Deserializer, Serializer};
-    use std::fmt;
-
-    /// No more is reserved for what is only announced.
-    const MOST_RESERVED: usize = 64 * 1024;
-
-    pub(super) fn serialize<S: Serializer>(bytes: &[u8], to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_bytes(bytes)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<u8>, D::Error> {
-        from.deserialize_byte_buf(Bytes)
-    }
-
-    struct Bytes;
-
-    impl<'de> Visitor<'de> for Bytes {
-        type Value = Vec<u8>;
-
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("bytes")
-        }
-
-        fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Vec<u8>, E> {
-            Ok(bytes.to_vec())
-        }
-
-        fn visit_byte_buf<E: Error>(self, bytes: Vec<u8>) -> Result<Vec<u8>, E> {
-            Ok(bytes)
-        }
-
-        fn visit_seq<A: SeqAccess<'de>>(self, mut sequence: A) -> Result<Vec<u8>, A::Error> {
-            let announced = sequence.size_hint().unwrap_or_default();
-            let mut bytes = Vec::with_capacity(announced.min(MOST_RESERVED));
-            while let Some(byte) = sequence.next_element()? {
-                bytes.push(byte);
-            }
-            Ok(bytes)
-        }
-    }
 }
 
 impl Transport {

@@ -389,7 +389,7 @@ fn opaque_bytes_travel_by_reference_and_are_refused_as_text() {
     struct Camera;
     impl ServiceObject for Camera {
         fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-            io.opaque = vec![1, 2, 3];
+            io.opaque = vec![1, 2, 3].into();
             Ok(())
         }
         fn ctrl(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {

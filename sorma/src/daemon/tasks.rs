@@ -73,6 +73,7 @@ impl Tasks {
             method: request.method,
             body: request.body,
         };
+        ask.body.opaque.share();
         if ask.body.from.is_empty() {
             ask.body.from = self.from();
         }

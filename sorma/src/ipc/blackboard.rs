@@ -4,6 +4,7 @@
 use super::{Host, NOT_YET, after, code, empty, int, number, split, wrong};
 use crate::name::suggestion;
 use crate::object::{Context, Outcome, ServiceObject};
+use crate::opaque::Opaque;
 use crate::options::OptionTable;
 use crate::report::Report;
 use crate::transport::Transport;
@@ -18,7 +19,7 @@ struct Entry {
     at: Instant,
     text: String,
     floats: Vec<f64>,
-    opaque: Vec<u8>,
+    opaque: Opaque,
 }
 
 #[derive(Debug, Clone)]
@@ -60,7 +61,7 @@ impl Board {
             at,
             text: text.to_owned(),
             floats: io.floats.clone(),
-            opaque: io.opaque.clone(),
+            opaque: io.opaque.to_own(),
         };
         self.entries.insert(key.to_owned(), entry);
         Ok(self.version)

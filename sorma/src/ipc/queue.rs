@@ -4,6 +4,7 @@
 use super::tickets::{Tickets, Turn};
 use super::{Host, NOT_YET, after, code, empty, int, number, seconds, split, wrong};
 use crate::object::{Context, Outcome, ServiceObject};
+use crate::opaque::Opaque;
 use crate::options::OptionTable;
 use crate::report::Report;
 use crate::transport::Transport;
@@ -18,7 +19,7 @@ struct Item {
     text: String,
     floats: Vec<f64>,
     ints: Vec<i64>,
-    opaque: Vec<u8>,
+    opaque: Opaque,
 }
 
 /// A bounded queue with a line of those who wait for items.
@@ -150,7 +151,7 @@ impl ServiceObject for QueueObject {
                     text: after(&text, 1)?,
                     floats: io.floats.clone(),
                     ints: io.ints.clone(),
-                    opaque: io.opaque.clone(),
+                    opaque: io.opaque.to_own(),
                 };
                 self.queue.put(item)?;
                 empty(io);

@@ -59,7 +59,7 @@ impl ServiceObject for Scale {
         for float in &mut io.floats {
             *float *= self.factor;
         }
-        io.opaque.reverse();
+        io.opaque.to_mut().reverse();
         Ok(())
     }
 
