@@ -553,3 +553,6 @@ impl Incoming {
         must
     }
 }
+
+#[cfg(test)]
+mod tests;
