@@ -10,7 +10,7 @@ use std::fmt;
 use std::ops::Deref;
 
 /// Bytes, for example an image. To be read as a slice; whoever writes to them has them alone.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub struct Opaque {
     own: Vec<u8>,
     /// What stands in place of its own.
@@ -51,6 +51,21 @@ impl Opaque {
         if !self.own.is_empty() && self.shared.is_none() {
             self.shared = Some(std::mem::take(&mut self.own).into());
         }
+    }
+}
+
+impl Clone for Opaque {
+    fn clone(&self) -> Self {
+        Self {
+            own: self.own.clone(),
+            shared: self.shared.clone(),
+        }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        // What is its own keeps its memory.
+        self.own.clone_from(&other.own);
+        self.shared.clone_from(&other.shared);
     }
 }
 

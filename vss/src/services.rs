@@ -29,10 +29,10 @@ sorma::prototypes! {
             "the text says what is missing: points, depth, or agreement";
         REJECTED = 143, Warning, "points of a table were not used",
             "look at the rows: they are off by more than the noise explains";
-        CAMERA = 145, Error, "no picture comes from a camera",
-            "the text says why; cameras are those of the app's [vss.cameras], and only an app has some";
         NO_SPOT = 144, Warning, "there is no spot in a picture, or there are too many",
             "look at the picture, then at -threshold, -polarity and -min-area";
+        CAMERA = 145, Error, "no picture comes from a camera",
+            "the text says why; cameras are those of the app's [vss.cameras], and only an app has some";
     }
 }
 

@@ -252,7 +252,7 @@ fn one_line_of_text_has_a_camera_of_the_app_find_spots() {
             ("spot EXEC camera broken", "no signal"),
         ] {
             let refused = told(&cx, line).await?;
-            assert_eq!(refused.code, vss::services::code::CAMERA.code);
+            assert_eq!(refused.code, vss::services::code::CAMERA);
             assert!(refused.reports[0].text.contains(why), "{refused:?}");
             assert!(refused.floats.is_empty() && refused.ints.is_empty());
         }

@@ -163,7 +163,7 @@ fn what_is_no_request_says_what_would_have_been_right() {
 #[test]
 fn opaque_bytes_are_refused_and_not_dropped() {
     let body = Transport {
-        opaque: vec![1, 2],
+        opaque: vec![1, 2].into(),
         ..Transport::default()
     };
     let request = Request {

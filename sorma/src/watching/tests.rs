@@ -101,7 +101,7 @@ fn what_is_long_is_cut_and_says_so() {
     let long = Transport {
         text: "é".repeat(10_000),
         floats: vec![0.5; 1000],
-        opaque: vec![0; 5],
+        opaque: vec![0; 5].into(),
         ..Transport::default()
     };
     let text = request_text("foo.a", Method::Exec, &long);
