@@ -1,14 +1,16 @@
 //! The program `scott`, the inspector: service objects asked by lines of text (SORMA technical report,
 //! section 1.8.1).
 //!
-//! [`services`] gathers the objects, [`attach`] reaches those of a running app, [`script`] is the grammar, [`session`] runs it, [`prompt`] is the
-//! line editor, [`complete`] what it offers.
+//! [`services`] gathers the objects, [`attach`] reaches those of a running app, [`lines`] reads scripts, [`script`] is the grammar, [`session`]
+//! runs it, [`replies`] writes what comes of it, [`prompt`] is the line editor, [`complete`] what it offers.
 
 pub mod attach;
 pub mod backend;
 pub mod complete;
 pub mod follow;
+pub mod lines;
 pub mod prompt;
+pub mod replies;
 pub mod script;
 pub mod services;
 pub mod session;

@@ -339,6 +339,7 @@ fn unknown_names_and_options_are_answered_with_the_nearest() {
             "-size: write -size W H, each 1..100000 px",
         ),
         ("spot EXEC TMSG no/such.png", "cannot read `no/such.png`"),
+        ("spot EXEC camera west", "there is no camera `west` here"),
     ];
     for (request, text) in cases {
         let ended = run(&["-c", request]);

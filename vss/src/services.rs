@@ -1,6 +1,7 @@
 //! What this crate can do, as classes of service objects (SORMA technical report, chapter 1).
 //!
-//! The classes here need no running app and no camera: they work on files. Their texts and numbers are a
+//! The classes here need no running app and no camera: they work on files; in an app `spot` has its cameras take
+//! pictures besides. Their texts and numbers are a
 //! fixed interface that other programs lean on: metres, rad, pixels with centres at whole numbers.
 
 mod resect;
@@ -30,12 +31,16 @@ sorma::prototypes! {
             "look at the rows: they are off by more than the noise explains";
         NO_SPOT = 144, Warning, "there is no spot in a picture, or there are too many",
             "look at the picture, then at -threshold, -polarity and -min-area";
+        CAMERA = 145, Error, "no picture comes from a camera",
+            "the text says why; cameras are those of the app's [vss.cameras], and only an app has some";
     }
 }
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
     let spot = Class::new("spot", VERSION, |_, _| Ok(Box::new(spot::Spot::default())));
+    // A camera's picture is waited for.
+    let spot = spot.waits();
     let resect = Class::new("resect", VERSION, |_, _| {
         Ok(Box::new(resect::Resect::default()))
     });

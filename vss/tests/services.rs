@@ -112,6 +112,9 @@ mode = "virtual"
 [task.client]
 handler = "test.client"
 on = "ws1"
+[task.objects]
+handler = "sorma.daemon"
+on = "ws1"
 [vss]
 on = "cage_vision"
 services = ["SpotFind", "Calibrate"]
@@ -171,6 +174,9 @@ where
     let scenario: Scenario = Arc::new(move |cx| Box::pin(scenario(cx)));
     let mut registry = Registry::new();
     vss::register(&mut registry, sources());
+    sorma::daemon::register(&mut registry, sorma::Dictionary::new(), |_, sorm| {
+        vss::services::register(sorm);
+    });
     registry.handler("test.client", &[], move |_| Ok(Client(scenario.clone())));
     registry
 }
@@ -208,6 +214,84 @@ fn spot_find(camera: &str) -> SpotFind {
     SpotFind {
         camera: camera.to_owned(),
     }
+}
+
+/// What an object of the app answers to a line of text.
+async fn told(cx: &Context, line: &str) -> Result<sorma::Transport, HandlerError> {
+    let say = sorma::daemon::Say {
+        line: line.to_owned(),
+        from: "a person".to_owned(),
+        trace: 0,
+    };
+    let reply = ask(cx, "objects", say).await?.parse::<sorma::Reply>();
+    let reply = reply.map_err(|error| HandlerError::new(error.to_string()))?;
+    Ok(reply.body)
+}
+
+#[test]
+fn one_line_of_text_has_a_camera_of_the_app_find_spots() {
+    run(|cx| async move {
+        // The noise makes small things that are no lamps.
+        told(&cx, "spot CTRL -threshold 90 -min-area 5").await?;
+        let seen = told(&cx, "spot EXEC camera left").await?;
+        assert!(seen.is_ok(), "{:?}", seen.reports);
+        assert!((seen.floats[0] - 41.3).hypot(seen.floats[1] - 30.8) < 0.2);
+        // The camera takes a second.
+        assert_eq!(seen.ints[..2], [1, 0]);
+        assert_eq!(Ok(seen.ints[2]), i64::try_from(cx.now().as_nanos()));
+        let again = told(&cx, "spot EXEC TMSG camera left").await?;
+        assert_eq!(again.ints[..2], [1, 1]);
+        let dark = told(&cx, "spot EXEC camera dark").await?;
+        assert_eq!((dark.code, dark.ints[0]), (0, 0));
+        assert!(dark.reports[0].text.contains("has no spot"), "{dark:?}");
+        for (line, why) in [
+            (
+                "spot EXEC camera leftt",
+                "no camera is called `leftt`; there are: ",
+            ),
+            ("spot EXEC camera broken", "no signal"),
+        ] {
+            let refused = told(&cx, line).await?;
+            assert_eq!(refused.code, vss::services::code::CAMERA);
+            assert!(refused.reports[0].text.contains(why), "{refused:?}");
+            assert!(refused.floats.is_empty() && refused.ints.is_empty());
+        }
+        // Another tool than this app's is named with the task that is not there.
+        told(&cx, "spot CTRL -tool toolSnip").await?;
+        let refused = told(&cx, "spot EXEC camera left").await?;
+        assert!(refused.reports[0].text.contains("toolSnip"), "{refused:?}");
+        Ok(String::new())
+    });
+}
+
+#[test]
+fn the_table_of_lights_is_answered_in_the_app_as_without_one() {
+    run(|cx| async move {
+        let refused = told(&cx, "resect EXEC lights.csv").await?;
+        assert!(refused.reports[0].text.contains("-size W H"), "{refused:?}");
+        let folder = tempfile::tempdir().map_err(|error| HandlerError::new(error.to_string()))?;
+        let path = folder.path().join("lights.csv");
+        let mut table = String::from("X,Y,Z,u,v\n");
+        // A camera at the origin that looks along z: u = 500 x/z + 320, v = 510 y/z + 240.
+        for k in 0..40 {
+            let at = f64::from(k);
+            let (x, y, z) = (
+                (at * 1.3).sin(),
+                (at * 2.1).cos() * 0.8,
+                3.0 + (at * 0.7).sin(),
+            );
+            let (u, v) = (500.0 * x / z + 320.0, 510.0 * y / z + 240.0);
+            table += &format!("{x:?},{y:?},{z:?},{u:?},{v:?}\n");
+        }
+        std::fs::write(&path, table).map_err(|error| HandlerError::new(error.to_string()))?;
+        told(&cx, "resect CTRL -size 640 480 -model none").await?;
+        let found = told(&cx, &format!("resect EXEC {}", path.display())).await?;
+        assert!(found.is_ok(), "{:?}", found.reports);
+        for (found, true_value) in found.floats.iter().zip([500.0, 510.0, 320.0, 240.0]) {
+            assert!((found - true_value).abs() < 1e-3, "{found} {true_value}");
+        }
+        Ok(String::new())
+    });
 }
 
 #[test]

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use sorma::{ClassInfo, Reply};
 
 use super::script::{Panel, Widget};
-use crate::scott::session;
+use crate::scott::replies;
 
 /// Who meets the lines of a page. What comes back is a reply, whatever happens.
 pub(super) trait Objects: Send + Sync + 'static {
@@ -87,7 +87,7 @@ impl Desk {
     /// What an object answers to a line, for a page.
     pub(super) async fn ask(&self, line: &str) -> Value {
         match self.objects.ask(line.to_owned()).await.parse::<Reply>() {
-            Ok(reply) => session::as_json(&reply, None),
+            Ok(reply) => replies::as_json(&reply, None),
             Err(error) => {
                 json!({ "ret": 7, "text": "", "reports": [{ "text": error.to_string() }] })
             }

@@ -240,9 +240,14 @@ impl App {
             Ok(client) => client.ask(request),
             Err(error) => return Ok(Err(error.to_string())),
         };
-        if let Err(error) = asked {
-            self.client = None;
-            return Ok(Err(lost(&self.name, &error.to_string())));
+        match asked {
+            Ok(()) => {}
+            // Nothing was sent.
+            Err(ClientError::Refused(refused)) => return Ok(Err(refused.message)),
+            Err(error) => {
+                self.client = None;
+                return Ok(Err(lost(&self.name, &error.to_string())));
+            }
         }
         loop {
             let Some(client) = &mut self.client else {

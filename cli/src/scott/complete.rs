@@ -169,7 +169,11 @@ fn requests(class: &ClassInfo, rest: &[&str], begun: &str) -> Vec<Candidate> {
         .forms
         .iter()
         .filter(|form| !form.placeholder && !form.text.is_empty())
-        .map(|form| candidate(&form.text, &form.help))
+        .map(|form| {
+            // Of `camera NAME` the word that stands as it is; the name is the user's.
+            let word = form.text.split(' ').next().unwrap_or_default();
+            candidate(word, &form.help)
+        })
         .collect();
     if class.forms.iter().any(|form| form.text == "FILE") {
         all.extend(files(begun));
@@ -286,10 +290,15 @@ fn next_of_request(class: &ClassInfo, rest: &[&str]) -> String {
             texts.join(" | ")
         }
         [text] => {
-            let form = class.forms.iter().find(|form| form.text == *text);
-            form.filter(|form| form.floats > 0)
-                .map(takes)
-                .unwrap_or_default()
+            let begins = |form: &&FormInfo| form.text.split(' ').next() == Some(*text);
+            let Some(form) = class.forms.iter().find(begins) else {
+                return String::new();
+            };
+            match form.text.split_once(' ') {
+                Some((_, name)) => format!("<{name}> {}", form.help),
+                None if form.floats > 0 => takes(form),
+                None => String::new(),
+            }
         }
         _ => String::new(),
     }

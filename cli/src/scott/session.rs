@@ -2,25 +2,23 @@
 
 use std::{
     fmt,
-    io::{self, BufRead, Read},
+    io::{self, Read},
     sync::mpsc::SyncSender,
     time::Duration,
 };
 
 use ctos::time::Clock;
-use serde_json::{Value, json};
-use sorma::{Reply, Report, Transport, report::code, words};
+use sorma::{Reply, Transport, report::code, words};
 
 use super::{
     attach::{Interrupt, Interrupted},
     backend::Backend,
+    lines::{LONGEST_LINE, next_line},
+    replies::{self, Times, told},
     script::{self, Expectation, Statement, Variables},
     watch::{self, Wanted},
 };
 use crate::{exit, show};
-
-/// A longer line is refused and skipped, bytes.
-pub const LONGEST_LINE: usize = 16 << 20;
 
 /// Runs statements.
 pub struct Session {
@@ -367,10 +365,10 @@ impl Session {
             Err(error) => return self.fail(place, &error.to_string(), exit::FAILED),
         };
         let written = if self.json {
-            show::data(&as_json(&reply, times).to_string())
+            show::data(&replies::as_json(&reply, times).to_string())
         } else {
             let text = if self.for_people {
-                for_people(&reply)
+                replies::for_people(&reply)
             } else {
                 text.to_owned()
             };
@@ -432,157 +430,11 @@ impl Session {
     }
 }
 
-/// A reply for people: its text as it stands, its numbers, and what was reported. Of an error nothing,
-/// which is shown as such.
-fn for_people(reply: &Reply) -> String {
-    let body = &reply.body;
-    if !body.is_ok() {
-        return String::new();
-    }
-    let mut lines = Vec::new();
-    if !body.text.is_empty() {
-        lines.push(body.text.clone());
-    }
-    if !body.floats.is_empty() {
-        let floats: Vec<String> = body
-            .floats
-            .iter()
-            .map(|float| format!("{float:?}"))
-            .collect();
-        lines.push(format!("FMSG {} {}", floats.len(), floats.join(" ")));
-    }
-    if !body.ints.is_empty() {
-        let ints: Vec<String> = body.ints.iter().map(ToString::to_string).collect();
-        lines.push(format!("IMSG {} {}", ints.len(), ints.join(" ")));
-    }
-    if lines.is_empty() {
-        lines.push("done".to_owned());
-    }
-    lines.extend(body.reports.iter().map(told));
-    lines.join("\n")
-}
-
-/// A report for people, its text not indented deeper than needed.
-fn told(report: &Report) -> String {
-    report.to_string().replace('\n', "\n    ")
-}
-
 /// The exit code that a return code means.
 fn exit_of(ret: i32) -> u8 {
     match ret {
         code::UNKNOWN_CLASS | code::UNKNOWN_FLAVOR => exit::NO_SUCH_NAME,
         code::DAEMON => exit::UNREACHABLE,
         _ => exit::FAILED,
-    }
-}
-
-/// How long requests took.
-pub(crate) struct Times {
-    repeats: Option<usize>,
-    least: Duration,
-    median: Duration,
-    longest: Duration,
-}
-
-impl Times {
-    fn text(&self) -> String {
-        let us = |time: Duration| format!("{:.3} us", time.as_secs_f64() * 1e6);
-        match self.repeats {
-            None => format!("# time {}", us(self.median)),
-            Some(count) => format!(
-                "# repeat {count}: min {}, median {}, max {}",
-                us(self.least),
-                us(self.median),
-                us(self.longest)
-            ),
-        }
-    }
-}
-
-/// A reply as one JSON object; floats that JSON does not have are texts as in the textual form.
-pub(crate) fn as_json(reply: &Reply, times: Option<&Times>) -> Value {
-    let float = |float: &f64| match serde_json::Number::from_f64(*float) {
-        Some(number) => Value::Number(number),
-        None => json!(format!("{float:?}").to_lowercase()),
-    };
-    let report = |report: &Report| {
-        json!({
-            "severity": report.severity.word(),
-            "code": report.code,
-            "text": report.text,
-            "object": report.object,
-            "process": report.process,
-            "time_ns": report.time_ns,
-            "file": report.file,
-            "line": report.line,
-        })
-    };
-    let body = &reply.body;
-    let mut object = json!({
-        "name": reply.name.to_string(),
-        "ret": body.code,
-        "text": body.text,
-        "floats": body.floats.iter().map(float).collect::<Vec<_>>(),
-        "ints": body.ints,
-        "reports": body.reports.iter().map(report).collect::<Vec<_>>(),
-    });
-    if let (Some(times), Some(object)) = (times, object.as_object_mut()) {
-        let us = |time: Duration| json!(time.as_secs_f64() * 1e6);
-        let told = match times.repeats {
-            None => us(times.median),
-            Some(count) => json!({
-                "count": count,
-                "min": us(times.least),
-                "median": us(times.median),
-                "max": us(times.longest),
-            }),
-        };
-        object.insert("time_us".to_owned(), told);
-    }
-    object
-}
-
-/// The next line without its end, or why it cannot be one: it is too long (and skipped to its end) or
-/// not UTF-8. `None` after the last.
-fn next_line(input: &mut impl BufRead) -> io::Result<Option<Result<String, String>>> {
-    let mut bytes = Vec::new();
-    let most = u64::try_from(LONGEST_LINE).unwrap_or(u64::MAX) + 1;
-    input.by_ref().take(most).read_until(b'\n', &mut bytes)?;
-    if bytes.is_empty() {
-        return Ok(None);
-    }
-    if bytes.len() > LONGEST_LINE && !bytes.ends_with(b"\n") {
-        let rest = skip_line(input)?;
-        let read = u64::try_from(bytes.len()).unwrap_or(u64::MAX);
-        let length = read.saturating_add(rest);
-        let why = format!("the line has {length} bytes; lines up to {LONGEST_LINE} bytes are read");
-        return Ok(Some(Err(why)));
-    }
-    while bytes.last().is_some_and(|last| b"\r\n".contains(last)) {
-        bytes.pop();
-    }
-    Ok(Some(String::from_utf8(bytes).map_err(|error| {
-        let at = error.utf8_error().valid_up_to() + 1;
-        format!("byte {at} of the line is not UTF-8")
-    })))
-}
-
-/// Reads to the end of the line without keeping it; the bytes that it had.
-fn skip_line(input: &mut impl BufRead) -> io::Result<u64> {
-    let mut length = 0;
-    loop {
-        let part = input.fill_buf()?;
-        if part.is_empty() {
-            return Ok(length);
-        }
-        let (used, done) = match part.iter().position(|byte| *byte == b'\n') {
-            Some(at) => (at + 1, true),
-            None => (part.len(), false),
-        };
-        input.consume(used);
-        length += u64::try_from(used).unwrap_or(u64::MAX);
-        if done {
-            return Ok(length);
-        }
     }
 }

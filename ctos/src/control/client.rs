@@ -14,7 +14,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use crate::{
     control::{
         Socket, place,
-        protocol::{Answer, Ask, ErrorCode, ErrorView, Request, VERSION},
+        protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
     },
     message::{Command, Data},
     security::{BlockingStream, KeyError, Keys, Role},
@@ -322,6 +322,13 @@ impl Client {
             app: self.app.app.clone(),
             reason: error.to_string(),
         })?;
+        if line.len() >= REQUEST_LIMIT {
+            return Err(ClientError::Refused(ErrorView {
+                code: ErrorCode::BadRequest,
+                message: too_long(Some(line.len() + 1)),
+                known: Vec::new(),
+            }));
+        }
         let stream = self.stream.get_mut();
         let written = stream
             .write_all(format!("{line}\n").as_bytes())

@@ -13,7 +13,10 @@ use std::{
 };
 
 use tokio::{
-    io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
+    io::{
+        AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt,
+        BufReader,
+    },
     sync::broadcast,
 };
 
@@ -23,7 +26,7 @@ use crate::{
     control::{
         LogStore,
         moves::Moving,
-        protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION},
+        protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
         recording::Recordings,
         server::{News, Ticker},
         view,
@@ -158,7 +161,7 @@ impl Desk {
         let mut news = self.ticker.subscribe();
         loop {
             let mut line = Vec::new();
-            let mut limited = (&mut reader).take(REQUEST_LIMIT);
+            let mut limited = (&mut reader).take(REQUEST_LIMIT as u64);
             tokio::select! {
                 read = limited.read_until(b'\n', &mut line) => {
                     if read? == 0 {
@@ -169,11 +172,16 @@ impl Desk {
                 () = ended(&mut news) => return Ok(()),
             }
             if line.last() != Some(&b'\n') {
-                let long = error(
-                    ErrorCode::BadRequest,
-                    "a request is one line of at most 64 KiB",
-                );
-                return tell(&mut writer, &long).await;
+                // The rest is read, for whoever still writes does not read what is told.
+                let more = tokio::select! {
+                    skipped = skip_line(&mut reader) => skipped?,
+                    () = ended(&mut news) => return Ok(()),
+                };
+                tell(&mut writer, &error(ErrorCode::BadRequest, too_long(None))).await?;
+                if !more {
+                    return Ok(());
+                }
+                continue;
             }
             match serde_json::from_slice::<Ask>(&line) {
                 Ok(ask) if ask.version > VERSION => {
@@ -253,6 +261,22 @@ impl Desk {
                 }
                 Ok(())
             }
+        }
+    }
+}
+
+/// Reads to the end of the line and keeps nothing of it. False when it has no end.
+async fn skip_line(reader: &mut (impl AsyncBufRead + Unpin)) -> io::Result<bool> {
+    loop {
+        let part = reader.fill_buf().await?;
+        if part.is_empty() {
+            return Ok(false);
+        }
+        let end = part.iter().position(|byte| *byte == b'\n');
+        let used = end.map_or(part.len(), |at| at + 1);
+        reader.consume(used);
+        if end.is_some() {
+            return Ok(true);
         }
     }
 }

@@ -14,8 +14,14 @@ use crate::{
 /// The version of the protocol.
 pub const VERSION: u32 = 1;
 
-/// The longest request, bytes.
-pub(crate) const REQUEST_LIMIT: u64 = 64 * 1024;
+/// The longest request with its end of line, bytes.
+pub const REQUEST_LIMIT: usize = 1 << 20;
+
+/// What is said of a longer one.
+pub(crate) fn too_long(length: Option<usize>) -> String {
+    let has = length.map_or_else(String::new, |length| format!(", and this one has {length}"));
+    format!("a request to an app is one line of at most {REQUEST_LIMIT} bytes{has}")
+}
 
 /// A line that a client writes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

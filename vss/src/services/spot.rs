@@ -1,23 +1,40 @@
-//! The class `spot`: the spots of a picture in a file.
+//! The class `spot`: the spots of a picture, from a file or, in an app, from one of its cameras.
 
 use std::{sync::LazyLock, time::Duration};
 
-use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport};
+use futures_util::future::LocalBoxFuture;
+use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
 
 use super::{check_file, code, ended};
 use crate::{
+    command::Snap,
     frame::Frame,
     spot::{SpotsOptions, find_spots},
 };
 
-const FORMS: &[Form] = &[Form {
-    text: "FILE",
-    floats: 0,
-    takes: "",
-    gives: "3 n floats: u, v (px, pixel centres at whole numbers) and area (px) of each spot, \
-            in the order of their first pixels, row by row; 1 int: n",
-    help: "finds the spots of a picture (PNG)",
-}];
+/// A picture is taken when the camera is free.
+const SOON: Duration = Duration::from_secs(60);
+
+/// The first word of a request for a camera's picture.
+const CAMERA: &str = "camera";
+
+const FORMS: &[Form] = &[
+    Form {
+        text: "camera NAME",
+        floats: 0,
+        takes: "",
+        gives: "as FILE; 3 ints: n, the picture's number, and when its exposure ended, ns of the app's time",
+        help: "has a camera of the app take a picture and finds its spots",
+    },
+    Form {
+        text: "FILE",
+        floats: 0,
+        takes: "",
+        gives: "3 n floats: u, v (px, pixel centres at whole numbers) and area (px) of each spot, \
+                in the order of their first pixels, row by row; 1 int: n",
+        help: "finds the spots of a picture (PNG)",
+    },
+];
 
 #[derive(Debug, Clone)]
 pub(super) struct Options {
@@ -28,6 +45,7 @@ pub(super) struct Options {
     max_ratio: f64,
     border: bool,
     most: i64,
+    tool: String,
 }
 
 impl Default for Options {
@@ -41,6 +59,7 @@ impl Default for Options {
             max_ratio: spots.max_ratio,
             border: spots.border,
             most: 10_000,
+            tool: "toolSnap".to_owned(),
         }
     }
 }
@@ -112,6 +131,12 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
             "most spots that are answered; more are an error, for then the options are wrong",
             |options| &mut options.most,
         )
+        .word(
+            "tool",
+            "TASK",
+            "the app's task that takes pictures",
+            |options| &mut options.tool,
+        )
 });
 
 /// An object of class `spot`.
@@ -119,9 +144,15 @@ pub(super) static TABLE: LazyLock<OptionTable<Options>> = LazyLock::new(|| {
 pub(super) struct Spot(Options);
 
 impl ServiceObject for Spot {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let outcome = TABLE.form(io).and_then(|_| self.find(io));
-        ended(io, outcome)
+    fn exec_waiting<'a>(
+        &'a mut self,
+        cx: &'a Waiting<'a>,
+        io: &'a mut Transport,
+    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+        Some(Box::pin(async move {
+            let outcome = self.job(cx, io).await;
+            ended(io, outcome)
+        }))
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
@@ -135,26 +166,60 @@ impl ServiceObject for Spot {
 }
 
 impl Spot {
-    fn find(&self, io: &mut Transport) -> Outcome {
-        let path = io.text.trim();
-        let frame = read(path)?;
-        let found = find_spots(&frame, &self.0.spots())
-            .map_err(|why| Report::error(code::FILE, format!("`{path}`: {why}")))?;
+    async fn job(&self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
+        TABLE.form(io)?;
+        let text = io.text.trim().to_owned();
+        match text.split_once(char::is_whitespace) {
+            Some((CAMERA, name)) => {
+                let name = name.trim();
+                let frame = self.snap(cx, name).await?;
+                self.find(&format!("the picture of camera `{name}`"), &frame, io)?;
+                let stamp_ns = i64::try_from(frame.stamp.as_nanos()).unwrap_or(i64::MAX);
+                let number = i64::try_from(frame.number).unwrap_or(i64::MAX);
+                io.ints.extend([number, stamp_ns]);
+                Ok(())
+            }
+            _ => self.find(&format!("`{text}`"), &read(&text)?, io),
+        }
+    }
+
+    /// A picture that a camera of the app takes now.
+    async fn snap(&self, cx: &Waiting<'_>, camera: &str) -> Result<Frame, Report> {
+        let wrong = |text: String| Report::error(code::CAMERA, text);
+        if !cx.is_in_app() {
+            return Err(wrong(format!(
+                "there is no camera `{camera}` here, for no app runs here: attach to one, or give the name of a file"
+            )));
+        }
+        let tool = &self.0.tool;
+        let request = Snap {
+            camera: camera.to_owned(),
+        };
+        let taken = cx.call_task(tool, request, SOON).await;
+        taken.map_err(|why| {
+            let text = &why.text;
+            wrong(format!("camera `{camera}` gives no picture: {text}"))
+        })
+    }
+
+    /// Answers with the spots of a picture that is called `what`.
+    fn find(&self, what: &str, frame: &Frame, io: &mut Transport) -> Outcome {
+        let found = find_spots(frame, &self.0.spots())
+            .map_err(|why| Report::error(code::FILE, format!("{what}: {why}")))?;
         let count = found.spots.len();
         let most = usize::try_from(self.0.most).unwrap_or(usize::MAX);
         if count > most {
             let text = format!(
-                "`{path}` has {count} spots, more than -most {most}; raise -min-area or -threshold"
+                "{what} has {count} spots, more than -most {most}; raise -min-area or -threshold"
             );
             return Err(Report::error(code::NO_SPOT, text));
         }
-        let path = path.to_owned();
         if let Some(why) = &found.nothing {
-            let text = format!("`{path}` has no spot: {why}");
+            let text = format!("{what} has no spot: {why}");
             io.report(Report::warning(code::NO_SPOT, text));
         } else if count == 0 {
             let text = format!(
-                "`{path}` has no spot: {} things reach the threshold, and none has the area, the ratio and the place asked for",
+                "{what} has no spot: {} things reach the threshold, and none has the area, the ratio and the place asked for",
                 found.refused
             );
             io.report(Report::warning(code::NO_SPOT, text));

@@ -5,6 +5,7 @@ use crate::{
     camera::{Camera, Distortion, Intrinsics},
     spot::noise_sd,
 };
+use futures_util::FutureExt as _;
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -20,7 +21,8 @@ fn manager() -> Sorm {
 }
 
 fn ask(sorm: &Sorm, line: &str) -> Transport {
-    sorm.dispatch(line).parse::<Reply>().unwrap().body
+    let told = sorm.tell(&sorma::Alone, line, "").now_or_never().unwrap();
+    told.parse::<Reply>().unwrap().body
 }
 
 /// The code and text of the error that ends a request, whose reply holds nothing else.
