@@ -2,7 +2,7 @@
 //!
 //! - [`model`]: a net as the analyses see it, numbers only;
 //! - [`explicit`]: its markings one by one; [`returns`]: where they lead in the end;
-//! - [`symbolic`]: the markings as a decision diagram;
+//! - [`symbolic`]: the markings as a decision diagram; [`stubborn`]: whether any is dead, by looking at few;
 //! - [`cover`]: what an unbounded net can cover; [`structure`]: what follows from the arcs alone;
 //! - [`question`]: what an author asks about them;
 //! - [`verdict`]: all that in numbers;
@@ -17,6 +17,7 @@ pub mod question;
 pub mod returns;
 mod store;
 pub mod structure;
+pub mod stubborn;
 pub mod symbolic;
 pub mod verdict;
 

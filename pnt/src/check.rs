@@ -513,11 +513,15 @@ impl Judge<'_> {
             .iter()
             .zip(&self.looked.explored.bounds);
         let (place, bound) = place.max_by_key(|(_, bound)| **bound)?;
+        let lives = match self.looked.verdict.deadlock_free {
+            Some(true) => "; there is no deadlock, by stubborn sets",
+            _ => "",
+        };
         Some(
             Finding::error(
                 "pnt::check::not_proved",
                 format!(
-                    "not proved: more than {} markings; `{}` has held up to {bound} tokens so far",
+                    "not proved: more than {} markings; `{}` has held up to {bound} tokens so far{lives}",
                     self.looked.explored.markings, place.name
                 ),
             )

@@ -23,7 +23,7 @@ use file::File;
 use simulated::Simulated;
 
 /// The version of the form of a store's file, and of what nets write into it.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// Everything that a store holds.
 pub type Contents = BTreeMap<String, Vec<u8>>;

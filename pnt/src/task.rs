@@ -14,6 +14,7 @@ mod firing;
 mod journal;
 mod load;
 mod messages;
+mod once;
 mod publish;
 mod replace;
 mod settings;
@@ -39,17 +40,18 @@ use crate::{
     store::{Contents, Owner, Store},
     stream::{Describe, Follow},
 };
-use engine::Engine;
+use engine::{Asker, Engine};
 pub use load::{check_app, check_args, check_nets, load, net_tasks, nets};
 pub use messages::{
-    Control, FiringEvent, Marking, Order, Output, PutTape, ReadTape, Snapshot, TapeAnswer, Tokens,
-    Transfer,
+    Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId, Snapshot,
+    TapeAnswer, Tokens, Transfer,
 };
 pub use settings::{KEYS, Settings, args, args_of, settings};
 
 /// The commands of every net task, for registration.
-pub const COMMANDS: [CommandInfo; 7] = [
+pub const COMMANDS: [CommandInfo; 8] = [
     PutTape::INFO,
+    PutOnce::INFO,
     Tokens::INFO,
     Marking::INFO,
     Control::INFO,
@@ -180,7 +182,13 @@ impl<S: 'static> EventHandler for NetTask<S> {
         match message.command() {
             PutTape::CODE => {
                 let (request, reply) = message.open::<PutTape>()?;
-                self.engine.put_tape(cx, request, reply)
+                let PutTape { symbol, arguments } = request;
+                self.engine
+                    .put_tape(cx, (symbol, arguments), Asker::Plain(reply))
+            }
+            PutOnce::CODE => {
+                let (request, reply) = message.open::<PutOnce>()?;
+                self.engine.put_once(cx, request, reply)
             }
             Tokens::CODE => {
                 let (tokens, reply) = message.open::<Tokens>()?;
@@ -188,7 +196,8 @@ impl<S: 'static> EventHandler for NetTask<S> {
             }
             Marking::CODE => {
                 let (Marking {}, reply) = message.open::<Marking>()?;
-                reply.ok(self.engine.snapshot())
+                self.engine.show(reply);
+                Ok(())
             }
             Control::CODE => {
                 let (Control { order }, reply) = message.open::<Control>()?;

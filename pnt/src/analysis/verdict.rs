@@ -4,6 +4,7 @@ use super::{
     explicit::{Explored, Limits, Progress, Stopped, explore_with},
     model::{Model, TransitionNumber},
     returns::{Returns, returns},
+    stubborn,
     symbolic::{self, Counted},
 };
 
@@ -41,6 +42,9 @@ pub struct Verdict {
     pub safe: Option<bool>,
     /// Markings that nothing is sure to leave.
     pub deadlocks: u128,
+    /// Whether there is none: also known, by stubborn sets, of some nets with more markings than the
+    /// limits permit.
+    pub deadlock_free: Option<bool>,
     /// Whether every transition can become enabled again from every reachable marking.
     pub live: Option<bool>,
     /// Whether the initial marking can be reached from every reachable one.
@@ -84,8 +88,20 @@ pub enum Engines {
 
 /// Explores a model: lists its markings if they are few; else counts them by decision diagrams, where
 /// that is permitted and works; else lists them as far as the limits permit.
+/// What is found dead of the rest is found by stubborn sets, where they apply.
 #[must_use]
 pub fn look<'a>(
+    model: &'a Model,
+    limits: &Limits,
+    engines: Engines,
+    progress: &mut dyn FnMut(&Progress),
+) -> Looked<'a> {
+    let mut looked = choose(model, limits, engines, progress);
+    look_for_deadlock(&mut looked, limits);
+    looked
+}
+
+fn choose<'a>(
     model: &'a Model,
     limits: &Limits,
     engines: Engines,
@@ -115,6 +131,26 @@ pub fn look<'a>(
     }
 }
 
+/// Looks for a deadlock where listing has ended without one, by looking at fewer markings.
+fn look_for_deadlock(looked: &mut Looked<'_>, limits: &Limits) {
+    let model = looked.explored.model;
+    let ended = matches!(
+        looked.verdict.stopped,
+        Some(Stopped::Markings | Stopped::Bytes)
+    );
+    if !ended || looked.verdict.deadlock_free.is_some() || !stubborn::applies(model) {
+        return;
+    }
+    let found = stubborn::deadlock(model, limits);
+    if found.stopped.is_none() {
+        looked.verdict.deadlock_free = Some(found.deadlock.is_none());
+    }
+    if found.deadlock.is_some() {
+        looked.verdict.deadlocks = 1;
+        looked.deadlock = found.deadlock;
+    }
+}
+
 /// The answer of the diagrams, beside the few markings that were listed.
 fn counted_look<'a>(first: Looked<'a>, counted: Counted) -> Looked<'a> {
     let model = first.explored.model;
@@ -127,6 +163,7 @@ fn counted_look<'a>(first: Looked<'a>, counted: Counted) -> Looked<'a> {
         safe: Some(counted.bounds.iter().all(|bound| *bound <= 1)),
         bounds: counted.bounds,
         deadlocks: counted.deadlocks,
+        deadlock_free: Some(counted.deadlocks == 0),
         live: counted.live,
         reversible: counted.reversible,
         home_states: (counted.reversible == Some(true)).then_some(counted.markings),
@@ -194,6 +231,11 @@ fn verdict(explored: &Explored<'_>, returns: Option<&Returns>) -> Verdict {
             (false, false) => None,
         },
         deadlocks: u128::from(explored.dead_count),
+        deadlock_free: match (complete, explored.dead_count) {
+            (_, 1..) => Some(false),
+            (true, 0) => Some(true),
+            (false, 0) => None,
+        },
         live: match returns {
             Some(returns) => Some(returns.all_live()),
             // What cannot fire at some reachable marking, nor after it, is not live.

@@ -54,6 +54,12 @@ pub(crate) enum Happened {
     Net(EventPhase, String),
 }
 
+/// How far a stream had come when a commit began: what followers may see when it has ended.
+pub(crate) struct Reached {
+    mark: Mark,
+    whole: Option<State>,
+}
+
 struct Follower {
     after: Option<Mark>,
     until: Instant,
@@ -77,6 +83,11 @@ pub(crate) struct Source {
     /// The marking after the latest event; kept where there are reset arcs only.
     marking: Vec<u32>,
     resets: bool,
+    /// Number of the latest event that followers may see: of those after it a crash could still undo
+    /// what they tell.
+    shown: u64,
+    /// The net as it was after that event, where it was asked for.
+    whole: Option<State>,
     followers: Vec<Follower>,
     /// When followers were answered last.
     answered: Option<Instant>,
@@ -106,6 +117,8 @@ impl Source {
             current: None,
             marking,
             resets,
+            shown: 0,
+            whole: None,
             followers: Vec::new(),
             answered: None,
             called: false,
@@ -252,6 +265,50 @@ impl Source {
         }
     }
 
+    // -- what followers may see ---------------------------------------------------------------
+
+    /// All events so far may be seen.
+    pub(crate) fn show_all(&mut self) {
+        self.shown = self.seq;
+        self.whole = None;
+    }
+
+    /// How far it has come, for [`Self::show`]. The net as a whole goes along if somebody waits for it.
+    pub(crate) fn reached(&self, now: Instant, execution: &Execution) -> Reached {
+        let mark = Mark {
+            run: self.run,
+            seq: self.seq,
+        };
+        let mut followers = self.followers.iter();
+        let wanted = followers.any(|one| self.behind(one, self.seq).is_err());
+        let whole = wanted.then(|| self.state(now, execution));
+        Reached { mark, whole }
+    }
+
+    /// The events up to `reached` may be seen.
+    pub(crate) fn show(&mut self, reached: Reached) {
+        // Those of a stream that has begun again since are gone.
+        if reached.mark.run == self.run {
+            self.shown = reached.mark.seq;
+            self.whole = reached.whole;
+        }
+    }
+
+    /// How many events a follower is behind one of them; or, when it needs the net as a whole, how many
+    /// it has missed.
+    fn behind(&self, one: &Follower, seq: u64) -> Result<usize, u64> {
+        let behind = one
+            .after
+            .filter(|mark| mark.run == self.run)
+            .and_then(|mark| seq.checked_sub(mark.seq));
+        let behind = behind.ok_or(0_u64)?;
+        let kept = (self.kept.len() as u64).saturating_sub(self.seq.saturating_sub(seq));
+        if behind <= (MOST_EVENTS as u64).min(kept) {
+            return usize::try_from(behind).map_err(|_| behind);
+        }
+        Err(behind)
+    }
+
     // -- those who follow -------------------------------------------------------------------
 
     /// Takes in one who follows; it is answered by [`Self::answer`].
@@ -322,55 +379,62 @@ impl Source {
         self.watched
     }
 
-    /// Answers those for whom there is something new.
-    pub(crate) fn answer(&mut self, now: Instant, execution: &Execution) {
+    /// Answers those for whom there is something new. Who needs the net as a whole waits until there is
+    /// such a state that may be seen: the present one, if it is `settled`, or that of the latest commit.
+    pub(crate) fn answer(&mut self, now: Instant, execution: &Execution, settled: bool) {
+        if settled {
+            self.show_all();
+        }
         self.called = false;
         self.answered = Some(now);
         let here = self.mark();
-        let mut shared: BTreeMap<u64, Batch> = BTreeMap::new();
-        let mut whole: Option<Batch> = None;
-        let followers = std::mem::take(&mut self.followers);
-        let (waiting, due): (Vec<_>, Vec<_>) = followers
-            .into_iter()
-            .partition(|one| one.after == Some(here));
-        self.followers = waiting;
-        for one in due {
-            let behind = one
-                .after
-                .filter(|mark| mark.run == self.run)
-                .and_then(|mark| self.seq.checked_sub(mark.seq));
-            let few = behind.filter(|behind| *behind as usize <= MOST_EVENTS.min(self.kept.len()));
-            let batch = match few {
-                Some(behind) => shared
+        let mut shared: BTreeMap<usize, Batch> = BTreeMap::new();
+        let present = || self.state(now, execution);
+        let whole = self.whole.clone().or_else(|| settled.then(present));
+        let hidden = self.seq - self.shown;
+        for one in std::mem::take(&mut self.followers) {
+            if one.after == Some(here) {
+                self.followers.push(one);
+                continue;
+            }
+            let batch = match (self.behind(&one, self.shown), &whole) {
+                (Ok(behind), _) => shared
                     .entry(behind)
                     .or_insert_with(|| Batch {
                         mark: here,
                         state: None,
                         skipped: 0,
-                        events: Arc::new(self.latest(behind as usize).collect()),
+                        events: Arc::new(self.until(hidden, behind).collect()),
                     })
                     .clone(),
-                None => Batch {
-                    skipped: behind.unwrap_or(0),
-                    ..whole
-                        .get_or_insert_with(|| Batch {
-                            mark: here,
-                            state: Some(self.state(now, execution)),
-                            skipped: 0,
-                            events: Arc::default(),
-                        })
-                        .clone()
+                (Err(skipped), Some(state)) => Batch {
+                    mark: here,
+                    state: Some(state.clone()),
+                    skipped,
+                    events: Arc::default(),
                 },
+                (Err(_), None) => {
+                    self.followers.push(one);
+                    continue;
+                }
             };
             // Answering never fails; a display that is gone needs no answer.
             let _ = one.reply.ok(batch);
         }
     }
 
+    /// The latest `count` events but for the last `hidden` ones.
+    fn until(&self, hidden: u64, count: usize) -> impl Iterator<Item = Event> {
+        let hidden = usize::try_from(hidden).unwrap_or(usize::MAX);
+        let first = self.kept.len().saturating_sub(hidden.saturating_add(count));
+        self.from(first).take(count)
+    }
+
+    /// How far followers may see.
     fn mark(&self) -> Mark {
         Mark {
             run: self.run,
-            seq: self.seq,
+            seq: self.shown,
         }
     }
 

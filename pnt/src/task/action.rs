@@ -5,14 +5,16 @@ use std::{rc::Rc, time::Duration};
 
 use ctos::{
     DEFAULT_DEADLINE,
-    task::{Context, HandlerError, TaskRef},
+    task::{Context, HandlerError},
+    time::Instant,
 };
 use futures_util::future::{AbortHandle, AbortRegistration, Abortable, Aborted};
 
 use super::{
+    carry::{self, Failed, may_succeed},
     engine::Engine,
     journal::Phase,
-    messages::{PutTape, TapeAnswer},
+    messages::{PutOnce, RequestId, TapeAnswer},
 };
 use crate::{
     exec::{FireError, FiringId},
@@ -27,6 +29,9 @@ const MOST_TRIES: u32 = 4;
 /// The wait before the second try; it doubles for each further one.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 
+/// The wait before a net that may have died is asked again.
+const ASK_AGAIN: Duration = Duration::from_millis(50);
+
 impl<S: 'static> Engine<S> {
     pub(super) async fn act(
         self: Rc<Self>,
@@ -38,7 +43,7 @@ impl<S: 'static> Engine<S> {
         let (notes, cx) = (Rc::clone(&action.notes), action.cx.clone());
         let acting = async {
             self.told(&cx).await?;
-            self.action(id, action).await
+            self.action(id, firing, action).await
         };
         let (acted, by_hand) = match Abortable::new(acting, cancel).await {
             Ok(acted) => (acted, false),
@@ -117,7 +122,7 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Runs a transition's action within its limit.
-    async fn action(&self, id: TransitionId, action: Action<S>) -> Acted {
+    async fn action(&self, id: TransitionId, firing: FiringId, action: Action<S>) -> Acted {
         let net = self.net();
         let transition = &net[id];
         let acting = async {
@@ -137,7 +142,9 @@ impl<S: 'static> Engine<S> {
                 }) => {
                     let limit = transition.within.unwrap_or(DEFAULT_DEADLINE);
                     let objects = (inputs.as_slice(), outputs.as_slice());
-                    self.message(&action, (task, command), objects, limit).await
+                    let request = self.request(firing);
+                    let to = (task.as_str(), command.as_str(), request);
+                    self.message(&action, to, objects, limit).await
                 }
                 None => Ok(()),
             }
@@ -151,17 +158,16 @@ impl<S: 'static> Engine<S> {
     async fn message(
         &self,
         action: &Action<S>,
-        (task, command): (&str, &str),
+        (task, command, request): (&str, &str, RequestId),
         (inputs, outputs): (&[String], &[String]),
         limit: Duration,
     ) -> Acted {
         let cx = &action.cx;
-        let to = cx.task(task).await?;
         let info = match cx.registry().command_of(cx.app(), task, command) {
             Ok(info) => info,
             // Of a net that is asked for one of its own commands.
             Err(_) if is_net(cx, task) => {
-                return self.dispatch(action, &to, command, limit).await;
+                return self.dispatch(action, task, (command, request), limit).await;
             }
             Err(finding) => return Err(finding.into()),
         };
@@ -170,6 +176,7 @@ impl<S: 'static> Engine<S> {
         for object in inputs {
             request.extend(action.get_data(object).await?);
         }
+        let to = cx.task(task).await?;
         let reply = cx.call_raw(&to, info, request, limit).await?;
         match outputs {
             [] => Ok(()),
@@ -180,36 +187,95 @@ impl<S: 'static> Engine<S> {
         }
     }
 
+    /// The request that an action of this firing is, at whoever is asked by it: the same when it is asked
+    /// again by the next life of a net that survives.
+    fn request(&self, firing: FiringId) -> RequestId {
+        let core = self.core.borrow();
+        let name = core.execution.net().name();
+        RequestId {
+            from: format!("{name} {:016x}", core.transfers.stream()),
+            number: firing.number(),
+        }
+    }
+
     /// Nested dispatch: puts a symbol on another net's tape, with the arguments of the command in progress.
-    /// The first of the answers that the other net declares for it completes the action; any other fails it.
+    /// The first of the answers that the other net declares for it completes the action; any other fails
+    /// it. A net that survives its process is asked again when it may have died before it answered: it
+    /// takes the command once.
     async fn dispatch(
         &self,
         action: &Action<S>,
-        to: &TaskRef,
-        symbol: &str,
+        net: &str,
+        (symbol, request): (&str, RequestId),
         limit: Duration,
     ) -> Acted {
-        let put = PutTape {
+        let cx = &action.cx;
+        let put = PutOnce {
+            request,
             symbol: symbol.to_owned(),
             arguments: action.arguments().to_vec(),
         };
-        let answer = action.cx.call(to, put).deadline(limit).await;
+        let until = cx.now() + limit;
+        let durable = carry::is_durable(cx, net);
+        let answer = loop {
+            let asked = self.put_once_at(cx, net, &put, (until, durable)).await;
+            match asked {
+                Ok(answer) => break answer,
+                Err((_, Failed::NotNow)) if durable && cx.now() + ASK_AGAIN < until => {
+                    cx.sleep(ASK_AGAIN).await;
+                }
+                Err((error, _)) => return Err(error),
+            }
+        };
         let TapeAnswer {
             symbol: answer,
             text,
             first,
-        } = answer.map_err(|error| HandlerError::new(error.reason()))?;
+        } = answer;
         for line in text.lines() {
             action.note(line);
         }
         if first {
             return Ok(());
         }
-        let net = to.name();
         Err(HandlerError::new(format!(
             "net `{net}` answered `{symbol}` with `{answer}`"
         )))
     }
+
+    /// Asks a net once, and says whether it may be asked again.
+    async fn put_once_at(
+        &self,
+        cx: &Context,
+        net: &str,
+        put: &PutOnce,
+        (until, durable): (Instant, bool),
+    ) -> Result<TapeAnswer, (HandlerError, Failed)> {
+        let found = if durable {
+            cx.wait_for_task(net, until.since(cx.now())).await
+        } else {
+            cx.task(net).await
+        };
+        let to = found.map_err(|error| (HandlerError::from(error), Failed::NotNow))?;
+        let asked = cx.call(&to, put.clone());
+        let answer = asked.deadline(until.since(cx.now())).await;
+        answer.map_err(|error| {
+            (
+                HandlerError::new(error.reason()),
+                may_succeed(&error, durable),
+            )
+        })
+    }
+}
+
+/// Whether an action may be asked again whatever became of it: it is a command to a net that survives its
+/// process, and takes a request once.
+pub(super) fn is_asked_once(cx: &Context, action: &net::Action) -> bool {
+    let net::Action::Message { task, command, .. } = action else {
+        return false;
+    };
+    let unknown = || cx.registry().command_of(cx.app(), task, command).is_err();
+    is_net(cx, task) && carry::is_durable(cx, task) && unknown()
 }
 
 /// An action that is going on, as it is seen from outside.

@@ -1,7 +1,7 @@
 //! Transfers to other nets, over messages: sent again until the other net says that it has them.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, VecDeque},
     rc::Rc,
     time::Duration,
 };
@@ -26,17 +26,37 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 /// How long a net is waited for that is not there, before it is looked for again.
 const COME_BACK: Duration = Duration::from_secs(5);
 
-/// Children that carry, and in which traces.
+/// The nets to which something was carried, by name.
 #[derive(Default)]
 pub(super) struct Carrying {
-    /// The nets to which one carries now.
-    nets: BTreeSet<String>,
-    /// The contexts of transfers on their way.
-    traces: BTreeMap<(String, u64), Context>,
+    /// In the order of their first transfers; they are few.
+    partners: Vec<(String, Partner)>,
+}
+
+/// One of them.
+#[derive(Default)]
+struct Partner {
+    /// Whether a child carries to it now.
+    busy: bool,
+    /// Whether it survives its process, once somebody has looked.
+    durable: Option<bool>,
+    /// The contexts of transfers on their way, by number, oldest first.
+    traces: VecDeque<(u64, Context)>,
+}
+
+impl Carrying {
+    fn partner(&mut self, net: &str) -> &mut Partner {
+        let known = self.partners.iter().position(|(name, _)| name == net);
+        let index = known.unwrap_or_else(|| {
+            self.partners.push((net.to_owned(), Partner::default()));
+            self.partners.len() - 1
+        });
+        &mut self.partners[index].1
+    }
 }
 
 /// Why transfers were not taken.
-enum Failed {
+pub(super) enum Failed {
     /// They may be taken when they are sent again.
     NotNow,
     /// They never will.
@@ -64,8 +84,8 @@ impl<S: 'static> Engine<S> {
             let mut core = self.core.borrow_mut();
             let change = core.changes;
             let number = core.transfers.post(net, transfer, change);
-            let traces = &mut core.carrying.traces;
-            traces.insert((net.to_owned(), number), cx.clone());
+            let partner = core.carrying.partner(net);
+            partner.traces.push_back((number, cx.clone()));
         }
         let net = net.to_owned();
         self.when_stored(move |engine| engine.carry_to(&net));
@@ -73,7 +93,8 @@ impl<S: 'static> Engine<S> {
 
     /// Sees to it that a child carries to a net.
     pub(super) fn carry_to(self: &Rc<Self>, net: &str) {
-        if self.core.borrow_mut().carrying.nets.insert(net.to_owned()) {
+        let mut core = self.core.borrow_mut();
+        if !std::mem::replace(&mut core.carrying.partner(net).busy, true) {
             let (engine, net) = (Rc::clone(self), net.to_owned());
             self.cx.spawn(async move { engine.carry(net).await });
         }
@@ -82,23 +103,30 @@ impl<S: 'static> Engine<S> {
     /// Carries to one net until nothing is left for it.
     async fn carry(self: Rc<Self>, net: String) {
         let mut pause = FIRST_PAUSE;
+        let durable = {
+            let partner = &mut self.core.borrow_mut().carrying;
+            let durable = &mut partner.partner(&net).durable;
+            *durable.get_or_insert_with(|| is_durable(&self.cx, &net))
+        };
         loop {
             let stored = self.durable.stored();
             let next = {
                 let mut core = self.core.borrow_mut();
                 let ready = core.transfers.ready(&net, stored);
-                if ready.is_none() {
-                    core.carrying.nets.remove(&net);
-                }
-                let first = ready.as_ref().map(|ready| (net.clone(), ready.first));
-                let cx = first.and_then(|first| core.carrying.traces.get(&first).cloned());
-                ready.map(|ready| (ready, cx))
+                let partner = core.carrying.partner(&net);
+                partner.busy = ready.is_some();
+                ready.map(|ready| {
+                    let oldest = partner.traces.front();
+                    let of_first = oldest.filter(|(number, _)| *number == ready.first);
+                    let cx = of_first.map(|(_, cx)| cx.clone());
+                    (ready, cx)
+                })
             };
             let Some((ready, cx)) = next else { return };
             let wanted = ready.transfers.len() as u64;
             let first = ready.first;
             match self
-                .deliver(&cx.unwrap_or_else(|| self.cx.clone()), &net, ready)
+                .deliver(&cx.unwrap_or_else(|| self.cx.clone()), &net, durable, ready)
                 .await
             {
                 Ok(last) => {
@@ -130,10 +158,10 @@ impl<S: 'static> Engine<S> {
         let news = {
             let mut core = self.core.borrow_mut();
             let news = core.transfers.arrived(net, last);
-            let key = |number| (net.to_owned(), number);
-            core.carrying
-                .traces
-                .retain(|of, _| of.0 != net || *of > key(last));
+            let traces = &mut core.carrying.partner(net).traces;
+            while traces.front().is_some_and(|(number, _)| *number <= last) {
+                traces.pop_front();
+            }
             if news {
                 core.changes += 1;
             }
@@ -143,14 +171,19 @@ impl<S: 'static> Engine<S> {
         news
     }
 
-    async fn deliver(&self, cx: &Context, net: &str, ready: Ready) -> Result<u64, Failed> {
+    async fn deliver(
+        &self,
+        cx: &Context,
+        net: &str,
+        durable: bool,
+        ready: Ready,
+    ) -> Result<u64, Failed> {
         let Ready {
             stream,
             first,
             transfers,
         } = ready;
         // A task of the app that is not there now is being started again.
-        let durable = is_durable(cx, net);
         let found = if durable {
             cx.wait_for_task(net, COME_BACK).await
         } else {
@@ -158,7 +191,7 @@ impl<S: 'static> Engine<S> {
         };
         let to = found.map_err(|error| match error {
             NameError::NotYet { .. } => Failed::NotNow,
-            NameError::Service(error) => failed(&error, durable),
+            NameError::Service(error) => may_succeed(&error, durable),
             error => Failed::Never(error.to_string()),
         })?;
         let message = Tokens {
@@ -168,7 +201,7 @@ impl<S: 'static> Engine<S> {
             transfers,
         };
         let answer = cx.call(&to, message).await;
-        answer.map_err(|error| failed(&error, durable))
+        answer.map_err(|error| may_succeed(&error, durable))
     }
 }
 
@@ -180,7 +213,7 @@ pub(super) fn is_durable(cx: &Context, net: &str) -> bool {
 
 /// Whether a call that failed may succeed when it is made again. A net that is not durable has lost its
 /// marking with its handler: sending it more would only hide that.
-fn failed(error: &CallError, durable: bool) -> Failed {
+pub(super) fn may_succeed(error: &CallError, durable: bool) -> Failed {
     match error.fault {
         Fault::Refused { .. } | Fault::BadPayload { .. } | Fault::UnknownCommand { .. } => {
             Failed::Never(error.to_string())

@@ -299,8 +299,8 @@ impl<S: 'static> Engine<S> {
             let mut core = self.core.borrow_mut();
             let net = std::sync::Arc::clone(core.execution.net());
             tracing::warn!(target: "pnt::net", net = net.name(), order = %said, "by hand");
-            self.note(&mut core, cx, happened);
             core.changed();
+            self.note(&mut core, cx, happened);
         }
         self.when_stored(move |_| {
             // Answering never fails; a caller that is gone needs no answer.

@@ -17,13 +17,16 @@ use std::{
 
 use ctos::{
     diagnostic::Source,
+    message::Replier,
     task::{Context, HandlerError},
 };
 use serde::{Deserialize, Serialize};
 
 use super::{
-    engine::{Engine, objects_of},
-    messages::Output,
+    action::is_asked_once,
+    engine::{Core, Engine, objects_of},
+    messages::{Marking, Output},
+    once::Once,
     transfers::Transfers,
 };
 use crate::{
@@ -48,6 +51,8 @@ pub(super) struct Durable<S> {
     stored: Cell<u64>,
     /// Whether a child is committing.
     committing: Cell<bool>,
+    /// Whether a commit has failed: nothing will be stored any more.
+    broken: Cell<bool>,
     /// The text of a net that was put in place and is not stored yet.
     new_net: RefCell<Option<Vec<u8>>>,
 }
@@ -61,6 +66,7 @@ impl<S> Durable<S> {
             held: RefCell::default(),
             stored: Cell::new(stored),
             committing: Cell::new(false),
+            broken: Cell::new(false),
             new_net: RefCell::default(),
         }
     }
@@ -83,6 +89,7 @@ struct Saved {
     outputs: u64,
     failures: Vec<u32>,
     paused: Option<String>,
+    once: Once,
     /// That of the library, if it can be kept.
     library: Option<Vec<u8>>,
 }
@@ -98,6 +105,7 @@ struct Saving<'c> {
     outputs: u64,
     failures: &'c [u32],
     paused: Option<&'c str>,
+    once: &'c Once,
     library: Option<Vec<u8>>,
 }
 
@@ -112,12 +120,45 @@ impl<S: 'static> Engine<S> {
     /// Does something that others see, once everything up to now is stored. The caller holds no borrow.
     pub(super) fn when_stored(self: &Rc<Self>, effect: impl FnOnce(&Rc<Self>) + 'static) {
         let change = self.core.borrow().changes;
+        self.when_change_stored(change, effect);
+    }
+
+    /// The same, once this change is stored. What nobody will store any more is never seen: who waits
+    /// for it learns that nobody answers.
+    pub(super) fn when_change_stored(
+        self: &Rc<Self>,
+        change: u64,
+        effect: impl FnOnce(&Rc<Self>) + 'static,
+    ) {
         let durable = &self.durable;
         if change <= durable.stored() && durable.held.borrow().is_empty() {
             return effect(self);
         }
+        if durable.broken.get() {
+            return;
+        }
         let mut held = durable.held.borrow_mut();
         held.push_back((change, Box::new(effect)));
+    }
+
+    /// Whether all changes are stored, or none will be any more: the net has stopped then, and is shown as
+    /// it was left, to say why.
+    pub(super) fn is_settled(&self, core: &Core) -> bool {
+        core.changes <= self.durable.stored() || self.durable.broken.get()
+    }
+
+    /// Answers with how the net is now, once that is stored.
+    pub(super) fn show(self: &Rc<Self>, reply: Replier<Marking>) {
+        let snapshot = self.snapshot();
+        if self.durable.broken.get() {
+            // Answering never fails; who has asked and is gone needs no answer.
+            let _ = reply.ok(snapshot);
+            return;
+        }
+        self.when_stored(move |_| {
+            // As above.
+            let _ = reply.ok(snapshot);
+        });
     }
 
     /// Sees to it that a child stores what is not stored yet.
@@ -133,7 +174,11 @@ impl<S: 'static> Engine<S> {
     async fn commit(self: Rc<Self>) {
         let durable = &self.durable;
         while let Some(store) = &durable.store {
-            let change = self.core.borrow().changes;
+            let (change, reached) = {
+                let core = self.core.borrow();
+                let stream = &core.journal.stream;
+                (core.changes, stream.reached(self.cx.now(), &core.execution))
+            };
             if change <= durable.stored() {
                 break;
             }
@@ -154,10 +199,17 @@ impl<S: 'static> Engine<S> {
                 // What is held is never seen; its callers learn that nobody answers.
                 durable.held.take();
                 durable.committing.set(false);
+                durable.broken.set(true);
                 return self.halt(&format!("its state cannot be stored: {error}"));
             }
             durable.stored.set(change);
             self.release(change);
+            let core = &mut *self.core.borrow_mut();
+            core.journal.stream.show(reached);
+            if self.is_settled(core) {
+                core.journal.stream.show_all();
+            }
+            self.call_followers(core);
         }
         durable.committing.set(false);
     }
@@ -187,6 +239,7 @@ impl<S: 'static> Engine<S> {
             outputs: core.outputs,
             failures: &core.failures,
             paused: core.manual.paused(),
+            once: &core.once,
             library: self.library.saved()?,
         };
         Ok(postcard::to_stdvec(&saving)?)
@@ -248,6 +301,7 @@ impl<S: 'static> Engine<S> {
         core.notes.replace(saved.notes);
         core.output = saved.output;
         core.outputs = saved.outputs;
+        core.once = saved.once;
         core.failures = saved.failures;
         core.failures.resize(net.transitions().len(), 0);
         if let Some(why) = saved.paused {
@@ -279,10 +333,8 @@ impl<S: 'static> Engine<S> {
                 let core = self.core.borrow();
                 let transition = &core.execution.net()[id];
                 let name = transition.name.clone();
-                let idempotent = transition
-                    .action
-                    .as_ref()
-                    .is_some_and(Action::is_idempotent);
+                let again = |action: &Action| action.is_idempotent() || is_asked_once(cx, action);
+                let idempotent = transition.action.as_ref().is_some_and(again);
                 (idempotent, transition.fail.is_some(), name)
             };
             if idempotent {

@@ -23,7 +23,8 @@ use super::{
     control::Manual,
     durable::Durable,
     journal::Journal,
-    messages::{Output, PutTape, Snapshot, TapeAnswer, Tokens, Transfer},
+    messages::{Output, PutOnce, PutTape, RequestId, Snapshot, TapeAnswer, Tokens, Transfer},
+    once::{Known, Once},
     replace::Replacing,
     settings::Settings,
     transfers::Transfers,
@@ -48,6 +49,37 @@ pub(super) struct Engine<S> {
     pub(super) durable: Durable<S>,
 }
 
+/// Who waits for the answer to a command.
+pub(super) enum Asker {
+    /// It asked with [`PutTape`].
+    Plain(Replier<PutTape>),
+    /// It asked with [`PutOnce`].
+    Once(Replier<PutOnce>, RequestId),
+}
+
+impl Asker {
+    pub(super) fn ok(self, answer: TapeAnswer) -> Handled {
+        match self {
+            Self::Plain(reply) => reply.ok(answer),
+            Self::Once(reply, _) => reply.ok(answer),
+        }
+    }
+
+    pub(super) fn fail(self, why: &str) -> Handled {
+        match self {
+            Self::Plain(reply) => reply.fail(why),
+            Self::Once(reply, _) => reply.fail(why),
+        }
+    }
+
+    fn is_abandoned(&self) -> bool {
+        match self {
+            Self::Plain(reply) => reply.is_abandoned(),
+            Self::Once(reply, _) => reply.is_abandoned(),
+        }
+    }
+}
+
 pub(super) struct Core {
     pub(super) execution: Execution,
     /// The clocks of timed transitions.
@@ -59,7 +91,9 @@ pub(super) struct Core {
     pub(super) begun: bool,
     pub(super) halted: Option<String>,
     /// Who waits for which command's answer.
-    pub(super) waiting: BTreeMap<u64, Replier<PutTape>>,
+    pub(super) waiting: BTreeMap<u64, Asker>,
+    /// Commands that may be asked for again.
+    pub(super) once: Once,
     /// The contexts in which those commands came: what is fired for one belongs to its trace.
     pub(super) commands: BTreeMap<u64, Context>,
     /// What goes into the text of the next answer.
@@ -105,6 +139,7 @@ impl<S: 'static> Engine<S> {
                 begun: false,
                 halted: None,
                 waiting: BTreeMap::new(),
+                once: Once::default(),
                 commands: BTreeMap::new(),
                 notes: Rc::default(),
                 transfers: Transfers::new(new_stream(&cx)),
@@ -157,28 +192,61 @@ impl<S: 'static> Engine<S> {
     pub(super) fn put_tape(
         self: &Rc<Self>,
         cx: &Context,
-        request: PutTape,
-        reply: Replier<PutTape>,
+        (symbol, arguments): (String, Vec<String>),
+        reply: Asker,
     ) -> Handled {
         {
             let mut core = self.core.borrow_mut();
             if let Some(why) = &core.halted {
                 let name = core.execution.net().name();
-                return reply.fail(format!("net `{name}` takes no commands: {why}"));
+                return reply.fail(&format!("net `{name}` takes no commands: {why}"));
             }
-            core.require_room(&request.symbol, self.settings.tape)?;
-            let arguments = request.arguments.join(" ");
-            let number = core
-                .execution
-                .put_symbol(&request.symbol, request.arguments)?;
-            let asked = Happened::Asked(request.symbol, arguments);
-            self.note(&mut core, cx, asked);
+            let number = core.put_command(&symbol, &arguments, self.settings.tape)?;
+            if let Asker::Once(_, request) = &reply {
+                core.once.put(number, request.clone(), symbol.clone());
+            }
+            let asked = Happened::Asked(symbol, arguments.join(" "));
             core.waiting.insert(number, reply);
             core.commands.insert(number, cx.clone());
             core.changed();
+            self.note(&mut core, cx, asked);
         }
         self.advance(cx);
         Ok(())
+    }
+
+    /// Puts a command that may have been put before: then its answer is waited for, or given again.
+    pub(super) fn put_once(
+        self: &Rc<Self>,
+        cx: &Context,
+        request: PutOnce,
+        reply: Replier<PutOnce>,
+    ) -> Handled {
+        let PutOnce {
+            request,
+            symbol,
+            arguments,
+        } = request;
+        let known = self.core.borrow().once.known(&request, &symbol)?;
+        match known {
+            Known::New => self.put_tape(cx, (symbol, arguments), Asker::Once(reply, request)),
+            Known::Open(number) => {
+                let mut core = self.core.borrow_mut();
+                if let Some(why) = &core.halted {
+                    return reply.fail(format!("the net has stopped: {why}"));
+                }
+                core.waiting.insert(number, Asker::Once(reply, request));
+                core.commands.insert(number, cx.clone());
+                Ok(())
+            }
+            Known::Answered(answer) => {
+                self.when_stored(move |_| {
+                    // Answering never fails; who is gone asks again.
+                    let _ = reply.ok(answer);
+                });
+                Ok(())
+            }
+        }
     }
 
     pub(super) fn put_tokens(
@@ -348,6 +416,17 @@ impl Core {
         Ok(())
     }
 
+    /// Puts a command on the tape if there is room; its number.
+    fn put_command(
+        &mut self,
+        symbol: &str,
+        arguments: &[String],
+        room: usize,
+    ) -> Result<u64, HandlerError> {
+        self.require_room(symbol, room)?;
+        Ok(self.execution.put_symbol(symbol, arguments.to_vec())?)
+    }
+
     /// Takes what of a message is new; the number of the last transfer that is taken. A transfer for which
     /// there is no room now is left, with those after it, for the sender to send again.
     fn receive(
@@ -412,7 +491,7 @@ impl Core {
         &mut self,
         on_tape: &OnTape,
         symbol: String,
-    ) -> Option<(Replier<PutTape>, TapeAnswer)> {
+    ) -> Option<(Asker, TapeAnswer)> {
         let text = self.notes.take().join("\n");
         let declared = &self.execution.net()[on_tape.command].answers;
         let first = declared.first() == Some(&symbol);
@@ -422,9 +501,13 @@ impl Core {
             first,
         };
         self.commands.remove(&on_tape.number);
+        let kept = self.once.answered(on_tape.number, &answer);
         let waiting = self.waiting.remove(&on_tape.number);
         if let Some(reply) = waiting.filter(|reply| !reply.is_abandoned()) {
             return Some((reply, answer));
+        }
+        if kept {
+            return None;
         }
         self.outputs += 1;
         self.output.push_back(Output {

@@ -201,8 +201,8 @@ impl<S: 'static> Engine<S> {
             journal, execution, ..
         } = core;
         journal.firing(cx.now(), cx.trace(), execution, phase);
-        self.published(core, cx);
         core.changed();
+        self.published(core, cx);
     }
 
     /// Hands out what a firing leaves to be done. `on_tape` is the command that was in progress.

@@ -142,6 +142,15 @@ pub enum Order {
     },
 }
 
+/// Which of all requests a command is: who asks again gives the same.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RequestId {
+    /// Who asks, and in which of its lives, if it forgets.
+    pub from: String,
+    /// The number of the request, used once by who asks.
+    pub number: u64,
+}
+
 ctos::command! {
     /// Puts a symbol on the input tape; answered when an output symbol is written for it.
     #[derive(Debug, Clone, PartialEq, Eq)]
@@ -190,4 +199,17 @@ ctos::command! {
         /// Number of the last one that the reader has; 0 for none.
         pub taken: u64,
     } => Vec<Output>, 0x0005, "read_tape"
+}
+
+ctos::command! {
+    /// Puts a symbol on the input tape once, however often it is asked for; answered as `put_tape`.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct PutOnce {
+        /// Which request it is.
+        pub request: RequestId,
+        /// The symbol.
+        pub symbol: String,
+        /// What goes along with it, for the actions.
+        pub arguments: Vec<String>,
+    } => TapeAnswer, 0x0006, "put_once"
 }

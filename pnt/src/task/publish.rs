@@ -1,5 +1,5 @@
 //! The net's task at its end of the stream: puts events into the record, and answers those who follow, in
-//! its own time and never in the net's.
+//! its own time and never in the net's. Neither sees an event before the change that it tells of is stored.
 
 use std::rc::Rc;
 
@@ -18,13 +18,14 @@ const WATCH: Duration = Duration::from_millis(500);
 
 /// A net as it stands in a record as a whole.
 #[derive(serde::Serialize)]
-struct Whole<'w> {
-    view: &'w NetView,
+struct Whole {
+    view: NetView,
     state: State,
 }
 
 impl<S: 'static> Engine<S> {
-    /// Notes what happened, and publishes it.
+    /// Notes what happened, and publishes it once the change that it came with is stored. Whoever changes
+    /// something counts that first.
     pub(super) fn note(self: &Rc<Self>, core: &mut Core, cx: &Context, what: Happened) {
         let Core {
             journal, execution, ..
@@ -36,19 +37,36 @@ impl<S: 'static> Engine<S> {
     /// Something new is in the stream: it goes into the record, and to those who follow.
     pub(super) fn published(self: &Rc<Self>, core: &mut Core, cx: &Context) {
         if cx.is_recording() {
-            if core.journal.lacks_whole(cx.recorders()) {
-                let state = core.journal.stream.state(cx.now(), &core.execution);
-                let view = self.view.borrow();
-                let name = core.execution.net().name();
-                let whole = Whole { view: &view, state };
+            self.record(core, cx);
+        }
+        if self.is_settled(core) {
+            core.journal.stream.show_all();
+            self.call_followers(core);
+        }
+    }
+
+    /// Puts the latest event into the record, and the net as a whole where the record lacks it.
+    fn record(self: &Rc<Self>, core: &mut Core, cx: &Context) {
+        let name = core.execution.net().name().to_owned();
+        let whole = core.journal.lacks_whole(cx.recorders()).then(|| Whole {
+            view: self.view.borrow().clone(),
+            state: core.journal.stream.state(cx.now(), &core.execution),
+        });
+        let event = core.journal.stream.last();
+        let cx = cx.clone();
+        self.when_change_stored(core.changes, move |_| {
+            if let Some(whole) = whole {
                 cx.record(&format!("/net/{name}"), &whole);
             }
-            if let Some(event) = core.journal.stream.last() {
-                let name = core.execution.net().name();
+            if let Some(event) = event {
                 cx.record(&format!("/firing/{name}"), &event);
             }
-        }
-        if let Some(at) = core.journal.stream.call(cx.now()) {
+        });
+    }
+
+    /// Sees to it that those who follow are answered, if there is something for them.
+    pub(super) fn call_followers(self: &Rc<Self>, core: &mut Core) {
+        if let Some(at) = core.journal.stream.call(self.cx.now()) {
             self.answer_at(at);
         }
     }
@@ -62,9 +80,7 @@ impl<S: 'static> Engine<S> {
             let engine = Rc::clone(self);
             self.cx.spawn(async move { engine.watch_patience().await });
         }
-        if let Some(at) = core.journal.stream.call(now) {
-            self.answer_at(at);
-        }
+        self.call_followers(&mut core);
         Ok(())
     }
 
@@ -75,10 +91,11 @@ impl<S: 'static> Engine<S> {
             let cx = &engine.cx;
             cx.sleep(at.since(cx.now())).await;
             let mut core = engine.core.borrow_mut();
+            let settled = engine.is_settled(&core);
             let Core {
                 execution, journal, ..
             } = &mut *core;
-            journal.stream.answer(cx.now(), execution);
+            journal.stream.answer(cx.now(), execution, settled);
         });
     }
 

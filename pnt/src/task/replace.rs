@@ -134,8 +134,8 @@ impl<S: 'static> Engine<S> {
             journal.stream.begin_again(cx.now(), execution);
         }
         let what = Happened::Net(EventPhase::Ordered, said.clone());
-        self.note(&mut core, cx, what);
         core.changed();
+        self.note(&mut core, cx, what);
         Some((Ok(said), replacing))
     }
 

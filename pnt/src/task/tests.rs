@@ -1,6 +1,7 @@
 //! Whole apps of nets in virtual time, over several chassis.
 
 mod by_hand;
+mod seen_and_asked;
 mod survival;
 
 use std::{cell::RefCell, sync::Arc, time::Duration};

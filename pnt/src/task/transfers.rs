@@ -81,6 +81,11 @@ impl Transfers {
         }
     }
 
+    /// The number of the streams of this net's life.
+    pub(super) fn stream(&self) -> u64 {
+        self.stream
+    }
+
     /// Keeps a transfer for a net; it came to be with this change. Returns its number.
     pub(super) fn post(&mut self, net: &str, transfer: Transfer, change: u64) -> u64 {
         let outbox = self.out.entry(net.to_owned()).or_default();
@@ -115,9 +120,12 @@ impl Transfers {
         let Some(outbox) = self.out.get_mut(net) else {
             return false;
         };
-        let before = outbox.waiting.len();
-        outbox.waiting.retain(|kept| kept.number > last);
-        outbox.waiting.len() < before
+        let waiting = &mut outbox.waiting;
+        let before = waiting.len();
+        while waiting.front().is_some_and(|kept| kept.number <= last) {
+            waiting.pop_front();
+        }
+        waiting.len() < before
     }
 
     /// The nets for which something waits, with how much.
@@ -148,8 +156,13 @@ impl Transfers {
 
     /// The transfers of a net up to a number were taken.
     pub(super) fn take(&mut self, from: &str, stream: u64, last: u64) {
-        let received = Received { stream, last };
-        self.received.insert(from.to_owned(), received);
+        let now = Received { stream, last };
+        match self.received.get_mut(from) {
+            Some(received) => *received = now,
+            None => {
+                self.received.insert(from.to_owned(), now);
+            }
+        }
     }
 }
 

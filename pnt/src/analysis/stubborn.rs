@@ -1,0 +1,430 @@
+//! Whether anything is dead, by stubborn sets: at each marking only some of the enabled transitions are
+//! fired, such that whatever the others do can be done afterwards just as well. Every dead marking is still
+//! reached; most of the markings between are not (Valmari 1989; the strong sets, with the enabled transition
+//! that gives the fewest).
+//!
+//! For dead markings nothing need be done about transitions that are put off for ever: one of the fired ones
+//! stays possible until it is fired, so a dead marking cannot be reached without it.
+
+use std::mem;
+
+use hashbrown::HashMap;
+
+use super::{
+    explicit::{Limits, Stopped},
+    model::{Model, PlaceNumber, TransitionNumber, Weighted},
+};
+
+/// What a search found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// Markings that were looked at: some of the reachable ones.
+    pub markings: usize,
+    /// A firing sequence to a dead marking, and that marking.
+    pub deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
+    /// Why the search ended before it had an answer.
+    pub stopped: Option<Stopped>,
+}
+
+/// Whether the search says anything about a model: not where priorities or enabling functions decide what
+/// may fire.
+#[must_use]
+pub fn applies(model: &Model) -> bool {
+    !model.has_priorities() && model.transitions.iter().all(|t| t.when.is_none())
+}
+
+/// Looks for a marking at which nothing is enabled, until one is found or there is none.
+#[must_use]
+pub fn deadlock(model: &Model, limits: &Limits) -> Found {
+    let rules = Rules::new(model);
+    let mut search = Search::new(model);
+    // The latest first: whoever looks for one dead marking is sooner at the ends than at all of the middle.
+    let mut open = vec![0];
+    while let Some(at) = open.pop() {
+        let marking = search.markings[at].clone();
+        let fired = rules.stubborn(&marking, &mut search.scratch);
+        if fired.is_empty() {
+            let deadlock = Some((search.path(at), marking.into_vec()));
+            return search.found(deadlock, None);
+        }
+        for transition in fired {
+            let Some(to) = rules.fire(transition, &marking) else {
+                return search.found(None, Some(Stopped::Tokens(0)));
+            };
+            if let Some(number) = search.insert(to, (at, transition)) {
+                open.push(number);
+            }
+        }
+        if search.markings.len() > limits.markings {
+            return search.found(None, Some(Stopped::Markings));
+        }
+        if search.markings.len().saturating_mul(search.bytes_each) > limits.bytes {
+            return search.found(None, Some(Stopped::Bytes));
+        }
+    }
+    search.found(None, None)
+}
+
+/// The markings so far.
+struct Search {
+    numbers: HashMap<Box<[u32]>, usize>,
+    markings: Vec<Box<[u32]>>,
+    /// From which marking, by which transition, each was reached first.
+    parents: Vec<(usize, TransitionNumber)>,
+    bytes_each: usize,
+    scratch: Scratch,
+}
+
+impl Search {
+    fn new(model: &Model) -> Self {
+        let initial: Box<[u32]> = model.initial().into();
+        let place = mem::size_of_val(&*initial);
+        Self {
+            numbers: HashMap::from_iter([(initial.clone(), 0)]),
+            markings: vec![initial],
+            parents: vec![(0, 0)],
+            // A marking stands in the list and in the table, each with its pointer, and has a parent.
+            bytes_each: 2 * place + 5 * mem::size_of::<usize>(),
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// The number of a marking that is new.
+    fn insert(&mut self, marking: Box<[u32]>, parent: (usize, TransitionNumber)) -> Option<usize> {
+        if self.numbers.contains_key(&marking) {
+            return None;
+        }
+        let number = self.markings.len();
+        self.numbers.insert(marking.clone(), number);
+        self.markings.push(marking);
+        self.parents.push(parent);
+        Some(number)
+    }
+
+    fn path(&self, mut at: usize) -> Vec<TransitionNumber> {
+        let mut path = Vec::new();
+        while at != 0 {
+            let (from, transition) = self.parents[at];
+            path.push(transition);
+            at = from;
+        }
+        path.reverse();
+        path
+    }
+
+    fn found(
+        &self,
+        deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
+        stopped: Option<Stopped>,
+    ) -> Found {
+        Found {
+            markings: self.markings.len(),
+            deadlock,
+            stopped,
+        }
+    }
+}
+
+/// What one transition needs, and does.
+struct Fact {
+    needs: Vec<Weighted>,
+    forbids: Vec<Weighted>,
+    changes: Vec<(PlaceNumber, i64)>,
+    resets: Vec<Weighted>,
+    /// Transitions that it can disable, or that can disable it, or that do not come to the same in
+    /// another order.
+    conflicts: Vec<TransitionNumber>,
+}
+
+/// A model, prepared.
+struct Rules {
+    facts: Vec<Fact>,
+    /// Per place, the transitions that may leave it with more, and with fewer tokens.
+    raised_by: Vec<Vec<TransitionNumber>>,
+    lowered_by: Vec<Vec<TransitionNumber>>,
+}
+
+/// Memory for one set.
+#[derive(Default)]
+struct Scratch {
+    member: Vec<bool>,
+    set: Vec<TransitionNumber>,
+    enabled: Vec<TransitionNumber>,
+}
+
+impl Fact {
+    fn raises(&self, place: PlaceNumber) -> bool {
+        self.changes
+            .iter()
+            .any(|(p, change)| *p == place && *change > 0)
+            || self.resets.iter().any(|(p, left)| *p == place && *left > 0)
+    }
+
+    fn lowers(&self, place: PlaceNumber) -> bool {
+        self.changes
+            .iter()
+            .any(|(p, change)| *p == place && *change < 0)
+            || self.resets.iter().any(|(p, _)| *p == place)
+    }
+
+    fn touches(&self, place: PlaceNumber) -> bool {
+        let mut all = self.needs.iter().chain(&self.forbids).chain(&self.resets);
+        all.any(|(p, _)| *p == place) || self.changes.iter().any(|(p, _)| *p == place)
+    }
+
+    fn is_enabled(&self, marking: &[u32]) -> bool {
+        let held = |place: &PlaceNumber| marking[*place as usize];
+        self.needs
+            .iter()
+            .all(|(place, weight)| held(place) >= *weight)
+            && self
+                .forbids
+                .iter()
+                .all(|(place, weight)| held(place) < *weight)
+    }
+
+    /// Whether the other one can disable this one, or they do not come to the same in another order.
+    fn depends_on(&self, other: &Self) -> bool {
+        self.needs.iter().any(|(place, _)| other.lowers(*place))
+            || self.forbids.iter().any(|(place, _)| other.raises(*place))
+            || self.resets.iter().any(|(place, _)| other.touches(*place))
+    }
+}
+
+impl Rules {
+    fn new(model: &Model) -> Self {
+        let mut facts: Vec<Fact> = model
+            .transitions
+            .iter()
+            .map(|t| Fact {
+                needs: t.needs(),
+                forbids: t.forbids(&model.places),
+                changes: t.changes(),
+                resets: t.after_reset(),
+                conflicts: Vec::new(),
+            })
+            .collect();
+        let conflicts: Vec<Vec<TransitionNumber>> = facts
+            .iter()
+            .map(|one| {
+                let with = |other: &Fact| one.depends_on(other) || other.depends_on(one);
+                let others = (0..).zip(&facts).filter(|(_, other)| with(other));
+                others.map(|(number, _)| number).collect()
+            })
+            .collect();
+        for (fact, conflicts) in facts.iter_mut().zip(conflicts) {
+            fact.conflicts = conflicts;
+        }
+        let those = |does: fn(&Fact, PlaceNumber) -> bool| {
+            let of = |place: PlaceNumber| {
+                let all = (0..).zip(&facts).filter(|(_, fact)| does(fact, place));
+                all.map(|(number, _)| number)
+                    .collect::<Vec<TransitionNumber>>()
+            };
+            (0..)
+                .zip(&model.places)
+                .map(|(place, _)| of(place))
+                .collect()
+        };
+        Self {
+            raised_by: those(Fact::raises),
+            lowered_by: those(Fact::lowers),
+            facts,
+        }
+    }
+
+    /// Those of the enabled transitions that are to be fired at a marking; none if nothing is enabled.
+    fn stubborn(&self, marking: &[u32], scratch: &mut Scratch) -> Vec<TransitionNumber> {
+        let numbered = (0..).zip(&self.facts);
+        let enabled = numbered.filter(|(_, fact)| fact.is_enabled(marking));
+        let enabled: Vec<TransitionNumber> = enabled.map(|(number, _)| number).collect();
+        let mut best: Option<Vec<TransitionNumber>> = None;
+        for key in &enabled {
+            let most = best.as_ref().map_or(usize::MAX, Vec::len);
+            if self.close(*key, marking, most, scratch) {
+                best = Some(mem::take(&mut scratch.enabled));
+            }
+            if best.as_ref().is_some_and(|best| best.len() == 1) {
+                break;
+            }
+        }
+        best.unwrap_or_default()
+    }
+
+    /// The smallest set that is stubborn and has `key`; whether it has fewer enabled transitions than
+    /// `most`.
+    fn close(
+        &self,
+        key: TransitionNumber,
+        marking: &[u32],
+        most: usize,
+        scratch: &mut Scratch,
+    ) -> bool {
+        let Scratch {
+            member,
+            set,
+            enabled,
+        } = scratch;
+        member.clear();
+        member.resize(self.facts.len(), false);
+        set.clear();
+        enabled.clear();
+        member[key as usize] = true;
+        set.push(key);
+        let mut next = 0;
+        while let Some(number) = set.get(next).copied() {
+            next += 1;
+            let fact = &self.facts[number as usize];
+            let with = if fact.is_enabled(marking) {
+                enabled.push(number);
+                if enabled.len() >= most {
+                    return false;
+                }
+                &fact.conflicts
+            } else {
+                self.needed_first(fact, marking)
+            };
+            for other in with {
+                if !mem::replace(&mut member[*other as usize], true) {
+                    set.push(*other);
+                }
+            }
+        }
+        true
+    }
+
+    /// Transitions without one of which a disabled one stays disabled: of the places that keep it from
+    /// firing, the one that fewest can mend.
+    fn needed_first(&self, fact: &Fact, marking: &[u32]) -> &[TransitionNumber] {
+        let held = |place: &PlaceNumber| marking[*place as usize];
+        let short = fact
+            .needs
+            .iter()
+            .filter(|(place, weight)| held(place) < *weight);
+        let short = short.map(|(place, _)| &self.raised_by[*place as usize]);
+        let full = fact
+            .forbids
+            .iter()
+            .filter(|(place, weight)| held(place) >= *weight);
+        let full = full.map(|(place, _)| &self.lowered_by[*place as usize]);
+        let fewest = short.chain(full).min_by_key(|those| those.len());
+        fewest.map_or(&[], Vec::as_slice)
+    }
+
+    /// The marking after a firing; nothing when a place would hold more than 32 bits can say.
+    fn fire(&self, transition: TransitionNumber, marking: &[u32]) -> Option<Box<[u32]>> {
+        let fact = &self.facts[transition as usize];
+        let mut after: Box<[u32]> = marking.into();
+        for (place, change) in &fact.changes {
+            let tokens = &mut after[*place as usize];
+            *tokens = u32::try_from(i64::from(*tokens) + change).ok()?;
+        }
+        for (place, left) in &fact.resets {
+            after[*place as usize] = *left;
+        }
+        Some(after)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::analysis::{
+        explicit::explore,
+        samples::{buffer, kanban, model, philosophers, random_model},
+    };
+
+    fn all() -> Limits {
+        Limits {
+            markings: usize::MAX,
+            ..Limits::default()
+        }
+    }
+
+    #[test]
+    fn philosophers_are_found_dead_among_few_of_their_markings() {
+        for count in [8_usize, 10] {
+            let model = philosophers(count);
+            let found = deadlock(&model, &all());
+            let (path, marking) = found.deadlock.unwrap();
+            assert_eq!(model.replay(&path), Some(marking.clone()));
+            let numbers = 0..TransitionNumber::try_from(model.transitions.len()).unwrap();
+            assert!(numbers.into_iter().all(|t| !model.is_enabled(t, &marking)));
+            let full = explore(&model, &all()).markings;
+            assert!(10 * found.markings < full, "{} of {full}", found.markings);
+        }
+    }
+
+    /// Lines of steps that have nothing to do with each other, and all come back: n steps each in turn
+    /// suffice, of n to the power of their number.
+    #[test]
+    fn what_has_nothing_to_do_with_each_other_is_looked_at_one_after_the_other() {
+        use std::fmt::Write as _;
+        let mut text = String::from("net lines\n");
+        for line in 0..8 {
+            let _ = writeln!(text, "place a{line} = 1, b{line}, c{line}");
+            for (name, from, to) in [("f", "a", "b"), ("g", "b", "c")] {
+                let _ = writeln!(
+                    text,
+                    "transition {name}{line}\n  in {from}{line}\n  out {to}{line}"
+                );
+            }
+        }
+        let model = model(&text);
+        let found = deadlock(&model, &all());
+        assert_eq!(explore(&model, &all()).markings, 3_usize.pow(8));
+        assert_eq!(found.markings, 2 * 8 + 1);
+        assert_eq!(found.deadlock.unwrap().0.len(), 16);
+    }
+
+    #[test]
+    fn nets_of_the_literature_without_a_deadlock_have_none() {
+        for model in [buffer(3), kanban(1), kanban(2)] {
+            let found = deadlock(&model, &all());
+            assert_eq!((found.deadlock, found.stopped), (None, None));
+            assert!(found.markings <= explore(&model, &all()).markings);
+        }
+    }
+
+    #[test]
+    fn a_limit_ends_the_search_without_an_answer() {
+        let model = kanban(2);
+        let limits = Limits {
+            markings: 10,
+            ..Limits::default()
+        };
+        let found = deadlock(&model, &limits);
+        assert_eq!(
+            (found.deadlock, found.stopped),
+            (None, Some(Stopped::Markings))
+        );
+        let limits = Limits {
+            bytes: 100,
+            ..Limits::default()
+        };
+        assert_eq!(deadlock(&model, &limits).stopped, Some(Stopped::Bytes));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1000))]
+
+        #[test]
+        fn there_is_a_deadlock_exactly_if_the_full_search_finds_one(model in random_model()) {
+            let limits = Limits { markings: 2000, ..Limits::default() };
+            let full = explore(&model, &limits);
+            if !full.complete() {
+                return Ok(());
+            }
+            let found = deadlock(&model, &limits);
+            prop_assert_eq!(found.stopped, None);
+            prop_assert!(found.markings <= full.markings);
+            prop_assert_eq!(found.deadlock.is_some(), full.dead_count > 0);
+            if let Some((path, marking)) = found.deadlock {
+                prop_assert_eq!(model.replay(&path), Some(marking.clone()));
+                prop_assert!(full.dead.iter().any(|dead| dead.marking == marking));
+            }
+        }
+    }
+}
