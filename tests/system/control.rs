@@ -258,9 +258,21 @@ fn rubbish_on_the_control_socket_is_answered_with_an_error() {
             "{line}"
         );
     }
-    // A line that never ends costs its writer the connection, and nobody else anything.
+    // One that is too long is said to be so, when it has ended; what comes after it is answered.
     let stream = connect();
-    let endless = vec![b'x'; 200 * 1024];
+    let mut long = vec![b'x'; 3 << 20];
+    long.push(b'\n');
+    (&stream).write_all(&long).unwrap();
+    writeln!(&stream, "hello").unwrap();
+    let mut answers = BufReader::new(&stream).lines();
+    for text in ["at most 1048576 bytes", "cannot read the request"] {
+        let answer: Value = serde_json::from_str(&answers.next().unwrap().unwrap()).unwrap();
+        let message = answer["message"].as_str().unwrap();
+        assert!(message.contains(text), "{message}");
+    }
+    // A line that never ends costs nobody anything.
+    let stream = connect();
+    let endless = vec![b'x'; 3 << 20];
     let _ = (&stream).write_all(&endless);
     let app = json(&ctos(&scratch, &["ps", "--json"]));
     assert_eq!(app["state"], "up");

@@ -101,7 +101,7 @@ mod tests {
     }
 
     fn view() -> NetView {
-        let text = "net n\nplace a = 1\ntransition t\n  in a\n  do arm.go()\n  out a\n";
+        let text = "net n\nplace a = 1\ntransition t\n  in a\n  send arm.go\n  out a\n";
         let net = compile::net(&Source::new("n.net", text)).unwrap_or_else(|f| panic!("{f}"));
         NetView::new(&net)
     }

@@ -353,7 +353,11 @@ fn a_file_that_is_no_picture_is_refused_and_so_is_no_file() {
     cut.truncate(cut.len() / 2);
     fs::write(&path, cut).unwrap();
     assert_eq!(refused(&sorm, &format!("spot EXEC {path}")).0, code::FILE);
-    for class in ["spot", "resect"] {
+    let forms = [
+        ("spot", "after EXEC stands one of camera NAME, FILE"),
+        ("resect", "after EXEC stands FILE"),
+    ];
+    for (class, forms) in forms {
         ask(&sorm, "resect CTRL -size 4 4");
         let (_, text) = refused(&sorm, &format!("{class} EXEC {path}.gone"));
         assert!(
@@ -363,13 +367,13 @@ fn a_file_that_is_no_picture_is_refused_and_so_is_no_file() {
         let place = folder.path().display();
         let (_, text) = refused(&sorm, &format!("{class} EXEC {place}"));
         assert_eq!(text, format!("`{place}` is no file"));
-        assert_eq!(
-            refused(&sorm, &format!("{class} EXEC")).1,
-            "after EXEC stands FILE"
-        );
+        assert_eq!(refused(&sorm, &format!("{class} EXEC")).1, forms);
         let (_, text) = refused(&sorm, &format!("{class} EXEC {path} FMSG 1 2"));
         assert_eq!(text, "EXEC FILE takes no floats (FMSG), not 1");
     }
+    let (number, text) = refused(&sorm, "spot EXEC camera west");
+    assert_eq!(number, code::CAMERA);
+    assert!(text.contains("no camera `west` here"), "{text}");
     let (_, text) = refused(&sorm, "spot CTRL -threshold 256");
     assert_eq!(
         text,
