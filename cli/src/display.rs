@@ -11,6 +11,7 @@ pub(crate) mod assets;
 pub(crate) mod figure;
 mod handled;
 pub(crate) mod hub;
+mod lines;
 mod orders;
 pub(crate) mod overview;
 pub(crate) mod record;

@@ -42,6 +42,18 @@ fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_bac
     browser.wait("nets.tasks.get('mcs').now.handled > 0");
     pictures(&mut browser, "task");
 
+    // What the log says of a task stands below.
+    browser.ask("nets.lookAt('display')");
+    browser.wait("document.querySelector('#side [aria-label=log] li')?.textContent.includes('nets are shown')");
+    // Its address is there for whoever looks on, and what opens it for control is not.
+    assert_eq!(
+        browser.ask("nets.tasks.get('display').lines.some((one) => /token=\\w/.test(one.text))"),
+        false
+    );
+    pictures(&mut browser, "log");
+    browser.ask("nets.lookAt('mcs')");
+    browser.wait("document.querySelector('#side h2').textContent.startsWith('mcs')");
+
     // A message leads to its moment, and the task to who asks it.
     browser.ask("document.querySelector('#side .messages li button').click()");
     browser.wait("nets.cursor !== null");

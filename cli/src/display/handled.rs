@@ -1,18 +1,22 @@
-//! What the tasks of a recorded run handled: the lines `/ended/TASK` of its records.
+//! What the tasks of a recorded run handled, and what the log says of them: the channels `/ended/TASK` and
+//! `/log/TASK` of its records.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use ctos::{Command as _, time::Instant};
+use ctos::{Command as _, control::Level, time::Instant};
 use pnt::{
     stream::{Describe, Follow, NetView},
     task::Marking,
 };
 use serde::Deserialize;
+use serde_json::{Map, Value};
 
-use super::wire::{TaskMessage, TaskState};
+use super::wire::{TaskLine, TaskMessage, TaskState};
 
 /// So many messages of a task are shown, the last ones.
 const MOST: usize = 2_000;
+/// And so many lines of the log.
+const MOST_LINES: usize = 200;
 
 /// A line of a record, as far as it matters here.
 #[derive(Debug, Deserialize)]
@@ -26,14 +30,44 @@ pub(super) struct Ended {
     text: String,
 }
 
-/// What tasks handled, by their names, each in the order in which it ended.
+/// A line of the log, as far as it matters here.
+#[derive(Debug, Deserialize)]
+pub(super) struct Said {
+    level: u8,
+    message: String,
+    /// The task, or the module.
+    name: String,
+    /// The module.
+    file: String,
+    #[serde(default)]
+    fields: Map<String, Value>,
+}
+
+impl Said {
+    fn line(self, at: Instant) -> TaskLine {
+        let level = match self.level {
+            0 | 1 => Level::Debug,
+            2 => Level::Info,
+            3 => Level::Warn,
+            _ => Level::Error,
+        };
+        let mut text = format!("{}: {}", self.file, self.message);
+        for (name, value) in &self.fields {
+            text.push_str(&format!(" {name}={value}"));
+        }
+        TaskLine::new(at.as_nanos(), level, &text)
+    }
+}
+
+/// What tasks handled, by their names, each in the order in which it ended, and what the log says of them.
 #[derive(Debug, Default)]
-pub(super) struct Handled(BTreeMap<String, Messages>);
+pub(super) struct Handled(BTreeMap<String, OfTask>);
 
 #[derive(Debug, Default)]
-struct Messages {
+struct OfTask {
     last: VecDeque<TaskMessage>,
     left_out: u64,
+    lines: VecDeque<TaskLine>,
 }
 
 impl Handled {
@@ -65,6 +99,15 @@ impl Handled {
         });
     }
 
+    /// The log said something of a task at `at`.
+    pub(super) fn note(&mut self, at: Instant, said: Said) {
+        let of_task = self.0.entry(said.name.clone()).or_default();
+        if of_task.lines.len() == MOST_LINES {
+            of_task.lines.pop_front();
+        }
+        of_task.lines.push_back(said.line(at));
+    }
+
     /// What is known of the tasks that `nets` call, and of those that run them.
     pub(super) fn by<'n>(&self, nets: impl Iterator<Item = &'n NetView>) -> Vec<TaskState> {
         let mut names = BTreeSet::new();
@@ -73,11 +116,12 @@ impl Handled {
             names.extend(net.transitions.iter().filter_map(|one| one.task.as_deref()));
         }
         let known = names.into_iter().filter_map(|name| {
-            let messages = self.0.get(name)?;
+            let of_task = self.0.get(name)?;
             Some(TaskState {
                 name: name.to_owned(),
-                messages: messages.last.iter().cloned().collect(),
-                left_out: messages.left_out,
+                messages: of_task.last.iter().cloned().collect(),
+                left_out: of_task.left_out,
+                lines: of_task.lines.iter().cloned().collect(),
                 ..TaskState::default()
             })
         });
@@ -122,6 +166,23 @@ mod tests {
         assert!(messages.iter().all(|one| one.at_ns == 500_000_000));
         let failed: Vec<_> = messages.iter().map(|one| one.failed.as_deref()).collect();
         assert_eq!(failed, [None, Some("why"), Some("panicked why")]);
+    }
+
+    #[test]
+    fn what_the_log_says_of_a_task_is_told_with_its_fields() {
+        let mut handled = Handled::default();
+        let said = serde_json::json!({
+            "timestamp": { "sec": 0, "nsec": 3 }, "level": 3, "message": "is late", "name": "arm",
+            "file": "mcs::servo", "line": 0, "fields": { "late_ms": 4 }
+        });
+        handled.note(
+            Instant::from_nanos(3),
+            serde_json::from_value(said).unwrap(),
+        );
+        let view = view();
+        let told = handled.by([&view].into_iter());
+        let line = TaskLine::new(3, Level::Warn, "mcs::servo: is late late_ms=4");
+        assert_eq!(told[0].lines, [line]);
     }
 
     #[test]

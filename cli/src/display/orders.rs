@@ -17,6 +17,7 @@ use tokio::sync::mpsc;
 use super::{
     arrange,
     hub::Hub,
+    lines,
     server::Asking,
     wire::{Asked, Breakpoint, TaskMessage, TaskNow, TaskState, Told},
 };
@@ -59,12 +60,13 @@ pub(super) async fn carry(
     }
 }
 
-/// How a task is, and what it handled last.
+/// How a task is, what it handled last, and what the log says of it.
 async fn task(cx: &Context, name: &str) -> TaskState {
     let on = cx.app().task(name).map(|task| task.chassis.clone());
     let state = TaskState {
         name: name.to_owned(),
         on: on.unwrap_or_default(),
+        lines: lines::about(name).await,
         ..TaskState::default()
     };
     match look(cx, name).await {

@@ -12,7 +12,7 @@ use pnt::stream::{Batch, Event, Mark, NetView, Replica, State};
 use serde::Deserialize;
 
 use super::{
-    handled::{Ended, Handled},
+    handled::{Ended, Handled, Said},
     hub::Hub,
     overview::Overviews,
 };
@@ -24,7 +24,7 @@ pub(crate) struct Recorded {
     pub(crate) app: String,
     /// The nets, by name.
     pub(crate) nets: BTreeMap<String, RecordedNet>,
-    /// What tasks handled.
+    /// What tasks handled, and what the log says of them.
     handled: Handled,
     /// What a person should know of the records.
     pub(crate) warnings: Vec<String>,
@@ -70,11 +70,13 @@ impl Recorded {
 
     fn file(&mut self, path: &Path) -> Result<(), ReadError> {
         let mut odd = 0_u64;
-        let nets = Filter {
-            topics: vec!["/net/*".to_owned(), "/firing/*".to_owned()],
+        let shown = Filter {
+            topics: ["/net/*", "/firing/*", "/ended/*", "/log/*"]
+                .map(str::to_owned)
+                .to_vec(),
             ..Filter::default()
         };
-        let run = scan_only(path, &nets, |entry| {
+        let run = scan_only(path, &shown, |entry| {
             let topic = &entry.channel.topic;
             let taken = if topic.starts_with("/net/") {
                 serde_json::from_slice(&entry.json).map(|whole| self.whole(whole))
@@ -83,6 +85,9 @@ impl Recorded {
             } else if topic.starts_with("/ended/") {
                 serde_json::from_slice::<Ended>(&entry.json)
                     .map(|ended| self.handled.take(entry.at, ended))
+            } else if topic.starts_with("/log/") {
+                serde_json::from_slice::<Said>(&entry.json)
+                    .map(|said| self.handled.note(entry.at, said))
             } else {
                 return;
             };

@@ -1,5 +1,6 @@
 //! What goes between the server and the page: one JSON object a message.
 
+use ctos::control::Level;
 use pnt::{
     layout::Drawing,
     stream::{Event, NetView, State},
@@ -124,6 +125,8 @@ pub(crate) struct TaskState {
     pub(crate) messages: Vec<TaskMessage>,
     /// So many are not told, because there are too many.
     pub(crate) left_out: u64,
+    /// The last lines of the log about it, oldest first.
+    pub(crate) lines: Vec<TaskLine>,
     /// Why nothing is known.
     pub(crate) error: Option<String>,
 }
@@ -150,6 +153,32 @@ pub(crate) struct TaskMessage {
     pub(crate) took_ns: Option<u64>,
     /// Why it failed, if it did.
     pub(crate) failed: Option<String>,
+}
+
+/// A line of the log about a task.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct TaskLine {
+    at_ns: u64,
+    level: Level,
+    text: String,
+}
+
+impl TaskLine {
+    /// What a line of `at_ns` says after its time and its level. Tokens are left out: a page may only look on,
+    /// and the address with which one may do more stands in the log.
+    pub(crate) fn new(at_ns: u64, level: Level, text: &str) -> Self {
+        const TOKEN: &str = "token=";
+        let mut parts = text.split(TOKEN);
+        let mut text = parts.next().unwrap_or_default().to_owned();
+        for part in parts {
+            let rest = part.trim_start_matches('"');
+            let rest = rest.trim_start_matches(|letter: char| letter.is_ascii_alphanumeric());
+            text.push_str(TOKEN);
+            text.push('…');
+            text.push_str(rest);
+        }
+        Self { at_ns, level, text }
+    }
 }
 
 /// What a page asks for.
@@ -188,5 +217,21 @@ impl Told<'_> {
     pub(crate) fn text(&self) -> String {
         // Maps have text keys and numbers are finite: it is always JSON.
         serde_json::to_string(self).unwrap_or_else(|_| Value::Null.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_token_is_told_with_a_line_of_the_log() {
+        let told = |text: &str| TaskLine::new(0, Level::Warn, text).text;
+        assert_eq!(
+            told(r#"nets are shown page="http://127.0.0.1:9/?token=b38c47ab9" task=display"#),
+            r#"nets are shown page="http://127.0.0.1:9/?token=…" task=display"#
+        );
+        assert_eq!(told("token=a1 token=\"b2\""), "token=… token=…\"");
+        assert_eq!(told("no secret"), "no secret");
     }
 }

@@ -1,7 +1,7 @@
 // What stands beside the net: the chosen node or task, and what goes on.
 
 import { nodeStanding, seconds } from "./model.js";
-import { callers, lastOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
+import { callers, lastOf, linesOf, messagesTo, ofNet, ofTask, sendersTo } from "./task.js";
 
 /** Nodes of a kind that are listed. */
 const MOST_LISTED = 24;
@@ -141,7 +141,7 @@ function whatIf(net, node, standing, app) {
     make("button", { disabled: net.events.length === 0, onclick: () => app.undo() }, "Take back"));
 }
 
-/** How a task is, what it handled last, and what asks it. */
+/** How a task is, what it handled last, what the log says of it, and what asks it. */
 function taskPart(name, app) {
   const task = app.tasks.get(name);
   const nets = [...app.nets.values()];
@@ -161,9 +161,11 @@ function taskPart(name, app) {
   // A net's task handles tokens; what they ask it for, the nets know that sent them.
   const sent = app.nets.has(name) || handled.length === 0 ? messagesTo(name, nets, (net) => app.positionOf(net)) : [];
   const asked = sent.map((one) => ({ ...ofNet(one, app.now()), go: () => app.goToEvent(one.net, one.at) }));
+  const lines = linesOf(task, app.now()).map((one) => ({ ...one, go: () => app.goTo(one.at_ns) }));
   const by = callers(name, nets);
   return make("div", {}, factList(facts),
     ...list("asked by nets", asked), ...list("last messages", handled),
+    ...list("log", lines),
     task?.left_out > 0 ? make("p", { class: "soft" }, `${task.left_out} earlier messages are in the record only`) : null,
     by.length > 0 ? make("p", { class: "soft" }, "sent by ", ...between(by.map(({ net, name: node }) => link(app.visibleNets().includes(net) ? node : `${net.name}/${node}`, () => app.goToNode(net, node))))) : null,
     app.nets.has(name) ? link(`Show net ${name}`, () => app.open(name, null)) : null);

@@ -1,4 +1,5 @@
-// A task: what it handled last, as it says itself and as nets know it, and which transitions ask it.
+// A task: what it handled last, as it says itself and as nets know it, what the log says of it, and which
+// transitions ask it.
 
 import { seconds } from "./model.js";
 
@@ -28,6 +29,12 @@ export function messagesTo(task, nets, positionOf) {
 /** What a task handled up to `now_ns`, as it tells itself, latest first. */
 export function lastOf(task, now_ns) {
   return (task?.messages ?? []).filter((one) => one.at_ns <= now_ns).slice(-MOST).reverse();
+}
+
+/** What the log said of a task up to `now_ns`, latest first, in words. */
+export function linesOf(task, now_ns) {
+  const said = (task?.lines ?? []).filter((one) => one.at_ns <= now_ns).slice(-MOST).reverse();
+  return said.map(({ at_ns, level, text }) => ({ at_ns, words: level === "info" ? "" : level, more: text, failed: level === "error" }));
 }
 
 /** A message as the task tells it, in words, at `now_ns`. */
