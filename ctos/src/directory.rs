@@ -8,7 +8,7 @@
 use std::{
     collections::BTreeMap,
     sync::{
-        Mutex, PoisonError, RwLock,
+        Arc, Mutex, PoisonError, RwLock,
         atomic::{AtomicBool, Ordering},
     },
 };
@@ -18,7 +18,7 @@ use crate::{call::lock, message::Tid};
 /// The directory of one chassis. Shared by its threads.
 #[derive(Default)]
 pub(crate) struct TaskDirectory {
-    known: Mutex<BTreeMap<String, Tid>>,
+    known: Mutex<BTreeMap<Arc<str>, Tid>>,
     /// From each id that was replaced straight to the present one.
     rebound: RwLock<BTreeMap<Tid, Tid>>,
     /// Whether there is anything in `rebound`: most runs never replace an id, and then a message costs
@@ -38,16 +38,18 @@ impl TaskDirectory {
         rebound.get(&tid).copied().unwrap_or(tid)
     }
 
-    /// The task `name`, if this chassis was told.
-    pub(crate) fn known(&self, name: &str) -> Option<Tid> {
-        lock(&self.known).get(name).copied()
+    /// The task `name`, if this chassis was told; with the name, which all who ask share.
+    pub(crate) fn known(&self, name: &str) -> Option<(Arc<str>, Tid)> {
+        let known = lock(&self.known);
+        let (name, tid) = known.get_key_value(name)?;
+        Some((Arc::clone(name), *tid))
     }
 
     /// Remembers an answer of the task identification service, which may be older than a change that
     /// was told since.
     pub(crate) fn learn(&self, name: &str, tid: Tid) -> Tid {
         let tid = self.current(tid);
-        lock(&self.known).insert(name.to_owned(), tid);
+        lock(&self.known).insert(name.into(), tid);
         tid
     }
 
@@ -64,7 +66,7 @@ impl TaskDirectory {
         let mut known = lock(&self.known);
         match new {
             Some(new) => {
-                known.insert(name.to_owned(), new);
+                known.insert(name.into(), new);
             }
             None if known.get(name) == Some(&old) => {
                 known.remove(name);
@@ -116,13 +118,17 @@ mod tests {
 
     use super::*;
 
+    fn known(directory: &TaskDirectory) -> Option<Tid> {
+        directory.known("arm").map(|(_, tid)| tid)
+    }
+
     #[test]
     fn an_answer_that_is_older_than_a_move_leads_to_the_new_place() {
         let directory = TaskDirectory::default();
         let (old, new) = (Tid::new(1, 1, 0), Tid::new(2, 1, 0));
         directory.rebind("arm", old, Some(new));
         assert_eq!(directory.learn("arm", old), new);
-        assert_eq!(directory.known("arm"), Some(new));
+        assert_eq!(known(&directory), Some(new));
     }
 
     #[test]
@@ -131,10 +137,10 @@ mod tests {
         let (old, new) = (Tid::new(1, 1, 0), Tid::new(2, 1, 0));
         directory.learn("arm", old);
         directory.rebind("arm", old, None);
-        assert_eq!(directory.known("arm"), None);
+        assert_eq!(known(&directory), None);
         directory.learn("arm", new);
         directory.rebind("arm", old, None);
-        assert_eq!(directory.known("arm"), Some(new));
+        assert_eq!(known(&directory), Some(new));
     }
 
     proptest! {

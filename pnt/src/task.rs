@@ -17,6 +17,7 @@ mod messages;
 mod once;
 mod publish;
 mod replace;
+mod routes;
 mod settings;
 mod transfers;
 

@@ -80,7 +80,7 @@ impl Context {
     /// [`NameError`] when no task has the name or the service cannot be reached.
     pub async fn task(&self, name: &str) -> Result<TaskRef, NameError> {
         let directory = &self.inner.chassis.directory;
-        if let Some(tid) = directory.known(name) {
+        if let Some((name, tid)) = directory.known(name) {
             return Ok(TaskRef::new(name, tid));
         }
         let query = QueryTid {
@@ -109,7 +109,7 @@ impl Context {
     /// the task that would start it waits, directly or not, for a name that only this task can start.
     pub async fn wait_for_task(&self, name: &str, limit: Duration) -> Result<TaskRef, NameError> {
         let directory = &self.inner.chassis.directory;
-        if let Some(tid) = directory.known(name) {
+        if let Some((name, tid)) = directory.known(name) {
             return Ok(TaskRef::new(name, tid));
         }
         let request = AwaitTid {

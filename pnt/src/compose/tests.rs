@@ -303,7 +303,7 @@ impl Played {
                 _ => drop(next.on_the_way.remove(&key)),
             }
             match next.nets[*to].put_all(tokens) {
-                Ok(()) => {}
+                Ok(_) => {}
                 Err(FireError::Full { .. }) => refused = true,
                 Err(other) => panic!("{other}"),
             }

@@ -1,7 +1,5 @@
 //! What comes into a net from outside: tokens and commands.
 
-use std::collections::BTreeMap;
-
 use super::{
     Execution, FireError, error,
     events::{Entry, Kind},
@@ -9,26 +7,34 @@ use super::{
 use crate::net::PlaceId;
 
 impl Execution {
-    /// Puts tokens that came from another net, all or none.
+    /// Puts tokens that came from another net, all or none. Returns what each place got.
     ///
     /// # Errors
     /// The net has no such place, or it would overflow.
-    pub fn put_all(&mut self, tokens: &[(String, u32)]) -> Result<(), FireError> {
-        let mut added: BTreeMap<PlaceId, u32> = BTreeMap::new();
-        for (place, count) in tokens {
-            let sum = added.entry(self.place(place)?).or_default();
-            *sum = sum
-                .checked_add(*count)
-                .ok_or_else(|| FireError::TooManyTokens(place.clone()))?;
+    pub fn put_all(&mut self, tokens: &[(String, u32)]) -> Result<Vec<(PlaceId, u32)>, FireError> {
+        let known = tokens
+            .iter()
+            .map(|(place, count)| Ok((self.place(place)?, *count)));
+        let mut known: Vec<(PlaceId, u32)> = known.collect::<Result<_, FireError>>()?;
+        known.sort_unstable_by_key(|(place, _)| *place);
+        let mut added: Vec<(PlaceId, u32)> = Vec::with_capacity(known.len());
+        for (place, count) in known {
+            match added.last_mut() {
+                Some((last, sum)) if *last == place => {
+                    let name = || FireError::TooManyTokens(self.net[place].name.clone());
+                    *sum = sum.checked_add(count).ok_or_else(name)?;
+                }
+                _ => added.push((place, count)),
+            }
         }
         for (place, count) in &added {
             self.require_room_for(*place, *count)?;
         }
-        for (place, count) in added {
-            self.change(place, count);
-            self.log(|| Entry::new(Kind::Put, place.0, u64::from(count)));
+        for (place, count) in &added {
+            self.change(*place, *count);
+            self.log(|| Entry::new(Kind::Put, place.0, u64::from(*count)));
         }
-        Ok(())
+        Ok(added)
     }
 
     /// Puts tokens into one place, as [`Self::put_all`].
@@ -36,7 +42,7 @@ impl Execution {
     /// # Errors
     /// The net has no such place, or it would overflow.
     pub fn put_tokens(&mut self, place: &str, count: u32) -> Result<(), FireError> {
-        self.put_all(&[(place.to_owned(), count)])
+        self.put_all(&[(place.to_owned(), count)]).map(|_| ())
     }
 
     /// Takes tokens out of a place by hand.

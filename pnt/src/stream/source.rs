@@ -47,7 +47,7 @@ pub(crate) enum Happened {
     /// To a transition, in one of its firings, and why.
     Transition(TransitionId, EventPhase, Option<FiringId>, String),
     /// To the tokens of places alone, and who did it.
-    Tokens(EventPhase, Tokens, String),
+    Tokens(EventPhase, Tokens, Arc<str>),
     /// A symbol came, with arguments.
     Asked(String, String),
     /// To the net, and why.
@@ -338,7 +338,7 @@ impl Source {
 
     /// When those who follow are to be answered, if there is something to answer and nobody is on the
     /// way to do it; whoever asks has to.
-    pub(crate) fn call(&mut self, now: Instant) -> Option<Instant> {
+    pub(crate) fn call(&mut self, now: impl FnOnce() -> Instant) -> Option<Instant> {
         if self.called || self.followers.is_empty() {
             return None;
         }
@@ -348,6 +348,7 @@ impl Source {
             return None;
         }
         self.called = true;
+        let now = now();
         let further = u32::try_from(self.followers.len() - 1).unwrap_or(u32::MAX);
         let interval = INTERVAL + INTERVAL_EACH.saturating_mul(further);
         let at = self.answered.map_or(now, |last| last + interval);
@@ -472,7 +473,7 @@ impl Source {
             }
             Happened::Tokens(phase, tokens, text) => {
                 event.phase = *phase;
-                event.text.clone_from(text);
+                event.text = text.as_ref().to_owned();
                 let tokens = tokens
                     .iter()
                     .map(|(id, count)| (net[*id].name.clone(), *count));

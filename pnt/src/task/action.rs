@@ -99,6 +99,7 @@ impl<S: 'static> Engine<S> {
         acted: Acted,
     ) -> Result<(), FireError> {
         let mut core = self.core.borrow_mut();
+        let failed = acted.is_err();
         let (phase, text) = match &acted {
             Ok(()) => (EventPhase::Completed, String::new()),
             Err(error) => (EventPhase::Failed, error.to_string()),
@@ -108,7 +109,8 @@ impl<S: 'static> Engine<S> {
             Ok(()) => core.execution.complete(firing)?,
             Err(_) => core.execution.fail(firing)?,
         };
-        let (remote, written) = (effects.remote.to_vec(), effects.written);
+        let written = effects.written;
+        let sent = core.routes.of(id, failed);
         let phase = Phase {
             transition: id,
             firing: Some(firing),
@@ -117,7 +119,7 @@ impl<S: 'static> Engine<S> {
         };
         self.log(&mut core, cx, &phase);
         drop(core);
-        self.carry_out(cx, id, &remote, written, on_tape);
+        self.carry_out(cx, id, sent, written, on_tape);
         Ok(())
     }
 

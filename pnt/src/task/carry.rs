@@ -1,8 +1,11 @@
 //! Transfers to other nets, over messages: sent again until the other net says that it has them.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::VecDeque,
+    future::poll_fn,
     rc::Rc,
+    sync::Arc,
+    task::{Poll, Waker},
     time::Duration,
 };
 
@@ -14,10 +17,10 @@ use ctos::{
 use super::{
     engine::Engine,
     messages::{Tokens, Transfer},
+    routes::Bundle,
     settings::settings,
     transfers::Ready,
 };
-use crate::net::RemoteArc;
 
 /// The wait before transfers that were not taken are sent again; it doubles up to the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(20);
@@ -27,28 +30,48 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 const COME_BACK: Duration = Duration::from_secs(5);
 
 /// The nets to which something was carried, by name.
-#[derive(Default)]
 pub(super) struct Carrying {
+    /// The name of the net that sends.
+    from: Arc<str>,
     /// In the order of their first transfers; they are few.
-    partners: Vec<(String, Partner)>,
+    partners: Vec<(Arc<str>, Partner)>,
 }
 
 /// One of them.
 #[derive(Default)]
 struct Partner {
-    /// Whether a child carries to it now.
-    busy: bool,
+    carrier: Carrier,
     /// Whether it survives its process, once somebody has looked.
     durable: Option<bool>,
     /// The contexts of transfers on their way, by number, oldest first.
     traces: VecDeque<(u64, Context)>,
 }
 
+/// The child that carries to a net.
+#[derive(Default)]
+enum Carrier {
+    /// Nothing was carried yet.
+    #[default]
+    None,
+    /// It has all that is needed to go on by itself.
+    Busy,
+    /// It waits until there is something to carry.
+    Waiting(Waker),
+}
+
 impl Carrying {
+    /// Of a net that has carried nothing.
+    pub(super) fn new(from: &str) -> Self {
+        Self {
+            from: from.into(),
+            partners: Vec::new(),
+        }
+    }
+
     fn partner(&mut self, net: &str) -> &mut Partner {
-        let known = self.partners.iter().position(|(name, _)| name == net);
+        let known = self.partners.iter().position(|(name, _)| **name == *net);
         let index = known.unwrap_or_else(|| {
-            self.partners.push((net.to_owned(), Partner::default()));
+            self.partners.push((net.into(), Partner::default()));
             self.partners.len() - 1
         });
         &mut self.partners[index].1
@@ -64,22 +87,15 @@ pub(super) enum Failed {
 }
 
 impl<S: 'static> Engine<S> {
-    /// Keeps tokens for their nets: one transfer for each net, so that tokens of one firing arrive
-    /// together.
-    pub(super) fn post(self: &Rc<Self>, cx: &Context, remote: &[RemoteArc]) {
-        let mut per_net: BTreeMap<&str, Vec<(String, u32)>> = BTreeMap::new();
-        for arc in remote {
-            let tokens = per_net.entry(&arc.net).or_default();
-            tokens.push((arc.place.clone(), arc.weight));
-        }
-        for (net, tokens) in per_net {
-            let symbol = None;
-            self.post_to(cx, net, Transfer { tokens, symbol });
+    /// Keeps tokens for their nets.
+    pub(super) fn post(self: &Rc<Self>, cx: &Context, bundle: &Bundle) {
+        for route in bundle.iter() {
+            self.post_to(cx, &route.net, Arc::clone(&route.transfer));
         }
     }
 
     /// Keeps a transfer, which goes when the change that it came with is stored.
-    pub(super) fn post_to(self: &Rc<Self>, cx: &Context, net: &str, transfer: Transfer) {
+    pub(super) fn post_to(self: &Rc<Self>, cx: &Context, net: &Arc<str>, transfer: Arc<Transfer>) {
         {
             let mut core = self.core.borrow_mut();
             let change = core.changes;
@@ -87,21 +103,43 @@ impl<S: 'static> Engine<S> {
             let partner = core.carrying.partner(net);
             partner.traces.push_back((number, cx.clone()));
         }
-        let net = net.to_owned();
+        let net = Arc::clone(net);
         self.when_stored(move |engine| engine.carry_to(&net));
     }
 
     /// Sees to it that a child carries to a net.
-    pub(super) fn carry_to(self: &Rc<Self>, net: &str) {
+    pub(super) fn carry_to(self: &Rc<Self>, net: &Arc<str>) {
         let mut core = self.core.borrow_mut();
-        if !std::mem::replace(&mut core.carrying.partner(net).busy, true) {
-            let (engine, net) = (Rc::clone(self), net.to_owned());
-            self.cx.spawn(async move { engine.carry(net).await });
+        let carrier = &mut core.carrying.partner(net).carrier;
+        match std::mem::replace(carrier, Carrier::Busy) {
+            Carrier::None => {
+                let (engine, net) = (Rc::clone(self), Arc::clone(net));
+                self.cx.spawn(async move { engine.carry(net).await });
+            }
+            Carrier::Waiting(waker) => waker.wake(),
+            Carrier::Busy => {}
         }
     }
 
-    /// Carries to one net until nothing is left for it.
-    async fn carry(self: Rc<Self>, net: String) {
+    /// What can be sent to a net next, with the context that the first of it belongs to. Where there is
+    /// nothing, [`Self::carry_to`] wakes who waits for it.
+    fn next_ready(&self, net: &str, waiting: &Waker) -> Poll<(Ready, Option<Context>)> {
+        let stored = self.durable.stored();
+        let mut core = self.core.borrow_mut();
+        let ready = core.transfers.ready(net, stored);
+        let partner = core.carrying.partner(net);
+        let Some(ready) = ready else {
+            partner.carrier = Carrier::Waiting(waiting.clone());
+            return Poll::Pending;
+        };
+        let oldest = partner.traces.front();
+        let of_first = oldest.filter(|(number, _)| *number == ready.first);
+        let cx = of_first.map(|(_, cx)| cx.clone());
+        Poll::Ready((ready, cx))
+    }
+
+    /// Carries to one net whatever there is for it.
+    async fn carry(self: Rc<Self>, net: Arc<str>) {
         let mut pause = FIRST_PAUSE;
         let durable = {
             let partner = &mut self.core.borrow_mut().carrying;
@@ -109,20 +147,7 @@ impl<S: 'static> Engine<S> {
             *durable.get_or_insert_with(|| is_durable(&self.cx, &net))
         };
         loop {
-            let stored = self.durable.stored();
-            let next = {
-                let mut core = self.core.borrow_mut();
-                let ready = core.transfers.ready(&net, stored);
-                let partner = core.carrying.partner(&net);
-                partner.busy = ready.is_some();
-                ready.map(|ready| {
-                    let oldest = partner.traces.front();
-                    let of_first = oldest.filter(|(number, _)| *number == ready.first);
-                    let cx = of_first.map(|(_, cx)| cx.clone());
-                    (ready, cx)
-                })
-            };
-            let Some((ready, cx)) = next else { return };
+            let (ready, cx) = poll_fn(|task| self.next_ready(&net, task.waker())).await;
             let wanted = ready.transfers.len() as u64;
             let first = ready.first;
             match self
@@ -195,7 +220,7 @@ impl<S: 'static> Engine<S> {
             error => Failed::Never(error.to_string()),
         })?;
         let message = Tokens {
-            from: self.net().name().to_owned(),
+            from: Arc::clone(&self.core.borrow().carrying.from),
             stream,
             first,
             transfers,

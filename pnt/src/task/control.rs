@@ -332,14 +332,14 @@ impl<S: 'static> Engine<S> {
                 core.execution.put_tokens(&place, tokens)?;
                 let of = core.execution.net().place(&place);
                 let put = of.into_iter().map(|place| (place, tokens)).collect();
-                let what = Happened::Tokens(EventPhase::Put, put, by_hand());
+                let what = Happened::Tokens(EventPhase::Put, put, by_hand().into());
                 Ok((format!("put {tokens} into {place}"), what))
             }
             Order::Take { place, tokens } => {
                 core.execution.take_tokens(&place, tokens)?;
                 let of = core.execution.net().place(&place);
                 let taken = of.into_iter().map(|place| (place, tokens)).collect();
-                let what = Happened::Tokens(EventPhase::Taken, taken, by_hand());
+                let what = Happened::Tokens(EventPhase::Taken, taken, by_hand().into());
                 Ok((format!("take {tokens} out of {place}"), what))
             }
             Order::Pause => {

@@ -320,9 +320,9 @@ impl<S: 'static> Engine<S> {
     /// Goes on with what was under way when the process died: transfers, and actions if they may be asked
     /// again.
     pub(super) fn take_up_firings(self: &Rc<Self>, cx: &Context) {
-        let (nets, running): (Vec<String>, Vec<(FiringId, TransitionId)>) = {
+        let (nets, running): (Vec<Arc<str>>, Vec<(FiringId, TransitionId)>) = {
             let core = self.core.borrow();
-            let nets = core.transfers.waiting().map(|(net, _)| net.to_owned());
+            let nets = core.transfers.waiting().map(|(net, _)| net.into());
             (nets.collect(), core.execution.running().collect())
         };
         for net in nets {

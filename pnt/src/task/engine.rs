@@ -26,6 +26,7 @@ use super::{
     messages::{Output, PutOnce, PutTape, RequestId, Snapshot, TapeAnswer, Tokens, Transfer},
     once::{Known, Once},
     replace::Replacing,
+    routes::Routes,
     settings::Settings,
     transfers::Transfers,
 };
@@ -101,6 +102,7 @@ pub(super) struct Core {
     /// What other nets get and got.
     pub(super) transfers: Transfers,
     pub(super) carrying: Carrying,
+    pub(super) routes: Routes,
     /// The output tape: answers that nobody was there to take.
     pub(super) output: VecDeque<Output>,
     pub(super) outputs: u64,
@@ -143,7 +145,8 @@ impl<S: 'static> Engine<S> {
                 commands: BTreeMap::new(),
                 notes: Rc::default(),
                 transfers: Transfers::new(new_stream(&cx)),
-                carrying: Carrying::default(),
+                carrying: Carrying::new(net.name()),
+                routes: Routes::new(&net),
                 output: VecDeque::new(),
                 outputs: 0,
                 objects: objects_of(&net, Some(false)),
@@ -262,11 +265,8 @@ impl<S: 'static> Engine<S> {
                 let text = format!("net `{name}` takes no tokens: {why}");
                 return Err(HandlerError::new(text));
             }
-            let (taken, happened) = core.receive(message, self.settings.tape)?;
-            for what in happened {
-                self.note(&mut core, cx, what);
-            }
-            taken
+            let note = |core: &mut Core, what| self.note(core, cx, what);
+            core.receive(message, self.settings.tape, note)?
         };
         self.when_stored(move |_| {
             // Answering never fails; a sender that is gone asks again.
@@ -427,13 +427,14 @@ impl Core {
         Ok(self.execution.put_symbol(symbol, arguments.to_vec())?)
     }
 
-    /// Takes what of a message is new; the number of the last transfer that is taken. A transfer for which
-    /// there is no room now is left, with those after it, for the sender to send again.
+    /// Takes what of a message is new, and notes each transfer; the number of the last one that is taken. A
+    /// transfer for which there is no room now is left, with those after it, for the sender to send again.
     fn receive(
         &mut self,
         message: Tokens,
         room: usize,
-    ) -> Result<(u64, Vec<Happened>), HandlerError> {
+        mut note: impl FnMut(&mut Self, Happened),
+    ) -> Result<u64, HandlerError> {
         let Tokens {
             from,
             stream,
@@ -443,47 +444,42 @@ impl Core {
         let known = self.transfers.known(&from, stream, first)?;
         let mut last = (first + known).saturating_sub(1);
         let skipped = usize::try_from(known).unwrap_or(usize::MAX);
-        let mut happened = Vec::new();
         for transfer in transfers.into_iter().skip(skipped) {
-            let what = self.happening(&transfer, &from);
-            match self.take_in(transfer, room) {
-                Ok(true) => happened.extend(what),
-                Ok(false) => break,
+            let put = match self.take_in(&transfer, room) {
+                Ok(Some(put)) => put,
+                Ok(None) => break,
                 // What came before it is taken; it comes again first in its message and is refused then.
                 Err(_) if last >= first => break,
                 Err(error) => return Err(error.into()),
-            }
+            };
             last += 1;
             self.transfers.take(&from, stream, last);
             self.changed();
-        }
-        Ok((last, happened))
-    }
-
-    /// How displays see a transfer.
-    fn happening(&self, transfer: &Transfer, from: &str) -> Vec<Happened> {
-        let net = self.execution.net();
-        let asked = transfer.symbol.iter();
-        let asked = asked.map(|(symbol, with)| Happened::Asked(symbol.clone(), with.join(" ")));
-        let put = transfer.tokens.iter();
-        let put = put.filter_map(|(place, count)| Some((net.place(place)?, *count)));
-        let put: Vec<_> = put.collect();
-        let tokens =
-            (!put.is_empty()).then(|| Happened::Tokens(EventPhase::Received, put, from.to_owned()));
-        asked.chain(tokens).collect()
-    }
-
-    /// Puts one transfer, all or nothing; false when a tape has no room for it.
-    fn take_in(&mut self, transfer: Transfer, room: usize) -> Result<bool, FireError> {
-        if let Some((symbol, arguments)) = transfer.symbol {
-            let accepted = self.execution.net().command(&symbol).is_some();
-            if accepted && self.require_room(&symbol, room).is_err() {
-                return Ok(false);
+            if let Some((symbol, with)) = &transfer.symbol {
+                note(self, Happened::Asked(symbol.clone(), with.join(" ")));
             }
-            self.execution.put_symbol(&symbol, arguments)?;
+            if !put.is_empty() {
+                let text = Arc::clone(&from);
+                note(self, Happened::Tokens(EventPhase::Received, put, text));
+            }
         }
-        self.execution.put_all(&transfer.tokens)?;
-        Ok(true)
+        Ok(last)
+    }
+
+    /// Puts one transfer, all or nothing; the tokens, or nothing when a tape has no room for it.
+    fn take_in(
+        &mut self,
+        transfer: &Transfer,
+        room: usize,
+    ) -> Result<Option<Vec<(PlaceId, u32)>>, FireError> {
+        if let Some((symbol, arguments)) = &transfer.symbol {
+            let accepted = self.execution.net().command(symbol).is_some();
+            if accepted && self.require_room(symbol, room).is_err() {
+                return Ok(None);
+            }
+            self.execution.put_symbol(symbol, arguments.clone())?;
+        }
+        self.execution.put_all(&transfer.tokens).map(Some)
     }
 
     /// A command has its answer: to who waits for it, or else to the output tape.

@@ -9,11 +9,12 @@ use super::{
     engine::{Core, Engine},
     journal::Phase,
     messages::Transfer,
+    routes::Bundle,
 };
 use crate::{
     exec::{FireError, FiringId, OnTape, Written},
     library::{Acted, Action, CommandLine},
-    net::{RemoteArc, TransitionId, When},
+    net::{TransitionId, When},
     stream::EventPhase,
 };
 
@@ -136,7 +137,8 @@ impl<S: 'static> Engine<S> {
         let on_tape = core.at_hand(id);
         let read = core.in_progress();
         let effects = core.execution.fire(id)?;
-        let (remote, written) = (effects.remote.to_vec(), effects.written);
+        let written = effects.written;
+        let sent = core.routes.of(id, false);
         core.take_up(read, written.as_ref(), cx);
         let phase = Phase {
             transition: id,
@@ -146,7 +148,7 @@ impl<S: 'static> Engine<S> {
         };
         self.log(&mut core, cx, &phase);
         drop(core);
-        self.carry_out(cx, id, &remote, written, on_tape);
+        self.carry_out(cx, id, sent, written, on_tape);
         Ok(())
     }
 
@@ -210,11 +212,13 @@ impl<S: 'static> Engine<S> {
         self: &Rc<Self>,
         cx: &Context,
         id: TransitionId,
-        remote: &[RemoteArc],
+        sent: Option<Bundle>,
         written: Option<Written>,
         on_tape: Option<OnTape>,
     ) {
-        self.post(cx, remote);
+        if let Some(sent) = sent {
+            self.post(cx, &sent);
+        }
         let symbol = match written {
             None => return,
             Some(Written::Answer { symbol, .. }) => symbol,
@@ -231,7 +235,7 @@ impl<S: 'static> Engine<S> {
                 tokens: Vec::new(),
                 symbol: Some((symbol.clone(), on_tape.arguments.clone())),
             };
-            self.post_to(cx, net, transfer);
+            self.post_to(cx, &net.as_str().into(), Arc::new(transfer));
         }
         let answer = self.core.borrow_mut().answer(&on_tape, symbol);
         if let Some((reply, answer)) = answer {

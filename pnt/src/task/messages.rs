@@ -1,5 +1,7 @@
 //! The commands of net tasks.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 /// The answer to a command on the input tape.
@@ -167,13 +169,13 @@ ctos::command! {
     #[derive(Debug, Clone, PartialEq, Eq)]
     pub struct Tokens {
         /// The sending net.
-        pub from: String,
+        pub from: Arc<str>,
         /// The stream to which the numbers belong; a sender that has forgotten begins another.
         pub stream: u64,
         /// Number of the first transfer; the others follow without gaps.
         pub first: u64,
         /// The transfers. The tokens of one are put all or none.
-        pub transfers: Vec<Transfer>,
+        pub transfers: Vec<Arc<Transfer>>,
     } => u64, 0x0002, "tokens"
 }
 

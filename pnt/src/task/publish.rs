@@ -66,7 +66,7 @@ impl<S: 'static> Engine<S> {
 
     /// Sees to it that those who follow are answered, if there is something for them.
     pub(super) fn call_followers(self: &Rc<Self>, core: &mut Core) {
-        if let Some(at) = core.journal.stream.call(self.cx.now()) {
+        if let Some(at) = core.journal.stream.call(|| self.cx.now()) {
             self.answer_at(at);
         }
     }

@@ -13,6 +13,7 @@ use super::{
     engine::{Core, Engine, objects_of},
     load,
     messages::Control,
+    routes::Routes,
 };
 use crate::{
     check::{self, Limits},
@@ -207,6 +208,7 @@ impl Core {
         self.execution = execution.map_err(|error| error.to_string())?;
         self.race = self.race.begin_again(&self.execution);
         self.failures = vec![0; net.transitions().len()];
+        self.routes = Routes::new(net);
         self.objects = objects_of(net, None);
         self.manual.replaced(&self.execution);
         Ok(())

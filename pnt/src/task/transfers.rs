@@ -10,7 +10,10 @@
 //!
 //! Data only: it sends nothing and knows no task.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -40,7 +43,7 @@ struct Outbox {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Kept {
     number: u64,
-    transfer: Transfer,
+    transfer: Arc<Transfer>,
     /// The change of the net with which it came to be. What was read from a store is stored.
     #[serde(skip)]
     change: u64,
@@ -60,7 +63,7 @@ pub(super) struct Ready {
     pub(super) stream: u64,
     /// Number of the first one.
     pub(super) first: u64,
-    pub(super) transfers: Vec<Transfer>,
+    pub(super) transfers: Vec<Arc<Transfer>>,
 }
 
 /// Transfers are missing in between: the sender lost what it had not been told that we have.
@@ -87,8 +90,11 @@ impl Transfers {
     }
 
     /// Keeps a transfer for a net; it came to be with this change. Returns its number.
-    pub(super) fn post(&mut self, net: &str, transfer: Transfer, change: u64) -> u64 {
-        let outbox = self.out.entry(net.to_owned()).or_default();
+    pub(super) fn post(&mut self, net: &str, transfer: Arc<Transfer>, change: u64) -> u64 {
+        let outbox = match self.out.get_mut(net) {
+            Some(outbox) => outbox,
+            None => self.out.entry(net.to_owned()).or_default(),
+        };
         outbox.last += 1;
         outbox.waiting.push_back(Kept {
             number: outbox.last,
@@ -102,11 +108,11 @@ impl Transfers {
     pub(super) fn ready(&self, net: &str, stored: u64) -> Option<Ready> {
         let waiting = &self.out.get(net)?.waiting;
         let first = waiting.front()?.number;
-        let transfers: Vec<Transfer> = waiting
+        let transfers: Vec<Arc<Transfer>> = waiting
             .iter()
             .take_while(|kept| kept.change <= stored)
             .take(MOST_IN_MESSAGE)
-            .map(|kept| kept.transfer.clone())
+            .map(|kept| Arc::clone(&kept.transfer))
             .collect();
         (!transfers.is_empty()).then_some(Ready {
             stream: self.stream,
@@ -172,11 +178,11 @@ mod tests {
 
     use super::*;
 
-    fn token(number: u32) -> Transfer {
-        Transfer {
+    fn token(number: u32) -> Arc<Transfer> {
+        Arc::new(Transfer {
             tokens: vec![("p".to_owned(), number)],
             symbol: None,
-        }
+        })
     }
 
     /// What can happen to a sender and a receiver, both of which are stored at every step.
@@ -204,7 +210,7 @@ mod tests {
     }
 
     /// Takes a message as a net does.
-    fn receive(transfers: &mut Transfers, ready: &Ready, got: &mut Vec<Transfer>) -> u64 {
+    fn receive(transfers: &mut Transfers, ready: &Ready, got: &mut Vec<Arc<Transfer>>) -> u64 {
         let known = transfers.known("a", ready.stream, ready.first).unwrap();
         got.extend(ready.transfers.iter().skip(known as usize).cloned());
         let last = ready.first + ready.transfers.len() as u64 - 1;
