@@ -16,7 +16,7 @@ mod recording;
 mod server;
 mod view;
 
-pub use logs::{Level, LogLine};
+pub use logs::{Level, LogLine, without_tokens};
 pub use place::{Socket, folder, prepared_folder};
 
 pub(crate) use logs::LogStore;

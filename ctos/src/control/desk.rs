@@ -195,7 +195,8 @@ impl Desk {
                     tell(&mut writer, &refused).await?;
                 }
                 Ok(ask) => {
-                    let answered = std::pin::pin!(self.answer(ask.request, speaker, &mut writer));
+                    let answered =
+                        std::pin::pin!(self.answer(ask.request, client.role, speaker, &mut writer));
                     tokio::select! {
                         biased;
                         answered = answered => answered?,
@@ -213,6 +214,7 @@ impl Desk {
     async fn answer(
         &self,
         request: Request,
+        role: Role,
         speaker: &mut Speaker,
         writer: &mut Writer,
     ) -> io::Result<()> {
@@ -227,10 +229,10 @@ impl Desk {
                 tell(writer, &answer).await
             }
             Request::Status { name } => {
-                let answer = self.status(&name).await;
+                let answer = self.status(&name, role).await;
                 tell(writer, &answer).await
             }
-            Request::Logs(request) => self.logs(&request, writer).await,
+            Request::Logs(request) => self.logs(&request, role, writer).await,
             Request::Stop { now } => self.stop(now, writer).await,
             Request::Restart { name } => {
                 let answer = self.restart(&name).await;

@@ -19,6 +19,7 @@ use crate::{
         server::News,
         view,
     },
+    security::Role,
     system::{self, Interrupt, RestartChassis, RestartTask},
     text::Say,
 };
@@ -83,7 +84,7 @@ impl Desk {
         })
     }
 
-    pub(super) async fn status(&self, name: &str) -> Answer {
+    pub(super) async fn status(&self, name: &str, role: Role) -> Answer {
         let app = match view::app(&self.chassis, &self.logs).await {
             Ok(app) => app,
             Err(fault) => return failed(&fault),
@@ -105,7 +106,7 @@ impl Desk {
         Answer::Status(Box::new(StatusView {
             app: app.app,
             up_s: app.up_s,
-            logs: self.process_logs(&chassis.name, is_task.then_some(name)),
+            logs: self.process_logs(&chassis.name, is_task.then_some(name), role),
             chassis,
             tasks,
             is_task,
@@ -113,7 +114,7 @@ impl Desk {
     }
 
     /// The last lines of a chassis's processes; of the present one those about `task`, if one is named.
-    fn process_logs(&self, chassis: &str, task: Option<&str>) -> Vec<ProcessLog> {
+    fn process_logs(&self, chassis: &str, task: Option<&str>, role: Role) -> Vec<ProcessLog> {
         let mut logs: Vec<ProcessLog> = self
             .logs
             .processes(chassis)
@@ -135,13 +136,18 @@ impl Desk {
                 if log.lines.len() == STATUS_LINES {
                     log.lines.remove(0);
                 }
-                log.lines.push(line);
+                log.lines.push(line.for_role(role));
             }
         }
         logs
     }
 
-    pub(super) async fn logs(&self, request: &LogRequest, writer: &mut Writer) -> io::Result<()> {
+    pub(super) async fn logs(
+        &self,
+        request: &LogRequest,
+        role: Role,
+        writer: &mut Writer,
+    ) -> io::Result<()> {
         let app = &self.chassis.app;
         if let Some(name) = &request.name {
             let chassis = app.chassis.iter().any(|chassis| chassis.name == *name);
@@ -160,7 +166,7 @@ impl Desk {
             .last
             .map_or(0, |last| chosen.len().saturating_sub(last));
         for line in chosen.into_iter().skip(skipped) {
-            tell(writer, &Answer::Log(line)).await?;
+            tell(writer, &Answer::Log(line.for_role(role))).await?;
         }
         let mut is_over = false;
         while request.follow && !is_over {
@@ -168,7 +174,7 @@ impl Desk {
                 biased;
                 line = following.recv() => match line {
                     Ok(line) if line.at_s > last_at && self.is_wanted(&line, request) => {
-                        tell(writer, &Answer::Log(line)).await?;
+                        tell(writer, &Answer::Log(line.for_role(role))).await?;
                     }
                     Ok(_) => {}
                     Err(broadcast::error::RecvError::Lagged(lines)) => {
