@@ -14,6 +14,7 @@ mod alarm;
 mod calls;
 mod futures;
 mod handle;
+mod handover;
 mod stopwatch;
 
 use std::{
@@ -29,6 +30,7 @@ use self::{
     alarm::Timed,
     futures::{Futures, WakerOf},
     handle::Item,
+    handover::Handovers,
     stopwatch::Stopwatch,
 };
 use crate::{
@@ -56,6 +58,7 @@ pub(crate) struct Processor {
     fresh: Cell<bool>,
     /// How rarely it looks at the clock while the code of its tasks is brief.
     stopwatch: Stopwatch,
+    handovers: Handovers,
     futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
     current: Cell<Option<(FutureId, WakerOf)>>,
@@ -78,7 +81,8 @@ pub(crate) struct Processor {
     traces: Cell<(u64, u64)>,
     handling: Cell<u64>,
     next_serial: Cell<u64>,
-    orphan: RefCell<Option<ReplySlot>>,
+    /// Rights to answer that handlers at work have dropped.
+    orphans: RefCell<Vec<ReplySlot>>,
 }
 
 thread_local! {
@@ -104,6 +108,7 @@ impl Processor {
             fresh: Cell::new(false),
             stopwatch: Stopwatch::new(clock.origin_ns().is_some()),
             clock,
+            handovers: Handovers::default(),
             futures: RefCell::default(),
             current: Cell::new(None),
             timers: RefCell::default(),
@@ -118,7 +123,7 @@ impl Processor {
             traces: Cell::new((0, 0)),
             handling: Cell::new(0),
             next_serial: Cell::new(1),
-            orphan: RefCell::default(),
+            orphans: RefCell::default(),
         })
     }
 

@@ -13,6 +13,7 @@ use crate::{
     processor::Processor,
     record::Asked,
     system,
+    watch::TaskMeter,
 };
 
 /// What the sender of a message waits for.
@@ -60,8 +61,8 @@ enum Offer {
 }
 
 impl Chassis {
-    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, with
-    /// what `note` makes of it and of the message's number in the record. With the way to take it back,
+    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, perhaps at
+    /// once (then `meter`, its caller's, has stood still meanwhile), with what `note` makes of it and of the message's number in the record. With the way to take it back,
     /// when it went over a link.
     #[inline]
     pub(crate) fn call(
@@ -69,13 +70,15 @@ impl Chassis {
         processor: &Processor,
         mut message: Message,
         limit: Duration,
+        meter: &TaskMeter,
         note: impl FnOnce(Asked, u64) -> Note,
     ) -> (CallKey, Option<Box<Outbound>>) {
         let asked = self.address(Some(processor), &mut message);
         let to = message.header().to;
         let here = to.chassis() == self.index;
+        let beside = here && !self.tap.is_on() && self.is_on(to, processor);
         // What stays on the processor is told when the caller gives up once that is known there.
-        if !here || self.tap.is_on() || !self.is_on(to, processor) {
+        if !beside {
             message.letter.deadline = Some(processor.now() + limit);
         }
         let ticket = processor.begin_call(limit);
@@ -93,7 +96,15 @@ impl Chassis {
             return (key, outbound.map(Box::new));
         }
         finish(&mut message, Flags::REPLY_WAIT, recorded, Some(slot));
-        match self.offer(processor, to, message) {
+        let offer = if beside {
+            match processor.queue(to.slot()) {
+                Some(queue) => Offer::Done(queue.offer_call(processor, message, meter)),
+                None => Offer::Nobody(message),
+            }
+        } else {
+            self.offer(processor, to, message)
+        };
+        match offer {
             Offer::Done(Offered::Taken) => {}
             Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
                 Some(task) => task.mailbox.line_up(message, Acceptance::Silent),

@@ -265,7 +265,10 @@ impl Ask {
             recorded,
             place: None,
         };
-        let (key, outbound) = asker.chassis.call(&asker.processor, message, limit, note);
+        let meter = &asker.record.statistics.meter;
+        let (key, outbound) = asker
+            .chassis
+            .call(&asker.processor, message, limit, meter, note);
         self.state = AskState::Asked(key, outbound);
         Ok(())
     }

@@ -16,6 +16,7 @@ use crate::{
     processor::{FutureId, Processor},
     room::{Room, most_waiting},
     system::{Broke, StopTask, interrupts},
+    watch::TaskMeter,
 };
 
 #[derive(Default)]
@@ -145,24 +146,55 @@ impl TaskQueue {
     /// Puts a message in if there is room now.
     #[inline]
     pub(crate) fn offer(&self, processor: &Processor, message: Message) -> Offered {
+        match self.put_in(message) {
+            Ok(command) => {
+                self.has_come(processor, command);
+                Offered::Taken
+            }
+            Err(offered) => offered,
+        }
+    }
+
+    /// [`Self::offer`] of a call: an idle task has its turn at once where that may be, and `meter`, its
+    /// caller's, stands still meanwhile.
+    #[inline]
+    pub(crate) fn offer_call(
+        &self,
+        processor: &Processor,
+        message: Message,
+        meter: &TaskMeter,
+    ) -> Offered {
+        match self.put_in(message) {
+            Ok(command) => {
+                if let Some(runner) = self.concerns(command)
+                    && !processor.hand_over(runner, meter)
+                {
+                    processor.wake(runner);
+                }
+                Offered::Taken
+            }
+            Err(offered) => offered,
+        }
+    }
+
+    /// Puts a message in if there is room now; its command.
+    #[inline]
+    fn put_in(&self, message: Message) -> Result<u16, Offered> {
         if self.mailbox.is_closed() {
-            return Offered::Closed(message);
+            return Err(Offered::Closed(message));
         }
         let (urgent, system) = is_urgent(&message);
         let room = self.mailbox.room(urgent);
         let command = message.command();
-        {
-            let mut lanes = self.lanes.borrow_mut();
-            let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
-            let kept = gated || (lanes.held && !system);
-            let lane = lanes.lane(urgent);
-            if kept || (!system && lane.queue.len() >= self.mailbox.capacity) {
-                return Offered::NoRoom(message);
-            }
-            lane.push(message, room);
+        let mut lanes = self.lanes.borrow_mut();
+        let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
+        let kept = gated || (lanes.held && !system);
+        let lane = lanes.lane(urgent);
+        if kept || (!system && lane.queue.len() >= self.mailbox.capacity) {
+            return Err(Offered::NoRoom(message));
         }
-        self.has_come(processor, command);
-        Offered::Taken
+        lane.push(message, room);
+        Ok(command)
     }
 
     /// Takes in a message from another thread, or one that waits for room.
@@ -248,6 +280,14 @@ impl TaskQueue {
     /// A message of `command` is in the queue now: wakes whom it concerns.
     #[inline]
     fn has_come(&self, processor: &Processor, command: u16) {
+        if let Some(runner) = self.concerns(command) {
+            processor.wake(runner);
+        }
+    }
+
+    /// A message of `command` is in the queue now: the task's loop, if that waits for it.
+    #[inline]
+    fn concerns(&self, command: u16) -> Option<FutureId> {
         let interruption = interrupts(command);
         if interruption {
             self.interruptions.set(self.interruptions.get() + 1);
@@ -257,10 +297,12 @@ impl TaskQueue {
             WaitsFor::Message => true,
             WaitsFor::Interruption => interruption,
         };
-        if wakes && let Some(runner) = self.runner.get() {
-            self.waits_for.set(WaitsFor::Nothing);
-            processor.wake(runner);
+        if !wakes {
+            return None;
         }
+        let runner = self.runner.get()?;
+        self.waits_for.set(WaitsFor::Nothing);
+        Some(runner)
     }
 
     /// The next message, high priority first.

@@ -168,19 +168,15 @@ impl Processor {
         if slot.serial() == 0 || slot.serial() != self.handling.get() {
             return Err(slot);
         }
-        // One message has one slot, so nothing is there before.
-        *self.orphan.borrow_mut() = Some(slot);
+        self.orphans.borrow_mut().push(slot);
         Ok(())
     }
 
     /// The right to answer message `serial`, if its handler dropped it.
     #[inline]
     pub(crate) fn take_orphan(&self, serial: u64) -> Option<ReplySlot> {
-        let mut orphan = self.orphan.borrow_mut();
-        if orphan.as_ref()?.serial() == serial {
-            orphan.take()
-        } else {
-            None
-        }
+        let mut orphans = self.orphans.borrow_mut();
+        let place = orphans.iter().position(|slot| slot.serial() == serial)?;
+        Some(orphans.swap_remove(place))
     }
 }

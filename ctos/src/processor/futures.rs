@@ -195,10 +195,17 @@ impl Processor {
         let Some((id, running)) = self.take_ready(index) else {
             return false;
         };
-        let Some(mut running) = running else {
+        let Some(running) = running else {
             return true;
         };
         self.enter();
+        self.handovers.begin_anew();
+        self.poll_running(id, running);
+        true
+    }
+
+    /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
+    pub(super) fn poll_running(&self, id: FutureId, mut running: Box<Running>) {
         self.current.set(Some((id, WakerOf::the(&running.waker))));
         let polled = {
             let Running { future, waker, .. } = &mut *running;
@@ -217,7 +224,7 @@ impl Processor {
             if let (Err(panic), Some(on_panic)) = (polled, on_panic) {
                 on_panic(panic_text(panic.as_ref()));
             }
-            return true;
+            return;
         }
         let cancelled = {
             let mut futures = self.futures.borrow_mut();
@@ -233,7 +240,16 @@ impl Processor {
         if cancelled.is_some() {
             drop_contained(cancelled);
         }
-        true
+    }
+
+    /// Takes a future out of its entry, if nothing is ready to be polled.
+    #[inline]
+    pub(super) fn take_idle(&self, id: FutureId) -> Option<Box<Running>> {
+        let mut futures = self.futures.borrow_mut();
+        if !futures.ready.is_empty() {
+            return None;
+        }
+        futures.entry(id)?.running.take()
     }
 
     #[inline]

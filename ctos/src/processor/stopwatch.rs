@@ -48,11 +48,17 @@ impl Stopwatch {
     #[inline]
     pub(super) fn skips(&self) -> bool {
         let skipped = self.skipped.get();
-        let skips = self.brief.get() >= BRIEF_LOOKS && skipped < SKIPPED && self.real;
+        let skips = self.is_brief() && skipped < SKIPPED;
         if skips {
             self.skipped.set(skipped + 1);
         }
         skips
+    }
+
+    /// Whether the turns of late were brief, by a real clock.
+    #[inline]
+    pub(super) fn is_brief(&self) -> bool {
+        self.brief.get() >= BRIEF_LOOKS && self.real
     }
 
     /// Every turn is measured until many have been brief again.

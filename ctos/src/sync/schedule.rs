@@ -169,6 +169,12 @@ impl Schedule {
         nodes.any(|node| node.flow.name == name && node.wanted.load(Ordering::Acquire))
     }
 
+    /// Whether there is nothing to run, and nothing to look at.
+    #[inline]
+    pub(crate) fn is_idle(&self) -> bool {
+        self.idle.get()
+    }
+
     /// A grid of base ticks: counted from the start of the app where the configuration gives the period,
     /// so that the processors of a host tick together; else from now.
     fn grid(&self, base: Duration) -> Grid {

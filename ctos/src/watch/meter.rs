@@ -117,11 +117,30 @@ impl TaskMeter {
 
     /// Runs code of the handler: a turn that it has on its processor. The code does not panic.
     pub(crate) fn in_turn<T>(&self, code: impl FnOnce() -> T) -> T {
+        self.step();
+        let result = code();
+        self.step();
+        result
+    }
+
+    /// Runs code of others within a turn of the handler, which goes on when that has ended. The code does not
+    /// panic.
+    #[inline]
+    pub(crate) fn out_of_turn<T>(&self, code: impl FnOnce() -> T) -> T {
+        if self.turn().is_none() {
+            return code();
+        }
+        self.step();
+        let result = code();
+        self.step();
+        result
+    }
+
+    /// A turn begins or ends.
+    #[inline]
+    fn step(&self) {
         let before = self.turns.load(Ordering::Relaxed);
         self.turns.store(before.wrapping_add(1), Ordering::Release);
-        let result = code();
-        self.turns.store(before.wrapping_add(2), Ordering::Release);
-        result
     }
 }
 
@@ -159,5 +178,22 @@ mod tests {
         assert_eq!(meter.turn(), None);
         assert!(meter.in_turn(|| meter.turn()).is_some());
         assert_eq!(meter.turn(), None);
+        assert_eq!(meter.out_of_turn(|| meter.turn()), None);
+        assert_eq!(meter.turn(), None);
+    }
+
+    #[test]
+    fn what_others_do_within_a_turn_is_none_of_it_and_begins_another_one() {
+        let meter = TaskMeter::default();
+        let (before, within, after) = meter.in_turn(|| {
+            let before = meter.turn();
+            let within = meter.out_of_turn(|| meter.turn());
+            (before, within, meter.turn())
+        });
+        assert!(before.is_some() && after.is_some());
+        assert_ne!(before, after);
+        assert_eq!(within, None);
+        let next = meter.in_turn(|| meter.turn());
+        assert!(next.is_some() && next != after);
     }
 }

@@ -1,0 +1,92 @@
+//! Calls between tasks of one processor without a detour: where nothing else is to be done, an idle task
+//! that is called has its turn at once, within that of its caller, who then finds the answer without having
+//! waited.
+//!
+//! The receiver would have been the next to have its turn, so the order of messages is the same as without.
+//! What is different is when the rest of the caller's turn comes: after the receiver's. So that nobody
+//! else waits longer for that, it is done only while the code of tasks is brief, for a few calls of a turn, and not
+//! where synchronous functions have their deadlines. Never in virtual time, nor while something is recorded.
+
+use std::{cell::Cell, sync::atomic::Ordering};
+
+use super::{FutureId, Processor};
+use crate::watch::TaskMeter;
+
+/// So many calls of one turn are made so. Then everything else is looked at.
+const MOST: u32 = 16;
+
+/// So many receivers have their turns within one another.
+const DEEPEST: u32 = 4;
+
+/// Counts turns within turns.
+#[derive(Default)]
+pub(super) struct Handovers {
+    /// Those in the present turn.
+    made: Cell<u32>,
+    /// Those that have not ended.
+    depth: Cell<u32>,
+    /// Whether turns are taken to be brief.
+    #[cfg(test)]
+    always: Cell<bool>,
+}
+
+impl Handovers {
+    /// A turn begins that is in no other one.
+    #[inline]
+    pub(super) fn begin_anew(&self) {
+        self.made.set(0);
+        self.depth.set(0);
+    }
+}
+
+impl Processor {
+    /// Lets a future that has just got a message have its turn within the present one, which is its
+    /// caller's, whose `meter` stands still meanwhile. False when it is to have it in the usual way.
+    #[inline]
+    pub(crate) fn hand_over(&self, to: FutureId, meter: &TaskMeter) -> bool {
+        if !self.may_hand_over() {
+            return false;
+        }
+        let Some(running) = self.take_idle(to) else {
+            return false;
+        };
+        let Handovers { made, depth } = &self.handovers;
+        made.set(made.get() + 1);
+        depth.set(depth.get() + 1);
+        // Here a part of the caller's turn ends.
+        self.start_calls();
+        let caller = self.current.take();
+        let handling = self.handling.replace(0);
+        meter.out_of_turn(|| self.poll_running(to, running));
+        self.handling.set(handling);
+        self.current.set(caller);
+        depth.set(depth.get().saturating_sub(1));
+        self.leave();
+        true
+    }
+
+    /// Whether nothing else is to be done before the turn of whoever is called now.
+    #[inline]
+    fn may_hand_over(&self) -> bool {
+        let Handovers { made, depth } = &self.handovers;
+        self.turns_are_brief()
+            && made.get() < MOST
+            && depth.get() < DEEPEST
+            && self.schedule.is_idle()
+            && !self.handle.inbox.is_filled()
+            && !self.handle.stop.load(Ordering::Relaxed)
+            && self.current.get().is_some()
+    }
+
+    #[inline]
+    fn turns_are_brief(&self) -> bool {
+        #[cfg(test)]
+        if self.handovers.always.get() {
+            return true;
+        }
+        self.stopwatch.is_brief()
+    }
+}
+
+#[cfg(test)]
+mod tests;
