@@ -163,6 +163,97 @@ fn a_limit_has_exit_code_6_and_says_so() {
     }
 }
 
+/// Twelve lines that have nothing to do with each other; each goes round, or comes to its end.
+fn lines(round: bool) -> String {
+    let mut text = String::from("net lines\n");
+    for line in 0..12 {
+        let back = if round {
+            format!("a{line}")
+        } else {
+            format!("c{line}")
+        };
+        text += &format!(
+            "place a{line} = 1, b{line}, c{line}\ntransition f{line}\n  in a{line}\n  out b{line}\ntransition g{line}\n  in b{line}\n  out {back}\n"
+        );
+    }
+    text
+}
+
+#[test]
+fn where_a_limit_ends_the_list_of_markings_stubborn_sets_may_still_tell_whether_anything_is_dead() {
+    let few = ["--max-markings", "100"];
+    let (object, code) = checked(&lines(true), &few);
+    assert_eq!(code, Some(6), "{object}");
+    assert_eq!(
+        (&object["complete"], &object["deadlock_free"]),
+        (&Value::Bool(false), &Value::Bool(true))
+    );
+    assert!(object["live"].is_null());
+    let (object, code) = checked(&lines(false), &few);
+    assert_eq!(code, Some(6), "{object}");
+    assert_eq!(
+        (
+            object["deadlocks"].as_u64(),
+            &object["deadlock_free"],
+            &object["live"]
+        ),
+        (Some(1), &Value::Bool(false), &Value::Bool(false))
+    );
+    let (object, _) = checked(BUFFER, &[]);
+    assert_eq!(object["deadlock_free"], true);
+}
+
+const ARM: &str = "net arm
+place raw = 1, ready
+command calibrate -> calibrated
+command carry -> carried
+transition calibrate\n  in raw\n  tape calibrate\n  out ready\n  write calibrated
+transition carry\n  in ready\n  tape carry\n  out ready\n  write carried\n";
+
+#[test]
+fn a_net_with_a_given_tape_is_asked_only_about_that() {
+    // Open, `carry` may come first.
+    assert_eq!(checked(ARM, &[]).1, Some(1));
+    let (object, code) = checked(ARM, &["--tape", "calibrate carry*"]);
+    assert_eq!(
+        (code, &object["sound"]),
+        (Some(0), &Value::Bool(true)),
+        "{object}"
+    );
+    assert_eq!(object["tapes"]["arm"], "calibrate carry*");
+    // Raw: idle, on the tape. Ready: idle, on the tape.
+    assert_eq!(object["markings"], 4);
+    let (object, code) = checked(ARM, &["--tape", "arm: calibrate carry calibrate"]);
+    assert_eq!(
+        (code, object["deadlocks"].as_u64()),
+        (Some(1), Some(1)),
+        "{object}"
+    );
+    assert_eq!(object["commands"][0]["sound"], false);
+    let (_, code) = checked(ARM, &["--tape", "calibrate", "--can", "raw & ready"]);
+    assert_eq!(code, Some(1));
+}
+
+#[test]
+fn a_tape_from_a_file_is_pointed_at_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("a file");
+    write("n.net", ARM);
+    write("good", "# a day\narm:\n  calibrate\n  carry*\n");
+    write("bad", "arm: calibrate\n  (cary | carry)*\n");
+    let check = |tape: &str| ctos(folder.path(), &["net", "check", "n.net", "--tape", tape]);
+    assert_eq!(check("@good").status.code(), Some(0));
+    for (tape, place) in [("@bad", "bad:2:4"), ("calibrate | parc", "--tape:1:13")] {
+        let output = check(tape);
+        let said = String::from_utf8(output.stderr).expect("text");
+        assert_eq!(output.status.code(), Some(3), "{said}");
+        assert!(said.contains(place), "{said}");
+    }
+    assert_eq!(check("@nowhere").status.code(), Some(3));
+    let said = String::from_utf8(check("@bad").stderr).expect("text");
+    assert!(said.contains("did you mean `carry`?"), "{said}");
+}
+
 #[test]
 fn a_wrong_file_or_question_has_exit_code_3() {
     let (_, code) = checked("net n\nplase a\n", &[]);

@@ -3,6 +3,7 @@
 //! do not prove becomes findings that point into the net texts.
 
 pub mod commands;
+pub mod tapes;
 
 #[cfg(test)]
 mod tests;
@@ -19,13 +20,15 @@ use crate::{
         explicit::{Progress, Reached},
         model::{Model, TransitionNumber},
         question::{Answer, Question},
+        returns::always_reachable,
         verdict::{Engines, Looked, Verdict, list, look},
     },
-    compose::{Stands, Step, System, SystemPlace},
+    compose::{Stands, Step, System, SystemPlace, tape::Ends},
     net::{Action, Net, Part},
 };
 
 pub use crate::analysis::explicit::Limits;
+pub use tapes::Tape;
 
 /// Steps of a firing sequence that are shown; the ones before are counted.
 const SHOWN_STEPS: usize = 16;
@@ -135,8 +138,10 @@ pub struct Options {
     pub engines: Engines,
     /// Questions about markings.
     pub questions: Vec<(Asks, String)>,
-    /// Whether to look at each command by itself as well.
+    /// Whether to look at each command by itself as well; at those on a given tape, where they come.
     pub workflows: bool,
+    /// What comes on tapes; on others, any command as soon as the one before is answered.
+    pub tapes: Vec<Tape>,
 }
 
 impl Options {
@@ -149,6 +154,7 @@ impl Options {
             engines: Engines::Explicit,
             questions: Vec::new(),
             workflows: false,
+            tapes: Vec::new(),
         }
     }
 }
@@ -199,10 +205,12 @@ pub fn prove(
     options: &Options,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Proof, Findings> {
-    let (system, mut findings) = System::compose(nets);
+    let (mut system, mut findings) = System::compose(nets);
     if findings.has_errors() {
         return Err(findings);
     }
+    let given = !options.tapes.is_empty();
+    let ends = given.then(|| system.with_tapes(&options.tapes));
     let model = Model::of_system(&system);
     let mut questions = Vec::new();
     for (asks, text) in &options.questions {
@@ -229,20 +237,24 @@ pub fn prove(
     };
     let answers = questions.into_iter().map(answered).collect();
     let grows = looked.explored.growth.is_some();
+    let end = ends.map(|ends| end(&ends, &looked, &limits));
+    let workflows = match (&end, options.workflows) {
+        (_, false) => Vec::new(),
+        (None, true) => commands::workflows(&system, &limits),
+        (Some(end), true) => commands::on_tapes(&system, &looked.explored, end, &limits),
+    };
     let judge = Judge {
         system: &system,
         model: &model,
         rule,
         looked: &looked,
+        end: end.as_ref(),
     };
     findings.extend(judge.findings());
     let verdict = looked.verdict;
     Ok(Proof {
         cover: grows.then(|| cover(&model, COVER_NODES)).flatten(),
-        workflows: match options.workflows {
-            true => commands::workflows(&system, &limits),
-            false => Vec::new(),
-        },
+        workflows,
         answers,
         system,
         model,
@@ -275,11 +287,36 @@ pub fn check(nets: &[Arc<Net>], limits: &Limits) -> (Report, Findings) {
     }
 }
 
+/// Whether the end of what comes on given tapes always stays within reach.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum End {
+    /// From every reachable marking.
+    Always,
+    /// Not from this one.
+    NotFrom(Vec<u32>),
+    /// A limit came first.
+    Unknown,
+}
+
+fn end(ends: &Ends, looked: &Looked<'_>, limits: &Limits) -> End {
+    match always_reachable(
+        &looked.explored,
+        &|marking| ends.holds(marking),
+        limits.bytes,
+    ) {
+        None => End::Unknown,
+        Some(None) => End::Always,
+        Some(Some(marking)) => End::NotFrom(marking),
+    }
+}
+
 struct Judge<'a> {
     system: &'a System,
     model: &'a Model,
     rule: Rule,
     looked: &'a Looked<'a>,
+    /// Where tapes are given.
+    end: Option<&'a End>,
 }
 
 impl Judge<'_> {
@@ -336,7 +373,7 @@ impl Judge<'_> {
             }
             Stands::OnTape(_) | Stands::Firing(_) | Stands::OnTheWay(_) => 1,
             Stands::InProgress(_) => 3,
-            Stands::Idle | Stands::Filled(_) | Stands::Holds(_) => 4,
+            Stands::Idle | Stands::Filled(_) | Stands::Holds(_) | Stands::Word(_) => 4,
         };
         self.system
             .places()
@@ -420,9 +457,10 @@ impl Judge<'_> {
             "pnt::check::deadlock",
             format!(
                 "{}: after {way} the marking is {}, and no transition is sure to fire{others}",
-                match self.rule {
-                    Rule::Rest => "the nets can stop short of rest",
-                    Rule::Closed => "there is a deadlock",
+                match (self.end, self.rule) {
+                    (Some(_), _) => "the nets can stop before the end of what is on the tape",
+                    (None, Rule::Rest) => "the nets can stop short of rest",
+                    (None, Rule::Closed) => "there is a deadlock",
                 },
                 self.system.marking_name(marking)
             ),
@@ -436,6 +474,9 @@ impl Judge<'_> {
         if self.rule == Rule::Closed || self.dead_ends().next().is_some() {
             return None;
         }
+        if let Some(end) = self.end {
+            return self.unfinished(end);
+        }
         let marking = self.looked.returns.as_ref()?.no_return.as_ref()?;
         let finding = Finding::error(
             "pnt::check::no_return",
@@ -446,6 +487,22 @@ impl Judge<'_> {
             ),
         )
         .help("look for a token that is lost or left over, or a command that gets no answer");
+        Some(self.at_marking(finding, marking))
+    }
+
+    fn unfinished(&self, end: &End) -> Option<Finding> {
+        let End::NotFrom(marking) = end else {
+            return None;
+        };
+        let finding = Finding::error(
+            "pnt::check::no_end",
+            format!(
+                "what is on the tape can get impossible to finish: after {} the marking is {}, and no way leads to its end with every command answered",
+                self.way_to(marking),
+                self.system.marking_name(marking)
+            ),
+        )
+        .help("look for a command that gets no answer, or give another tape");
         Some(self.at_marking(finding, marking))
     }
 
@@ -502,7 +559,11 @@ impl Judge<'_> {
     }
 
     fn unproved(&self) -> Option<Finding> {
-        let returns = self.rule == Rule::Closed || self.looked.returns.is_some();
+        let returns = match (self.rule, self.end) {
+            (Rule::Closed, _) => true,
+            (Rule::Rest, Some(end)) => *end != End::Unknown,
+            (Rule::Rest, None) => self.looked.returns.is_some(),
+        };
         let proved = self.looked.verdict.complete && returns;
         if proved || self.looked.explored.growth.is_some() {
             return None;

@@ -8,6 +8,7 @@
 //! first.
 
 mod build;
+pub mod tape;
 #[cfg(test)]
 mod tests;
 
@@ -39,13 +40,18 @@ pub enum Stands {
     OnTheWay(TransitionId),
     /// Whether a running firing of a transition has the command in progress, which another one may answer.
     Holds(TransitionId),
+    /// Whether the commands so far have led to this state of the language that is on the tape.
+    Word(usize),
 }
 
 impl Stands {
     /// Whether its tokens are no tokens of the nets, only kept for counting.
     #[must_use]
     pub fn is_count(self) -> bool {
-        matches!(self, Self::Idle | Self::Filled(_) | Self::Holds(_))
+        matches!(
+            self,
+            Self::Idle | Self::Filled(_) | Self::Holds(_) | Self::Word(_)
+        )
     }
 }
 
@@ -81,6 +87,8 @@ pub enum Phase {
     Put(CommandId),
     /// Tokens arrive at another net, whose number this is.
     Arrive(usize),
+    /// All tapes have come to their end, and nothing is asked any more.
+    End,
 }
 
 /// An atomic change of the system's marking.
@@ -169,6 +177,7 @@ impl System {
             Phase::Complete => format!("{}.{transition} completes", net.name()),
             Phase::Fail => format!("{}.{transition} fails", net.name()),
             Phase::Put(command) => format!("command {} to {}", net[command].symbol, net.name()),
+            Phase::End => "the end of all tapes".to_owned(),
             Phase::Arrive(other) => {
                 let other = self.nets.get(other).map_or("", |net| net.name());
                 format!("tokens of {}.{transition} arrive at {other}", net.name())

@@ -9,6 +9,7 @@
 //! - [`pnml`] and [`tina`]: nets of other tools; [`mod@format`]: files of any of these forms;
 //! - [`net`]: the compiled net, coordination structures expanded; [`compile`]: how it is made;
 //! - [`exec`]: markings, two-phase firing, tape: state plus input gives new state plus effects;
+//! - [`language`]: what may come on an input tape;
 //! - [`compose`]: all nets of an app as one system; [`analysis`]: what can be proved about it;
 //!   [`check`]: that as findings that point into the net texts;
 //! - [`invariants`]: what no firing of a net by itself can change;
@@ -33,6 +34,7 @@ pub mod format;
 #[cfg(test)]
 mod fuzz;
 pub mod invariants;
+pub mod language;
 pub mod layout;
 pub mod library;
 pub mod net;

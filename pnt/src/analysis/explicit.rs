@@ -73,6 +73,8 @@ pub struct Progress {
     pub level: usize,
     /// Bytes held.
     pub bytes: usize,
+    /// Whether only dead markings are looked for, by stubborn sets.
+    pub for_deadlock: bool,
 }
 
 /// A marking and its distance from the initial one.
@@ -219,6 +221,7 @@ impl<'a> Search<'a> {
             expanded: self.workers.iter().map(Worker::expanded).sum(),
             level: self.level,
             bytes: self.workers.iter().map(Worker::bytes).sum(),
+            for_deadlock: false,
         }
     }
 
@@ -381,6 +384,12 @@ impl Explored<'_> {
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.workers.iter().map(Worker::bytes).sum()
+    }
+
+    /// Gives back the memory of a search that a limit has ended. What is known by numbers stays; no way
+    /// to any marking can be told any more.
+    pub(super) fn forget(&mut self) {
+        self.workers = vec![Worker::new(&self.rules, 1)];
     }
 
     /// Transitions that are enabled nowhere.

@@ -8,12 +8,15 @@
 
 use std::mem;
 
-use hashbrown::HashMap;
-
 use super::{
-    explicit::{Limits, Stopped},
+    explicit::{Limits, Progress, Stopped},
+    layout::{Layout, bits_for, linear},
     model::{Model, PlaceNumber, TransitionNumber, Weighted},
+    store::{self, Store},
 };
+
+/// Markings looked at between two looks at the limits.
+const CHUNK: usize = 1 << 10;
 
 /// What a search found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -24,6 +27,8 @@ pub struct Found {
     pub deadlock: Option<(Vec<TransitionNumber>, Vec<u32>)>,
     /// Why the search ended before it had an answer.
     pub stopped: Option<Stopped>,
+    /// Bytes for markings and what finds them, at most at any time.
+    pub peak_bytes: usize,
 }
 
 /// Whether the search says anything about a model: not where priorities or enabling functions decide what
@@ -36,77 +41,141 @@ pub fn applies(model: &Model) -> bool {
 /// Looks for a marking at which nothing is enabled, until one is found or there is none.
 #[must_use]
 pub fn deadlock(model: &Model, limits: &Limits) -> Found {
+    deadlock_with(model, limits, &mut |_| {})
+}
+
+/// The same; `progress` is told from time to time.
+#[must_use]
+pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&Progress)) -> Found {
     let rules = Rules::new(model);
     let mut search = Search::new(model);
+    let mut scratch = Scratch::default();
+    let mut marking = Vec::new();
+    let mut expanded = 0_usize;
     // The latest first: whoever looks for one dead marking is sooner at the ends than at all of the middle.
-    let mut open = vec![0];
-    while let Some(at) = open.pop() {
-        let marking = search.markings[at].clone();
-        let fired = rules.stubborn(&marking, &mut search.scratch);
+    while let Some(at) = search.open.pop() {
+        search.layout.unpack(search.store.get(at), &mut marking);
+        let fired = rules.stubborn(&marking, &mut scratch);
         if fired.is_empty() {
-            let deadlock = Some((search.path(at), marking.into_vec()));
+            let deadlock = Some((search.path(at), marking));
             return search.found(deadlock, None);
         }
         for transition in fired {
             let Some(to) = rules.fire(transition, &marking) else {
                 return search.found(None, Some(Stopped::Tokens(0)));
             };
-            if let Some(number) = search.insert(to, (at, transition)) {
-                open.push(number);
-            }
+            search.insert(&to, (at, transition));
         }
-        if search.markings.len() > limits.markings {
+        expanded += 1;
+        if search.store.len() > limits.markings {
             return search.found(None, Some(Stopped::Markings));
         }
-        if search.markings.len().saturating_mul(search.bytes_each) > limits.bytes {
+        if search.bytes_soon() > limits.bytes || search.store.len() + 1 >= store::MOST {
             return search.found(None, Some(Stopped::Bytes));
+        }
+        if expanded.is_multiple_of(CHUNK) {
+            search.peak = search.peak.max(search.bytes());
+            progress(&Progress {
+                markings: search.store.len(),
+                expanded,
+                level: search.path(at).len(),
+                bytes: search.bytes(),
+                for_deadlock: true,
+            });
         }
     }
     search.found(None, None)
 }
 
-/// The markings so far.
+/// The markings so far, packed to the bits that each place needs.
 struct Search {
-    numbers: HashMap<Box<[u32]>, usize>,
-    markings: Vec<Box<[u32]>>,
+    layout: Layout,
+    store: Store,
+    /// Those whose firings are still to be looked at.
+    open: Vec<u32>,
     /// From which marking, by which transition, each was reached first.
-    parents: Vec<(usize, TransitionNumber)>,
-    bytes_each: usize,
-    scratch: Scratch,
+    parents: Vec<(u32, TransitionNumber)>,
+    packed: Vec<u64>,
+    /// Bytes at most so far, but for what the store knows itself.
+    peak: usize,
 }
 
 impl Search {
     fn new(model: &Model) -> Self {
-        let initial: Box<[u32]> = model.initial().into();
-        let place = mem::size_of_val(&*initial);
-        Self {
-            numbers: HashMap::from_iter([(initial.clone(), 0)]),
-            markings: vec![initial],
-            parents: vec![(0, 0)],
-            // A marking stands in the list and in the table, each with its pointer, and has a parent.
-            bytes_each: 2 * place + 5 * mem::size_of::<usize>(),
-            scratch: Scratch::default(),
+        let initial = model.initial();
+        let bits: Vec<u32> = initial.iter().map(|tokens| bits_for(*tokens)).collect();
+        let layout = Layout::new(&bits);
+        let mut search = Self {
+            store: Store::new(layout.words),
+            layout,
+            open: Vec::new(),
+            parents: Vec::new(),
+            packed: Vec::new(),
+            peak: 0,
+        };
+        search.insert(&initial, (0, 0));
+        search
+    }
+
+    /// Keeps a marking, if it is new.
+    fn insert(&mut self, marking: &[u32], parent: (u32, TransitionNumber)) {
+        self.make_room(marking);
+        self.layout.pack(marking, &mut self.packed);
+        let sum = linear(&self.packed);
+        let probe = self.store.probe(sum);
+        let (number, new) = self.store.insert(&self.packed, sum, probe);
+        if new {
+            self.parents.push(parent);
+            self.open.push(number);
         }
     }
 
-    /// The number of a marking that is new.
-    fn insert(&mut self, marking: Box<[u32]>, parent: (usize, TransitionNumber)) -> Option<usize> {
-        if self.numbers.contains_key(&marking) {
-            return None;
+    /// Widens the fields that a marking does not fit into. Markings keep their numbers.
+    fn make_room(&mut self, marking: &[u32]) {
+        let fields = || self.layout.fields.iter().zip(marking);
+        if fields().all(|(field, tokens)| *tokens <= field.most()) {
+            return;
         }
-        let number = self.markings.len();
-        self.numbers.insert(marking.clone(), number);
-        self.markings.push(marking);
-        self.parents.push(parent);
-        Some(number)
+        let wider = self.layout.bits().into_iter().zip(marking);
+        let wider: Vec<u32> = wider.map(|(bits, n)| bits.max(bits_for(*n))).collect();
+        let layout = Layout::new(&wider);
+        let mut store = Store::new(layout.words);
+        let mut unpacked = Vec::new();
+        for number in 0..self.parents.len() {
+            // Numbers of a store are 32 bits.
+            self.layout
+                .unpack(self.store.get(number as u32), &mut unpacked);
+            layout.pack(&unpacked, &mut self.packed);
+            let sum = linear(&self.packed);
+            let probe = store.probe(sum);
+            store.insert(&self.packed, sum, probe);
+        }
+        self.peak = self.peak.max(self.bytes() + store.bytes());
+        self.layout = layout;
+        self.store = store;
     }
 
-    fn path(&self, mut at: usize) -> Vec<TransitionNumber> {
+    fn bytes(&self) -> usize {
+        self.store.bytes()
+            + self.parents.capacity() * mem::size_of::<(u32, TransitionNumber)>()
+            + self.open.capacity() * mem::size_of::<u32>()
+    }
+
+    /// Bytes when the table or a list grows next.
+    fn bytes_soon(&self) -> usize {
+        // A list that is full is copied into one of twice its size.
+        let parents = self.parents.capacity() * mem::size_of::<(u32, TransitionNumber)>();
+        let nearly = self.parents.len() + self.parents.len() / 64 >= self.parents.capacity();
+        self.bytes() + self.store.next_table() + if nearly { 2 * parents } else { 0 }
+    }
+
+    fn path(&self, at: u32) -> Vec<TransitionNumber> {
         let mut path = Vec::new();
+        let mut at = at as usize;
         while at != 0 {
             let (from, transition) = self.parents[at];
             path.push(transition);
-            at = from;
+            at = from as usize;
         }
         path.reverse();
         path
@@ -118,9 +187,10 @@ impl Search {
         stopped: Option<Stopped>,
     ) -> Found {
         Found {
-            markings: self.markings.len(),
+            markings: self.store.len(),
             deadlock,
             stopped,
+            peak_bytes: self.peak.max(self.store.peak()).max(self.bytes()),
         }
     }
 }
@@ -312,9 +382,9 @@ impl Rules {
     }
 
     /// The marking after a firing; nothing when a place would hold more than 32 bits can say.
-    fn fire(&self, transition: TransitionNumber, marking: &[u32]) -> Option<Box<[u32]>> {
+    fn fire(&self, transition: TransitionNumber, marking: &[u32]) -> Option<Vec<u32>> {
         let fact = &self.facts[transition as usize];
-        let mut after: Box<[u32]> = marking.into();
+        let mut after = marking.to_vec();
         for (place, change) in &fact.changes {
             let tokens = &mut after[*place as usize];
             *tokens = u32::try_from(i64::from(*tokens) + change).ok()?;
@@ -405,6 +475,46 @@ mod tests {
             ..Limits::default()
         };
         assert_eq!(deadlock(&model, &limits).stopped, Some(Stopped::Bytes));
+    }
+
+    #[test]
+    fn a_long_search_tells_how_far_it_is_and_keeps_its_markings_packed() {
+        let model = kanban(3);
+        let mut told: Vec<Progress> = Vec::new();
+        let found = deadlock_with(&model, &all(), &mut |progress| told.push(*progress));
+        assert_eq!((found.deadlock, found.stopped), (None, None));
+        assert!(told.len() > 2 && told.iter().all(|progress| progress.for_deadlock));
+        let numbers = told.windows(2);
+        assert!(
+            numbers
+                .into_iter()
+                .all(|pair| pair[0].markings <= pair[1].markings)
+        );
+        // A word for the marking, a parent, and a place in a table and in the list of those to be looked
+        // at; lists and tables grow by doubling. Unpacked, the sixteen places alone would take 128 bytes.
+        assert!(
+            found.peak_bytes < 64 * found.markings,
+            "{} bytes for {}",
+            found.peak_bytes,
+            found.markings
+        );
+        let limits = Limits {
+            bytes: found.peak_bytes / 4,
+            ..all()
+        };
+        let few = deadlock(&model, &limits);
+        assert_eq!(few.stopped, Some(Stopped::Bytes));
+        assert!(few.peak_bytes <= limits.bytes, "{few:?}");
+    }
+
+    #[test]
+    fn a_place_that_holds_more_and_more_gets_wider_and_the_way_stays_the_same() {
+        let model = model(
+            "net n\nplace a = 3000, b, c\ntransition t\n  in a\n  out b*3\ntransition u\n  in b*9000\n  out c\n",
+        );
+        let (path, marking) = deadlock(&model, &all()).deadlock.unwrap();
+        assert_eq!(path.len(), 3001);
+        assert_eq!(model.replay(&path), Some(marking));
     }
 
     proptest! {

@@ -97,7 +97,7 @@ pub fn look<'a>(
     progress: &mut dyn FnMut(&Progress),
 ) -> Looked<'a> {
     let mut looked = choose(model, limits, engines, progress);
-    look_for_deadlock(&mut looked, limits);
+    look_for_deadlock(&mut looked, limits, progress);
     looked
 }
 
@@ -131,8 +131,13 @@ fn choose<'a>(
     }
 }
 
-/// Looks for a deadlock where listing has ended without one, by looking at fewer markings.
-fn look_for_deadlock(looked: &mut Looked<'_>, limits: &Limits) {
+/// Looks for a deadlock where listing has ended without one, by looking at fewer markings. The listed
+/// ones are given up for it, so that both together keep to the limit of memory.
+fn look_for_deadlock(
+    looked: &mut Looked<'_>,
+    limits: &Limits,
+    progress: &mut dyn FnMut(&Progress),
+) {
     let model = looked.explored.model;
     let ended = matches!(
         looked.verdict.stopped,
@@ -141,13 +146,23 @@ fn look_for_deadlock(looked: &mut Looked<'_>, limits: &Limits) {
     if !ended || looked.verdict.deadlock_free.is_some() || !stubborn::applies(model) {
         return;
     }
-    let found = stubborn::deadlock(model, limits);
+    looked.explored.forget();
+    let found = stubborn::deadlock_with(model, limits, progress);
+    let verdict = &mut looked.verdict;
+    verdict.peak_bytes = verdict.peak_bytes.max(found.peak_bytes);
     if found.stopped.is_none() {
-        looked.verdict.deadlock_free = Some(found.deadlock.is_none());
+        verdict.deadlock_free = Some(found.deadlock.is_none());
     }
-    if found.deadlock.is_some() {
-        looked.verdict.deadlocks = 1;
-        looked.deadlock = found.deadlock;
+    if let Some((sequence, marking)) = found.deadlock {
+        verdict.deadlocks = 1;
+        // From there nothing fires again, and nothing leads back.
+        if model.label_count() > 0 {
+            verdict.live = Some(false);
+        }
+        if !sequence.is_empty() {
+            verdict.reversible = Some(false);
+        }
+        looked.deadlock = Some((sequence, marking));
     }
 }
 

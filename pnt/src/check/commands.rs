@@ -3,13 +3,15 @@
 
 use crate::{
     analysis::{
-        explicit::{Limits, explore},
+        explicit::{Explored, Limits, explore},
         model::{Model, Place},
         returns,
     },
-    compose::{Phase, System},
+    compose::{Phase, Stands, System},
     net::CommandId,
 };
+
+use super::End;
 
 /// What one command by itself comes to.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -24,27 +26,95 @@ pub struct Workflow {
     pub counterexample: Vec<String>,
 }
 
-/// Looks at every command of a system by itself.
-#[must_use]
-pub fn workflows(system: &System, limits: &Limits) -> Vec<Workflow> {
+/// Every command of a system, with the number of its net.
+fn commands(system: &System) -> impl Iterator<Item = (usize, CommandId)> {
     let nets = system.nets().iter().enumerate();
-    let commands = nets.flat_map(|(number, net)| {
+    nets.flat_map(|(number, net)| {
         (0..)
             .map(CommandId)
             .zip(net.commands())
-            .map(move |(id, command)| (number, id, command))
-    });
-    commands
-        .map(|(net, id, command)| {
-            let (sound, counterexample) = workflow(system, net, id, limits);
-            Workflow {
-                net: system.nets()[net].name().to_owned(),
-                command: command.symbol.clone(),
-                sound,
-                counterexample,
-            }
+            .map(move |(id, _)| (number, id))
+    })
+}
+
+impl Workflow {
+    fn new(
+        system: &System,
+        (net, command): (usize, CommandId),
+        (sound, counterexample): (Option<bool>, Vec<String>),
+    ) -> Self {
+        let net = &system.nets()[net];
+        Self {
+            net: net.name().to_owned(),
+            command: net[command].symbol.clone(),
+            sound,
+            counterexample,
+        }
+    }
+}
+
+/// Looks at every command of a system by itself.
+#[must_use]
+pub fn workflows(system: &System, limits: &Limits) -> Vec<Workflow> {
+    commands(system)
+        .map(|(net, id)| Workflow::new(system, (net, id), workflow(system, net, id, limits)))
+        .collect()
+}
+
+/// Looks at every command that comes on tapes of which it is said what comes there: whether it can always
+/// be answered, from every marking that is reached with it.
+#[must_use]
+pub(super) fn on_tapes(
+    system: &System,
+    explored: &Explored<'_>,
+    end: &End,
+    limits: &Limits,
+) -> Vec<Workflow> {
+    let comes = |(net, id): &(usize, CommandId)| {
+        let steps = system.steps().iter().zip(&explored.seen);
+        steps
+            .filter(|(step, _)| (step.net, step.phase) == (*net, Phase::Put(*id)))
+            .any(|(_, seen)| *seen)
+    };
+    commands(system)
+        .filter(comes)
+        .map(|command| {
+            let answer = match end {
+                // At the end of the tape every command is answered.
+                End::Always => (Some(true), Vec::new()),
+                End::NotFrom(_) | End::Unknown => answered(system, explored, command, limits),
+            };
+            Workflow::new(system, command, answer)
         })
         .collect()
+}
+
+/// Whether a command can always be answered; if not, firings after which it cannot.
+fn answered(
+    system: &System,
+    explored: &Explored<'_>,
+    (net, command): (usize, CommandId),
+    limits: &Limits,
+) -> (Option<bool>, Vec<String>) {
+    let asked =
+        |stands: Stands| stands == Stands::OnTape(command) || stands == Stands::InProgress(command);
+    let places = system.places().iter().enumerate();
+    let places = places.filter(|(_, place)| place.net == net && asked(place.stands));
+    let places: Vec<usize> = places.map(|(number, _)| number).collect();
+    let answered = |marking: &[u32]| places.iter().all(|place| marking[*place] == 0);
+    match returns::always_reachable(explored, &answered, limits.bytes) {
+        None => (None, Vec::new()),
+        Some(None) => (Some(true), Vec::new()),
+        Some(Some(marking)) => (Some(false), words(explored, &marking)),
+    }
+}
+
+/// A shortest way to a marking, in words.
+fn words(explored: &Explored<'_>, marking: &[u32]) -> Vec<String> {
+    let path = explored.path(marking).unwrap_or_default();
+    let transitions = &explored.model().transitions;
+    let names = path.iter().filter_map(|n| transitions.get(*n as usize));
+    names.map(|transition| transition.name.clone()).collect()
 }
 
 fn workflow(
@@ -77,13 +147,6 @@ fn workflow(
         *tokens = 0;
     }
     let explored = explore(&model, limits);
-    let words = |marking: &[u32]| -> Vec<String> {
-        let path = explored.path(marking).unwrap_or_default();
-        let names = path
-            .iter()
-            .filter_map(|number| model.transitions.get(*number as usize));
-        names.map(|transition| transition.name.clone()).collect()
-    };
     if explored.growth.is_some() {
         return (Some(false), Vec::new());
     }
@@ -93,14 +156,16 @@ fn workflow(
             let reached = explored.nearest_enabled(number);
             return (
                 Some(false),
-                reached.map(|r| words(&r.marking)).unwrap_or_default(),
+                reached
+                    .map(|r| words(&explored, &r.marking))
+                    .unwrap_or_default(),
             );
         }
     }
     match returns::always_reachable(&explored, &|marking| marking == end, limits.bytes) {
         None => (None, Vec::new()),
         Some(None) => (Some(true), Vec::new()),
-        Some(Some(marking)) => (Some(false), words(&marking)),
+        Some(Some(marking)) => (Some(false), words(&explored, &marking)),
     }
 }
 

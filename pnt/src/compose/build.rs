@@ -259,7 +259,7 @@ impl Builder {
                 Phase::Complete => (around.claim(), around.completes),
                 Phase::Fail if branch => (around.claim(), around.fails),
                 Phase::Fail => (around.claim(), around.takes),
-                Phase::Put(_) | Phase::Arrive(_) => (0, 0),
+                Phase::Put(_) | Phase::Arrive(_) | Phase::End => (0, 0),
             };
             for (list, weight) in [(&mut draft.takes, takes), (&mut draft.puts, puts)] {
                 if weight > 0 {

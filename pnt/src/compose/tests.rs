@@ -219,7 +219,7 @@ fn seen(stands: Stands, net: &Execution) -> Option<u32> {
             let holding = holding(net);
             u32::from(holding.is_some_and(|(of, _)| of == id))
         }
-        Stands::Filled(_) | Stands::OnTheWay(_) => return None,
+        Stands::Filled(_) | Stands::OnTheWay(_) | Stands::Word(_) => return None,
     })
 }
 

@@ -3,14 +3,27 @@
 mod report;
 mod structure;
 
-use std::{collections::BTreeSet, io::IsTerminal, path::PathBuf, sync::Arc};
+use std::{
+    collections::BTreeSet,
+    io::IsTerminal,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use clap::{Args, ValueEnum};
-use ctos::{config::Selection, diagnostic::Findings, registry::Registry, time::Clock};
+use ctos::{
+    config::Selection,
+    diagnostic::{Findings, Source},
+    registry::Registry,
+    time::Clock,
+};
 use indicatif::ProgressBar;
 use pnt::{
     analysis::{explicit::Progress, verdict::Engines},
-    check::{self, Asks, Limits, Options, Proof, Rule},
+    check::{
+        self, Asks, Limits, Options, Proof, Rule,
+        tapes::{self, Tape},
+    },
     format,
     net::Net,
     task,
@@ -23,13 +36,15 @@ use crate::{exit, program, show};
 ///
 /// A net without commands is sound when it is bounded, has no dead marking, and each of its transitions can fire at
 /// some time. A net with commands is checked with an open tape, on which any command may come when the one before is
-/// answered: it must be bounded, answer each command once, and always find back to its initial marking. Files whose nets
-/// name each other are checked as one system, others by themselves.
+/// answered: it must be bounded, answer each command once, and always find back to its initial marking; with a given
+/// tape, always be able to come to the end of it. Files whose nets name each other are checked as one system, others by
+/// themselves.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   ctos net check configs/nets/hello.net
   ctos net check cell.pnml --json
   ctos net check configs/nets/hello.net --always idle --structure
+  ctos net check configs/nets/hello.net --tape 'hello (hello | hello hello)*'
   ctos net check --app configs/calibrate.toml
   ctos net check configs/nets/motion.net --app configs/calibrate.toml")]
 pub struct CheckArgs {
@@ -63,6 +78,10 @@ pub struct CheckArgs {
     /// Ask whether a marking like this can be reached from every reachable one (can be repeated)
     #[arg(long, value_name = "QUESTION")]
     pub always: Vec<String>,
+    /// Let only this come on a net's input tape, for example `--tape "calibrate (carry | resect)* park"`; with the net and
+    /// a colon before it where several have tapes; `@FILE` reads it from a file (can be repeated)
+    #[arg(long, value_name = "TAPE")]
+    pub tape: Vec<String>,
     /// Tell what follows from the arcs alone: invariants, siphons, components, cycle times
     #[arg(long)]
     pub structure: bool,
@@ -117,12 +136,16 @@ pub fn run(args: &CheckArgs, registry: &Registry) -> u8 {
         Err(findings) => return wrong(findings, args),
     };
     shown(warnings, args);
+    let tapes = match tapes(args, &nets) {
+        Ok(tapes) => tapes,
+        Err(findings) => return wrong(findings, args),
+    };
     let systems = if args.app.is_some() {
         vec![nets]
     } else {
         systems(nets)
     };
-    let codes = systems.iter().map(|nets| system(nets, args));
+    let codes = systems.iter().map(|nets| system(nets, &tapes, args));
     codes.max().unwrap_or(exit::OK)
 }
 
@@ -174,6 +197,29 @@ fn nets(args: &CheckArgs, registry: &Registry) -> Result<(Vec<Arc<Net>>, Finding
     }
 }
 
+/// What is said to come on tapes.
+fn tapes(args: &CheckArgs, nets: &[Arc<Net>]) -> Result<Vec<Tape>, Findings> {
+    let mut findings = Findings::new();
+    let mut all = Vec::new();
+    for text in &args.tape {
+        let source = match text.strip_prefix('@') {
+            Some(file) => findings.keep(Source::read(Path::new(file))),
+            None => Some(Source::new("--tape", text.as_str())),
+        };
+        match source.map(|source| tapes::tapes(&source, nets)) {
+            Some(Ok(tapes)) => all.extend(tapes),
+            Some(Err(found)) => findings.extend(found),
+            None => {}
+        }
+    }
+    findings.extend(tapes::given_twice(&all));
+    if findings.has_errors() {
+        Err(findings)
+    } else {
+        Ok(all)
+    }
+}
+
 /// The nets in groups: those that name each other, directly or through others, are together.
 fn systems(nets: Vec<Arc<Net>>) -> Vec<Vec<Arc<Net>>> {
     let mut groups: Vec<Vec<Arc<Net>>> = Vec::new();
@@ -200,7 +246,7 @@ fn knows(net: &Net, other: &Net) -> bool {
     names.any(|name| name == other.name())
 }
 
-fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
+fn system(nets: &[Arc<Net>], tapes: &[Tape], args: &CheckArgs) -> u8 {
     let rule = if args.app.is_some() {
         Rule::Rest
     } else {
@@ -216,6 +262,11 @@ fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
         engines: args.engine.into(),
         questions: questions(args),
         workflows: rule == Rule::Rest,
+        tapes: tapes
+            .iter()
+            .filter(|tape| nets.iter().any(|net| net.name() == tape.net))
+            .cloned()
+            .collect(),
     };
     let clock = Clock::real();
     let start = clock.now();
@@ -227,7 +278,7 @@ fn system(nets: &[Arc<Net>], args: &CheckArgs) -> u8 {
         Ok(proof) => proof,
         Err(findings) => return wrong(findings, args),
     };
-    let answer = Answer::new(nets, &proof, seconds, args.structure);
+    let answer = Answer::new(nets, &options, &proof, seconds, args.structure);
     let code = code(&proof, answer.sound);
     shown(std::mem::take(&mut proof.findings), args);
     // A reader that went away has what it wanted.
@@ -283,8 +334,12 @@ impl Display {
 
     fn show(&self, progress: &Progress) {
         if let Some(bar) = &self.0 {
+            let what = match progress.for_deadlock {
+                true => "looking only for deadlocks now: ",
+                false => "",
+            };
             bar.set_message(format!(
-                "{} markings, {} of them looked at, {} firings away; {} MiB",
+                "{what}{} markings, {} of them looked at, {} firings away; {} MiB",
                 progress.markings,
                 progress.expanded,
                 progress.level,

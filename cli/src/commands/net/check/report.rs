@@ -8,7 +8,7 @@ use pnt::{
         question::{self, Because},
         verdict::Engine,
     },
-    check::{Answered, Asks, Proof},
+    check::{Answered, Asks, Options, Proof},
     net::Net,
 };
 use serde::Serialize;
@@ -30,6 +30,7 @@ pub(super) struct Answer {
     bounded: Option<bool>,
     safe: Option<bool>,
     deadlocks: u128,
+    deadlock_free: Option<bool>,
     live: Option<bool>,
     reversible: Option<bool>,
     home_states: Option<u128>,
@@ -39,6 +40,9 @@ pub(super) struct Answer {
     engine: &'static str,
     seconds: f64,
     peak_bytes: usize,
+    /// What came on tapes, by net, where that was given.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    tapes: BTreeMap<String, String>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     questions: Vec<Asked>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -152,7 +156,13 @@ impl Asked {
 }
 
 impl Answer {
-    pub(super) fn new(nets: &[Arc<Net>], proof: &Proof, seconds: f64, structure: bool) -> Self {
+    pub(super) fn new(
+        nets: &[Arc<Net>],
+        options: &Options,
+        proof: &Proof,
+        seconds: f64,
+        structure: bool,
+    ) -> Self {
         let verdict = &proof.verdict;
         let alone = nets.len() == 1;
         let names = nets.iter().flat_map(|net| {
@@ -191,6 +201,7 @@ impl Answer {
             bounded: verdict.bounded,
             safe: verdict.safe,
             deadlocks: verdict.deadlocks,
+            deadlock_free: verdict.deadlock_free,
             live: verdict.live,
             reversible: verdict.reversible,
             home_states: verdict.home_states,
@@ -207,6 +218,11 @@ impl Answer {
                 .iter()
                 .flat_map(|cover| cover.unbounded())
                 .filter_map(place)
+                .collect(),
+            tapes: options
+                .tapes
+                .iter()
+                .map(|tape| (tape.net.clone(), tape.text.clone()))
                 .collect(),
             questions: proof
                 .answers
@@ -276,6 +292,9 @@ impl Answer {
                 "\n  without bound: {}",
                 self.unbounded_places.join(", ")
             );
+        }
+        for (net, tape) in &self.tapes {
+            let _ = write!(text, "\n  tape of {net}: {tape}");
         }
         for asked in &self.questions {
             let _ = write!(text, "\n{}", asked.text());
