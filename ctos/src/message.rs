@@ -6,6 +6,7 @@
 
 mod command;
 mod data;
+mod fields;
 mod letter;
 mod shape;
 mod store;
@@ -26,6 +27,7 @@ pub(crate) use shape::Shape;
 
 pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
 pub use data::{Data, Parcel, Payload, PayloadError};
+pub use fields::Fields;
 
 /// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
 #[derive(

@@ -423,8 +423,22 @@ impl TransitionBuilder {
     /// Its action calls a local function.
     #[must_use]
     #[track_caller]
-    pub fn act(mut self, function: &str) -> Self {
-        self.draft.action = Some(DraftAction::Do(word(function)));
+    pub fn act(self, function: &str) -> Self {
+        self.call(function, &[], &[])
+    }
+
+    /// Its action calls a local function that takes data objects and gives data objects
+    /// ([`crate::library::Library::function`]).
+    #[must_use]
+    #[track_caller]
+    pub fn call(mut self, function: &str, inputs: &[&str], outputs: &[&str]) -> Self {
+        let function = word(function);
+        let words = |names: &[&str]| names.iter().map(|name| function.derived(*name)).collect();
+        self.draft.action = Some(DraftAction::Do {
+            inputs: words(inputs),
+            outputs: words(outputs),
+            function,
+        });
         self
     }
 

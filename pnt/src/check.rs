@@ -3,14 +3,21 @@
 //! do not prove becomes findings that point into the net texts.
 
 pub mod commands;
+pub(crate) mod objects;
 pub mod tapes;
 
 #[cfg(test)]
 mod tests;
 
-use std::{collections::BTreeSet, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
 
-use ctos::diagnostic::{Finding, Findings, Place as At};
+use ctos::{
+    diagnostic::{Finding, Findings, Place as At},
+    message::Fields,
+};
 
 use commands::Workflow;
 
@@ -51,6 +58,8 @@ pub struct FunctionNames {
     pub actions: BTreeSet<String>,
     /// Enabling functions, for `when` lines.
     pub enabling: BTreeSet<String>,
+    /// The local functions that take and give data objects, each with its argument and its result.
+    pub typed: BTreeMap<String, (Fields, Fields)>,
 }
 
 /// Reports functions that a net names and a library does not offer.
@@ -80,6 +89,32 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
         }
         if let Some(Action::Local { function, at, .. }) = &transition.action {
             unknown("local function", function, at, &names.actions);
+        }
+    }
+    for transition in net.transitions() {
+        if let Some(Action::Local {
+            function,
+            inputs,
+            outputs,
+            at,
+            ..
+        }) = &transition.action
+        {
+            let objects = (inputs.as_slice(), outputs.as_slice());
+            let found = match names.typed.get(function) {
+                Some(types) => {
+                    objects::check(&format!("local function `{function}`"), objects, *types)
+                }
+                None if names.actions.contains(function) => objects::none(
+                    &format!("local function `{function}`"),
+                    "it reads and stores data objects itself",
+                    objects,
+                ),
+                None => Vec::new(),
+            };
+            for finding in found {
+                findings.push(finding.at(at.clone()));
+            }
         }
     }
 }

@@ -471,8 +471,14 @@ fn remote(arc: &DraftArc, role: Role) -> Option<RemoteArc> {
 /// The action of an expanded transition; `ask` has become arcs by then.
 fn action(draft: &DraftAction, idempotent: bool) -> Option<Action> {
     match draft {
-        DraftAction::Do(function) => Some(Action::Local {
+        DraftAction::Do {
+            function,
+            inputs,
+            outputs,
+        } => Some(Action::Local {
             function: function.text.clone(),
+            inputs: texts(inputs),
+            outputs: texts(outputs),
             idempotent,
             at: function.at.clone(),
         }),

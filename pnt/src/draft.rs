@@ -162,7 +162,14 @@ pub struct DraftWhen {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DraftAction {
     /// Calls a local function.
-    Do(Word),
+    Do {
+        /// Its name.
+        function: Word,
+        /// The data objects that are its arguments.
+        inputs: Vec<Word>,
+        /// The data objects that its result is stored as: all of it, or its fields in order.
+        outputs: Vec<Word>,
+    },
     /// Hands a request to a coordinator through the coordination structure.
     Ask {
         /// The coordinator's net.

@@ -9,7 +9,10 @@ use std::{
     rc::Rc,
 };
 
-use ctos::task::{Context, HandlerError};
+use ctos::{
+    message::{Data, Fields},
+    task::{Context, HandlerError},
+};
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::check::FunctionNames;
@@ -21,6 +24,7 @@ pub type Later<T> = Pin<Box<dyn Future<Output = T>>>;
 pub type Acted = Result<(), HandlerError>;
 
 type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
+type Call<S> = Rc<dyn Fn(Action<S>, Vec<u8>) -> Later<Result<Vec<u8>, HandlerError>>>;
 type Ask<S> = Box<dyn Fn(&S) -> bool>;
 type Save<S> = Box<dyn Fn(&S) -> postcard::Result<Vec<u8>>>;
 type Load<S> = Box<dyn Fn(&mut S, &[u8]) -> postcard::Result<()>>;
@@ -114,10 +118,52 @@ impl<S> Action<S> {
     }
 }
 
+impl<S> Clone for Action<S> {
+    fn clone(&self) -> Self {
+        Self {
+            cx: self.cx.clone(),
+            state: Rc::clone(&self.state),
+            transition: Rc::clone(&self.transition),
+            command: self.command.clone(),
+            data: self.data.clone(),
+            notes: Rc::clone(&self.notes),
+        }
+    }
+}
+
+/// A local function.
+pub(crate) enum Local<S> {
+    /// It reads and stores what it likes.
+    Plain(Act<S>),
+    /// From the bytes of its argument to those of its result.
+    Typed {
+        call: Call<S>,
+        argument: Fields,
+        result: Fields,
+    },
+}
+
+impl<S> Clone for Local<S> {
+    fn clone(&self) -> Self {
+        match self {
+            Self::Plain(act) => Self::Plain(Rc::clone(act)),
+            Self::Typed {
+                call,
+                argument,
+                result,
+            } => Self::Typed {
+                call: Rc::clone(call),
+                argument: *argument,
+                result: *result,
+            },
+        }
+    }
+}
+
 /// Functions by the names that nets use, and the state they share.
 pub struct Library<S> {
     pub(crate) state: Rc<RefCell<S>>,
-    actions: BTreeMap<String, Act<S>>,
+    actions: BTreeMap<String, Local<S>>,
     enabling: BTreeMap<String, Ask<S>>,
     kept: Option<(Save<S>, Load<S>)>,
 }
@@ -142,7 +188,35 @@ impl<S: 'static> Library<S> {
         Fut: Future<Output = Acted> + 'static,
     {
         let act: Act<S> = Rc::new(move |action| Box::pin(function(action)));
-        self.actions.insert(name.to_owned(), act);
+        self.actions.insert(name.to_owned(), Local::Plain(act));
+        self
+    }
+
+    /// Adds a local function for `do` lines that name data objects: `do NAME(A, B -> C, D)` calls it with the
+    /// fields `A` and `B` of its argument and stores the fields of its result as `C` and `D`. It may wait;
+    /// when it fails, nothing is stored.
+    #[must_use]
+    pub fn function<A, R, F, Fut>(mut self, name: &str, function: F) -> Self
+    where
+        A: Serialize + DeserializeOwned + 'static,
+        R: Serialize + DeserializeOwned + 'static,
+        F: Fn(Action<S>, A) -> Fut + 'static,
+        Fut: Future<Output = Result<R, HandlerError>> + 'static,
+    {
+        let function = Rc::new(function);
+        let call: Call<S> = Rc::new(move |action, bytes| {
+            let function = Rc::clone(&function);
+            Box::pin(async move {
+                let result = function(action, Data::Bytes(bytes).take::<A>()?).await?;
+                Ok(postcard::to_stdvec(&result)?)
+            })
+        });
+        let typed = Local::Typed {
+            call,
+            argument: Fields::of::<A>(),
+            result: Fields::of::<R>(),
+        };
+        self.actions.insert(name.to_owned(), typed);
         self
     }
 
@@ -200,6 +274,16 @@ impl<S: 'static> Library<S> {
         FunctionNames {
             actions: names(&mut self.actions.keys()),
             enabling: names(&mut self.enabling.keys()),
+            typed: self
+                .actions
+                .iter()
+                .filter_map(|(name, local)| match local {
+                    Local::Plain(_) => None,
+                    Local::Typed {
+                        argument, result, ..
+                    } => Some((name.clone(), (*argument, *result))),
+                })
+                .collect(),
         }
     }
 
@@ -209,7 +293,8 @@ impl<S: 'static> Library<S> {
         Some(function(&self.state.borrow()))
     }
 
-    pub(crate) fn act(&self, name: &str) -> Option<Act<S>> {
+    /// A local function.
+    pub(crate) fn local(&self, name: &str) -> Option<Local<S>> {
         self.actions.get(name).cloned()
     }
 }

@@ -123,6 +123,11 @@ pub enum Action {
     Local {
         /// Its name.
         function: String,
+        /// The data objects that are its arguments: each is one, or one of them is all.
+        inputs: Vec<String>,
+        /// The data objects that its result is stored as: one for all of it, or several for its
+        /// fields in order.
+        outputs: Vec<String>,
         /// Whether it may be called again when a crash left open how it ended.
         idempotent: bool,
         /// Where it stands.

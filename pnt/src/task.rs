@@ -5,6 +5,7 @@
 //! A net's task bears the net's name: that is how other nets find its places.
 
 mod action;
+mod ask;
 mod breaks;
 mod carry;
 mod control;
@@ -41,8 +42,10 @@ use crate::{
     store::{Contents, Owner, Store},
     stream::{Describe, Follow},
 };
+pub use ask::put_once;
+pub use control::check_breakpoint;
 use engine::{Asker, Engine};
-pub use load::{check_app, check_args, check_nets, load, net_tasks, nets};
+pub use load::{check_app, check_args, check_messages, check_nets, load, net_tasks, nets};
 pub use messages::{
     Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId, Snapshot,
     TapeAnswer, Tokens, Transfer,

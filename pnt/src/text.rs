@@ -460,7 +460,15 @@ fn clause(
 
 fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding> {
     match keyword.text.as_str() {
-        "do" => Ok(DraftAction::Do(words.name("a local function")?)),
+        "do" => {
+            let function = words.name("a local function")?;
+            let (inputs, outputs) = objects(words)?;
+            Ok(DraftAction::Do {
+                function,
+                inputs,
+                outputs,
+            })
+        }
         "ask" => Ok(DraftAction::Ask {
             coordinator: words.name("a coordinator")?,
             request: words.name("a request")?,
@@ -469,18 +477,7 @@ fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding>
             let task = words.name("a task")?;
             words.mark(".")?;
             let command = words.name("a command")?;
-            let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
-            if words.take("(") && !words.take(")") {
-                if !words.take("->") {
-                    inputs = words.names("a data object")?;
-                    if words.take("->") {
-                        outputs = words.names("a data object")?;
-                    }
-                } else {
-                    outputs = words.names("a data object")?;
-                }
-                words.mark(")")?;
-            }
+            let (inputs, outputs) = objects(words)?;
             Ok(DraftAction::Send {
                 task,
                 command,
@@ -489,6 +486,23 @@ fn action(keyword: &Word, words: &mut Words<'_>) -> Result<DraftAction, Finding>
             })
         }
     }
+}
+
+/// The data objects that go along with an action, and those that its result is stored as.
+fn objects(words: &mut Words<'_>) -> Result<(Vec<Word>, Vec<Word>), Finding> {
+    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
+    if words.take("(") && !words.take(")") {
+        if !words.take("->") {
+            inputs = words.names("a data object")?;
+            if words.take("->") {
+                outputs = words.names("a data object")?;
+            }
+        } else {
+            outputs = words.names("a data object")?;
+        }
+        words.mark(")")?;
+    }
+    Ok((inputs, outputs))
 }
 
 /// Sets what a transition can have once.

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{PayloadError, data::decode, shape::Shape};
+use super::{Fields, PayloadError, data::decode, shape::Shape};
 
 pub use ctos_derive::Command;
 
@@ -40,6 +40,8 @@ pub trait Command: Serialize + DeserializeOwned + Send + 'static {
         doc: Self::DOC,
         request: ToJson::of::<Self>(),
         reply: ToJson::of::<Self::Reply>(),
+        request_fields: Fields::of::<Self>(),
+        reply_fields: Fields::of::<Self::Reply>(),
     };
 }
 
@@ -59,6 +61,10 @@ pub struct CommandInfo {
     pub request: ToJson,
     /// Turns the bytes of a reply into text.
     pub reply: ToJson,
+    /// Takes the bytes of a request apart.
+    pub request_fields: Fields,
+    /// Takes the bytes of a reply apart.
+    pub reply_fields: Fields,
 }
 
 /// Turns postcard bytes of one type into JSON, for people and programs that do not know the type.

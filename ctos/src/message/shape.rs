@@ -6,7 +6,7 @@ use std::panic::AssertUnwindSafe;
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::trace::shape_of;
+use super::trace::{outermost, shape_of};
 
 /// How deep values may lie in one another.
 const DEPTH: usize = 64;
@@ -169,6 +169,16 @@ impl Shape {
             json.truncate(start);
         }
         whole
+    }
+}
+
+/// How many fields `T` has: a structure or a tuple those that it declares, a unit none, anything else is one.
+pub(super) fn fields_of<T: DeserializeOwned>() -> usize {
+    let shape = std::panic::catch_unwind(AssertUnwindSafe(outermost::<T>));
+    match shape {
+        Ok(Shape::Struct(.., fields) | Shape::Tuple(fields)) => fields.len(),
+        Ok(Shape::Leaf(Leaf::Unit)) => 0,
+        Ok(_) | Err(_) => 1,
     }
 }
 

@@ -35,6 +35,19 @@ pub(super) fn shape_of<T: DeserializeOwned>() -> Option<Shape> {
     None
 }
 
+/// What `T` is at its outside. A type that does not read itself from what it gets says that much, too.
+pub(super) fn outermost<T: DeserializeOwned>() -> Shape {
+    let mut shape = Shape::Unknown;
+    // Only what it asks for first matters here.
+    let _ = T::deserialize(Nothing {
+        shape: &mut shape,
+        around: &mut Vec::new(),
+        depth: 0,
+        again: false,
+    });
+    shape
+}
+
 /// Why a type has no shape that can be found.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]

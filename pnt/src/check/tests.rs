@@ -421,7 +421,7 @@ fn functions_that_no_library_offers_are_found() {
         actions: ["validate_path", "plan_paths", "find_pos"]
             .map(String::from)
             .into(),
-        enabling: BTreeSet::new(),
+        ..FunctionNames::default()
     };
     let mut findings = Findings::new();
     functions(&net("motion.net", MOTION), &names, &mut findings);

@@ -144,7 +144,14 @@ impl fmt::Display for DraftWhen {
 impl fmt::Display for DraftAction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Do(function) => write!(f, "do {}", function.in_text()),
+            Self::Do {
+                function,
+                inputs,
+                outputs,
+            } => {
+                write!(f, "do {}", function.in_text())?;
+                objects(f, inputs, outputs)
+            }
             Self::Ask {
                 coordinator,
                 request,
@@ -156,15 +163,19 @@ impl fmt::Display for DraftAction {
                 outputs,
             } => {
                 write!(f, "send {}.{}", task.in_text(), command.in_text())?;
-                let (inputs, outputs) = (inputs.as_slice(), outputs.as_slice());
-                match (inputs, outputs) {
-                    ([], []) => Ok(()),
-                    (_, []) => write!(f, "({})", List(inputs)),
-                    ([], _) => write!(f, "(-> {})", List(outputs)),
-                    _ => write!(f, "({} -> {})", List(inputs), List(outputs)),
-                }
+                objects(f, inputs, outputs)
             }
         }
+    }
+}
+
+/// The data objects of an action.
+fn objects(f: &mut fmt::Formatter<'_>, inputs: &[Word], outputs: &[Word]) -> fmt::Result {
+    match (inputs, outputs) {
+        ([], []) => Ok(()),
+        (_, []) => write!(f, "({})", List(inputs)),
+        ([], _) => write!(f, "(-> {})", List(outputs)),
+        _ => write!(f, "({} -> {})", List(inputs), List(outputs)),
     }
 }
 

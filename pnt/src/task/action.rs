@@ -5,20 +5,22 @@ use std::{rc::Rc, time::Duration};
 
 use ctos::{
     DEFAULT_DEADLINE,
+    message::Fields,
     task::{Context, HandlerError},
-    time::Instant,
 };
 use futures_util::future::{AbortHandle, AbortRegistration, Abortable, Aborted};
 
 use super::{
-    carry::{self, Failed, may_succeed},
+    ask::put_once,
+    carry,
     engine::Engine,
     journal::Phase,
     messages::{PutOnce, RequestId, TapeAnswer},
 };
 use crate::{
+    check::objects::Objects,
     exec::{FireError, FiringId},
-    library::{Acted, Action},
+    library::{Acted, Action, Local},
     net::{self, TransitionId},
     stream::EventPhase,
 };
@@ -28,9 +30,6 @@ const MOST_TRIES: u32 = 4;
 
 /// The wait before the second try; it doubles for each further one.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
-
-/// The wait before a net that may have died is asked again.
-const ASK_AGAIN: Duration = Duration::from_millis(50);
 
 impl<S: 'static> Engine<S> {
     pub(super) async fn act(
@@ -129,12 +128,12 @@ impl<S: 'static> Engine<S> {
         let transition = &net[id];
         let acting = async {
             match &transition.action {
-                Some(net::Action::Local { function, .. }) => match self.library.act(function) {
-                    Some(act) => act(action).await,
-                    None => Err(HandlerError::new(format!(
-                        "its library has no local function `{function}`"
-                    ))),
-                },
+                Some(net::Action::Local {
+                    function,
+                    inputs,
+                    outputs,
+                    ..
+                }) => self.local(action, function, (inputs, outputs)).await,
                 Some(net::Action::Message {
                     task,
                     command,
@@ -157,11 +156,30 @@ impl<S: 'static> Engine<S> {
         }
     }
 
+    async fn local(
+        &self,
+        action: Action<S>,
+        function: &str,
+        (inputs, outputs): Objects<'_>,
+    ) -> Acted {
+        match self.library.local(function) {
+            Some(Local::Plain(act)) => act(action).await,
+            Some(Local::Typed { call, result, .. }) => {
+                let argument = gathered(&action, inputs).await?;
+                let given = call(action.clone(), argument).await?;
+                store(&action, outputs, given, result).await
+            }
+            None => Err(HandlerError::new(format!(
+                "its library has no local function `{function}`"
+            ))),
+        }
+    }
+
     async fn message(
         &self,
         action: &Action<S>,
         (task, command, request): (&str, &str, RequestId),
-        (inputs, outputs): (&[String], &[String]),
+        (inputs, outputs): Objects<'_>,
         limit: Duration,
     ) -> Acted {
         let cx = &action.cx;
@@ -173,20 +191,10 @@ impl<S: 'static> Engine<S> {
             }
             Err(finding) => return Err(finding.into()),
         };
-        // Fields that stand one after the other are how postcard encodes a structure.
-        let mut request = Vec::new();
-        for object in inputs {
-            request.extend(action.get_data(object).await?);
-        }
+        let request = gathered(action, inputs).await?;
         let to = cx.task(task).await?;
         let reply = cx.call_raw(&to, info, request, limit).await?;
-        match outputs {
-            [] => Ok(()),
-            [object] => action.put_data(object, reply).await,
-            _ => Err(HandlerError::new(format!(
-                "the reply to `{command}` cannot be stored as several objects"
-            ))),
-        }
+        store(action, outputs, reply, info.reply_fields).await
     }
 
     /// The request that an action of this firing is, at whoever is asked by it: the same when it is asked
@@ -217,18 +225,7 @@ impl<S: 'static> Engine<S> {
             symbol: symbol.to_owned(),
             arguments: action.arguments().to_vec(),
         };
-        let until = cx.now() + limit;
-        let durable = carry::is_durable(cx, net);
-        let answer = loop {
-            let asked = self.put_once_at(cx, net, &put, (until, durable)).await;
-            match asked {
-                Ok(answer) => break answer,
-                Err((_, Failed::NotNow)) if durable && cx.now() + ASK_AGAIN < until => {
-                    cx.sleep(ASK_AGAIN).await;
-                }
-                Err((error, _)) => return Err(error),
-            }
-        };
+        let answer = put_once(cx, net, &put, limit).await?;
         let TapeAnswer {
             symbol: answer,
             text,
@@ -244,29 +241,42 @@ impl<S: 'static> Engine<S> {
             "net `{net}` answered `{symbol}` with `{answer}`"
         )))
     }
+}
 
-    /// Asks a net once, and says whether it may be asked again.
-    async fn put_once_at(
-        &self,
-        cx: &Context,
-        net: &str,
-        put: &PutOnce,
-        (until, durable): (Instant, bool),
-    ) -> Result<TapeAnswer, (HandlerError, Failed)> {
-        let found = if durable {
-            cx.wait_for_task(net, until.since(cx.now())).await
-        } else {
-            cx.task(net).await
-        };
-        let to = found.map_err(|error| (HandlerError::from(error), Failed::NotNow))?;
-        let asked = cx.call(&to, put.clone());
-        let answer = asked.deadline(until.since(cx.now())).await;
-        answer.map_err(|error| {
-            (
-                HandlerError::new(error.reason()),
-                may_succeed(&error, durable),
-            )
-        })
+/// One value of several data objects: fields that stand one after the other are how postcard encodes a
+/// structure.
+async fn gathered<S>(action: &Action<S>, inputs: &[String]) -> Result<Vec<u8>, HandlerError> {
+    let mut bytes = Vec::new();
+    for object in inputs {
+        bytes.extend(action.get_data(object).await?);
+    }
+    Ok(bytes)
+}
+
+/// Stores a result as one data object, or each of its fields as one.
+async fn store<S>(
+    action: &Action<S>,
+    outputs: &[String],
+    result: Vec<u8>,
+    fields: Fields,
+) -> Acted {
+    match outputs {
+        [] => Ok(()),
+        [object] => action.put_data(object, result).await,
+        objects => {
+            let parts = fields.split(&result)?;
+            if parts.len() != objects.len() {
+                return Err(HandlerError::new(format!(
+                    "{} results came for {} data objects",
+                    parts.len(),
+                    objects.len()
+                )));
+            }
+            for (object, part) in objects.iter().zip(parts) {
+                action.put_data(object, part).await?;
+            }
+            Ok(())
+        }
     }
 }
 

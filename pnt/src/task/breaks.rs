@@ -9,7 +9,7 @@ use std::{
 
 use ctos::{
     config::Node,
-    diagnostic::{Finding, Findings, Severity, Source},
+    diagnostic::{Findings, Severity, Source},
     task::{Context, HandlerError},
 };
 use serde::Deserialize;
@@ -38,11 +38,11 @@ fn read(source: &Source, net: &Net, findings: &mut Findings) -> Vec<String> {
     let mut texts = file.map_or_else(Vec::new, |file| file.breakpoints);
     texts.retain(|text| match check_breakpoint(text, net) {
         Ok(()) => true,
-        Err(why) => {
+        Err(finding) => {
             let place = root
                 .get("breakpoints")
                 .and_then(|node| node.place().cloned());
-            let finding = Finding::error("pnt::task::breakpoint", why)
+            let finding = finding
                 .help("the net is another one now: take it out of the file, or remove the file");
             findings.push(finding.at(place.unwrap_or_else(|| source.at(0..0))));
             false

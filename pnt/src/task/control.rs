@@ -4,6 +4,7 @@
 use std::rc::Rc;
 
 use ctos::{
+    diagnostic::Finding,
     message::Replier,
     task::{Context, Handled, HandlerError},
 };
@@ -128,14 +129,24 @@ impl Breakpoint {
     }
 }
 
-/// Whether a net has what a breakpoint names.
+/// Whether a net has what a breakpoint names: `TRANSITION`, `PLACE>=N`, `PLACE<=N` or `PLACE=N`.
 ///
 /// # Errors
-/// What is wrong with it.
-pub(super) fn check_breakpoint(text: &str, net: &Net) -> Result<(), String> {
+/// What is wrong with it, without a place.
+pub fn check_breakpoint(text: &str, net: &Net) -> Result<(), Finding> {
+    const CODE: &str = "pnt::task::breakpoint";
     match Breakpoint::parse(text, net) {
         Ok(_) => Ok(()),
-        Err(error) => Err(error.to_string()),
+        Err(BreakError::Unknown {
+            net,
+            what,
+            name,
+            known,
+        }) => {
+            let finding = Finding::error(CODE, format!("net `{net}` has no {what} `{name}`"));
+            Err(finding.suggest(&name, known.iter().map(String::as_str)))
+        }
+        Err(error) => Err(Finding::error(CODE, error.to_string())),
     }
 }
 
@@ -254,9 +265,12 @@ impl<S: 'static> Engine<S> {
     fn tell_met(self: &Rc<Self>, core: &mut Core) {
         if let Some(why) = core.manual.met.take() {
             let net = std::sync::Arc::clone(core.execution.net());
-            tracing::warn!(target: "pnt::net", net = net.name(), why, "net paused");
             let paused = Happened::Net(EventPhase::Paused, why.clone());
             self.note(core, &self.cx, paused);
+            let (of, at) = (std::sync::Arc::clone(&net), why.clone());
+            self.when_change_stored(core.changes, move |_| {
+                tracing::warn!(target: "pnt::net", net = of.name(), why = at, "net paused");
+            });
             if self.settings.break_ends {
                 let reason = format!("net `{}` is at {why}", net.name());
                 self.cx.end_at_breakpoint(&reason);
@@ -295,14 +309,14 @@ impl<S: 'static> Engine<S> {
         if sets && let Err(error) = self.keep_breakpoints() {
             said = format!("{said}, {error}");
         }
+        let net = self.net();
         {
             let mut core = self.core.borrow_mut();
-            let net = std::sync::Arc::clone(core.execution.net());
-            tracing::warn!(target: "pnt::net", net = net.name(), order = %said, "by hand");
             core.changed();
             self.note(&mut core, cx, happened);
         }
         self.when_stored(move |_| {
+            tracing::warn!(target: "pnt::net", net = net.name(), order = %said, "by hand");
             // Answering never fails; a caller that is gone needs no answer.
             let _ = reply.ok(said);
         });

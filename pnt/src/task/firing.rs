@@ -203,8 +203,12 @@ impl<S: 'static> Engine<S> {
             journal, execution, ..
         } = core;
         journal.firing(cx.now(), cx.trace(), execution, phase);
+        let line = phase.line(execution.net());
         core.changed();
         self.published(core, cx);
+        if let Some(line) = line {
+            self.when_change_stored(core.changes, |_| line());
+        }
     }
 
     /// Hands out what a firing leaves to be done. `on_tape` is the command that was in progress.

@@ -1,11 +1,13 @@
 //! What happened in a net: the source of its stream, of its snapshots, and log lines of their own target.
 
+use std::sync::Arc;
+
 use ctos::time::Instant;
 
 use super::messages::FiringEvent;
 use crate::{
     exec::{Execution, FiringId},
-    net::TransitionId,
+    net::{Net, TransitionId},
     stream::{Event, EventPhase, Happened, Source},
 };
 
@@ -27,6 +29,24 @@ pub(super) struct Phase<'p> {
     pub(super) phase: EventPhase,
     /// Why it failed; empty otherwise.
     pub(super) text: &'p str,
+}
+
+impl Phase<'_> {
+    /// The line of the log; none where nobody reads such lines.
+    pub(super) fn line(&self, net: &Arc<Net>) -> Option<impl FnOnce() + 'static> {
+        tracing::enabled!(target: "pnt::firing", tracing::Level::INFO).then(|| {
+            let (net, transition) = (Arc::clone(net), self.transition);
+            let (phase, text) = (self.phase.word(), self.text.to_owned());
+            move || {
+                let (name, transition) = (net.name(), &net[transition].name);
+                if text.is_empty() {
+                    tracing::info!(target: "pnt::firing", net = name, transition, phase);
+                } else {
+                    tracing::info!(target: "pnt::firing", net = name, transition, phase, text);
+                }
+            }
+        })
+    }
 }
 
 pub(super) struct Journal {
@@ -58,15 +78,7 @@ impl Journal {
         execution: &Execution,
         phase: &Phase,
     ) {
-        let net = execution.net();
-        let (name, transition) = (net.name(), &net[phase.transition].name);
-        let (word, text) = (phase.phase.word(), phase.text);
-        if text.is_empty() {
-            tracing::info!(target: "pnt::firing", net = name, transition, phase = word);
-        } else {
-            tracing::info!(target: "pnt::firing", net = name, transition, phase = word, text);
-        }
-        let text = text.to_owned();
+        let text = phase.text.to_owned();
         let what = Happened::Transition(phase.transition, phase.phase, phase.firing, text);
         self.stream.note(now, trace, what, execution);
     }

@@ -13,7 +13,7 @@ use super::{
     settings::{self, settings},
 };
 use crate::{
-    check::{self, FunctionNames, Limits, Report},
+    check::{self, FunctionNames, Limits, Report, objects},
     compile,
     layout::{LayoutFile, beside},
     net::{Action, Net},
@@ -156,16 +156,22 @@ pub(super) fn check_app_with(
             *net = Arc::new(instead.clone());
         }
     }
-    for net in &nets {
-        check_messages(net, &nets, (app, registry), findings);
-    }
+    check_messages(&nets, app, registry, findings);
     let (report, found) = check::check(&nets, limits);
     findings.extend(found);
     Some(report)
 }
 
-/// Every message action must go to a task that takes the command, or to a net that reads the symbol.
-fn check_messages(
+/// Checks the message actions of all nets of an app: that somebody takes them, with such data objects.
+pub fn check_messages(nets: &[Arc<Net>], app: &App, registry: &Registry, findings: &mut Findings) {
+    for net in nets {
+        check_messages_of(net, nets, (app, registry), findings);
+    }
+}
+
+/// Every message action must go to a task that takes the command with such data objects, or to a net that
+/// reads the symbol.
+fn check_messages_of(
     net: &Net,
     nets: &[Arc<Net>],
     (app, registry): (&App, &Registry),
@@ -173,16 +179,36 @@ fn check_messages(
 ) {
     for transition in net.transitions() {
         let Some(Action::Message {
-            task, command, at, ..
+            task,
+            command,
+            inputs,
+            outputs,
+            at,
+            ..
         }) = &transition.action
         else {
             continue;
         };
+        let objects = (inputs.as_slice(), outputs.as_slice());
         let other = nets.iter().find(|other| other.name() == task);
-        if other.is_some_and(|other| other.command(command).is_some()) {
-            continue;
-        }
-        if let Err(finding) = registry.command_of(app, task, command) {
+        let found = if other.is_some_and(|other| other.command(command).is_some()) {
+            let why = "it goes with the arguments of the command in progress";
+            objects::none(
+                &format!("command `{command}` of net `{task}`"),
+                why,
+                objects,
+            )
+        } else {
+            match registry.command_of(app, task, command) {
+                Ok(info) => {
+                    let types = (info.request_fields, info.reply_fields);
+                    let what = format!("command `{command}` of task `{task}`");
+                    objects::check(&what, objects, types)
+                }
+                Err(finding) => vec![finding],
+            }
+        };
+        for finding in found {
             findings.push(finding.at(at.clone()));
         }
     }
@@ -216,6 +242,77 @@ mod tests {
         task::register(&mut registry, "test.net", library);
         registry.function::<Double, _, _>("test.doubler", |_, Double {}| async move { Ok(()) });
         registry.check(app)
+    }
+
+    ctos::command! {
+        /// Looks.
+        struct Look { from: String, far_m: f64 } => (String, f64, u8), 0x0001, "look"
+    }
+
+    #[test]
+    fn data_objects_that_do_not_fit_what_an_action_calls_are_found_where_it_stands() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = "[app]\nname = \"t\"\n[chassis.a]\n[task.n]\nhandler = \"test.net\"\non = \"a\"\nargs = { net = \"n.net\" }\n[task.camera]\nhandler = \"test.camera\"\non = \"a\"\n";
+        let checked = |actions: [&str; 3]| {
+            let mut text = "net n\nplace a = 1\ncommand go -> gone\ntransition answer\n  in a\n  tape go\n  out a\n  write gone\n".to_owned();
+            for (number, action) in actions.iter().enumerate() {
+                text += &format!("transition t{number}\n  in a\n  {action}\n  out a\n");
+            }
+            let app = write_app(folder.path(), &[("app.toml", config), ("n.net", &text)]);
+            let mut registry = Registry::new();
+            task::register(&mut registry, "test.net", || {
+                library().function("turn", |_, (a, b): (u8, u8)| async move { Ok((b, a)) })
+            });
+            registry.function::<Look, _, _>("test.camera", |_, look| async move {
+                Ok((look.from, look.far_m, 0))
+            });
+            registry.check(&app)
+        };
+        for fits in [
+            [
+                "do turn(p, q -> q, p)",
+                "send camera.look(p, q -> x, y, z)",
+                "do find_spot",
+            ],
+            [
+                "do turn(p -> q)",
+                "send camera.look(p -> x)",
+                "do turn(p, q)",
+            ],
+        ] {
+            let found = checked(fits);
+            assert!(found.is_empty(), "{found}");
+        }
+        let found = checked([
+            "do turn(p, q -> x, y, z)",
+            "send camera.look(p, q, r -> x, y)",
+            "do find_spot(p -> q)",
+        ])
+        .to_string();
+        for (line, said) in [
+            (
+                "11:6",
+                "local function `turn` gives 2 results, and 3 data objects are there to take them",
+            ),
+            (
+                "15:8",
+                "command `look` of task `camera` takes 2 arguments, and 3 data objects go with it",
+            ),
+            (
+                "15:8",
+                "command `look` of task `camera` gives 3 results, and 2 data objects are there to take them",
+            ),
+            (
+                "19:6",
+                "local function `find_spot` takes no data objects from a net and gives none",
+            ),
+        ] {
+            let said = format!("n.net:{line}: error: {said}");
+            assert!(found.contains(&said), "{said}\n{found}");
+        }
+        let to_net = checked(["send n.go(p)", "do find_spot", "do find_spot"]).to_string();
+        let said = "n.net:11:8: error: command `go` of net `n` takes no data objects";
+        assert!(to_net.contains(said), "{to_net}");
     }
 
     #[test]

@@ -126,7 +126,6 @@ impl<S: 'static> Engine<S> {
         }
         let said = format!("replaced by {}", replacing.file);
         let name = core.execution.net().name().to_owned();
-        tracing::warn!(target: "pnt::net", net = %name, file = %replacing.file, "net replaced");
         self.view.replace(NetView::new(core.execution.net()));
         {
             let Core {
@@ -137,6 +136,10 @@ impl<S: 'static> Engine<S> {
         let what = Happened::Net(EventPhase::Ordered, said.clone());
         core.changed();
         self.note(&mut core, cx, what);
+        let file = replacing.file.clone();
+        self.when_change_stored(core.changes, move |_| {
+            tracing::warn!(target: "pnt::net", net = %name, file = %file, "net replaced");
+        });
         Some((Ok(said), replacing))
     }
 

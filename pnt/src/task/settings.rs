@@ -207,8 +207,7 @@ pub(super) fn check(
 ) {
     let reader = Reader { task };
     for text in &settings.breakpoints {
-        if let Err(why) = check_breakpoint(text, net) {
-            let finding = Finding::error("pnt::task::breakpoint", why);
+        if let Err(finding) = check_breakpoint(text, net) {
             findings.push(reader.at(finding, "breakpoints"));
         }
     }

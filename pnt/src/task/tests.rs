@@ -1,6 +1,8 @@
 //! Whole apps of nets in virtual time, over several chassis.
 
 mod by_hand;
+mod lines;
+mod objects;
 mod seen_and_asked;
 mod survival;
 

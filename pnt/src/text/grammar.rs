@@ -89,7 +89,11 @@ pub const KEYWORDS: [Keyword; 29] = [
         "when not F",
         "Only while the enabling function says yes (with `not`, no).",
     ),
-    keyword("do", "do F", "Action: calls the local function."),
+    keyword(
+        "do",
+        "do F(IN -> OUT)",
+        "Action: calls the local function, with data objects and for data objects.",
+    ),
     keyword("ask", "ask N r", "Action: the request to the coordinator."),
     keyword(
         "send",

@@ -1,5 +1,5 @@
 //! What each word of a net text stands for, for editors: read line by line, whatever is wrong in the other
-//! lines. Knows no protocol.
+//! lines; also of a net together with the files that it includes. Knows no protocol and reads no files.
 
 use std::{collections::BTreeMap, ops::Range};
 
@@ -51,6 +51,8 @@ pub struct Occurrence {
     pub kind: Kind,
     /// The name, without quotes.
     pub name: String,
+    /// In which of the texts it stands: 0 for the first.
+    pub file: usize,
     /// Its bytes, with quotes.
     pub range: Range<usize>,
     /// Whether it is declared here.
@@ -59,13 +61,15 @@ pub struct Occurrence {
     pub scope: String,
 }
 
-/// All words of a text.
+/// All words of a text, or of several that are one net.
 #[derive(Debug, Default)]
 pub struct Outline {
     words: Vec<Occurrence>,
+    /// The files that the texts include, as they are written.
+    includes: Vec<String>,
     /// Of an instance, by its scope and name, the subnet.
     instances: BTreeMap<(String, String), String>,
-    /// Byte range of each transition's lines, its name's index among the words.
+    /// Byte range of each transition's lines in the first text, its name's index among the words.
     transitions: Vec<(Range<usize>, usize)>,
 }
 
@@ -73,23 +77,46 @@ impl Outline {
     /// Reads a text.
     #[must_use]
     pub fn of(source: &Source) -> Self {
+        Self::of_all(std::iter::once(source))
+    }
+
+    /// Reads a net's text, which comes first, and those of the files that it includes.
+    #[must_use]
+    pub fn of_all<'s>(sources: impl IntoIterator<Item = &'s Source>) -> Self {
         let mut walk = Walk::default();
-        let mut start = 0;
-        for with_end in source.text().split_inclusive('\n') {
-            let text = with_end.trim_end_matches(['\n', '\r']);
-            if let Ok(tokens) = line::cut(source, text, start) {
-                walk.line(&tokens, start + with_end.len());
+        for (file, source) in sources.into_iter().enumerate() {
+            walk.file(file);
+            let mut start = 0;
+            for with_end in source.text().split_inclusive('\n') {
+                let text = with_end.trim_end_matches(['\n', '\r']);
+                if let Ok(tokens) = line::cut(source, text, start) {
+                    walk.line(&tokens, start + with_end.len());
+                }
+                start += with_end.len();
             }
-            start += with_end.len();
         }
         walk.resolve();
         walk.outline
     }
 
-    /// The word at a byte of the text, or just before it.
+    /// The names of the files that the texts include, as they are written.
+    #[must_use]
+    pub fn includes(&self) -> &[String] {
+        &self.includes
+    }
+
+    /// The word at a byte of the first text, or just before it.
     #[must_use]
     pub fn at(&self, offset: usize) -> Option<&Occurrence> {
-        let touches = |word: &&Occurrence| word.range.start <= offset && offset <= word.range.end;
+        self.at_in(0, offset)
+    }
+
+    /// The word at a byte of one of the texts, or just before it.
+    #[must_use]
+    pub fn at_in(&self, file: usize, offset: usize) -> Option<&Occurrence> {
+        let touches = |word: &&Occurrence| {
+            word.file == file && word.range.start <= offset && offset <= word.range.end
+        };
         // Between two words that touch, the one that begins here.
         self.words.iter().rev().find(touches)
     }
@@ -134,7 +161,7 @@ impl Outline {
         &self.words
     }
 
-    /// The transition whose lines hold a byte.
+    /// The transition whose lines hold a byte of the first text.
     #[must_use]
     pub fn transition_at(&self, offset: usize) -> Option<&Occurrence> {
         let around = |(lines, _): &&(Range<usize>, usize)| lines.contains(&offset);
@@ -154,6 +181,7 @@ fn group(kind: Kind) -> Kind {
 #[derive(Default)]
 struct Walk {
     outline: Outline,
+    file: usize,
     scope: String,
     parameters: Vec<String>,
     open: Option<usize>,
@@ -200,6 +228,14 @@ impl<'t> Rest<'t> {
 }
 
 impl Walk {
+    /// Another text begins.
+    fn file(&mut self, file: usize) {
+        self.file = file;
+        self.scope.clear();
+        self.parameters.clear();
+        self.open = None;
+    }
+
     fn push(&mut self, kind: Kind, name: &str, range: Range<usize>, declared: bool) {
         let parameter = self.parameters.iter().any(|parameter| parameter == name);
         let local = matches!(
@@ -218,6 +254,7 @@ impl Walk {
                 kind
             },
             name: name.to_owned(),
+            file: self.file,
             range,
             declared,
             scope,
@@ -258,6 +295,9 @@ impl Walk {
         } else {
             self.open = None;
             self.declaration(keyword, &mut rest);
+        }
+        if self.file > 0 {
+            return;
         }
         if keyword == "transition" && self.open.is_none() {
             let last = self.outline.words.len().saturating_sub(1);
@@ -317,6 +357,10 @@ impl Walk {
                 self.parameters.clear();
             }
             "use" => self.instance(rest),
+            "include" => {
+                let file = rest.name().map(|(file, _)| file.to_owned());
+                self.outline.includes.extend(file);
+            }
             _ => {}
         }
     }
@@ -397,7 +441,8 @@ impl Walk {
             .filter(|word| word.declared)
             .map(|word| (word.kind, word.scope.clone(), word.name.clone()))
             .collect();
-        for word in &mut self.outline.words {
+        let own = |word: &&mut Occurrence| !word.scope.starts_with('@');
+        for word in self.outline.words.iter_mut().filter(own) {
             let key = |scope: &str| (group(word.kind), scope.to_owned(), word.name.clone());
             if !declared.contains(&key(&word.scope)) && declared.contains(&key("")) {
                 word.scope.clear();
@@ -434,7 +479,10 @@ impl Walk {
                 rest.word("not");
                 self.next(rest, Kind::Enabling, false);
             }
-            "do" => drop(self.next(rest, Kind::Function, false)),
+            "do" => {
+                self.next(rest, Kind::Function, false);
+                self.objects(rest);
+            }
             "ask" => {
                 self.next(rest, Kind::Net, false);
                 self.next(rest, Kind::Request, false);
@@ -443,13 +491,18 @@ impl Walk {
                 self.next(rest, Kind::Task, false);
                 rest.mark(".");
                 self.next(rest, Kind::Command, false);
-                rest.mark("(");
-                self.list(rest, Kind::Data, false);
-                rest.mark("->");
-                self.list(rest, Kind::Data, false);
+                self.objects(rest);
             }
             _ => {}
         }
+    }
+
+    /// The data objects of an action.
+    fn objects(&mut self, rest: &mut Rest<'_>) {
+        rest.mark("(");
+        self.list(rest, Kind::Data, false);
+        rest.mark("->");
+        self.list(rest, Kind::Data, false);
     }
 }
 
@@ -497,6 +550,45 @@ mod tests {
         assert_eq!(outline.declaration(outline.same(p)[2]), Some(p));
         let remote = outline.at(TEXT.find("r@m").unwrap()).unwrap();
         assert_eq!(outline.same(remote).len(), 1);
+        // Also where this net has a place of that name.
+        let text = "net n\nplace r\ntransition t\n  out r@m, r\n";
+        let outline = Outline::of(&Source::new("b.net", text));
+        let remote = outline.at(text.find("r@m").unwrap()).unwrap();
+        assert_eq!(outline.same(remote).len(), 1);
+    }
+
+    #[test]
+    fn a_subnet_of_another_file_means_the_same_in_both() {
+        let net = Source::new(
+            "net",
+            "net n\ninclude \"s.net\"\nplace q = 1\nuse s(q) as a\ntransition t\n  in a.open\n",
+        );
+        let subnets = Source::new(
+            "s",
+            "subnet s(free)\nplace open\ntransition t\n  in free, q\n  out open\nend\n",
+        );
+        let outline = Outline::of_all([&net, &subnets]);
+        assert_eq!(outline.includes(), ["s.net"]);
+        let same = |file: usize, text: &Source, name: &str| {
+            let word = outline
+                .at_in(file, text.text().find(name).unwrap())
+                .unwrap();
+            let same = outline.same(word).into_iter();
+            same.map(|word| word.file).collect::<Vec<usize>>()
+        };
+        assert_eq!(same(0, &net, "open"), [0, 1, 1]);
+        assert_eq!(
+            same(0, &net, "q ="),
+            [0, 0, 1],
+            "the subnet's `q` is the net's"
+        );
+        assert_eq!(same(1, &subnets, "free"), [1, 1]);
+        assert_eq!(same(1, &subnets, "s("), [0, 1]);
+        assert_eq!(
+            same(1, &subnets, "t\n"),
+            [1],
+            "the net's `t` is another one"
+        );
     }
 
     #[test]

@@ -357,7 +357,13 @@ fn arc() -> impl Strategy<Value = DraftArc> {
 
 fn an_action() -> impl Strategy<Value = DraftAction> {
     prop_oneof![
-        name().prop_map(DraftAction::Do),
+        (name(), vec(name(), 0..3), vec(name(), 0..3)).prop_map(|(function, inputs, outputs)| {
+            DraftAction::Do {
+                function,
+                inputs,
+                outputs,
+            }
+        }),
         (name(), name()).prop_map(|(coordinator, request)| DraftAction::Ask {
             coordinator,
             request
