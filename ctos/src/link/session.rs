@@ -11,6 +11,7 @@
 mod arrive;
 mod direct;
 pub(crate) mod drive;
+mod free;
 mod line;
 pub(crate) mod packet;
 mod post;

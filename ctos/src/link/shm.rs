@@ -379,12 +379,12 @@ impl Receiver {
         })
     }
 
-    /// Copies what has come into the free place of `into`, and no more than that.
+    /// Appends at most `most` bytes of what has come to `into`.
     ///
     /// # Errors
     /// [`Corrupt`] when the other side's position cannot be.
-    pub(crate) fn read_into(&self, into: &mut Vec<u8>) -> Result<usize, Corrupt> {
-        self.take(into.capacity() - into.len(), |memory, place, size| {
+    pub(crate) fn read_into(&self, into: &mut Vec<u8>, most: usize) -> Result<usize, Corrupt> {
+        self.take(most, |memory, place, size| {
             memory.append_to(place, size, into);
         })
     }

@@ -10,7 +10,6 @@ use std::{
 };
 
 use rustix::{
-    buffer::spare_capacity,
     io::Errno,
     net::{RecvFlags, recv},
 };
@@ -19,6 +18,7 @@ use tokio::sync::oneshot;
 use super::{
     Session,
     drive::rubbish,
+    free::recv_into,
     packet::Decoder,
     writer::{Patience, Socket},
 };
@@ -138,11 +138,7 @@ impl DirectStream {
                 let large = decoder.large_body();
                 let is_large = large.is_some();
                 let (result, wanted) = match large {
-                    Some(body) => {
-                        let wanted = body.capacity() - body.len();
-                        let read = recv(socket.fd(), spare_capacity(body), RecvFlags::DONTWAIT);
-                        (read.map(|(_, count)| count), wanted)
-                    }
+                    Some((body, most)) => (recv_into(socket.fd(), body, most), most),
                     None => {
                         let read = recv(socket.fd(), chunk.as_mut_slice(), RecvFlags::DONTWAIT);
                         (read.map(|(_, count)| count), CHUNK)
@@ -168,7 +164,7 @@ impl DirectStream {
                 let large = decoder.large_body();
                 let is_large = large.is_some();
                 let read = match large {
-                    Some(body) => receiver.read_into(body),
+                    Some((body, most)) => receiver.read_into(body, most),
                     None => receiver.read(chunk),
                 };
                 match read {
