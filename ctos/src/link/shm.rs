@@ -421,7 +421,13 @@ impl Receiver {
     pub(crate) fn has_work(&self) -> bool {
         let has_data =
             self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read.load(Ordering::Relaxed);
-        has_data || (self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0 && self.has_room())
+        has_data || (self.waits_for_room() && self.has_room())
+    }
+
+    /// Whether this side has something to write for which there was no room. A peer that says otherwise in
+    /// the memory keeps only its own messages waiting.
+    pub(crate) fn waits_for_room(&self) -> bool {
+        self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0
     }
 
     fn has_room(&self) -> bool {

@@ -127,7 +127,7 @@ async fn read_all(
             if reader.read_buf(&mut body.limit(most)).await? == 0 {
                 return Ok(());
             }
-            session.heard_of(number);
+            session.heard_of(number, session.now());
             if !take(session, number, &mut decoder, &[]) {
                 return Ok(());
             }
@@ -146,10 +146,11 @@ async fn read_all(
 
 /// Hands what was read to the session. False when nothing more may come.
 fn take(session: &Session, number: u64, decoder: &mut Decoder, mut bytes: &[u8]) -> bool {
+    let now = session.now();
     loop {
         match decoder.feed(&mut bytes) {
             Ok(Some(packet)) => {
-                if !session.receive(number, packet) {
+                if !session.receive(number, packet, now) {
                     return false;
                 }
             }
