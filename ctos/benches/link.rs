@@ -3,7 +3,7 @@
 //!
 //! What counts is the ratio in one run: figures on a virtual machine are mostly wake-ups, and depend on
 //! where the system puts the threads. `--pin` keeps everything on one core, `--pin2` the two processes on
-//! two.
+//! two. `--only shm` leaves out the other links of ours (`tcp`, `unix`, `shm`).
 
 #![allow(
     clippy::panic,
@@ -341,7 +341,12 @@ fn main() {
         ("shared memory, 50 us spin", 1, "same_host=shm,spin_us=50"),
         ("shared memory, no spin", 1, "same_host=shm,spin_us=0"),
     ];
-    let ours = ours.map(|(name, peer, sets)| (name, peer, through(sets, pins)));
+    let only = words.iter().skip_while(|word| **word != "--only").nth(1);
+    let ours: Vec<_> = ours
+        .into_iter()
+        .filter(|(_, _, sets)| only.is_none_or(|only| sets.contains(only)))
+        .map(|(name, peer, sets)| (name, peer, through(sets, pins)))
+        .collect();
     for (index, case) in CASES.iter().enumerate() {
         println!("{}, median us", case.name);
         for (name, medians) in &peers {

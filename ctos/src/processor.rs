@@ -412,16 +412,19 @@ impl Processor {
         }
         self.settle_calls();
         let deadline = self.wake_at();
-        let left = deadline.map(|deadline| deadline.since(self.look_at_clock()));
-        if left == Some(Duration::ZERO) || !self.handle.inbox.sleep() {
+        // The clock was looked at above, or when it last looked for work.
+        let now = self.recent.get();
+        if deadline.is_some_and(|deadline| deadline <= now) || !self.handle.inbox.sleep() {
             return;
         }
-        self.handle.parker.park(left);
+        self.leave();
+        self.handle.parker.park(now, deadline);
         if self.ready_count() > 0 {
             // What it read at the links was for tasks of its own.
             self.handle.parker.had_work();
         }
-        self.look_at_clock();
+        // What came over a link has led to a look already.
+        self.moment();
     }
 
     /// Looks for work without sleeping, as long as the processor was told to. Never yields: that would

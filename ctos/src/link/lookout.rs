@@ -23,8 +23,12 @@ use std::{
 };
 
 use rustix::{
-    event::{EventfdFlags, PollFd, PollFlags, Timespec, epoll, eventfd},
+    event::{EventfdFlags, Timespec, epoll, eventfd},
     io::Errno,
+    time::{
+        Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, timerfd_create,
+        timerfd_settime,
+    },
 };
 
 pub(crate) use self::parker::Parker;
@@ -47,6 +51,9 @@ const LOOKS_PER_CLOCK: u32 = 16;
 
 /// The number of the nudge among the sources.
 const NUDGE: u64 = 0;
+
+/// The number of the timer among the sources.
+const TIMER: u64 = u64::MAX;
 
 /// What a source had.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,6 +100,8 @@ type Sources = BTreeMap<u64, Arc<dyn Source>>;
 struct Turn {
     /// How often in a row it was enough to look at the memory.
     looked: u32,
+    /// When the timer rings, if it is set.
+    rings_at: Option<Instant>,
 }
 
 /// How a wait at the links ended.
@@ -113,6 +122,7 @@ pub(crate) struct Lookout {
     spin: Duration,
     epoll: OwnedFd,
     nudge: OwnedFd,
+    timer: OwnedFd,
     next: AtomicU64,
     sources: RwLock<Sources>,
     /// Those that can be looked at without asking the system.
@@ -150,11 +160,15 @@ impl Lookout {
         let epoll = epoll::create(epoll::CreateFlags::CLOEXEC)?;
         let flags = epoll::EventFlags::IN | epoll::EventFlags::ET;
         epoll::add(&epoll, &nudge, epoll::EventData::new_u64(NUDGE), flags)?;
+        let timer_flags = TimerfdFlags::CLOEXEC | TimerfdFlags::NONBLOCK;
+        let timer = timerfd_create(TimerfdClockId::Monotonic, timer_flags)?;
+        epoll::add(&epoll, &timer, epoll::EventData::new_u64(TIMER), flags)?;
         let lookout = Arc::new(Self {
             clock,
             spin,
             epoll,
             nudge,
+            timer,
             next: AtomicU64::new(NUDGE + 1),
             sources: RwLock::default(),
             visible: RwLock::default(),
@@ -245,14 +259,14 @@ impl Lookout {
         let _ = rustix::io::write(&self.nudge, &1_u64.to_ne_bytes());
     }
 
-    /// Waits at the links for `parker` until it is nudged or the time is over, and hands on what comes.
-    fn wait(&self, parker: &Parker, timeout: Option<Duration>) -> Waited {
+    /// Waits at the links for `parker` until it is nudged or `end` is there, and hands on what comes.
+    fn wait(&self, parker: &Parker, end: Option<Instant>) -> Waited {
         let Some(mut turn) = self.take_turn() else {
             return Waited::Elsewhere;
         };
         self.turns.fetch_add(1, Ordering::Relaxed);
         self.manned.store(true, Ordering::SeqCst);
-        let waited = self.look(&mut turn, parker, timeout);
+        let waited = self.look(&mut turn, parker, end);
         drop(turn);
         self.manned.store(false, Ordering::SeqCst);
         if self.relief.asleep.swap(false, Ordering::SeqCst)
@@ -290,21 +304,17 @@ impl Lookout {
         }
     }
 
-    fn look(&self, turn: &mut Turn, parker: &Parker, timeout: Option<Duration>) -> Waited {
-        let began = self.clock.now();
-        let end = timeout.map(|timeout| began + timeout);
+    fn look(&self, turn: &mut Turn, parker: &Parker, end: Option<Instant>) -> Waited {
         if !self.spin.is_zero() && turn.looked < LOOKS_PER_WAIT {
-            let until = began + self.spin;
+            let until = self.clock.now() + self.spin;
             let until = end.map_or(until, |end| end.min(until));
             if let Some(seen) = self.spin(parker, until) {
                 turn.looked += 1;
                 return parker.after(seen);
             }
         }
-        turn.looked = 0;
         loop {
-            let left = end.map(|end| end.since(self.clock.now()));
-            match self.sleep(parker, left) {
+            match self.sleep(turn, parker, end) {
                 Some(seen) if parker.is_nudged() || seen == Seen::Frames => {
                     return parker.after(seen);
                 }
@@ -367,9 +377,9 @@ impl Lookout {
         }
     }
 
-    /// Sleeps until something happens, at most `left`, and hands on what has come. `None` when the
-    /// system does not let it.
-    fn sleep(&self, parker: &Parker, left: Option<Duration>) -> Option<Seen> {
+    /// Sleeps until something happens, at most until `end`, and hands on what has come. It may end before
+    /// for no reason. `None` when the system does not let it.
+    fn sleep(&self, turn: &mut Turn, parker: &Parker, end: Option<Instant>) -> Option<Seen> {
         parker.set_at_links(true);
         let work = {
             let visible = read(&self.visible);
@@ -381,13 +391,16 @@ impl Lookout {
             fence(Ordering::SeqCst);
             visible.values().any(|source| source.has_come())
         };
-        let left = if work || parker.is_nudged() {
-            Some(Duration::ZERO)
-        } else {
-            left
-        };
         let mut space = [MaybeUninit::uninit(); EVENTS];
-        let waited = self.wait_for_events(&mut space, left);
+        let waited = if work && turn.looked < LOOKS_PER_WAIT {
+            // The sockets can wait for a few rounds.
+            turn.looked += 1;
+            Ok(&[][..])
+        } else {
+            turn.looked = 0;
+            let at_once = work || parker.is_nudged();
+            self.wait_for_events(turn, &mut space, at_once, end)
+        };
         parker.set_at_links(false);
         for source in read(&self.visible).values() {
             source.set_asleep(false);
@@ -403,6 +416,10 @@ impl Lookout {
         for event in events {
             let id = event.data.u64();
             let flags = event.flags;
+            if id == TIMER {
+                turn.rings_at = None;
+                continue;
+            }
             let Some(source) = read(&self.sources).get(&id).cloned() else {
                 continue;
             };
@@ -416,35 +433,48 @@ impl Lookout {
         Some(seen)
     }
 
-    /// Waits with the precision of the system's clock; `epoll_wait` alone counts milliseconds.
+    /// Waits for what happens, at most until `end`.
     fn wait_for_events<'s>(
         &self,
+        turn: &mut Turn,
         space: &'s mut [MaybeUninit<epoll::Event>],
-        left: Option<Duration>,
+        at_once: bool,
+        end: Option<Instant>,
     ) -> io::Result<&'s [epoll::Event]> {
-        const PRECISE: Duration = Duration::from_millis(2);
-        let timeout = match left {
-            None => None,
-            Some(Duration::ZERO) => Some(Duration::ZERO),
-            Some(left) if left >= PRECISE => {
-                let whole = left.saturating_sub(PRECISE / 2).as_millis();
-                Some(Duration::from_millis(u64::try_from(whole).unwrap_or(1000)).min(LONGEST))
-            }
-            Some(left) => {
-                let mut fds = [PollFd::new(&self.epoll, PollFlags::IN)];
-                match rustix::event::poll(&mut fds, timespec(left).as_ref()) {
-                    Ok(_) | Err(Errno::INTR) => {}
-                    Err(error) => return Err(error.into()),
-                }
-                Some(Duration::ZERO)
-            }
-        };
-        let timeout = timeout.and_then(timespec);
+        if !at_once && let Some(end) = end {
+            self.ring_by(turn, end)?;
+        }
+        let timeout = at_once.then_some(Timespec {
+            tv_sec: 0,
+            tv_nsec: 0,
+        });
         match epoll::wait(&self.epoll, space, timeout.as_ref()) {
             Ok((events, _)) => Ok(events),
             Err(Errno::INTR) => Ok(&[]),
             Err(error) => Err(error.into()),
         }
+    }
+
+    /// Sees to it that the timer rings at `end`, or before. One that is set already and rings sooner is left
+    /// alone: calls have deadlines, each a little later than that of the call before, and setting the timer
+    /// for each of them costs more than that it rings once in vain.
+    fn ring_by(&self, turn: &mut Turn, end: Instant) -> io::Result<()> {
+        if turn.rings_at.is_some_and(|at| at <= end) {
+            return Ok(());
+        }
+        // Zero would switch it off.
+        let left = end.since(self.clock.now());
+        let left = left.clamp(Duration::from_nanos(1), LONGEST);
+        let once = Itimerspec {
+            it_interval: Timespec {
+                tv_sec: 0,
+                tv_nsec: 0,
+            },
+            it_value: Timespec::try_from(left).map_err(io::Error::other)?,
+        };
+        timerfd_settime(&self.timer, TimerfdTimerFlags::empty(), &once)?;
+        turn.rings_at = Some(end);
+        Ok(())
     }
 
     /// The relief's thread: takes the turn when nobody has had it for a tick, until somebody wants it.
@@ -473,7 +503,7 @@ impl Lookout {
                 self.hand_over();
                 continue;
             }
-            let Ok(turn) = self.turn.try_lock() else {
+            let Ok(mut turn) = self.turn.try_lock() else {
                 continue;
             };
             relief.has_turn.store(true, Ordering::SeqCst);
@@ -482,7 +512,7 @@ impl Lookout {
                 relief.parker.take_nudge();
                 if relief.wanted.load(Ordering::SeqCst)
                     || relief.stop.load(Ordering::SeqCst)
-                    || self.sleep(&relief.parker, None).is_none()
+                    || self.sleep(&mut turn, &relief.parker, None).is_none()
                 {
                     break;
                 }
@@ -494,12 +524,8 @@ impl Lookout {
     }
 }
 
-/// The longest time that is waited at once.
+/// The longest time for which the timer is set.
 const LONGEST: Duration = Duration::from_secs(3600);
-
-fn timespec(duration: Duration) -> Option<Timespec> {
-    Timespec::try_from(duration).ok()
-}
 
 /// Something that wakes whoever waits at the links: each write to it is an event.
 ///

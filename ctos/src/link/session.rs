@@ -11,6 +11,7 @@
 mod arrive;
 mod direct;
 pub(crate) mod drive;
+mod free;
 mod line;
 pub(crate) mod packet;
 mod post;
@@ -412,9 +413,13 @@ impl Session {
         }
     }
 
+    /// The present moment.
+    pub(crate) fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
     /// Something came over `stream` that is no whole packet yet.
-    pub(crate) fn heard_of(&self, stream: u64) {
-        let now = self.clock.now();
+    pub(crate) fn heard_of(&self, stream: u64, now: Instant) {
         let mut core = lock(&self.core);
         if core.stream == stream {
             core.heard = now;

@@ -379,12 +379,12 @@ impl Receiver {
         })
     }
 
-    /// Copies what has come into the free place of `into`, and no more than that.
+    /// Appends at most `most` bytes of what has come to `into`.
     ///
     /// # Errors
     /// [`Corrupt`] when the other side's position cannot be.
-    pub(crate) fn read_into(&self, into: &mut Vec<u8>) -> Result<usize, Corrupt> {
-        self.take(into.capacity() - into.len(), |memory, place, size| {
+    pub(crate) fn read_into(&self, into: &mut Vec<u8>, most: usize) -> Result<usize, Corrupt> {
+        self.take(most, |memory, place, size| {
             memory.append_to(place, size, into);
         })
     }
@@ -421,7 +421,13 @@ impl Receiver {
     pub(crate) fn has_work(&self) -> bool {
         let has_data =
             self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read.load(Ordering::Relaxed);
-        has_data || (self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0 && self.has_room())
+        has_data || (self.waits_for_room() && self.has_room())
+    }
+
+    /// Whether this side has something to write for which there was no room. A peer that says otherwise in
+    /// the memory keeps only its own messages waiting.
+    pub(crate) fn waits_for_room(&self) -> bool {
+        self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0
     }
 
     fn has_room(&self) -> bool {

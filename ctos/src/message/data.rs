@@ -25,7 +25,9 @@ pub trait Payload: Any + Send {
 
 impl<T: Serialize + Send + 'static> Payload for T {
     fn encode(&self) -> Result<Vec<u8>, PayloadError> {
-        let mut bytes = Vec::new();
+        /// Most messages are no larger, bytes; a larger one moves when it grows.
+        const USUAL: usize = 128;
+        let mut bytes = Vec::with_capacity(USUAL);
         self.encode_into(&mut bytes)?;
         Ok(bytes)
     }

@@ -6,10 +6,10 @@ use std::{
         atomic::{AtomicBool, Ordering},
     },
     thread::Thread,
-    time::Duration,
 };
 
 use super::{Lookout, Seen, Waited};
+use crate::time::Instant;
 
 /// The place where one thread sleeps and others wake it. A wake-up that comes first is not lost: the
 /// next sleep ends at once.
@@ -53,23 +53,23 @@ impl Parker {
         }
     }
 
-    /// Sleeps until it is woken, or for `timeout`.
-    pub(crate) fn park(&self, timeout: Option<Duration>) {
+    /// Sleeps until it is woken, or until `end`; `now` is the present moment, as far as that is known.
+    pub(crate) fn park(&self, now: Instant, end: Option<Instant>) {
         if self.take_nudge() {
             return;
         }
         if let Some(lookout) = self.lookout.get()
             && !self.aside.swap(false, Ordering::Relaxed)
         {
-            let waited = lookout.wait(self, timeout);
+            let waited = lookout.wait(self, end);
             self.aside
                 .store(waited == Waited::HandedOn, Ordering::Relaxed);
             if self.take_nudge() || waited != Waited::Elsewhere {
                 return;
             }
         }
-        match timeout {
-            Some(timeout) => std::thread::park_timeout(timeout),
+        match end {
+            Some(end) => std::thread::park_timeout(end.since(now)),
             None => std::thread::park(),
         }
         self.take_nudge();

@@ -106,7 +106,7 @@ fn an_idle_processor_takes_the_turn_from_the_relief_and_serves_what_comes_itself
         sits.look_out(lookout);
         // The relief wakes it once when it has left the turn to it.
         while !ends.load(Ordering::SeqCst) {
-            sits.park(None);
+            sits.park(Instant::START, None);
         }
     });
     while !joined.lookout.manned.load(Ordering::SeqCst) {
@@ -144,7 +144,7 @@ fn wake_ups_are_never_lost_wherever_the_thread_sleeps() {
                         turn.store(now + 1, Ordering::SeqCst);
                         other.unpark();
                     } else {
-                        own.park(None);
+                        own.park(Instant::START, None);
                     }
                 }
             })
@@ -158,16 +158,34 @@ fn wake_ups_are_never_lost_wherever_the_thread_sleeps() {
 
 #[test]
 fn a_wait_ends_at_its_time() {
-    let lookout = Lookout::new("test", Clock::real(), Duration::ZERO).unwrap();
+    let clock = Clock::real();
+    let lookout = Lookout::new("test", clock.clone(), Duration::ZERO).unwrap();
     let parker = Parker::default();
     parker.sit_down();
     parker.look_out(lookout.clone());
-    let clock = Clock::real();
-    for wait in [Duration::from_micros(300), Duration::from_millis(5)] {
-        let end = clock.now() + wait;
+    let park_until = |end: Instant| {
         while clock.now() < end {
-            parker.park(Some(end.since(clock.now())));
+            parker.park(clock.now(), Some(end));
         }
+    };
+    for wait in [Duration::from_micros(300), Duration::from_millis(5)] {
+        park_until(clock.now() + wait);
     }
+    // A timer that is set for later must not keep an earlier end waiting.
+    let nudged = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !lookout.manned.load(Ordering::SeqCst) {
+                std::thread::yield_now();
+            }
+            nudged.store(true, Ordering::SeqCst);
+            parker.unpark();
+        });
+        let later = clock.now() + Duration::from_secs(3_000);
+        while !nudged.load(Ordering::SeqCst) {
+            parker.park(clock.now(), Some(later));
+        }
+    });
+    park_until(clock.now() + Duration::from_millis(1));
     lookout.close();
 }

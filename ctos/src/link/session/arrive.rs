@@ -9,10 +9,9 @@ use super::{
 use crate::{call::lock, time::Instant};
 
 impl Session {
-    /// Something came over `stream`. False when nothing more may come over it.
-    pub(crate) fn receive(&self, stream: u64, packet: Packet) -> bool {
+    /// Something came over `stream`, lately: at `now`. False when nothing more may come over it.
+    pub(crate) fn receive(&self, stream: u64, packet: Packet, now: Instant) -> bool {
         let _handing = lock(&self.handing);
-        let now = self.clock.now();
         let mut core = lock(&self.core);
         if core.stream != stream || core.state == State::Down {
             return false;
@@ -32,7 +31,10 @@ impl Session {
         }
         if let Some((event, reason)) = event {
             self.event(event, reason);
-        } else if state == State::Closing && lock(&self.core).outgoing.is_empty() {
+        } else if state != State::Closing {
+            // Should it have come to an end meanwhile, the next packet is told.
+            return true;
+        } else if lock(&self.core).outgoing.is_empty() {
             self.event(Event::Flushed, DownReason::Closed);
         }
         self.state() != State::Down

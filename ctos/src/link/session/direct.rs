@@ -10,7 +10,6 @@ use std::{
 };
 
 use rustix::{
-    buffer::spare_capacity,
     io::Errno,
     net::{RecvFlags, recv},
 };
@@ -19,6 +18,7 @@ use tokio::sync::oneshot;
 use super::{
     Session,
     drive::rubbish,
+    free::recv_into,
     packet::Decoder,
     writer::{Patience, Socket},
 };
@@ -28,6 +28,7 @@ use crate::{
         lookout::{Happened, Seen, Source},
         shm,
     },
+    time::Instant,
 };
 
 /// How many bytes are read at a time, where they are not the data of one large frame.
@@ -99,9 +100,14 @@ impl DirectStream {
     fn read(&self, reading: &mut Reading) -> (bool, bool) {
         let mut frames = false;
         let mut patience = None;
+        // When the first of it came; the rest follows at once.
+        let mut since = None;
         for _ in 0..READS {
             let (read, count) = self.read_once(reading);
-            let taken = count.map(|count| self.take(reading, count, &mut frames));
+            let taken = count.map(|count| {
+                let now = *since.get_or_insert_with(|| self.session.now());
+                self.take(reading, count, now, &mut frames)
+            });
             match taken {
                 Some(false) => return (frames, true),
                 Some(true) => patience = None,
@@ -138,11 +144,7 @@ impl DirectStream {
                 let large = decoder.large_body();
                 let is_large = large.is_some();
                 let (result, wanted) = match large {
-                    Some(body) => {
-                        let wanted = body.capacity() - body.len();
-                        let read = recv(socket.fd(), spare_capacity(body), RecvFlags::DONTWAIT);
-                        (read.map(|(_, count)| count), wanted)
-                    }
+                    Some((body, most)) => (recv_into(socket.fd(), body, most), most),
                     None => {
                         let read = recv(socket.fd(), chunk.as_mut_slice(), RecvFlags::DONTWAIT);
                         (read.map(|(_, count)| count), CHUNK)
@@ -168,7 +170,7 @@ impl DirectStream {
                 let large = decoder.large_body();
                 let is_large = large.is_some();
                 let read = match large {
-                    Some(body) => receiver.read_into(body),
+                    Some((body, most)) => receiver.read_into(body, most),
                     None => receiver.read(chunk),
                 };
                 match read {
@@ -186,17 +188,17 @@ impl DirectStream {
 
     /// Hands what lies in the chunk, or completes a large frame, to the session. False when nothing more
     /// may come.
-    fn take(&self, reading: &mut Reading, count: usize, frames: &mut bool) -> bool {
+    fn take(&self, reading: &mut Reading, count: usize, now: Instant, frames: &mut bool) -> bool {
         let mut bytes = reading.chunk.get(..count).unwrap_or_default();
         if count == 0 {
             // A large frame takes long: what has come of it is a sign of life, too.
-            self.session.heard_of(self.number);
+            self.session.heard_of(self.number, now);
         }
         loop {
             match reading.decoder.feed(&mut bytes) {
                 Ok(Some(packet)) => {
                     *frames |= packet.is_frame();
-                    if !self.session.receive(self.number, packet) {
+                    if !self.session.receive(self.number, packet, now) {
                         return false;
                     }
                 }
@@ -213,7 +215,6 @@ impl DirectStream {
 impl Source for DirectStream {
     fn serve(&self, happened: Happened) -> Seen {
         let mut seen = Seen::Nothing;
-        let visible = self.is_visible();
         if happened.came {
             let mut reading = lock(&self.reading);
             let (frames, over) = self.read(&mut reading);
@@ -228,13 +229,17 @@ impl Source for DirectStream {
                 seen = Seen::Frames;
             }
         }
-        if happened.room
-            && let Carrier::Socket(socket) = &self.carrier
-        {
-            socket.set_wants_room(false);
-        }
-        // The bell of shared memory rings for what comes and for room.
-        if happened.room || visible {
+        let room = match &self.carrier {
+            Carrier::Socket(socket) => {
+                if happened.room {
+                    socket.set_wants_room(false);
+                }
+                happened.room
+            }
+            // The bell of shared memory rings for what comes and for room.
+            Carrier::Shared { receiver, .. } => happened.room || receiver.waits_for_room(),
+        };
+        if room {
             self.session.pump(self.number);
         }
         seen

@@ -10,6 +10,7 @@ use std::{
     time::Duration,
 };
 
+use bytes::BufMut;
 use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
@@ -26,7 +27,8 @@ use super::{
 };
 use crate::link::{lookout::Lookout, session::DownReason, shm, transport::Stream};
 
-/// How much a Unix socket holds that has not been read, bytes; TCP finds its own measure.
+/// How much a Unix socket holds that has not been read, bytes, where its two ends run on two cores; TCP finds
+/// its own measure.
 const SEND_BUFFER: usize = 1 << 20;
 
 /// How many bytes are read at a time.
@@ -54,7 +56,7 @@ pub(crate) async fn drive(
         Stream::Tls(_) | Stream::Other(_) => stream,
         _ if session.is_injured() => stream,
         Stream::Tcp(_) | Stream::Unix(_) => {
-            return match fd_of(stream) {
+            return match fd_of(stream, lookout) {
                 Ok(fd) => drive_socket(session, fd, received, lookout).await,
                 Err(error) => {
                     broke(&error);
@@ -95,14 +97,16 @@ pub(crate) async fn drive(
 }
 
 /// The file descriptor of a plain socket; it stays non-blocking.
-fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
+fn fd_of(stream: Stream, lookout: &Lookout) -> io::Result<OwnedFd> {
     match stream {
         Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
         Stream::Unix(stream) => {
             let stream = stream.into_std()?;
-            // An image leaves at once, and its receiver is woken once. What the system refuses is no
-            // reason to do without the socket.
-            if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
+            // An image leaves at once, and its receiver is woken once. Not on one core: there a wake-up is
+            // cheap, and what is read soon after it was written is still in the core's cache. What the system
+            // refuses is no reason to do without the socket.
+            let two_cores = !lookout.spin_time().is_zero();
+            if two_cores && let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
                 tracing::debug!(error = %error, "a socket keeps its small buffer");
             }
             Ok(stream.into())
@@ -119,11 +123,11 @@ async fn read_all(
     let mut chunk = vec![0; CHUNK];
     let mut decoder = Decoder::default();
     loop {
-        if let Some(body) = decoder.large_body() {
-            if reader.read_buf(body).await? == 0 {
+        if let Some((body, most)) = decoder.large_body() {
+            if reader.read_buf(&mut body.limit(most)).await? == 0 {
                 return Ok(());
             }
-            session.heard_of(number);
+            session.heard_of(number, session.now());
             if !take(session, number, &mut decoder, &[]) {
                 return Ok(());
             }
@@ -142,10 +146,11 @@ async fn read_all(
 
 /// Hands what was read to the session. False when nothing more may come.
 fn take(session: &Session, number: u64, decoder: &mut Decoder, mut bytes: &[u8]) -> bool {
+    let now = session.now();
     loop {
         match decoder.feed(&mut bytes) {
             Ok(Some(packet)) => {
-                if !session.receive(number, packet) {
+                if !session.receive(number, packet, now) {
                     return false;
                 }
             }

@@ -394,10 +394,10 @@ impl Decoder {
         self.stage.missing(self.body.len()) >= LARGE
     }
 
-    /// Where the data of a large packet goes, when much of it is still to come: what is read into the
-    /// free place there, all of it or less, is not copied again. [`Self::feed`], with nothing, completes
-    /// the packet.
-    pub(crate) fn large_body(&mut self) -> Option<&mut Vec<u8>> {
+    /// Where the data of a large packet goes, when much of it is still to come, and how much may be read
+    /// into the free place there at most: that is not copied again. [`Self::feed`], with nothing,
+    /// completes the packet.
+    pub(crate) fn large_body(&mut self) -> Option<(&mut Vec<u8>, usize)> {
         let Stage::Rest { kind, .. } = self.stage else {
             return None;
         };
@@ -412,9 +412,17 @@ impl Decoder {
             RESERVE_MORE
         };
         let grown = self.body.len().max(least);
-        self.body.reserve_exact(missing.min(grown));
-        // An allocator may give more than it was asked for, and what follows the packet is not its data.
-        (self.body.capacity() - self.body.len() <= missing).then_some(&mut self.body)
+        if self.body.capacity() - self.body.len() < missing.min(grown) {
+            // Other pieces will follow this one, and what is there already shall not be moved for them.
+            let more = if kind == Kind::Piece {
+                grown
+            } else {
+                missing.min(grown)
+            };
+            self.body.reserve_exact(more);
+        }
+        let free = self.body.capacity() - self.body.len();
+        Some((&mut self.body, missing.min(free)))
     }
 }
 
@@ -519,8 +527,9 @@ mod tests {
             let mut in_place = 0;
             while packet.is_none() {
                 let mut now: &[u8] = &[];
-                if let Some(body) = decoder.large_body() {
-                    let count = step.min(body.capacity() - body.len()).min(bytes.len());
+                if let Some((body, most)) = decoder.large_body() {
+                    prop_assert!(most <= body.capacity() - body.len());
+                    let count = step.min(most).min(bytes.len());
                     body.extend_from_slice(&bytes[..count]);
                     bytes = &bytes[count..];
                     in_place += count;
@@ -532,6 +541,53 @@ mod tests {
             }
             prop_assert!(in_place > 0 && bytes.is_empty());
             prop_assert_eq!(packet.unwrap().content, Content::Frame(frame));
+        }
+
+        #[test]
+        fn the_pieces_of_a_large_body_are_read_in_place_and_never_what_follows_them(
+            sizes in proptest::collection::vec(LARGE..4 * LARGE, 2..6),
+            // More than is missing, too: so much lies ready in a socket.
+            steps in proptest::collection::vec(1..6 * LARGE, 1..10),
+        ) {
+            let size: usize = sizes.iter().sum();
+            let body: Vec<u8> = (0..size).map(|index| (index % 251) as u8).collect();
+            let frame = Frame::of_body(body.clone());
+            let mut stream = Vec::new();
+            let mut at = 0;
+            for (index, size) in sizes.iter().enumerate() {
+                let part = &body[at..at + size];
+                stream.extend(if index + 1 < sizes.len() {
+                    bytes_of(Kind::Piece, [at as u64, 0], part)
+                } else {
+                    bytes_of(Kind::Last, [1, 0], &[&frame.head(), part].concat())
+                });
+                at += size;
+            }
+            stream.extend(bytes_of(Kind::Pulse, [1, 0], &[]));
+            let mut bytes = stream.as_slice();
+            let mut decoder = Decoder::default();
+            let mut packets = Vec::new();
+            let mut steps = steps.iter().cycle();
+            while packets.len() < 2 {
+                let step = steps.next().copied().unwrap_or(1).min(bytes.len());
+                let mut now: &[u8] = &[];
+                if let Some((body, most)) = decoder.large_body() {
+                    let count = step.min(most);
+                    let capacity = body.capacity();
+                    body.extend_from_slice(&bytes[..count]);
+                    prop_assert_eq!(body.capacity(), capacity, "there was no place for it");
+                    bytes = &bytes[count..];
+                } else {
+                    (now, bytes) = bytes.split_at(step.min(100));
+                }
+                while let Some(packet) = decoder.feed(&mut now).unwrap() {
+                    packets.push(packet);
+                }
+                prop_assert!(now.is_empty());
+            }
+            prop_assert!(bytes.is_empty());
+            prop_assert_eq!(&packets[0].content, &Content::Frame(frame));
+            prop_assert_eq!(packets[1].kind, Kind::Pulse);
         }
     }
 

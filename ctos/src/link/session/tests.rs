@@ -102,7 +102,11 @@ fn a_peer_that_is_silent_is_down_after_the_limit_and_told_once() {
         session.keep();
     }
     assert_eq!(session.state(), State::Up);
-    assert!(session.receive(stream, packet(Kind::Pulse, 0, Content::Nothing)));
+    assert!(session.receive(
+        stream,
+        packet(Kind::Pulse, 0, Content::Nothing),
+        session.now()
+    ));
     for _ in 0..3 {
         advance(&clock, session.pulse_every());
         session.keep();
@@ -114,7 +118,7 @@ fn a_peer_that_is_silent_is_down_after_the_limit_and_told_once() {
     }
     assert_eq!(session.state(), State::Down);
     assert_eq!(lock(&told).downs, [DownReason::Silence(TIMEOUT)]);
-    assert!(!session.receive(stream, frame(1)));
+    assert!(!session.receive(stream, frame(1), session.now()));
     assert!(session.attach(frozen(), 0).is_err());
 }
 
@@ -128,7 +132,7 @@ fn a_chassis_that_stood_still_itself_does_not_blame_its_peers() {
     session.keep();
     assert_eq!(session.state(), State::Up);
     // What the peer said meanwhile is read now.
-    assert!(session.receive(stream, frame(1)));
+    assert!(session.receive(stream, frame(1), session.now()));
     assert_eq!(lock(&told).frames, [1]);
 }
 
@@ -189,7 +193,7 @@ fn a_request_that_waits_for_room_leaves_when_there_is_some_unless_its_sender_gav
     session.post(gives_up).unwrap();
     let mut acknowledges = packet(Kind::Pulse, 0, Content::Nothing);
     acknowledges.received = 1;
-    assert!(session.receive(stream, acknowledges));
+    assert!(session.receive(stream, acknowledges, session.now()));
     let one = (PACKET_HEAD + FRAME_FIXED + 100) as u64;
     assert_eq!(session.counts().bytes_under_way, one);
 }
@@ -199,14 +203,14 @@ fn what_an_earlier_stream_still_brings_is_not_listened_to() {
     let clock = Clock::virtual_clock();
     let (session, told) = session(&clock);
     let first = session.attach(frozen(), 0).unwrap();
-    assert!(session.receive(first, frame(1)));
+    assert!(session.receive(first, frame(1), session.now()));
     let second = session.attach(frozen(), 0).unwrap();
-    assert!(!session.receive(first, frame(2)));
+    assert!(!session.receive(first, frame(2), session.now()));
     session.lost(first);
     assert_eq!(session.state(), State::Up);
     // Sent again, as the other end did not know how far this one had heard.
-    assert!(session.receive(second, frame(1)));
-    assert!(session.receive(second, frame(2)));
+    assert!(session.receive(second, frame(1), session.now()));
+    assert!(session.receive(second, frame(2), session.now()));
     let told = lock(&told);
     assert_eq!((told.ups, &told.frames[..]), (1, &[1, 2][..]));
 }
@@ -217,7 +221,7 @@ fn a_peer_whose_process_has_ended_is_read_to_its_end_and_then_down_at_once() {
     let (session, told) = session(&clock);
     let stream = session.attach(frozen(), 0).unwrap();
     session.event(Event::PeerEnded, DownReason::Ended);
-    assert!(session.receive(stream, frame(1)));
+    assert!(session.receive(stream, frame(1), session.now()));
     assert!(lock(&told).downs.is_empty());
     session.lost(stream);
     let told = lock(&told);
@@ -234,7 +238,7 @@ fn rubbish_ends_the_session_and_says_what_it_was() {
     let stream = session.attach(frozen(), 0).unwrap();
     let mut claims = frame(1);
     claims.received = 5;
-    assert!(!session.receive(stream, claims));
+    assert!(!session.receive(stream, claims, session.now()));
     let downs = lock(&told).downs.clone();
     assert!(
         matches!(&downs[..], [DownReason::Rubbish(what)] if what.contains('5')),
@@ -252,7 +256,11 @@ fn one_that_was_given_up_learns_so_and_one_that_says_goodbye_is_not_missed() {
     ] {
         let (session, told) = session(&clock);
         let stream = session.attach(frozen(), 0).unwrap();
-        assert!(!session.receive(stream, packet(kind, number, Content::Nothing)));
+        assert!(!session.receive(
+            stream,
+            packet(kind, number, Content::Nothing),
+            session.now()
+        ));
         assert_eq!(lock(&told).downs, [reason]);
     }
 }

@@ -40,8 +40,8 @@ pub(crate) enum Lane {
 /// A packet that may have to be sent again.
 struct Kept {
     kind: Kind,
-    /// The fixed part of a frame; empty for others.
-    head: Bytes,
+    /// The fixed part of a frame.
+    head: Option<[u8; FRAME_FIXED]>,
     body: Bytes,
     /// What follows the body: blobs that were not copied, and what is between them.
     more: Vec<Bytes>,
@@ -53,10 +53,15 @@ struct Kept {
 }
 
 impl Kept {
+    /// The fixed part of a frame; nothing for others.
+    fn head(&self) -> &[u8] {
+        self.head.as_ref().map_or(&[], |head| head)
+    }
+
     /// What follows the packet's head.
     fn rest(&self) -> usize {
         let more = self.more.iter().map(Bytes::len);
-        self.head.len() + self.body.len() + more.sum::<usize>()
+        self.head().len() + self.body.len() + more.sum::<usize>()
     }
 
     fn size(&self) -> usize {
@@ -70,7 +75,7 @@ impl Kept {
 
     /// How many bytes its data has.
     fn data(&self) -> usize {
-        self.rest() - self.head.len()
+        self.rest() - self.head().len()
     }
 
     /// The next `size` bytes of data, of which so many have left before.
@@ -109,9 +114,9 @@ impl Kept {
         for (before, place) in &lent {
             place.put(&mut table, *before);
         }
-        let rest = self.head.len() + table.len() + size;
+        let rest = self.head().len() + table.len() + size;
         put_head(into, Kind::Lent, numbers, rest);
-        into.put_slice(&self.head);
+        into.put_slice(self.head());
         into.put_slice(&table);
         for part in other {
             into.put_slice(part);
@@ -149,6 +154,8 @@ pub(crate) struct Outgoing {
     piece: usize,
     /// Bytes on their way into the stream.
     staged: VecDeque<Bytes>,
+    /// Where small packets are made ready; the memory is used again when they have left.
+    small: BytesMut,
     /// An unnumbered packet that goes before the next numbered one.
     pulse: Option<Kind>,
     room: usize,
@@ -170,6 +177,7 @@ impl Outgoing {
             known: 0,
             piece: PIECE,
             staged: VecDeque::new(),
+            small: BytesMut::new(),
             pulse: None,
             room,
             held_data: 0,
@@ -215,20 +223,20 @@ impl Outgoing {
 
     /// Takes a frame; the caller has asked for room.
     pub(crate) fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
-        let head = Bytes::copy_from_slice(&frame.head());
-        self.put(Kind::Frame, head, frame.body.into_parts(), lane, now);
+        let head = frame.head();
+        self.put(Kind::Frame, Some(head), frame.body.into_parts(), lane, now);
     }
 
     /// Takes a message of the mesh, or the last packet of all.
     pub(crate) fn put_control(&mut self, kind: Kind, body: Vec<u8>, now: Instant) {
         let parts = (Bytes::from(body), Vec::new());
-        self.put(kind, Bytes::new(), parts, Lane::Control, now);
+        self.put(kind, None, parts, Lane::Control, now);
     }
 
     fn put(
         &mut self,
         kind: Kind,
-        head: Bytes,
+        head: Option<[u8; FRAME_FIXED]>,
         (body, more): (Bytes, Vec<Bytes>),
         lane: Lane,
         now: Instant,
@@ -408,7 +416,7 @@ impl Outgoing {
 
     /// Makes the next packets ready to be written.
     fn stage(&mut self, received: u64, now: Instant) {
-        let mut small = BytesMut::new();
+        let mut small = std::mem::take(&mut self.small);
         let mut size = 0;
         while size < BATCH {
             let Some(index) = usize::try_from(self.next - self.acked - 1).ok() else {
@@ -449,7 +457,7 @@ impl Outgoing {
                 continue;
             }
             put_head(&mut small, kept.kind, [number, received], kept.rest());
-            small.put_slice(&kept.head);
+            small.put_slice(kept.head());
             for part in kept.parts() {
                 if part.len() <= COPIED {
                     small.put_slice(part);
@@ -462,8 +470,9 @@ impl Outgoing {
             }
         }
         if !small.is_empty() {
-            self.staged.push_back(small.freeze());
+            self.staged.push_back(small.split().freeze());
         }
+        self.small = small;
     }
 
     /// Makes the next piece of the large frame at `index` ready; how large it is.
@@ -477,9 +486,9 @@ impl Outgoing {
             put_head(small, Kind::Piece, [from as u64, received], size);
             kept.cut += size;
         } else {
-            let rest = kept.head.len() + size;
+            let rest = kept.head().len() + size;
             put_head(small, Kind::Last, [self.next, received], rest);
-            small.put_slice(&kept.head);
+            small.put_slice(kept.head());
             kept.cut = 0;
             self.known = self.known.max(self.next);
             self.next += 1;
