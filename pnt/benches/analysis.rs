@@ -8,7 +8,11 @@
     reason = "a benchmark may end when its input is wrong"
 )]
 
-use std::{fmt::Write as _, sync::Arc};
+use std::{
+    collections::{HashSet, VecDeque},
+    fmt::Write as _,
+    sync::Arc,
+};
 
 use ctos::diagnostic::Source;
 use divan::{Bencher, counter::ItemsCount};
@@ -141,6 +145,46 @@ fn kanban_5_explicit_on_threads(bencher: Bencher, threads: usize) {
         });
 }
 
+/// The peer: every marking a vector of bytes in the standard library's hash set, every transition tried.
+fn plain_hash_set(model: &Model) -> usize {
+    let byte = |tokens: u32| u8::try_from(tokens).unwrap();
+    let transitions: Vec<_> = model
+        .transitions
+        .iter()
+        .map(|transition| (transition.needs(), transition.changes()))
+        .collect();
+    let first: Box<[u8]> = model.initial().into_iter().map(byte).collect();
+    let mut seen = HashSet::from([first.clone()]);
+    let mut open = VecDeque::from([first]);
+    while let Some(marking) = open.pop_front() {
+        for (needs, changes) in &transitions {
+            let held = |place: u32| u32::from(marking[place as usize]);
+            if needs.iter().any(|(place, weight)| held(*place) < *weight) {
+                continue;
+            }
+            let mut next = marking.clone();
+            for (place, change) in changes {
+                let tokens = &mut next[*place as usize];
+                *tokens = u8::try_from(i64::from(*tokens) + change).unwrap();
+            }
+            if !seen.contains(&next) {
+                seen.insert(next.clone());
+                open.push_back(next);
+            }
+        }
+    }
+    seen.len()
+}
+
+/// Items are markings.
+#[divan::bench(sample_count = 3, sample_size = 1)]
+fn kanban_5_by_a_plain_hash_set(bencher: Bencher) {
+    let model = kanban(5);
+    bencher
+        .counter(ItemsCount::new(2_546_432_usize))
+        .bench_local(|| assert_eq!(plain_hash_set(&model), 2_546_432));
+}
+
 /// Items are markings; the net has far more of them than are looked for here.
 #[divan::bench(args = [1, 2], sample_count = 3, sample_size = 1)]
 fn wide_net_explicit_on_threads(bencher: Bencher, threads: usize) {
@@ -167,13 +211,37 @@ fn kanban_by_diagrams(bencher: Bencher, cards: usize) {
     bencher.bench_local(|| symbolic::count(&model, 256 << 20).unwrap().markings);
 }
 
-/// 40 places and 40 transitions, 2,187 markings: from the compiled net to the verdict.
-#[divan::bench]
-fn whole_check_of_a_robots_net(bencher: Bencher) {
-    let nets = [net(&philosophers(7))];
+/// From the texts to the verdict, as `ctos net check` does it, with every command by itself.
+fn whole_check(texts: &[String]) -> u128 {
+    let nets: Vec<Arc<Net>> = texts.iter().map(|text| net(text)).collect();
+    let rule = Rule::of(&nets);
     let options = Options {
         engines: Engines::Both,
-        ..Options::new(Rule::Closed, Limits::default())
+        workflows: rule == Rule::Rest,
+        ..Options::new(rule, Limits::default())
     };
-    bencher.bench_local(|| prove(&nets, &options, &mut |_| {}).unwrap().verdict);
+    let proof = prove(&nets, &options, &mut |_| {}).unwrap();
+    proof.verdict.markings
+}
+
+fn configured(names: &str) -> Vec<String> {
+    let read = |name: &str| {
+        let path = format!("{}/../configs/nets/{name}.net", env!("CARGO_MANIFEST_DIR"));
+        std::fs::read_to_string(path).unwrap()
+    };
+    names.split(' ').map(read).collect()
+}
+
+/// The nets of the configurations; the first are one system of 78 nodes.
+#[divan::bench(args = ["dispatcher motion vision", "cell", "hello"])]
+fn whole_check_of_configured_nets(bencher: Bencher, names: &str) {
+    let texts = configured(names);
+    bencher.bench_local(|| whole_check(&texts));
+}
+
+/// As many places as transitions: 70 nodes and 2,187 markings, 80 and 6,561, 100 and 59,049.
+#[divan::bench(args = [7, 8, 10])]
+fn whole_check_of_philosophers(bencher: Bencher, count: usize) {
+    let texts = [philosophers(count)];
+    bencher.bench_local(|| whole_check(&texts));
 }

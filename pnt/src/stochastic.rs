@@ -85,9 +85,11 @@ pub enum PerfError {
     Option(String),
     /// A net has what the model cannot say.
     #[error(
-        "place `{place}` has a capacity, is filled by an action and emptied by a reset arc: together they cannot be analysed"
+        "transition `{transition}` empties the place `{place}`, in which actions are kept room: that can be analysed for places of small capacity, when the transition takes no time, or an exponential one with one server"
     )]
     ResetOfPromised {
+        /// The transition with the reset arc.
+        transition: String,
         /// The place.
         place: String,
     },

@@ -279,8 +279,11 @@ impl<'a> Search<'a> {
         let count = self.workers.len();
         for from in 0..count {
             for to in 0..count {
-                let sent = std::mem::take(&mut self.workers[from].outboxes[to]);
-                self.workers[to].inbox.push(sent);
+                if from != to {
+                    let empty = self.workers[from].spare.pop().unwrap_or_default();
+                    let sent = std::mem::replace(&mut self.workers[from].outboxes[to], empty);
+                    self.workers[to].inbox.push(sent);
+                }
             }
         }
     }

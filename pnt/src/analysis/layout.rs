@@ -143,10 +143,32 @@ impl Packed {
         }
     }
 
+    /// The same as [`Packed::fire`], with the successor put at the end of a list.
+    pub(super) fn fire_onto(
+        &self,
+        layout: &Layout,
+        from: &[u64],
+        sum: u64,
+        list: &mut Vec<u64>,
+    ) -> u64 {
+        if let ([word], [], adds) = (from, self.resets.as_slice(), self.adds.as_slice()) {
+            let add = adds.first().map_or(0, |(_, add)| *add);
+            list.push(word.wrapping_add(add));
+            return sum.wrapping_add(self.hash);
+        }
+        let start = list.len();
+        list.extend_from_slice(from);
+        self.change(layout, sum, &mut list[start..])
+    }
+
     /// Fires on a packed marking whose [`linear`] sum is given; writes the successor and returns its
     /// sum. The transition must be enabled and its gains must fit.
     pub(super) fn fire(&self, layout: &Layout, from: &[u64], sum: u64, to: &mut [u64]) -> u64 {
         to.copy_from_slice(from);
+        self.change(layout, sum, to)
+    }
+
+    fn change(&self, layout: &Layout, sum: u64, to: &mut [u64]) -> u64 {
         for (word, add) in &self.adds {
             let word = &mut to[*word as usize];
             *word = word.wrapping_add(*add);

@@ -6,6 +6,7 @@ use super::{
     explicit::{Explored, Scratch},
     layout::linear,
     model::TransitionNumber,
+    store::Looks,
 };
 
 /// What the reachability graph says about the long run.
@@ -93,6 +94,11 @@ struct Graph<'a> {
     scratch: Scratch,
     /// Packed successor.
     target: Vec<u64>,
+    /// Packed successors of one marking, their sums, and what finds them.
+    targets: Vec<u64>,
+    sums: Vec<u64>,
+    looks: Looks,
+    numbers: Vec<u32>,
 }
 
 impl<'a> Graph<'a> {
@@ -108,6 +114,10 @@ impl<'a> Graph<'a> {
             explored,
             scratch: Scratch::default(),
             target: vec![0; explored.rules.layout.words],
+            targets: Vec::new(),
+            sums: Vec::new(),
+            looks: Looks::default(),
+            numbers: Vec::new(),
         }
     }
 
@@ -146,6 +156,41 @@ impl<'a> Graph<'a> {
         Some(self.offsets[worker] + id as usize)
     }
 
+    /// The markings that the sure firings at a marking lead to, in order; nothing when the search had
+    /// stopped before one was found.
+    fn successors(&mut self, node: usize, successors: &mut Vec<usize>) -> Option<()> {
+        self.expand(node);
+        successors.clear();
+        let explored = self.explored;
+        let [worker] = explored.stores() else {
+            let enabled = std::mem::take(&mut self.scratch.enabled);
+            for transition in &enabled {
+                successors.push(self.successor(node, *transition)?);
+            }
+            self.scratch.enabled = enabled;
+            return Some(());
+        };
+        let rules = &explored.rules;
+        let from = self.packed(node);
+        let sum = linear(from);
+        self.targets.clear();
+        self.sums.clear();
+        for transition in &self.scratch.enabled {
+            let packed = rules.packed.get(*transition as usize)?;
+            let sum = packed.fire_onto(&rules.layout, from, sum, &mut self.targets);
+            self.sums.push(sum);
+        }
+        let store = worker.store();
+        store.find_all(
+            &self.targets,
+            &self.sums,
+            &mut self.looks,
+            &mut self.numbers,
+        )?;
+        successors.extend(self.numbers.iter().map(|number| *number as usize));
+        Some(())
+    }
+
     /// The number of the initial marking.
     fn initial(&self) -> Option<usize> {
         let mut packed = Vec::new();
@@ -161,8 +206,9 @@ impl<'a> Graph<'a> {
 }
 
 /// A quick answer for most nets: walks from every marking until it meets one that is known to return.
-/// All markings on the walk return as well. The bytes it took, when all return; nothing when that is
-/// not so, or not found in this way.
+/// All markings on the walk return as well. What leads only to markings of the walk itself is left aside
+/// and looked at again when more is known. The bytes it took, when all return; nothing when that is not
+/// so, or not found in this way.
 fn all_return(explored: &Explored<'_>) -> Option<usize> {
     const UNKNOWN: u8 = 0;
     const SEEN: u8 = 1;
@@ -172,6 +218,8 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
     state[graph.initial()?] = RETURNS;
     let mut walk: Vec<(usize, u32)> = Vec::new();
     let mut longest = 0;
+    let mut aside: Vec<usize> = Vec::new();
+    let mut successors = Vec::new();
     for root in 0..explored.markings {
         if state[root] != UNKNOWN {
             continue;
@@ -179,21 +227,21 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
         state[root] = SEEN;
         walk.push((root, 0));
         while let Some((node, tried)) = walk.last().copied() {
-            graph.expand(node);
-            let enabled = std::mem::take(&mut graph.scratch.enabled);
+            graph.successors(node, &mut successors)?;
+            if successors.is_empty() {
+                return None;
+            }
             let mut next = None;
-            for (position, transition) in (0_u32..).zip(&enabled).skip(tried as usize) {
-                let successor = graph.successor(node, *transition)?;
-                match state[successor] {
+            for (position, successor) in (0_u32..).zip(&successors).skip(tried as usize) {
+                match state[*successor] {
                     RETURNS => {
                         next = Some(None);
                         break;
                     }
-                    UNKNOWN if next.is_none() => next = Some(Some((position, successor))),
+                    UNKNOWN if next.is_none() => next = Some(Some((position, *successor))),
                     _ => {}
                 }
             }
-            graph.scratch.enabled = enabled;
             match next {
                 Some(None) => {
                     for (node, _) in walk.drain(..) {
@@ -208,12 +256,36 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
                     walk.push((successor, 0));
                     longest = longest.max(walk.len());
                 }
-                // A dead end, or one among markings of the walk: the other way will tell.
-                None => return None,
+                None => {
+                    walk.pop();
+                    aside.push(node);
+                }
             }
         }
     }
-    Some(explored.markings + longest * size_of::<(usize, u32)>())
+    let most = aside.len();
+    // What was put aside last leads to what was on the walk longest.
+    while !aside.is_empty() {
+        let before = aside.len();
+        let mut left = Vec::new();
+        for node in aside.into_iter().rev() {
+            graph.successors(node, &mut successors)?;
+            let returns = successors.iter().any(|to| state[*to] == RETURNS);
+            if returns {
+                state[node] = RETURNS;
+            } else {
+                left.push(node);
+            }
+        }
+        // The other way will tell which of them do not.
+        if left.len() == before {
+            return None;
+        }
+        left.reverse();
+        aside = left;
+    }
+    let lists = longest * size_of::<(usize, u32)>() + 2 * most * size_of::<usize>();
+    Some(explored.markings + lists)
 }
 
 /// Tarjan's algorithm (1972) with a stack of its own.

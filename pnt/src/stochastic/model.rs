@@ -2,7 +2,7 @@
 //! analysis both run: a firing with an action becomes its start, a place that says that it goes on, and
 //! its end after the transition's time; a tape becomes places and a commander that puts commands.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use super::PerfError;
 use crate::net::{
@@ -170,10 +170,16 @@ impl<'a> Builder<'a> {
             let Some(capacity) = place.capacity.filter(|_| promised(&net, index)) else {
                 continue;
             };
-            let emptied = net.transitions().iter().flat_map(|t| &t.resets);
-            if emptied.clone().any(|reset| reset.index() == index) {
+            let resets = |t: &&Transition| t.resets.iter().any(|reset| reset.index() == index);
+            if let Some(by) = net
+                .transitions()
+                .iter()
+                .filter(resets)
+                .find(|t| !can_be_told_apart(&net, t))
+            {
                 return Err(PerfError::ResetOfPromised {
                     place: place.name.clone(),
+                    transition: by.name.clone(),
                 });
             }
             let name = format!("{ROOM}{}", self.places[base + index].name);
@@ -298,8 +304,11 @@ impl<'a> Builder<'a> {
             first.timing = transition.timing;
             first.servers = transition.servers;
             first.outputs.local = puts;
-            self.rooms(number, transition, &mut first, Part::Fire);
-            self.ending(origin, Part::Fire, number, net, transition, first);
+            for (first, held) in self.resets_apart(number, net, transition, first) {
+                let mut first = first;
+                self.rooms(number, transition, &mut first, Part::Fire, &held);
+                self.ending(origin, Part::Fire, number, net, transition, first);
+            }
             return;
         };
         if let Some(command) = transition.tape {
@@ -310,8 +319,11 @@ impl<'a> Builder<'a> {
         if let Servers::Limit(limit) = transition.servers {
             first.inhibitors.push(self.arc(going, limit.get()));
         }
-        self.rooms(number, transition, &mut first, Part::Start);
-        self.push(origin, Part::Start, first);
+        for (first, held) in self.resets_apart(number, net, transition, first) {
+            let mut first = first;
+            self.rooms(number, transition, &mut first, Part::Start, &held);
+            self.push(origin, Part::Start, first);
+        }
         let mut complete = bare(transition, transition.name.clone());
         complete.inputs = vec![self.arc(going, 1)];
         complete.outputs.local = puts;
@@ -319,12 +331,69 @@ impl<'a> Builder<'a> {
         complete.servers = Servers::Many;
         // An action that takes no time is over before anything else.
         complete.priority = u32::MAX;
-        self.rooms(number, transition, &mut complete, Part::Complete);
+        let nothing = Held::new();
+        self.rooms(number, transition, &mut complete, Part::Complete, &nothing);
         self.ending(origin, Part::Complete, number, net, transition, complete);
     }
 
-    /// Takes and gives back room in places with a capacity that actions fill.
-    fn rooms(&self, number: usize, of: &Transition, part: &mut Transition, which: Part) {
+    /// A transition of the model for each way in which the places that it empties may be filled, of those
+    /// in which actions are kept room: how much room comes free depends on what is there.
+    fn resets_apart(
+        &self,
+        number: usize,
+        net: &Net,
+        of: &Transition,
+        part: Transition,
+    ) -> Vec<(Transition, Held)> {
+        let mut ways = vec![(part, Held::new())];
+        for id in &of.resets {
+            let (Some(_), Some(capacity)) =
+                (self.bases[number].rooms[id.index()], net[*id].capacity)
+            else {
+                continue;
+            };
+            let emptied = self.arc(self.bases[number].places + id.index(), 1).place;
+            ways = ways
+                .iter()
+                .flat_map(|(part, held)| {
+                    (0..=capacity).filter_map(move |tokens| {
+                        let (mut part, mut held) = (part.clone(), held.clone());
+                        let mut needs = part.inputs.iter().chain(&part.reads);
+                        if needs.any(|arc| arc.place == emptied && arc.weight > tokens) {
+                            return None;
+                        }
+                        held.insert(id.index(), tokens);
+                        part.resets.retain(|place| *place != emptied);
+                        part.inputs.retain(|arc| arc.place != emptied);
+                        part.reads.retain(|arc| arc.place != emptied);
+                        if tokens > 0 {
+                            part.inputs.push(net::Arc {
+                                place: emptied,
+                                weight: tokens,
+                            });
+                        }
+                        part.inhibitors.push(net::Arc {
+                            place: emptied,
+                            weight: tokens.saturating_add(1),
+                        });
+                        Some((part, held))
+                    })
+                })
+                .collect();
+        }
+        ways
+    }
+
+    /// Takes and gives back room in places with a capacity that actions fill. `held` is what the places
+    /// hold that this part empties.
+    fn rooms(
+        &self,
+        number: usize,
+        of: &Transition,
+        part: &mut Transition,
+        which: Part,
+        held: &Held,
+    ) {
         let sum = |arcs: &[net::Arc], place: usize| -> u32 {
             let arcs = arcs.iter().filter(|arc| arc.place.index() == place);
             arcs.map(|arc| arc.weight).fold(0, u32::saturating_add)
@@ -337,9 +406,10 @@ impl<'a> Builder<'a> {
                 .as_ref()
                 .map_or(0, |branch| sum(&branch.local, place));
             let promise = puts.max(fails).max(takes);
+            let gone = held.get(&place).copied().unwrap_or(takes);
             let (before, after) = match which {
-                Part::Fire => (puts, takes),
-                Part::Start => (promise, takes),
+                Part::Fire => (puts, gone),
+                Part::Start => (promise, gone),
                 Part::Complete => (0, promise - puts),
             };
             if before > after {
@@ -416,6 +486,30 @@ impl<'a> Builder<'a> {
             shown: self.shown,
         })
     }
+}
+
+/// Per place that a firing empties, in which actions are kept room: what it holds.
+type Held = BTreeMap<usize, u32>;
+
+/// Ways in which the places that a transition empties may be filled, as many as are told apart.
+const MOST_WAYS: u64 = 4096;
+
+/// Whether a transition that empties places in which actions are kept room can be one transition of the
+/// model for each number of tokens there. Each has a clock of its own, which begins again when the number
+/// changes: that is the same only if no time is waited, or an exponential one by one server.
+fn can_be_told_apart(net: &Net, transition: &Transition) -> bool {
+    let waits = match (transition.action.is_some(), transition.timing) {
+        (true, _) | (false, Timing::Immediate) => false,
+        (false, Timing::Exponential { .. }) => {
+            !matches!(transition.servers, Servers::Limit(limit) if limit.get() == 1)
+        }
+        (false, _) => true,
+    };
+    let ways = transition.resets.iter().map(|place| {
+        let capacity = net[*place].capacity.unwrap_or(0);
+        u64::from(capacity) + 1
+    });
+    !waits && ways.fold(1, u64::saturating_mul) <= MOST_WAYS
 }
 
 /// Whether an action may fill a place.

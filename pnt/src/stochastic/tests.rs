@@ -282,6 +282,47 @@ transition mend\n  in down\n  out up\n  time exponential 500 ms\n",
     all_agree(&report);
 }
 
+/// A bin of two that one machine fills and that is emptied now and then. With n in the bin, and the machine
+/// at work unless it is full: from 0 to 1 and from 1 to 2 in a second, from all to 0 in two. So the
+/// probabilities are 1/3, 2/9 and 4/9.
+#[test]
+fn a_place_that_an_action_fills_can_be_emptied() {
+    let bin = |empty: &str| {
+        format!(
+            "net b\nplace bin = 0 capacity 2
+transition make\n  out bin\n  do it\n  servers 1\n  time exponential 1 s
+transition empty\n  reset bin\n{empty}"
+        )
+    };
+    let exponential = report(&bin("  time exponential 2 s\n"), 5_000.0);
+    close(place(&exponential, "bin").tokens, 10.0 / 9.0, 1e-12);
+    close(
+        transition(&exponential, "make").throughput_per_s,
+        5.0 / 9.0,
+        1e-12,
+    );
+    close(
+        transition(&exponential, "empty").throughput_per_s,
+        0.5,
+        1e-12,
+    );
+    all_agree(&exponential);
+    // Emptied at once when it is full: two seconds, half of the time with one in it.
+    let text = bin("  in bin\n  read bin*2\n");
+    let at_once = report(&text, 5_000.0);
+    close(place(&at_once, "bin").tokens, 0.5, 1e-12);
+    close(transition(&at_once, "empty").throughput_per_s, 0.5, 1e-12);
+    all_agree(&at_once);
+    // The clock of each case would begin again with each token.
+    for other in ["  time 2 s\n", "  time exponential 2 s\n  servers many\n"] {
+        let error = analyse(&nets(&[&bin(other)]), &options(20.0)).unwrap_err();
+        assert!(
+            matches!(&error, PerfError::ResetOfPromised { transition, .. } if transition == "empty"),
+            "{error}"
+        );
+    }
+}
+
 /// Pollaczek and Khinchine: M/D/1 at half load holds 0.5 + 0.25/(2 * 0.5) customers on average.
 #[test]
 fn times_that_are_not_exponential_are_simulated_and_that_is_said() {

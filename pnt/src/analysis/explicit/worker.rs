@@ -3,8 +3,8 @@
 use super::{
     super::{
         layout::{linear, mix},
-        model::PlaceNumber,
-        store::{self, Probe, Store},
+        model::{PlaceNumber, TransitionNumber},
+        store::{self, BATCH, Store},
     },
     DEAD_KEPT, Reached, Rules, Scratch,
 };
@@ -38,11 +38,50 @@ pub(in crate::analysis) struct Worker {
     pub(super) outboxes: Vec<Vec<u64>>,
     /// Packed markings that other workers have found.
     pub(super) inbox: Vec<Vec<u64>>,
+    /// Empty boxes, to be filled again.
+    pub(super) spare: Vec<Vec<u64>>,
     scratch: Scratch,
     from: Vec<u64>,
+    /// Successors that are not yet in the store, packed, and their sums.
     successors: Vec<u64>,
     sums: Vec<u64>,
-    probes: Vec<Probe>,
+    recent: Recent,
+    /// Per transition, whether one of its gains may not fit: a place has been so full already that it
+    /// must be looked at.
+    tight: Vec<bool>,
+}
+
+/// Markings from which on it pays to know what was found a moment ago. Fewer in tests, so that small nets
+/// come to it.
+const RECENT_FROM: usize = if cfg!(test) { 8 } else { 1 << 15 };
+
+/// Words of the table of what was found a moment ago: as many as a processor keeps near.
+const RECENT: usize = if cfg!(test) { 16 } else { 1 << 16 };
+
+/// Markings of one word that were found a moment ago. Most successors have just been found from another
+/// marking; of those neither the table nor another thread need be asked.
+#[derive(Default)]
+struct Recent {
+    words: Vec<u64>,
+}
+
+impl Recent {
+    fn begin(&mut self) {
+        if self.words.is_empty() {
+            self.words.resize(RECENT, u64::MAX);
+        }
+    }
+
+    /// Whether a marking was found a moment ago; it is now.
+    fn has(&mut self, marking: &[u64], sum: u64) -> bool {
+        let ([word], false) = (marking, self.words.is_empty()) else {
+            return false;
+        };
+        let at = (mix(sum) >> 20) as usize % RECENT;
+        let there = self.words[at] == *word && *word != u64::MAX;
+        self.words[at] = *word;
+        there
+    }
 }
 
 /// Which of several workers owns a marking. Its slot in the table is of other bits of the same hash.
@@ -68,11 +107,13 @@ impl Worker {
             records: Vec::new(),
             outboxes: vec![Vec::new(); workers],
             inbox: Vec::new(),
+            spare: Vec::new(),
             scratch: Scratch::default(),
             from: Vec::new(),
             successors: Vec::new(),
             sums: Vec::new(),
-            probes: Vec::new(),
+            recent: Recent::default(),
+            tight: vec![true; rules.packed.len()],
         }
     }
 
@@ -89,8 +130,9 @@ impl Worker {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        let waiting = self.outboxes.iter().chain(&self.inbox).map(Vec::len);
-        self.store.bytes() + waiting.sum::<usize>() * 8
+        let boxes = self.outboxes.iter().chain(&self.inbox).chain(&self.spare);
+        let waiting = boxes.map(Vec::capacity);
+        self.store.bytes() + (waiting.sum::<usize>() + self.recent.words.len()) * 8
     }
 
     /// Bytes at most so far.
@@ -132,9 +174,7 @@ impl Worker {
     }
 
     fn insert(&mut self, packed: &[u64]) {
-        let sum = linear(packed);
-        let probe = self.store.probe(sum);
-        self.store.insert(packed, sum, probe);
+        self.store.insert(packed, linear(packed));
     }
 
     /// All that was found for the next level is this level now.
@@ -145,22 +185,19 @@ impl Worker {
 
     /// Takes in what others have found.
     pub(super) fn take_in(&mut self, rules: &Rules) {
-        for sent in std::mem::take(&mut self.inbox) {
-            // Several at a time, so that the looks at the table overlap.
-            for batch in sent.chunks(16 * rules.layout.words) {
+        while let Some(mut sent) = self.inbox.pop() {
+            for batch in sent.chunks(BATCH * rules.layout.words) {
                 self.sums.clear();
-                self.probes.clear();
-                for marking in batch.chunks_exact(rules.layout.words) {
-                    let sum = linear(marking);
-                    self.sums.push(sum);
-                    self.probes.push(self.store.probe(sum));
-                }
                 let each = batch.chunks_exact(rules.layout.words);
-                for ((marking, sum), probe) in each.zip(&self.sums).zip(&self.probes) {
-                    self.store.insert(marking, *sum, *probe);
-                }
+                self.sums.extend(each.map(linear));
+                self.store.insert_all(batch, &self.sums);
+            }
+            if sent.capacity() > 0 {
+                sent.clear();
+                self.spare.push(sent);
             }
         }
+        self.sums.clear();
     }
 
     /// Expands up to `chunk` markings of this level; fewer when there are more than `most` in all.
@@ -173,10 +210,24 @@ impl Worker {
         let chunk = u32::try_from(chunk).unwrap_or(u32::MAX);
         let until = self.end.min(self.next.saturating_add(chunk));
         while self.next < until && self.store.len() <= most {
-            self.expand_one(rules, self.next)?;
+            let expanded = self.expand_one(rules, self.next);
+            if expanded.is_err() || self.sums.len() >= BATCH {
+                self.keep_successors();
+            }
+            expanded?;
             self.next += 1;
         }
+        self.keep_successors();
         Ok(())
+    }
+
+    fn keep_successors(&mut self) {
+        if self.store.len() >= RECENT_FROM {
+            self.recent.begin();
+        }
+        self.store.insert_all(&self.successors, &self.sums);
+        self.successors.clear();
+        self.sums.clear();
     }
 
     fn expand_one(&mut self, rules: &Rules, id: u32) -> Result<(), TooWide> {
@@ -184,42 +235,35 @@ impl Worker {
         self.from.extend_from_slice(self.store.get(id));
         rules.layout.unpack(&self.from, &mut self.scratch.marking);
         rules.enabled(&mut self.scratch);
+        self.note_tokens(rules);
         self.check_room(rules)?;
-        self.note_marking();
+        self.note_dead();
         self.edges += self.scratch.enabled.len() as u64;
-        let words = rules.layout.words;
-        let count = self.scratch.enabled.len();
-        self.successors.resize(count * words, 0);
-        self.sums.clear();
-        self.probes.clear();
         let sum = linear(&self.from);
-        let targets = self.successors.chunks_exact_mut(words);
-        for (number, to) in self.scratch.enabled.iter().zip(targets) {
+        for number in &self.scratch.enabled {
             self.seen[*number as usize] = true;
-            let sum = rules.packed[*number as usize].fire(&rules.layout, &self.from, sum, to);
-            self.sums.push(sum);
-            self.probes.push(self.store.probe(sum));
-        }
-        let found = self
-            .successors
-            .chunks_exact(words)
-            .zip(&self.sums)
-            .zip(&self.probes);
-        for ((marking, sum), probe) in found {
+            let transition = &rules.packed[*number as usize];
+            let start = self.successors.len();
+            let sum = transition.fire_onto(&rules.layout, &self.from, sum, &mut self.successors);
+            if self.recent.has(&self.successors[start..], sum) {
+                self.successors.truncate(start);
+                continue;
+            }
             if self.workers > 1 {
-                let owner = owner(*sum, self.workers);
+                let owner = owner(sum, self.workers);
                 if owner != self.number {
-                    self.outboxes[owner].extend_from_slice(marking);
+                    self.outboxes[owner].extend(self.successors.drain(start..));
                     continue;
                 }
             }
-            self.store.insert(marking, *sum, *probe);
+            self.sums.push(sum);
         }
         Ok(())
     }
 
     fn check_room(&self, rules: &Rules) -> Result<(), TooWide> {
-        for number in &self.scratch.enabled {
+        let tight = |number: &&TransitionNumber| self.tight[**number as usize];
+        for number in self.scratch.enabled.iter().filter(tight) {
             let transition = &rules.packed[*number as usize];
             let gained = transition.gains.iter().map(|(place, gain)| {
                 (
@@ -237,29 +281,50 @@ impl Worker {
         Ok(())
     }
 
-    /// What a marking tells by itself: bounds, sums, whether it is dead.
-    fn note_marking(&mut self) {
+    /// What a marking tells by its tokens: bounds and sums.
+    fn note_tokens(&mut self, rules: &Rules) {
         let marking = &self.scratch.marking;
         let tokens: u64 = marking.iter().map(|tokens| u64::from(*tokens)).sum();
         self.most_tokens = self.most_tokens.max(tokens);
-        let mut record = false;
-        for (bound, tokens) in self.bounds.iter_mut().zip(marking) {
-            if tokens > bound {
-                record |= *tokens > 1 && (tokens ^ *bound) > *bound;
-                *bound = *tokens;
+        let bounds = self.bounds.iter().zip(marking);
+        if bounds.fold(false, |over, (bound, tokens)| over | (tokens > bound)) {
+            let mut record = false;
+            for (bound, tokens) in self.bounds.iter_mut().zip(marking) {
+                if tokens > bound {
+                    record |= *tokens > 1 && (tokens ^ *bound) > *bound;
+                    *bound = *tokens;
+                }
             }
+            if record {
+                self.records.push(marking.clone());
+            }
+            self.find_tight(rules);
         }
-        if record {
-            self.records.push(marking.clone());
-        }
+    }
+
+    fn note_dead(&mut self) {
         if !self.scratch.sure.contains(&true) {
             self.dead_count += 1;
             if self.dead.len() < DEAD_KEPT {
                 self.dead.push(Reached {
                     distance: self.levels.len().saturating_sub(1),
-                    marking: marking.clone(),
+                    marking: self.scratch.marking.clone(),
                 });
             }
+        }
+    }
+
+    /// Which transitions may put more into a place than fits, as full as places have been so far.
+    fn find_tight(&mut self, rules: &Rules) {
+        for (tight, transition) in self.tight.iter_mut().zip(&rules.packed) {
+            let fits = |place: &PlaceNumber, tokens: u32| {
+                tokens <= rules.layout.fields[*place as usize].most() && tokens < u32::MAX
+            };
+            let mut gained = transition.gains.iter();
+            let gained = gained.all(|(place, gain)| {
+                fits(place, self.bounds[*place as usize].saturating_add(*gain))
+            });
+            *tight = !gained || !transition.resets.is_empty();
         }
     }
 
@@ -271,11 +336,11 @@ impl Worker {
             // Ids are 32 bits; see Store.
             old.layout.unpack(self.store.get(id as u32), &mut marking);
             new.layout.pack(&marking, &mut packed);
-            let sum = linear(&packed);
-            let probe = store.probe(sum);
-            store.insert(&packed, sum, probe);
+            store.insert(&packed, linear(&packed));
         }
         self.store = store;
+        self.recent = Recent::default();
+        self.find_tight(new);
     }
 
     /// Gives all markings to their owners among several workers, level by level. All levels but the last
