@@ -50,7 +50,7 @@ impl Processor {
         let Some(running) = self.take_idle(to) else {
             return false;
         };
-        let Handovers { made, depth } = &self.handovers;
+        let Handovers { made, depth, .. } = &self.handovers;
         made.set(made.get() + 1);
         depth.set(depth.get() + 1);
         // Here a part of the caller's turn ends.
@@ -68,7 +68,7 @@ impl Processor {
     /// Whether nothing else is to be done before the turn of whoever is called now.
     #[inline]
     fn may_hand_over(&self) -> bool {
-        let Handovers { made, depth } = &self.handovers;
+        let Handovers { made, depth, .. } = &self.handovers;
         self.turns_are_brief()
             && made.get() < MOST
             && depth.get() < DEEPEST
