@@ -87,13 +87,13 @@ impl Context {
             reason: error.to_string(),
         })?;
         let reference = TaskRef::new(task.as_str(), tid);
-        self.inner.started.borrow_mut().push(reference.clone());
+        self.inner.family().started.push(reference.clone());
         match self.bring_up(&reference).await {
             Ok(()) => Ok(reference),
             Err(error) => {
                 self.end_started(&reference).await;
-                let mut started = self.inner.started.borrow_mut();
-                started.retain(|one| *one != reference);
+                let mut family = self.inner.family();
+                family.started.retain(|one| *one != reference);
                 Err(StartError::Call { task, error })
             }
         }
@@ -151,7 +151,8 @@ impl Context {
     /// Shuts down the tasks that this one has started, the latest first.
     pub(crate) async fn end_all_started(&self) {
         loop {
-            let last = self.inner.started.borrow_mut().pop();
+            let family = self.inner.any_family();
+            let last = family.and_then(|mut family| family.started.pop());
             let Some(child) = last else { return };
             self.end_started(&child).await;
         }

@@ -5,7 +5,7 @@ mod finding;
 mod services;
 
 use std::{
-    cell::{Cell, RefCell},
+    cell::{Cell, RefCell, RefMut},
     collections::BTreeMap,
     fmt,
     future::{Future, poll_fn},
@@ -56,19 +56,35 @@ pub(crate) struct Inner {
     config: Option<Box<TaskConfig>>,
     /// How long a call waits if it does not say.
     limit: Duration,
-    commands: Arc<[CommandInfo]>,
-    children: RefCell<Children>,
+    /// Made for the first of it: most tasks have none.
+    family: RefCell<Option<Box<Family>>>,
     /// Counts the handlers that the task had.
     incarnation: Cell<u64>,
-    /// The tasks that this one started, oldest first.
-    pub(crate) started: RefCell<Vec<TaskRef>>,
 }
 
-/// The children of a task that have not ended, by number, with what cancels them.
+/// What belongs to a task besides its handler.
 #[derive(Default)]
-struct Children {
-    running: BTreeMap<u64, FutureId>,
-    next: u64,
+pub(crate) struct Family {
+    /// Its children that have not ended, by number, with what cancels them.
+    children: BTreeMap<u64, FutureId>,
+    next_child: u64,
+    /// The tasks that it started, oldest first.
+    pub(crate) started: Vec<TaskRef>,
+}
+
+impl Inner {
+    /// What belongs to the task.
+    pub(crate) fn family(&self) -> RefMut<'_, Family> {
+        RefMut::map(self.family.borrow_mut(), |family| {
+            &mut **family.get_or_insert_default()
+        })
+    }
+
+    /// What belongs to the task, if there ever was anything.
+    pub(crate) fn any_family(&self) -> Option<RefMut<'_, Family>> {
+        let family = RefMut::filter_map(self.family.borrow_mut(), Option::as_deref_mut);
+        family.ok()
+    }
 }
 
 /// A task's door to the rest of the app. Cheap to clone; stays on its processor.
@@ -88,6 +104,7 @@ impl Context {
         commands: Arc<[CommandInfo]>,
     ) -> Self {
         let limit = config.as_ref().and_then(|config| config.call_deadline);
+        record.statistics.meter.count(commands);
         Self {
             inner: Rc::new(Inner {
                 limit: limit.unwrap_or(DEFAULT_DEADLINE),
@@ -95,13 +112,16 @@ impl Context {
                 chassis,
                 processor,
                 config: config.map(Box::new),
-                commands,
-                children: RefCell::default(),
+                family: RefCell::default(),
                 incarnation: Cell::new(0),
-                started: RefCell::default(),
             }),
             trace: 0,
         }
+    }
+
+    /// The context of a task, outside of all messages.
+    pub(crate) fn of(inner: Rc<Inner>) -> Self {
+        Self { inner, trace: 0 }
     }
 
     /// This context for one message: what the handler sends belongs to the message's trace.
@@ -159,12 +179,7 @@ impl Context {
 
     /// The commands that the task takes.
     pub(crate) fn commands(&self) -> &[CommandInfo] {
-        &self.inner.commands
-    }
-
-    /// The same, to be kept beside the task.
-    pub(crate) fn shared_commands(&self) -> Arc<[CommandInfo]> {
-        self.inner.commands.clone()
+        self.inner.record.statistics.meter.counted()
     }
 
     /// The kinds of event handlers that this program knows.
@@ -189,7 +204,7 @@ impl Context {
     #[inline]
     pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
         let mut message = self.message(to, C::CODE, Data::of(request));
-        message.letter.to = Some(to.name.clone());
+        message.letter.to = self.inner.name_to_keep(to);
         message.letter.limit = self.inner.limit;
         Call {
             asker: self.inner.clone(),
@@ -269,7 +284,7 @@ impl Context {
                     name: command.name.to_owned(),
                     doc: command.doc.to_owned(),
                 };
-                reply.ok(self.inner.commands.iter().map(describe).collect())
+                reply.ok(self.commands().iter().map(describe).collect())
             }
             Shutdown::CODE => {
                 // Tasks of the configuration come to their end in their own loop.
@@ -283,7 +298,7 @@ impl Context {
             command => {
                 tracing::warn!(task = %self.name(), command, from = %message.from(), "unknown command");
                 if let Some(slot) = message.letter.reply {
-                    let names = self.inner.commands.iter();
+                    let names = self.commands().iter();
                     slot.answer(Err(Fault::UnknownCommand {
                         takes: names.map(|command| command.name.to_owned()).collect(),
                     }));
@@ -347,16 +362,18 @@ impl Context {
     pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
         let broke = self.when_broken();
         let on_panic = move |text: String| broke(&format!("a child panicked: {text}"));
-        let mut children = self.inner.children.borrow_mut();
-        let number = children.next;
-        children.next += 1;
+        let number = {
+            let mut family = self.inner.family();
+            family.next_child += 1;
+            family.next_child
+        };
         let cx = self.clone();
         let child = async move {
             future.await;
-            cx.inner.children.borrow_mut().running.remove(&number);
+            cx.inner.family().children.remove(&number);
         };
         let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
-        children.running.insert(number, id);
+        self.inner.family().children.insert(number, id);
     }
 
     /// What to call when a part of the present handler breaks: the task's loop decides what follows.
@@ -389,7 +406,10 @@ impl Context {
     /// Ends all children.
     pub(crate) fn cancel_children(&self) {
         // Not held while they are dropped: their destructors may reach the task.
-        let children = std::mem::take(&mut self.inner.children.borrow_mut().running);
+        let children = match self.inner.any_family() {
+            Some(mut family) => std::mem::take(&mut family.children),
+            None => return,
+        };
         for child in children.into_values() {
             self.inner.processor.cancel(child);
         }

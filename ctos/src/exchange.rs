@@ -299,12 +299,14 @@ impl Calls {
         slot.timer.is_none().then_some((key, at))
     }
 
-    /// Notes who asked whom for what. The note is written where it stays: what is moved right after it was
-    /// written in small pieces is waited for.
+    /// Notes who asked whom for what; one that is `spared` only if the answer is not there yet. The note is
+    /// written where it stays: what is moved right after it was written in small pieces is waited for.
     #[inline(always)]
-    pub(crate) fn set_note(&mut self, key: CallKey, note: impl FnOnce() -> Note) {
+    pub(crate) fn set_note(&mut self, key: CallKey, spared: bool, note: impl FnOnce() -> Note) {
         if let Some(slot) = self.slot(key)
             && slot.note.is_none()
+            // All that it has come to is told without a note.
+            && !(spared && matches!(slot.state, State::Answered(Brought::Data(_))))
         {
             slot.note = Some(note());
         }

@@ -21,7 +21,10 @@ use std::{
     },
 };
 
-pub(crate) use self::{gate::Order, queue::TaskQueue};
+pub(crate) use self::{
+    gate::Order,
+    queue::{Rest, TaskQueue},
+};
 use crate::{
     call::{Fault, ReplySlot, lock},
     message::{Data, Flags, Message, SYSTEM_COMMANDS},
@@ -100,7 +103,7 @@ pub(crate) struct Mailbox {
     urgent: Room,
     normal: Room,
     /// The gates that the queue begins with; taken by it.
-    gates: Mutex<BTreeSet<u8>>,
+    gates: Mutex<Option<Box<BTreeSet<u8>>>>,
 }
 
 /// Whether a message goes to the high-priority lane, and whether it is one of the runtime's.
@@ -233,7 +236,7 @@ impl Mailbox {
     /// be made.
     pub(crate) fn close_gates(&self, chassis: BTreeSet<u8>) {
         self.shut(true);
-        *lock(&self.gates) = chassis;
+        *lock(&self.gates) = (!chassis.is_empty()).then(|| Box::new(chassis));
     }
 
     /// Lets in what came straight from `chassis`, in its order, and whatever comes from there later.

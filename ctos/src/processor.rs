@@ -75,6 +75,8 @@ pub(crate) struct Processor {
     /// Queues of the other processors of the chassis, by processor and slot, that messages went to.
     routes: RefCell<Vec<Vec<Option<Arc<Mailbox>>>>>,
     batch: RefCell<Vec<Item>>,
+    /// Names of its tasks, by slot, as those beside them called them.
+    names: RefCell<Vec<Option<Arc<str>>>>,
     /// Its synchronous functions.
     pub(crate) schedule: Schedule,
     /// The next trace ids of its tasks, and where they end.
@@ -119,6 +121,7 @@ impl Processor {
             queues: RefCell::default(),
             routes: RefCell::default(),
             batch: RefCell::default(),
+            names: RefCell::default(),
             schedule,
             traces: Cell::new((0, 0)),
             handling: Cell::new(0),
@@ -480,6 +483,7 @@ impl Processor {
                 drop_contained(entry);
             }
             for queue in queues.into_iter().flatten() {
+                drop_contained(queue.take_resting());
                 queue.close(self);
             }
             drop_contained(timers);

@@ -2,14 +2,15 @@
 //! builds the handler anew as `supervise.rs` rules.
 
 mod incarnation;
+mod resting;
 mod serving;
 
-use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+use std::{future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
 
 use futures_util::{FutureExt, future::LocalBoxFuture};
 
-use self::serving::AtHand;
 pub(crate) use self::serving::{Served, Serving};
+use self::{resting::Resting, serving::AtHand};
 use crate::{
     call::Fault,
     chassis::{Chassis, TaskRecord},
@@ -128,44 +129,21 @@ pub(crate) fn start_at(
         spec.commands,
     );
     let handler = build_contained(&spec.build, &cx)?;
-    let queue = TaskQueue::new(spec.record.mailbox.clone());
-    processor.add_queue(spec.record.tid.slot(), queue.clone());
-    spec.record.statistics.meter.count(cx.shared_commands());
-    chassis.add_task(spec.record.clone());
-    chassis
-        .tap
-        .built(spec.record.tid, &spec.record.name, cx.commands());
+    let record = spec.record;
+    let queue = TaskQueue::new(record.mailbox.clone());
+    processor.add_queue(record.tid.slot(), queue.clone());
+    chassis.add_task(record.clone());
+    chassis.tap.built(record.tid, &record.name, cx.commands());
     let (parent, arrival) = match origin {
         Origin::Boot => (None, None),
         Origin::StartedBy(parent) => (Some(parent), None),
         Origin::Moved(arrival) => (None, Some(Box::new(arrival))),
     };
-    let runner = Box::new(Runner {
-        cx: cx.clone(),
-        record: spec.record.clone(),
-        queue: queue.clone(),
-        serving: Rc::new(Serving {
-            cx: cx.clone(),
-            record: spec.record,
-            queue: queue.clone(),
-            stopped: Cell::new(false),
-        }),
-        build: spec.build,
-        handler: Some(handler),
-        restarts: None,
-        state: State::Running,
-        kept: None,
-        phase: None,
-        parent,
-    });
-    // Panics of the handler are caught where it is called. What is left is its destructor.
-    let on_panic = move |text: String| {
-        cx.fail(&format!("it panicked while it ended: {text}"));
-        cx.cancel_children();
-        cx.chassis().remove_task(cx.tid());
-    };
-    let runner = processor.spawn(runner.run(arrival), Some(Rc::new(on_panic)));
-    queue.set_runner(runner);
+    let resting = Box::new(Resting::new(cx, spec.build, handler, parent));
+    match arrival {
+        None => queue.rest(resting),
+        Some(arrival) => queue.set_runner(resting.begin(&queue, Some(arrival))),
+    }
     Ok(())
 }
 
@@ -186,18 +164,28 @@ impl Runner {
             Some(arrival) => moving::arrive(&mut self, *arrival).boxed_local().await,
             None => true,
         };
-        if settled {
-            self.serve().await;
+        if settled && self.serve().await.is_none() && self.rest() {
+            return;
         }
         self.cx.cancel_children();
         self.cx.end_all_started().boxed_local().await;
         self.cx.chassis().remove_task(self.cx.tid());
     }
 
-    async fn serve(&mut self) {
+    /// Handles messages until the task ends, or until it could as well rest: then `None`.
+    async fn serve(&mut self) -> Option<()> {
         let serving = self.serving.clone();
-        let mut next = serving.next().await;
-        while let Some(message) = next.take() {
+        let mut next = None;
+        loop {
+            if next.is_none() && serving.poll_next(&mut next).is_pending() {
+                if self.may_rest() {
+                    return None;
+                }
+                next = serving.next().await;
+            }
+            let Some(message) = next.take() else {
+                return Some(());
+            };
             let of_tasks = message.command() < SYSTEM_COMMANDS;
             let then = match self.handler.as_deref_mut() {
                 Some(handler) if of_tasks => match handler.serve(&serving, message).await {
@@ -205,7 +193,7 @@ impl Runner {
                         next = Some(message);
                         continue;
                     }
-                    Served::Closed => return,
+                    Served::Closed => return Some(()),
                     Served::Panicked(text) => {
                         let why = format!("its handler panicked: {text}");
                         self.supervise(Ending::Failure, why).boxed_local().await
@@ -214,11 +202,12 @@ impl Runner {
                 _ => self.take(message).boxed_local().await,
             };
             match then {
-                Next::Take => next = serving.next().await,
-                Next::End => return,
+                Next::Take => {}
+                Next::End => return Some(()),
                 Next::Forward(departed) => {
                     let forwarding = moving::forward(&self.cx, &self.queue, departed);
-                    return forwarding.boxed_local().await;
+                    forwarding.boxed_local().await;
+                    return Some(());
                 }
             }
         }

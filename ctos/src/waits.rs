@@ -1,7 +1,7 @@
 //! Whom a task waits for. Noted of every call that waits for longer than its processor has
 //! other things to do, readable from any thread.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
 use serde::{Deserialize, Serialize};
 
@@ -28,11 +28,15 @@ struct Entry {
 /// What one task waits for. Its children's calls count as its own.
 #[derive(Default)]
 pub(crate) struct Waits {
-    /// Free places are used again, so that a call allocates nothing.
-    entries: Mutex<Vec<Option<Entry>>>,
+    /// Made for the first one. Free places are used again, so that a call allocates nothing.
+    entries: OnceLock<Box<Mutex<Vec<Option<Entry>>>>>,
 }
 
 impl Waits {
+    fn entries(&self) -> MutexGuard<'_, Vec<Option<Entry>>> {
+        lock(self.entries.get_or_init(Box::default))
+    }
+
     /// Shows a call; the number takes it away again.
     pub(crate) fn begin(
         &self,
@@ -47,7 +51,7 @@ impl Waits {
             command,
             since,
         });
-        let mut entries = lock(&self.entries);
+        let mut entries = self.entries();
         match entries.iter().position(Option::is_none) {
             Some(free) => {
                 if let Some(place) = entries.get_mut(free) {
@@ -64,21 +68,24 @@ impl Waits {
 
     /// The call has ended, however it ended.
     pub(crate) fn end(&self, place: usize) {
-        if let Some(place) = lock(&self.entries).get_mut(place) {
+        if let Some(place) = self.entries().get_mut(place) {
             *place = None;
         }
     }
 
     /// Whom the latest of them asked, and when.
     pub(crate) fn latest(&self) -> Option<(Tid, Instant)> {
-        let entries = lock(&self.entries);
+        let entries = lock(self.entries.get()?);
         let latest = entries.iter().flatten().max_by_key(|entry| entry.since)?;
         Some((latest.tid, latest.since))
     }
 
     /// What is waited for now, longest first.
     pub(crate) fn read(&self) -> Vec<WaitReport> {
-        let entries = lock(&self.entries);
+        let Some(entries) = self.entries.get() else {
+            return Vec::new();
+        };
+        let entries = lock(entries);
         let mut waits: Vec<WaitReport> = entries
             .iter()
             .flatten()
@@ -117,6 +124,6 @@ mod tests {
         );
         waits.end(second);
         assert_eq!(names(&waits), ["ear"]);
-        assert_eq!(lock(&waits.entries).len(), 2, "a free place was not used");
+        assert_eq!(waits.entries().len(), 2, "a free place was not used");
     }
 }

@@ -61,9 +61,10 @@ enum Offer {
 }
 
 impl Chassis {
-    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, perhaps at
-    /// once (then `meter`, its caller's, has stood still meanwhile), with what `note` makes of it and of the message's number in the record. With the way to take it back,
-    /// when it went over a link.
+    /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, with
+    /// what `note` makes of it and of the message's number in the record. It may have ended already: then
+    /// `meter`, its caller's, has stood still meanwhile, and a note that is `spared` is not made. With the way
+    /// to take the call back, when it went over a link.
     #[inline]
     pub(crate) fn call(
         self: &Arc<Self>,
@@ -71,6 +72,7 @@ impl Chassis {
         mut message: Message,
         limit: Duration,
         meter: &TaskMeter,
+        spared: bool,
         note: impl FnOnce(Asked, u64) -> Note,
     ) -> (CallKey, Option<Box<Outbound>>) {
         let asked = self.address(Some(processor), &mut message);
@@ -85,13 +87,13 @@ impl Chassis {
         let key = ticket.key();
         let slot = ReplySlot::call(ticket);
         if let Some(replay) = self.tap.replay() {
-            processor.note_call(key, || note(asked, 0));
+            processor.note_call(key, false, || note(asked, 0));
             replay.dispatch(&message, WaitFor::Reply, self.clock.now(), slot);
             return (key, None);
         }
         let recorded = self.tap.sent(&message, Some(WaitFor::Reply));
-        processor.note_call(key, || note(asked, recorded));
         if !here {
+            processor.note_call(key, false, || note(asked, recorded));
             let outbound = self.post(message, WaitFor::Reply, Some(slot));
             return (key, outbound.map(Box::new));
         }
@@ -113,6 +115,8 @@ impl Chassis {
             Offer::Done(Offered::Closed(message)) => message.refuse(Fault::Stopping),
             Offer::Nobody(message) => message.refuse(Fault::UnknownTask),
         }
+        // Answers of other threads are taken in after the present turn.
+        processor.note_call(key, beside && spared, || note(asked, recorded));
         (key, None)
     }
 

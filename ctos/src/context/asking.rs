@@ -13,7 +13,7 @@ use std::{
 
 use futures_util::future::LocalBoxFuture;
 
-use super::{Context, Inner};
+use super::{Context, Inner, TaskRef};
 use crate::{
     call::{CallError, Fault},
     chassis::{Outbound, Question, Sent},
@@ -152,13 +152,38 @@ impl<C: Command> Future for Sending<C> {
 /// Who asked whom for what. Kept with the call, so that it can be shown while it waits.
 pub(crate) struct Note {
     asker: Rc<Inner>,
+    /// The asked task: as its caller names it, and its id; see [`Inner::name_to_keep`].
     to: Option<Arc<str>>,
+    named: Tid,
     command: &'static str,
     asked: Asked,
     /// The message's number in the record.
     recorded: u64,
     /// Where it is shown.
     place: Option<usize>,
+}
+
+impl Inner {
+    /// The name of a task that is about to be asked, for the error that may come, unless the processor knows
+    /// it: those of its own tasks it keeps, so that a call needs no share of the name.
+    #[inline]
+    pub(super) fn name_to_keep(&self, to: &TaskRef) -> Option<Arc<str>> {
+        let (own, tid) = (self.record.tid, to.tid);
+        let beside = own.chassis() == tid.chassis() && own.processor() == tid.processor();
+        if beside && self.processor.knows_name(tid.slot(), &to.name) {
+            None
+        } else {
+            Some(to.name.clone())
+        }
+    }
+
+    /// The name of a task that was asked.
+    #[cold]
+    fn name_of(&self, kept: Option<&Arc<str>>, asked: Tid) -> Arc<str> {
+        let known = || self.processor.known_name(asked.slot());
+        // One or the other is there.
+        kept.cloned().or_else(known).unwrap_or_else(|| "".into())
+    }
 }
 
 impl Note {
@@ -171,7 +196,7 @@ impl Note {
     pub(crate) fn show(&mut self, since: Instant) {
         if self.place.is_none() {
             let waits = &self.asker.record.waits;
-            let to = self.to.clone().unwrap_or_else(|| "".into());
+            let to = self.asker.name_of(self.to.as_ref(), self.named);
             self.place = Some(waits.begin(to, self.asked.to(), self.command, since));
         }
     }
@@ -189,6 +214,8 @@ impl Drop for Note {
 /// Waits for an answer; dropped before, it takes the question back.
 pub(super) struct Ask {
     asker: Rc<Inner>,
+    /// Whom it asks.
+    named: Tid,
     state: AskState,
     /// Set once the call has waited long.
     circle: Option<Box<Circle>>,
@@ -225,6 +252,7 @@ impl Ask {
     pub(super) fn new(asker: Rc<Inner>, message: Message) -> Self {
         Self {
             asker,
+            named: Tid::default(),
             state: AskState::New(message),
             circle: None,
         }
@@ -252,23 +280,29 @@ impl Ask {
         };
         let asker = &self.asker;
         let to = message.letter.to.take();
-        let limit = message.letter.limit;
+        let (named, limit) = (message.header().to, message.letter.limit);
         if limit == Duration::ZERO {
             let fault = Fault::Deadline { after: limit };
-            return Err(Box::new(call_error(asker, to.as_deref(), command, fault)));
+            let name = asker.name_of(to.as_ref(), named);
+            return Err(Box::new(call_error(asker, &name, command, fault)));
         }
+        // The processor knows the name.
+        let spared = to.is_none();
         let note = |asked, recorded| Note {
             asker: asker.clone(),
             to,
+            named,
             command,
             asked,
             recorded,
             place: None,
         };
         let meter = &asker.record.statistics.meter;
-        let (key, outbound) = asker
-            .chassis
-            .call(&asker.processor, message, limit, meter, note);
+        let (key, outbound) =
+            asker
+                .chassis
+                .call(&asker.processor, message, limit, meter, spared, note);
+        self.named = named;
         self.state = AskState::Asked(key, outbound);
         Ok(())
     }
@@ -280,11 +314,12 @@ impl Ask {
         };
         let asker = &self.asker;
         let to = message.letter.to.take();
-        let limit = message.letter.limit;
+        let (named, limit) = (message.header().to, message.letter.limit);
         match asker.chassis.send(&asker.processor, message, limit) {
             Sent::Ended(Ok(())) => Poll::Ready(Ok(())),
             Sent::Ended(Err(fault)) => {
-                let error = call_error(asker, to.as_deref(), command, fault);
+                let name = asker.name_of(to.as_ref(), named);
+                let error = call_error(asker, &name, command, fault);
                 Poll::Ready(Err(Box::new(error)))
             }
             Sent::Waits(question) => {
@@ -294,9 +329,10 @@ impl Ask {
                     recorded,
                     asked,
                 } = question;
-                asker.processor.note_call(key, || Note {
+                asker.processor.note_call(key, false, || Note {
                     asker: asker.clone(),
                     to,
+                    named,
                     command,
                     asked,
                     recorded,
@@ -346,8 +382,11 @@ impl Ask {
             Looked::Ended(Brought::Fault(fault)) => self.failed(note.as_ref(), *fault),
             Looked::Late(after) => self.late(note.as_ref(), after),
         };
-        let to = note.as_ref().and_then(|note| note.to.as_deref());
-        let error = call_error(&self.asker, to, command, fault);
+        let to = match &note {
+            Some(note) => self.asker.name_of(note.to.as_ref(), note.named),
+            None => self.asker.name_of(None, self.named),
+        };
+        let error = call_error(&self.asker, &to, command, fault);
         Poll::Ready(Err(Box::new(error)))
     }
 
@@ -390,11 +429,10 @@ impl Ask {
 
 /// The error that `fault` makes of a call.
 #[cold]
-fn call_error(asker: &Inner, to: Option<&str>, command: &str, fault: Fault) -> CallError {
+fn call_error(asker: &Inner, to: &str, command: &str, fault: Fault) -> CallError {
     CallError {
         from: asker.record.name.to_string(),
-        // Whoever calls names the task.
-        to: to.unwrap_or_default().to_owned(),
+        to: to.to_owned(),
         command: command.to_owned(),
         fault,
     }

@@ -4,6 +4,7 @@
 use std::{
     collections::{BTreeSet, VecDeque},
     future::poll_fn,
+    rc::Rc,
     task::Poll,
 };
 
@@ -56,7 +57,7 @@ impl Gate {
 impl TaskQueue {
     /// Drops the news that parts of the handler broke: it is gone altogether.
     pub(crate) fn forget_broken(&self) {
-        let mut lanes = self.lanes.borrow_mut();
+        let mut lanes = self.lanes();
         let queue = std::mem::take(&mut lanes.urgent.queue);
         let is_news = |message: &Message| message.command() == Broke::CODE;
         let (news, kept): (VecDeque<_>, VecDeque<_>) = queue.into_iter().partition(is_news);
@@ -70,7 +71,8 @@ impl TaskQueue {
     fn recount(&self, lanes: &Lanes) {
         let interrupting = lanes.urgent.queue.iter().map(Message::command);
         let interrupting = interrupting.filter(|command| interrupts(*command));
-        self.interruptions.set(interrupting.count());
+        self.interruptions
+            .set(u32::try_from(interrupting.count()).unwrap_or(u32::MAX));
         self.mailbox.urgent.set_held(lanes.urgent.queue.len());
         self.mailbox.normal.set_held(lanes.normal.queue.len());
     }
@@ -78,12 +80,12 @@ impl TaskQueue {
     /// From now on messages of tasks wait and are not taken; those of the runtime are.
     pub(crate) fn hold(&self) {
         self.mailbox.shut(true);
-        self.lanes.borrow_mut().held = true;
+        self.lanes().held = true;
     }
 
     /// Takes messages again: first `before`, which were taken out of the queue, then those that waited.
     pub(crate) fn release(&self, before: Vec<Message>) {
-        let mut lanes = self.lanes.borrow_mut();
+        let mut lanes = self.lanes();
         lanes.held = false;
         for message in before.into_iter().rev() {
             let (urgent, _) = is_urgent(&message);
@@ -117,7 +119,7 @@ impl TaskQueue {
 
     /// Takes out of the queue what tasks sent: the messages that have been accepted.
     pub(crate) fn take_accepted(&self) -> Vec<Message> {
-        let mut lanes = self.lanes.borrow_mut();
+        let mut lanes = self.lanes();
         let of_runtime = |message: &Message| message.command() >= SYSTEM_COMMANDS;
         let urgent = std::mem::take(&mut lanes.urgent.queue);
         let (kept, taken): (VecDeque<_>, VecDeque<_>) = urgent.into_iter().partition(of_runtime);
@@ -135,7 +137,7 @@ impl TaskQueue {
             if self.mailbox.is_closed() {
                 return Poll::Ready(None);
             }
-            let mut lanes = self.lanes.borrow_mut();
+            let mut lanes = self.lanes();
             let mut all = Vec::new();
             for urgent in [true, false] {
                 let room = self.mailbox.room(urgent);
@@ -158,11 +160,11 @@ impl TaskQueue {
     }
 
     /// Does what it is told from elsewhere.
-    pub(crate) fn obey(&self, processor: &Processor, order: Order) {
+    pub(crate) fn obey(self: &Rc<Self>, processor: &Processor, order: Order) {
         match order {
             Order::OpenGate(chassis) => self.open_gate(processor, chassis),
             Order::ForgetGate(chassis) => {
-                let mut lanes = self.lanes.borrow_mut();
+                let mut lanes = self.lanes();
                 let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
                 drop(lanes);
                 drop(gone);
@@ -170,8 +172,8 @@ impl TaskQueue {
         }
     }
 
-    fn open_gate(&self, processor: &Processor, chassis: u8) {
-        let mut lanes = self.lanes.borrow_mut();
+    fn open_gate(self: &Rc<Self>, processor: &Processor, chassis: u8) {
+        let mut lanes = self.lanes();
         let Some(gate) = lanes.gate.as_mut() else {
             return;
         };

@@ -1,7 +1,7 @@
 //! The queue of one task, on its processor. It needs no lock.
 
 use std::{
-    cell::{Cell, RefCell},
+    cell::{Cell, RefCell, RefMut},
     collections::VecDeque,
     future::poll_fn,
     rc::Rc,
@@ -96,6 +96,13 @@ pub(super) struct Lanes {
 }
 
 impl Lanes {
+    /// Whether there is nothing in them that is to be kept.
+    fn are_unused(&self) -> bool {
+        let is_empty =
+            |lane: &Lane| lane.queue.is_empty() && lane.waiting.is_empty() && lane.arrived == 0;
+        !self.held && self.gate.is_none() && is_empty(&self.urgent) && is_empty(&self.normal)
+    }
+
     pub(super) fn lane(&mut self, urgent: bool) -> &mut Lane {
         if urgent {
             &mut self.urgent
@@ -105,36 +112,53 @@ impl Lanes {
     }
 }
 
+/// What is left of a task while nothing has come that it could do.
+pub(crate) trait Rest {
+    /// Begins the loop of the task that `queue` belongs to.
+    fn end(self: Box<Self>, queue: &Rc<TaskQueue>) -> FutureId;
+}
+
 /// The queue of one task, on its processor.
 pub(crate) struct TaskQueue {
-    pub(super) lanes: RefCell<Lanes>,
+    /// Made for the first message: of very many tasks most may be idle.
+    lanes: RefCell<Option<Box<Lanes>>>,
     pub(super) mailbox: Arc<Mailbox>,
-    /// The future that is the task's loop.
+    /// The future that is the task's loop; none while the task rests.
     runner: Cell<Option<FutureId>>,
+    resting: Cell<Option<Box<dyn Rest>>>,
     pub(super) waits_for: Cell<WaitsFor>,
     /// Messages in the queue that interrupt a handler at work.
-    pub(super) interruptions: Cell<usize>,
+    pub(super) interruptions: Cell<u32>,
 }
 
 impl TaskQueue {
     /// The queue behind `mailbox`.
     pub(crate) fn new(mailbox: Arc<Mailbox>) -> Rc<Self> {
-        let closed = std::mem::take(&mut *lock(&mailbox.gates));
-        let gate = (!closed.is_empty()).then(|| {
-            Box::new(Gate {
-                closed,
+        let closed = lock(&mailbox.gates).take();
+        let gated = closed.map(|closed| {
+            let gate = Gate {
+                closed: *closed,
                 held: Vec::new(),
+            };
+            Box::new(Lanes {
+                gate: Some(Box::new(gate)),
+                ..Lanes::default()
             })
         });
         Rc::new(Self {
-            lanes: RefCell::new(Lanes {
-                gate,
-                ..Lanes::default()
-            }),
+            lanes: RefCell::new(gated),
             mailbox,
             runner: Cell::new(None),
+            resting: Cell::new(None),
             waits_for: Cell::new(WaitsFor::Nothing),
             interruptions: Cell::new(0),
+        })
+    }
+
+    #[inline]
+    pub(super) fn lanes(&self) -> RefMut<'_, Lanes> {
+        RefMut::map(self.lanes.borrow_mut(), |lanes| {
+            &mut **lanes.get_or_insert_default()
         })
     }
 
@@ -143,9 +167,46 @@ impl TaskQueue {
         self.runner.set(Some(runner));
     }
 
+    /// There is no loop until something comes, which then begins one. For a queue without messages.
+    pub(crate) fn rest(&self, resting: Box<dyn Rest>) {
+        let mut lanes = self.lanes.borrow_mut();
+        // What waits at a gate, or came while the queue is held, stays.
+        let unused = lanes.take_if(|lanes| lanes.are_unused());
+        drop(lanes);
+        drop(unused);
+        self.runner.set(None);
+        self.waits_for.set(WaitsFor::Message);
+        self.resting.set(Some(resting));
+    }
+
+    /// Takes out what is left of a task that rests.
+    pub(crate) fn take_resting(&self) -> Option<Box<dyn Rest>> {
+        self.resting.take()
+    }
+
+    /// Whether the task rests.
+    #[cfg(test)]
+    pub(crate) fn is_resting(&self) -> bool {
+        let resting = self.resting.take();
+        let rests = resting.is_some();
+        self.resting.set(resting);
+        rests
+    }
+
+    /// Begins the loop of the task, if that rests.
+    #[cold]
+    fn end_rest(self: &Rc<Self>) {
+        if let Some(resting) = self.resting.take() {
+            self.waits_for.set(WaitsFor::Nothing);
+            // The future is ready from the beginning.
+            let runner = resting.end(self);
+            self.runner.set(Some(runner));
+        }
+    }
+
     /// Puts a message in if there is room now.
     #[inline]
-    pub(crate) fn offer(&self, processor: &Processor, message: Message) -> Offered {
+    pub(crate) fn offer(self: &Rc<Self>, processor: &Processor, message: Message) -> Offered {
         match self.put_in(message) {
             Ok(command) => {
                 self.has_come(processor, command);
@@ -159,7 +220,7 @@ impl TaskQueue {
     /// caller's, stands still meanwhile.
     #[inline]
     pub(crate) fn offer_call(
-        &self,
+        self: &Rc<Self>,
         processor: &Processor,
         message: Message,
         meter: &TaskMeter,
@@ -186,7 +247,7 @@ impl TaskQueue {
         let (urgent, system) = is_urgent(&message);
         let room = self.mailbox.room(urgent);
         let command = message.command();
-        let mut lanes = self.lanes.borrow_mut();
+        let mut lanes = self.lanes();
         let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
         let kept = gated || (lanes.held && !system);
         let lane = lanes.lane(urgent);
@@ -198,7 +259,7 @@ impl TaskQueue {
     }
 
     /// Takes in a message from another thread, or one that waits for room.
-    pub(crate) fn take_in(&self, processor: &Processor, delivery: Delivery) {
+    pub(crate) fn take_in(self: &Rc<Self>, processor: &Processor, delivery: Delivery) {
         if self.mailbox.is_closed() {
             return delivery.refuse();
         }
@@ -207,7 +268,7 @@ impl TaskQueue {
         let (urgent, _) = is_urgent(&message);
         let room = self.mailbox.room(urgent);
         let command = message.command();
-        let mut lanes = self.lanes.borrow_mut();
+        let mut lanes = self.lanes();
         let Lanes { held, gate, .. } = &mut *lanes;
         let held = *held;
         if let Some(gate) = gate.as_mut().filter(|gate| gate.keeps(&message)) {
@@ -261,33 +322,33 @@ impl TaskQueue {
 
     /// All messages of one batch have been taken in.
     pub(crate) fn end_batch(&self) {
-        let mut lanes = self.lanes.borrow_mut();
+        let mut lanes = self.lanes();
         for urgent in [true, false] {
             lanes.lane(urgent).tell_arrived(self.mailbox.room(urgent));
         }
     }
 
     /// Something is there that the loop of the task looks for, though not in the queue.
-    pub(super) fn wake_idle(&self, processor: &Processor) {
+    pub(super) fn wake_idle(self: &Rc<Self>, processor: &Processor) {
         if self.waits_for.get() == WaitsFor::Message
-            && let Some(runner) = self.runner.get()
+            && let Some(runner) = self.wakes()
         {
-            self.waits_for.set(WaitsFor::Nothing);
             processor.wake(runner);
         }
     }
 
     /// A message of `command` is in the queue now: wakes whom it concerns.
     #[inline]
-    fn has_come(&self, processor: &Processor, command: u16) {
+    fn has_come(self: &Rc<Self>, processor: &Processor, command: u16) {
         if let Some(runner) = self.concerns(command) {
             processor.wake(runner);
         }
     }
 
-    /// A message of `command` is in the queue now: the task's loop, if that waits for it.
+    /// A message of `command` is in the queue now: the task's loop, if that waits for it. One that only
+    /// begins for it is ready anyway.
     #[inline]
-    fn concerns(&self, command: u16) -> Option<FutureId> {
+    fn concerns(self: &Rc<Self>, command: u16) -> Option<FutureId> {
         let interruption = interrupts(command);
         if interruption {
             self.interruptions.set(self.interruptions.get() + 1);
@@ -297,18 +358,25 @@ impl TaskQueue {
             WaitsFor::Message => true,
             WaitsFor::Interruption => interruption,
         };
-        if !wakes {
-            return None;
+        if wakes { self.wakes() } else { None }
+    }
+
+    /// The task's loop, which does not wait any more. One that only begins now is ready anyway.
+    #[inline]
+    fn wakes(self: &Rc<Self>) -> Option<FutureId> {
+        let runner = self.runner.get();
+        match runner {
+            Some(_) => self.waits_for.set(WaitsFor::Nothing),
+            None => self.end_rest(),
         }
-        let runner = self.runner.get()?;
-        self.waits_for.set(WaitsFor::Nothing);
-        Some(runner)
+        runner
     }
 
     /// The next message, high priority first.
     #[inline(always)]
     pub(crate) fn take(&self) -> Option<Message> {
-        let mut lanes = self.lanes.borrow_mut();
+        let mut all = self.lanes.borrow_mut();
+        let lanes = all.as_deref_mut()?;
         let urgent = !lanes.urgent.queue.is_empty();
         let room = self.mailbox.room(urgent);
         let lane = lanes.lane(urgent);
@@ -318,7 +386,7 @@ impl TaskQueue {
             lane.queue.len().saturating_sub(lane.arrived),
             self.mailbox.capacity,
         );
-        drop(lanes);
+        drop(all);
         if interrupts(message.command()) {
             self.interruptions
                 .set(self.interruptions.get().saturating_sub(1));
@@ -354,7 +422,7 @@ impl TaskQueue {
             return Err(());
         }
         if self.interruptions.get() > 0 {
-            let lanes = self.lanes.borrow();
+            let lanes = self.lanes();
             let mut commands = lanes.urgent.queue.iter().map(Message::command);
             if let Some(found) = commands.find(|command| wanted(*command)) {
                 return Ok(Some(found));
@@ -387,14 +455,15 @@ impl TaskQueue {
     }
 
     /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
-    pub(crate) fn close(&self, processor: &Processor) {
+    pub(crate) fn close(self: &Rc<Self>, processor: &Processor) {
         self.mailbox.closed.store(true, Ordering::Release);
+        let lanes = self.lanes.take().map(|lanes| *lanes);
         let Lanes {
             urgent,
             normal,
             gate,
             ..
-        } = std::mem::take(&mut *self.lanes.borrow_mut());
+        } = lanes.unwrap_or_default();
         for (message, acceptance) in gate.into_iter().flat_map(|gate| gate.held) {
             refuse(message, acceptance, &Fault::Stopping);
         }
@@ -406,8 +475,9 @@ impl TaskQueue {
                 refuse(message, acceptance, &Fault::Stopping);
             }
         }
-        if let Some(runner) = self.runner.get() {
-            processor.wake(runner);
+        match self.runner.get() {
+            Some(runner) => processor.wake(runner),
+            None => self.end_rest(),
         }
     }
 }

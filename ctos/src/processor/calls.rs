@@ -1,6 +1,6 @@
 //! The calls that the tasks of a processor wait for, and the answers that its handlers owe.
 
-use std::{cell::Cell, task::Context as PollContext, time::Duration};
+use std::{cell::Cell, sync::Arc, task::Context as PollContext, time::Duration};
 
 use super::{Processor, Timed};
 use crate::{
@@ -81,10 +81,42 @@ impl Processor {
         ticket
     }
 
-    /// Notes who asked whom for what in a call.
+    /// Notes who asked whom for what in a call; what is `spared` only if the answer is not there yet.
     #[inline(always)]
-    pub(crate) fn note_call(&self, key: CallKey, note: impl FnOnce() -> Note) {
-        self.calls.borrow_mut().set_note(key, note);
+    pub(crate) fn note_call(&self, key: CallKey, spared: bool, note: impl FnOnce() -> Note) {
+        self.calls.borrow_mut().set_note(key, spared, note);
+    }
+
+    /// Whether `name` is known to be that of the task in `slot`, now at the latest. A slot is never used
+    /// again, so that its task is the same as long as the processor lives.
+    #[inline]
+    pub(crate) fn knows_name(&self, slot: u16, name: &Arc<str>) -> bool {
+        let names = self.names.borrow();
+        match names.get(usize::from(slot)) {
+            Some(Some(known)) => Arc::ptr_eq(known, name) || known == name,
+            _ => {
+                drop(names);
+                self.learn_name(slot, name);
+                true
+            }
+        }
+    }
+
+    #[cold]
+    fn learn_name(&self, slot: u16, name: &Arc<str>) {
+        let mut names = self.names.borrow_mut();
+        let slot = usize::from(slot);
+        if names.len() <= slot {
+            names.resize_with(slot + 1, || None);
+        }
+        if let Some(place) = names.get_mut(slot) {
+            *place = Some(name.clone());
+        }
+    }
+
+    /// The name that [`Self::knows_name`] was told of.
+    pub(crate) fn known_name(&self, slot: u16) -> Option<Arc<str>> {
+        self.names.borrow().get(usize::from(slot))?.clone()
     }
 
     /// Looks for the answer to a call; with it comes the `note` of the call.

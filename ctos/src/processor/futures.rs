@@ -3,6 +3,7 @@
 use std::{
     collections::VecDeque,
     future::Future,
+    num::NonZeroU64,
     panic::{AssertUnwindSafe, catch_unwind},
     pin::Pin,
     rc::Rc,
@@ -18,7 +19,7 @@ use super::{Processor, ProcessorHandle, drop_contained, handle::Item, panic_text
 /// Names one future among all that a processor has ever run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct FutureId {
-    generation: u64,
+    generation: NonZeroU64,
     index: u32,
 }
 
@@ -99,7 +100,7 @@ pub(super) struct Futures {
 impl Futures {
     pub(super) fn entry(&mut self, id: FutureId) -> Option<&mut Entry> {
         let entry = self.entries.get_mut(id.index as usize)?;
-        (entry.taken && entry.generation == id.generation).then_some(entry)
+        (entry.taken && entry.generation == id.generation.get()).then_some(entry)
     }
 
     fn remove(&mut self, id: FutureId) -> Option<Box<Running>> {
@@ -127,11 +128,9 @@ impl Processor {
         // The index was free or has just been made.
         #[allow(clippy::indexing_slicing, reason = "see above")]
         let entry = &mut futures.entries[index as usize];
-        entry.generation += 1;
-        let id = FutureId {
-            generation: entry.generation,
-            index,
-        };
+        let generation = NonZeroU64::MIN.saturating_add(entry.generation);
+        entry.generation = generation.get();
+        let id = FutureId { generation, index };
         let shared = Arc::new(FutureWaker {
             id,
             brought: AtomicBool::new(false),

@@ -65,7 +65,7 @@ pub(super) struct AtHand {
 impl Serving {
     /// Puts the next message that is to be handled into `next`; none once the queue is closed.
     #[inline(always)]
-    fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+    pub(super) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
         loop {
             if self.queue.poll_next(next).is_pending() {
                 return Poll::Pending;

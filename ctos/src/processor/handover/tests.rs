@@ -217,7 +217,12 @@ impl Bench {
             log,
             chassis,
         };
+        // A task that has never had a message has no loop yet that could be given a turn.
+        let all = (0..usize::from(TASKS)).map(|task| (task, Vec::new()));
+        let answers = bench.call_each(all.collect());
         bench.settle();
+        assert!(answers.take().iter().all(|answer| *answer == Some(Ok(1))));
+        lock(&bench.log).clear();
         bench
     }
 

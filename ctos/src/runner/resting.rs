@@ -1,0 +1,138 @@
+//! A task for which there is nothing to do: what is kept of it then, which is little, and how its loop begins
+//! again. It takes no turn for that: a chassis may have very many such tasks.
+
+use std::{cell::Cell, rc::Rc};
+
+use super::{Build, Runner, Serving, TellParent};
+use crate::{
+    context::{Context, Inner},
+    mailbox::{Rest, TaskQueue},
+    moving::Arrival,
+    processor::FutureId,
+    supervise::{Restarts, State},
+    task::{DynHandler, Phase},
+};
+
+/// What is kept of a task that rests: its handler, and how to go on.
+pub(super) struct Resting {
+    inner: Rc<Inner>,
+    build: Build,
+    handler: Box<dyn DynHandler>,
+    rare: Option<Box<Rare>>,
+    phase: Option<Phase>,
+}
+
+/// What few tasks have.
+struct Rare {
+    restarts: Option<Box<Restarts>>,
+    kept: Option<Vec<u8>>,
+    parent: Option<TellParent>,
+}
+
+impl Resting {
+    /// A task that has just been built.
+    pub(super) fn new(
+        cx: Context,
+        build: Build,
+        handler: Box<dyn DynHandler>,
+        parent: Option<TellParent>,
+    ) -> Self {
+        let rare = parent.map(|parent| Rare {
+            restarts: None,
+            kept: None,
+            parent: Some(parent),
+        });
+        Self {
+            inner: cx.inner,
+            build,
+            handler,
+            rare: rare.map(Box::new),
+            phase: None,
+        }
+    }
+
+    /// Begins the loop of the task, which takes its messages out of `queue`.
+    pub(super) fn begin(
+        self: Box<Self>,
+        queue: &Rc<TaskQueue>,
+        arrival: Option<Box<Arrival>>,
+    ) -> FutureId {
+        let Self {
+            inner,
+            build,
+            handler,
+            rare,
+            phase,
+        } = *self;
+        let cx = Context::of(inner);
+        let record = cx.inner.record.clone();
+        let (restarts, kept, parent) = match rare.map(|rare| *rare) {
+            Some(rare) => (rare.restarts, rare.kept, rare.parent),
+            None => (None, None, None),
+        };
+        let runner = Box::new(Runner {
+            cx: cx.clone(),
+            record: record.clone(),
+            queue: queue.clone(),
+            serving: Rc::new(Serving {
+                cx: cx.clone(),
+                record,
+                queue: queue.clone(),
+                stopped: Cell::new(false),
+            }),
+            build,
+            handler: Some(handler),
+            restarts,
+            state: State::Running,
+            kept,
+            phase,
+            parent,
+        });
+        let processor = cx.processor().clone();
+        // Panics of the handler are caught where it is called. What is left is its destructor.
+        let on_panic = move |text: String| {
+            cx.fail(&format!("it panicked while it ended: {text}"));
+            cx.cancel_children();
+            cx.chassis().remove_task(cx.tid());
+        };
+        processor.spawn(runner.run(arrival), Some(Rc::new(on_panic)))
+    }
+}
+
+impl Rest for Resting {
+    fn end(self: Box<Self>, queue: &Rc<TaskQueue>) -> FutureId {
+        self.begin(queue, None)
+    }
+}
+
+impl Runner {
+    /// Whether a loop begun anew would go on as this one, if nothing comes before.
+    pub(super) fn may_rest(&self) -> bool {
+        let is_running = self.state == State::Running && !self.serving.stopped.get();
+        is_running && self.handler.is_some()
+    }
+
+    /// The loop is about to end, and the task rests. False, and nothing is done, without a handler.
+    pub(super) fn rest(&mut self) -> bool {
+        let Some(handler) = self.handler.take() else {
+            return false;
+        };
+        let rare = Rare {
+            restarts: self.restarts.take(),
+            kept: self.kept.take(),
+            parent: self.parent.take(),
+        };
+        let is_rare = rare.restarts.is_some() || rare.kept.is_some() || rare.parent.is_some();
+        self.queue.rest(Box::new(Resting {
+            inner: self.cx.inner.clone(),
+            build: self.build.clone(),
+            handler,
+            rare: is_rare.then(|| Box::new(rare)),
+            phase: self.phase,
+        }));
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests;
