@@ -2,6 +2,7 @@
 
 pub mod agent;
 pub mod boot;
+pub mod breakpoints;
 pub mod chassis;
 pub mod check;
 pub mod completions;

@@ -64,3 +64,22 @@ fn a_handler_that_the_program_does_not_have_is_found_before_anything_starts() {
     assert!(err.contains("hello.greeter"), "{err}");
     assert!(err.contains("nothing was started"), "{err}");
 }
+
+#[test]
+fn a_booted_net_stops_at_a_breakpoint_before_its_first_firing_and_the_app_ends_there() {
+    let stopped = hello(&["-v", "--break", "hello.greet"]);
+    let err = String::from_utf8_lossy(&stopped.stderr).into_owned();
+    assert_eq!(stopped.status.code(), Some(7), "{err}");
+    assert_eq!(firings(&err), [], "{err}");
+    assert!(
+        err.contains("net `hello` is at breakpoint `greet`"),
+        "{err}"
+    );
+    let refused = hello(&["--break", "hello.greeet"]);
+    let err = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(3), "{err}");
+    assert!(
+        err.contains("did you mean `greet`?") && err.contains("nothing was started"),
+        "{err}"
+    );
+}

@@ -14,7 +14,9 @@ use std::{
 };
 
 use common::root;
+use ctos::diagnostic::Source;
 use lsp_server::{Message, Notification, Request};
+use pnt::net::PlaceId;
 use serde_json::{Value, json};
 
 const URI: &str = "file:///tmp/a%20net.net";
@@ -30,6 +32,10 @@ struct Editor {
 
 impl Editor {
     fn start(arguments: &[&str]) -> Self {
+        Self::start_in(arguments, json!({ "capabilities": {} }))
+    }
+
+    fn start_in(arguments: &[&str], client: Value) -> Self {
         let mut server = Command::new(env!("CARGO_BIN_EXE_ctos"))
             .args(["net", "lsp"])
             .args(arguments)
@@ -46,7 +52,7 @@ impl Editor {
             output,
             asked: 0,
         };
-        let answer = editor.ask("initialize", json!({ "capabilities": {} }));
+        let answer = editor.ask("initialize", client);
         assert_eq!(answer["capabilities"]["hoverProvider"], json!(true));
         editor.tell("initialized", json!({}));
         editor
@@ -238,6 +244,184 @@ fn a_name_is_explained_found_and_renamed_everywhere() {
             .contains("there is a place `idle` already")
     );
     editor.end();
+}
+
+const LEFT: &str = "net left
+include \"lib/parts.net\"
+command go -> gone
+place idle = 1
+use hand(idle) as one
+transition ask
+  in one.closed
+  tape go
+  out one.open
+  write gone
+";
+
+const RIGHT: &str = "net right
+include \"lib/parts.net\"
+place idle = 1
+use hand(idle) as two
+transition again
+  in two.closed
+  out two.open
+";
+
+const PARTS: &str = "subnet hand(free)
+place open, closed = 1
+transition close
+  in open, free
+  out closed, free
+end
+";
+
+/// Applies the edits of one file, last one first.
+fn edited(text: &str, edits: &[Value]) -> String {
+    let offset = |position: &Value| {
+        let line = position["line"].as_u64().unwrap();
+        let before: usize = text
+            .split_inclusive('\n')
+            .take(usize::try_from(line).unwrap())
+            .map(str::len)
+            .sum();
+        before + usize::try_from(position["character"].as_u64().unwrap()).unwrap()
+    };
+    let mut changed = text.to_owned();
+    let mut edits: Vec<(usize, usize, &str)> = edits
+        .iter()
+        .map(|edit| {
+            let (start, end) = (&edit["range"]["start"], &edit["range"]["end"]);
+            (
+                offset(start),
+                offset(end),
+                edit["newText"].as_str().unwrap(),
+            )
+        })
+        .collect();
+    edits.sort_unstable();
+    for (start, end, new) in edits.into_iter().rev() {
+        changed.replace_range(start..end, new);
+    }
+    changed
+}
+
+#[test]
+fn a_name_of_a_subnet_is_renamed_in_its_file_and_in_every_net_that_includes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir(path("lib")).unwrap();
+    std::fs::write(
+        path("left.net"),
+        "net left\n# What is on disk is older than what is open.\n",
+    )
+    .unwrap();
+    std::fs::write(path("right.net"), RIGHT).unwrap();
+    std::fs::write(path("lib/parts.net"), PARTS).unwrap();
+    let uri = |name: &str| format!("file://{}", path(name).display());
+    let client = json!({
+        "capabilities": {},
+        "workspaceFolders": [{ "uri": uri(""), "name": "nets" }],
+    });
+    let mut editor = Editor::start_in(&[], client);
+    for (name, text) in [("lib/parts.net", PARTS), ("left.net", LEFT)] {
+        editor.tell(
+            "textDocument/didOpen",
+            json!({ "textDocument": { "uri": uri(name), "languageId": "net", "version": 1, "text": text } }),
+        );
+        assert_eq!(editor.published(), Vec::<Value>::new(), "{name}");
+    }
+    let at = |name: &str, line: u32, character: u32| json!({ "textDocument": { "uri": uri(name) }, "position": { "line": line, "character": character } });
+    // From the instance's place in a net to its declaration in the file of the subnet.
+    let declared = editor.ask("textDocument/definition", at("left.net", 8, 11));
+    assert_eq!(declared["uri"], json!(uri("lib/parts.net")));
+    assert_eq!(
+        declared["range"]["start"],
+        json!({ "line": 1, "character": 6 })
+    );
+    let places = editor.ask("textDocument/references", at("lib/parts.net", 1, 7));
+    assert_eq!(places.as_array().unwrap().len(), 4);
+    for (name, line, character, old, new) in [
+        ("lib/parts.net", 1, 7, "open", "spread"),
+        ("left.net", 8, 11, "open", "wide_open"),
+        ("left.net", 4, 5, "hand", "a gripper"),
+        ("lib/parts.net", 3, 12, "free", "f"),
+    ] {
+        let mut params = at(name, line, character);
+        params["newName"] = json!(new);
+        let edits = editor.ask("textDocument/rename", params);
+        let after = |name: &str, text: &str| {
+            let edits = edits["changes"][uri(name)].as_array();
+            edited(text, edits.map_or(&[], Vec::as_slice))
+        };
+        let parts = after("lib/parts.net", PARTS);
+        for (name, text) in [("left.net", LEFT), ("right.net", RIGHT)] {
+            let before = flat(text, PARTS);
+            let renamed = flat(&after(name, text), &parts);
+            let wanted = match old {
+                "open" => before.replace(&format!(".{old}\""), &format!(".{new}\"")),
+                // The name of a subnet and those of its parameters are not in the net that it makes.
+                _ => before.clone(),
+            };
+            assert_eq!(renamed, wanted, "{old} to {new} in {name}");
+            assert_eq!(renamed == before, old != "open", "{old} to {new} in {name}");
+            // The text itself has changed wherever the name stands.
+            assert_eq!(
+                after(name, text) == text,
+                old == "free",
+                "{old} to {new} in {name}"
+            );
+        }
+        assert_ne!(parts, PARTS);
+    }
+    let mut params = at("left.net", 8, 11);
+    params["newName"] = json!("closed");
+    let refused = editor.try_ask("textDocument/rename", params).unwrap_err();
+    assert!(
+        refused.contains("there is a place `closed` already, in parts.net"),
+        "{refused}"
+    );
+    // What is changed in the file of subnets is looked at in the open net that includes it.
+    editor.tell(
+        "textDocument/didChange",
+        json!({
+            "textDocument": { "uri": uri("lib/parts.net"), "version": 2 },
+            "contentChanges": [{ "text": PARTS.replace("open", "ajar") }],
+        }),
+    );
+    assert_eq!(editor.published(), Vec::<Value>::new());
+    let found = editor.published();
+    assert_eq!(found.len(), 1, "{found:#?}");
+    assert_eq!(found[0]["code"], "pnt::net::unknown_place");
+    editor.end();
+}
+
+/// Places, transitions and arcs of a net with what it includes, names in quotes.
+fn flat(net: &str, parts: &str) -> String {
+    let net = pnt::compile::net_with(&Source::new("n.net", net), &mut |file| {
+        assert_eq!(file, "lib/parts.net");
+        Ok(Source::new(file, parts))
+    })
+    .unwrap_or_else(|found| panic!("{found}"));
+    let name = |place: &PlaceId| net.places()[place.index()].name.clone();
+    let mut shown = String::new();
+    for place in net.places() {
+        shown += &format!("{:?} = {}\n", place.name, place.tokens);
+    }
+    for transition in net.transitions() {
+        let arcs = |arcs: &[pnt::net::Arc]| -> Vec<(String, u32)> {
+            arcs.iter()
+                .map(|arc| (name(&arc.place), arc.weight))
+                .collect()
+        };
+        shown += &format!(
+            "{:?} {:?} {:?} {:?}\n",
+            transition.name,
+            arcs(&transition.inputs),
+            arcs(&transition.outputs.local),
+            transition.write,
+        );
+    }
+    shown
 }
 
 #[test]

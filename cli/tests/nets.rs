@@ -154,3 +154,39 @@ fn a_line_of_many_megabytes_is_refused_without_being_shown() {
     assert_eq!(ended.code, 3);
     assert!(ended.stderr.contains("a.net:2:1") && ended.stderr.len() < 1000);
 }
+
+#[test]
+fn an_action_that_no_task_takes_or_with_other_data_objects_is_found_with_the_app() {
+    let folder = tempfile::tempdir().unwrap();
+    let app = "[app]\nname = \"t\"\n[chassis.a]\n[task.dom]\nhandler = \"coordinators.dom\"\non = \"a\"\n[task.n]\nhandler = \"coordinators.motion\"\non = \"a\"\nargs.net = \"n.net\"\n";
+    fs::write(folder.path().join("app.toml"), app).unwrap();
+    let checked = |action: &str| {
+        let net = format!(
+            "net n\nplace a = 1\ncommand go -> gone\ntransition t\n  in a\n  tape go\n  {action}\n  out a\n  write gone\n"
+        );
+        fs::write(folder.path().join("n.net"), net).unwrap();
+        ctos(folder.path(), &["net", "check", "--app", "app.toml"])
+    };
+    let sound = checked("send dom.list(-> all)");
+    assert_eq!(sound.code, 0, "{}", sound.stderr);
+    // All of the fields in one object.
+    let whole = checked("send dom.put(entry)");
+    assert_eq!(whole.code, 0, "{}", whole.stderr);
+    for (action, said) in [
+        (
+            "send dom.list(-> one, two)",
+            "command `list` of task `dom` gives 1 result, and 2 data objects are there to take them",
+        ),
+        (
+            "send dom.put(name, value, more)",
+            "command `put` of task `dom` takes 2 arguments, and 3 data objects go with it",
+        ),
+        ("send dom.lisst", "task `dom` takes no command `lisst`"),
+    ] {
+        let wrong = checked(action);
+        assert_eq!(wrong.code, 3, "{action}: {}", wrong.stderr);
+        for said in [said, "n.net:7:8"] {
+            assert!(wrong.stderr.contains(said), "{action}: {}", wrong.stderr);
+        }
+    }
+}

@@ -241,3 +241,56 @@ fn what_the_pages_show_is_what_the_commands_print() {
         }
     }
 }
+
+#[test]
+fn a_breakpoint_of_the_command_line_stops_a_net_before_its_first_firing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = files(folder.path());
+    let stopped = sim(&[
+        "configs/hello.toml",
+        "--break",
+        "hello.greet",
+        "--events",
+        &one,
+    ]);
+    let told = text(&stopped.stderr);
+    assert_eq!(stopped.status.code(), Some(7), "{told}");
+    assert!(
+        told.contains("net `hello` is at breakpoint `greet`"),
+        "{told}"
+    );
+    assert!(told.contains("--break hello.greet"), "{told}");
+    let later = sim(&[
+        "configs/hello.toml",
+        "--break",
+        "hello.greeted>=1",
+        "--events",
+        &two,
+    ]);
+    assert_eq!(later.status.code(), Some(7), "{}", text(&later.stderr));
+    // The action of `greet` is a message to the greeter: it was never sent in the first run.
+    let greeted = |events: &str| {
+        let events = std::fs::read_to_string(events).unwrap();
+        events.contains(" deliver shelf/greeter from desk/hello ")
+    };
+    assert!(!greeted(&one) && greeted(&two));
+}
+
+#[test]
+fn a_breakpoint_that_names_nothing_is_refused_before_anything_starts() {
+    for (given, said) in [
+        ("hello.gret", "net `hello` has no transition `gret`"),
+        ("hallo.greet", "no task called `hallo` runs a net"),
+        ("hello.idel>=1", "net `hello` has no place `idel`"),
+        ("greet", "`greet` does not say where in which net"),
+    ] {
+        let refused = sim(&["configs/hello.toml", "--break", given]);
+        let told = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(3), "{told}");
+        assert!(told.contains(said), "{told}");
+        assert!(told.contains("nothing was run"), "{told}");
+        if given != "greet" {
+            assert!(told.contains("did you mean"), "{told}");
+        }
+    }
+}

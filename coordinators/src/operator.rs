@@ -10,7 +10,7 @@ use ctos::{
     system::AppResult,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use pnt::task::{PutTape, TapeAnswer};
+use pnt::task::{PutOnce, RequestId, TapeAnswer, put_once};
 use serde::Deserialize;
 
 use crate::referee::Judge;
@@ -111,15 +111,20 @@ fn failure(reason: &str) -> AppResult {
 
 async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, HandlerError> {
     let began = cx.now();
-    let dispatcher = cx.task(&args.dispatcher).await?;
-    let request = PutTape {
+    // It asks once in the life of an app, also when it is started again in it. What a durable Dispatcher
+    // remembers of an earlier boot is another request.
+    let boot = cx.chassis().clock().origin_ns().unwrap_or(0);
+    let put = PutOnce {
+        request: RequestId {
+            from: format!("{} {boot:016x}", cx.name()),
+            number: 1,
+        },
         symbol: args.command.clone(),
         arguments: args.arguments.clone(),
     };
     let limit = Duration::from_secs_f64(args.within_s);
-    let answered = cx.call(&dispatcher, request).deadline(limit).await;
-    let TapeAnswer { symbol, text, .. } =
-        answered.map_err(|error| HandlerError::new(error.reason()))?;
+    let answered = put_once(cx, &args.dispatcher, &put, limit).await?;
+    let TapeAnswer { symbol, text, .. } = answered;
     if symbol != args.success {
         return Ok(failure(&format!("{symbol}: {text}")));
     }
@@ -149,7 +154,16 @@ async fn command(cx: &Context, args: &OperatorArgs) -> Result<AppResult, Handler
 mod tests {
     use std::sync::Arc;
 
-    use ctos::boot::End;
+    use ctos::{
+        boot::End,
+        diagnostic::Source,
+        simulation::{self, Faults, Mishap, Setup},
+        time::Instant,
+    };
+    use pnt::{
+        library::{Action, Library},
+        task::{COMMANDS, Marking, NetTask, settings},
+    };
 
     use super::*;
     use crate::rig::{self, Answer, Rig, Shared};
@@ -260,5 +274,95 @@ mod tests {
             "{}",
             result.text
         );
+    }
+
+    /// Counts how often its command was done.
+    const COUNTING: &str = "net dispatcher
+place free = 1, done, times
+command go -> gone
+transition work
+  in free
+  tape go
+  do work
+  idempotent
+  out done, times
+transition answer
+  in done
+  out free
+  write gone
+";
+
+    /// How often the one command of an app was done, when chassis die at these times, ms.
+    fn done_times(kills: &[(&str, u64)]) -> End {
+        let chassis = |name: &str| {
+            format!(
+                "[chassis.{name}]\nrestart = \"always\"\nmax_restarts = 100\nrestart_backoff_s = 0.05\n"
+            )
+        };
+        let text = format!(
+            "[app]\nname = \"t\"\nuntil = \"operator\"\n[time]\nmode = \"virtual\"\n{}{}[chassis.court]\n[task.operator]\nhandler = \"coordinators.operator\"\non = \"desk\"\nargs = {{ command = \"go\", success = \"gone\", judge = \"judge\" }}\n[task.dispatcher]\nhandler = \"test.net\"\non = \"home\"\nargs = {{ net = \"dispatcher.net\", durable = true }}\n[task.judge]\nhandler = \"test.judge\"\non = \"court\"\n",
+            chassis("desk"),
+            chassis("home"),
+        );
+        let app = ctos::config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap();
+        let mut registry = Registry::new();
+        register(&mut registry);
+        let net = pnt::compile::net(&Source::new("dispatcher.net", COUNTING)).unwrap();
+        registry.handler("test.net", &COMMANDS, move |cx| {
+            let library = Library::new(()).action("work", |action: Action<()>| async move {
+                action.cx().sleep(Duration::from_millis(200)).await;
+                Ok(())
+            });
+            let settings = settings(cx.config().unwrap())?;
+            NetTask::with_settings(cx, net.clone(), library, None, settings)
+        });
+        registry.function::<Judge, _, _>("test.judge", |cx, _| async move {
+            let snapshot = loop {
+                let to = cx
+                    .wait_for_task("dispatcher", Duration::from_secs(60))
+                    .await?;
+                match cx.call(&to, Marking {}).await {
+                    Ok(snapshot) => break snapshot,
+                    Err(_) => cx.sleep(Duration::from_millis(50)).await,
+                }
+            };
+            let times = snapshot.places.iter().find(|(place, _)| place == "times");
+            Ok(AppResult {
+                ok: true,
+                text: format!("{times:?}"),
+                json: String::new(),
+            })
+        });
+        let kills = kills.iter().map(|(chassis, ms)| Mishap::Kill {
+            chassis: (*chassis).to_owned(),
+            at: Instant::from_nanos(ms * 1_000_000),
+        });
+        let setup = Setup {
+            faults: Faults::of_script("deaths", kills.collect()),
+            ..Setup::default()
+        };
+        let observer: ctos::boot::Observer = Arc::new(|_| {});
+        let run = simulation::run(app, registry, setup, &observer).unwrap();
+        run.outcome.end
+    }
+
+    #[test]
+    fn a_command_whose_answer_was_lost_is_asked_for_again_and_done_once() {
+        for step in 0..30 {
+            let at = 1 + step * 11;
+            for kills in [
+                vec![("home", at)],
+                vec![("desk", at)],
+                vec![("home", at), ("desk", at + 90), ("home", at + 250)],
+            ] {
+                match done_times(&kills) {
+                    End::Finished(result) => {
+                        let text = result.text;
+                        assert_eq!(text, "Some((\"times\", 1))", "{kills:?}");
+                    }
+                    other => panic!("{kills:?}: {other:?}"),
+                }
+            }
+        }
     }
 }

@@ -112,7 +112,7 @@ fn one_trace_leads_from_the_operator_to_the_arm_and_the_cameras(lines: &[Line]) 
         .iter()
         .filter(|line| line.topic == "/message/dispatcher" && line.text("from") == "operator");
     let command = commands.next_back().unwrap();
-    assert_eq!(command.text("command"), "put_tape", "{}", command.line);
+    assert_eq!(command.text("command"), "put_once", "{}", command.line);
     let of_trace: Vec<&Line> = lines
         .iter()
         .filter(|line| line.text("trace") == command.text("trace"))

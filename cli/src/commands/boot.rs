@@ -13,11 +13,18 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use ctos::boot::{BootError, BootEvent, End, Launcher, Observer, Outcome};
+use ctos::diagnostic::Findings;
 use ctos::registry::Registry;
 use ctos::task::Phase;
 
 use crate::{
-    commands::{AppArgs, LogArgs, detach, progress::Display, record, start_log},
+    commands::{
+        AppArgs, LogArgs,
+        breakpoints::{Breakpoints, Released},
+        detach,
+        progress::Display,
+        record, start_log,
+    },
     exit, program, show,
 };
 
@@ -28,6 +35,7 @@ use crate::{
   ctos boot configs/calibrate.toml -v
   ctos boot configs/calibrate.toml --record run.mcap
   ctos boot configs/calibrate.toml --display
+  ctos boot configs/calibrate.toml --break dispatcher.move_robot
   ctos boot configs/calibrate.toml --detach --log-file calibrate.log
   ctos boot configs/calibrate.toml --set time.mode=\"virtual\" --set seed=7 --json")]
 pub struct BootArgs {
@@ -40,6 +48,9 @@ pub struct BootArgs {
     /// What goes wrong on purpose
     #[command(flatten)]
     pub injure: InjureArgs,
+    /// Where nets shall stop
+    #[command(flatten)]
+    pub breakpoints: Breakpoints,
     /// Record messages, phases, firings and log lines to FILE; each process puts its name before the extension
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
@@ -157,20 +168,19 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             args.app.sets.extend(allow);
         }
     }
+    let sets = args
+        .breakpoints
+        .sets(&args.app.selection(), &registry, Released::ByHand);
+    match sets {
+        Ok(sets) => args.app.sets.extend(sets),
+        Err(findings) => return not_started(&args, findings),
+    }
     let args = &args;
     let mut selection = args.app.selection();
     selection.sets.extend(args.injure.sets());
     let (app, warnings) = match program::checked(&selection, &registry) {
         Ok(checked) => checked,
-        Err(findings) => {
-            let counted = show::counted(&findings);
-            show::findings(findings);
-            show::say(&format!(
-                "{}: {counted}; nothing was started",
-                args.app.file.display()
-            ));
-            return exit::CONFIG;
-        }
+        Err(findings) => return not_started(args, findings),
     };
     let clock = ctos::boot::clock(app.time);
     if let Err(code) = start_log(&args.log, clock.clone(), true) {
@@ -248,6 +258,16 @@ pub fn run(args: &BootArgs, registry: Registry) -> u8 {
             }
         }
     }
+}
+
+fn not_started(args: &BootArgs, findings: Findings) -> u8 {
+    let counted = show::counted(&findings);
+    show::findings(findings);
+    show::say(&format!(
+        "{}: {counted}; nothing was started",
+        args.app.file.display()
+    ));
+    exit::CONFIG
 }
 
 /// A file that the logs of the chassis go to.

@@ -20,7 +20,12 @@ use ctos::{
 };
 
 use crate::{
-    commands::{LogArgs, progress::Display, record, start_log},
+    commands::{
+        LogArgs,
+        breakpoints::{Breakpoints, Released},
+        progress::Display,
+        record, start_log,
+    },
     exit, program, show,
 };
 
@@ -37,6 +42,7 @@ const SHRINK_TRIALS: usize = 500;
   ctos sim configs/hello.toml --seeds 0..100 --faults rough
   ctos sim configs/hello.toml --seed 7 --faults hostile --shrink fewer.toml
   ctos sim configs/hello.toml --seed 7 --record records
+  ctos sim configs/hello.toml --break hello.count
   ctos sim --profiles")]
 pub struct SimArgs {
     /// Configuration of the app
@@ -48,6 +54,9 @@ pub struct SimArgs {
     /// Lay `[profile.NAME]` of the configuration over it (can be repeated)
     #[arg(long = "profile", value_name = "NAME")]
     pub overlays: Vec<String>,
+    /// Where nets shall stop
+    #[command(flatten)]
+    pub breakpoints: Breakpoints,
     /// Seed of the run [default: that of the configuration]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
@@ -115,12 +124,19 @@ pub fn run(args: &SimArgs, registry: Registry) -> u8 {
             return exit::CONFIG;
         }
     };
-    let selection = Selection {
+    let mut selection = Selection {
         file: file.clone(),
         profiles: args.overlays.clone(),
         sets: args.sets.clone(),
     };
-    let (app, warnings) = match program::checked(&selection, &registry) {
+    let sets = args
+        .breakpoints
+        .sets(&selection, &registry, Released::Never);
+    let checked = sets.and_then(|sets| {
+        selection.sets.extend(sets);
+        program::checked(&selection, &registry)
+    });
+    let (app, warnings) = match checked {
         Ok(checked) => checked,
         Err(findings) => {
             let counted = show::counted(&findings);
@@ -278,7 +294,10 @@ impl Lab<'_> {
         {
             return code;
         }
-        exit::FAILED
+        match run.outcome.end {
+            End::Breakpoint { .. } => exit::LIMIT,
+            _ => exit::FAILED,
+        }
     }
 
     /// Runs many seeds and tells which fail.
@@ -422,6 +441,9 @@ impl Lab<'_> {
         }
         for set in &self.args.sets {
             words.extend(["--set".to_owned(), set.clone()]);
+        }
+        for place in &self.args.breakpoints.breaks {
+            words.extend(["--break".to_owned(), place.clone()]);
         }
         if let Some(limit) = self.args.limit {
             words.extend(["--for".to_owned(), limit.as_secs_f64().to_string()]);

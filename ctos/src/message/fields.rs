@@ -11,12 +11,14 @@ use serde::{
 
 use super::{PayloadError, data::decode, shape::fields_of};
 
+type Split = fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>;
+
 /// Takes postcard bytes of one type apart into its fields. A structure or a tuple has those that it
 /// declares, a unit has none, and a value of any other type is one field.
 #[derive(Clone, Copy)]
 pub struct Fields {
     count: fn() -> usize,
-    split: fn(&[u8]) -> Result<Vec<Vec<u8>>, PayloadError>,
+    split: Split,
 }
 
 impl Fields {

@@ -181,11 +181,13 @@ fn nets(args: &CheckArgs, registry: &Registry) -> Result<(Vec<Arc<Net>>, Finding
             file: file.clone(),
             ..Selection::default()
         };
-        let others = program::app(&selection).and_then(|app| task::nets(&app, registry));
+        let others = program::app(&selection)
+            .and_then(|app| task::nets(&app, registry).map(|others| (app, others)));
         match others {
-            Ok(others) => {
+            Ok((app, others)) => {
                 let given: BTreeSet<String> = nets.iter().map(|n| n.name().to_owned()).collect();
                 nets.extend(others.into_iter().filter(|net| !given.contains(net.name())));
+                task::check_messages(&nets, &app, registry, &mut findings);
             }
             Err(found) => findings.extend(found),
         }

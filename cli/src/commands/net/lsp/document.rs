@@ -2,6 +2,7 @@
 //! 0, columns in UTF-16 units.
 
 use std::{
+    collections::BTreeMap,
     ops::Range,
     path::{Path, PathBuf},
     sync::Arc,
@@ -19,14 +20,17 @@ use pnt::{
 };
 use serde_json::{Value, json};
 
-use super::Offered;
+use super::{
+    Offered,
+    workspace::{Spot, plain},
+};
 
 /// An open text.
 pub struct Document {
     source: Source,
     outline: Outline,
-    /// The file it is, if it is one.
-    path: Option<PathBuf>,
+    /// The file it is; of one that is none, its address.
+    path: PathBuf,
 }
 
 /// How far an editor's net is looked at, so that it answers while its author types.
@@ -62,11 +66,8 @@ fn soundness(net: Net) -> Findings {
 impl Document {
     /// A text as the editor has it.
     pub fn new(uri: &str, text: &str) -> Self {
-        let path = path_of(uri);
-        let name = path
-            .as_ref()
-            .map_or(uri.to_owned(), |path| path.display().to_string());
-        let source = Source::new(name, text);
+        let path = path_of(uri).map_or_else(|| PathBuf::from(uri), |path| plain(&path));
+        let source = Source::new(path.display().to_string(), text);
         Self {
             outline: Outline::of(&source),
             source,
@@ -76,6 +77,25 @@ impl Document {
 
     fn text(&self) -> &str {
         self.source.text()
+    }
+
+    /// Its text, under the name of its file.
+    pub fn source(&self) -> &Source {
+        &self.source
+    }
+
+    /// The file it is; of one that is none, its address.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The place of the name at a byte.
+    pub fn spot(&self, at: usize) -> Option<Spot> {
+        let word = self.word(at).filter(|word| word.kind != Kind::Keyword)?;
+        Some(Spot {
+            file: self.path.clone(),
+            bytes: (word.range.start, word.range.end),
+        })
     }
 
     // -- positions --------------------------------------------------------------------------
@@ -115,17 +135,23 @@ impl Document {
         json!({ "line": line, "character": column })
     }
 
-    fn range(&self, range: &Range<usize>) -> Value {
+    pub fn range(&self, range: &Range<usize>) -> Value {
         json!({ "start": self.position(range.start), "end": self.position(range.end) })
     }
 
     // -- findings ---------------------------------------------------------------------------
 
-    /// What is wrong with the text, as the protocol has it.
-    pub fn findings(&self) -> Vec<Value> {
-        let folder = self.path.as_deref().and_then(Path::parent);
-        let folder = folder.unwrap_or(Path::new("")).to_owned();
-        let mut include = |file: &str| Source::read(&folder.join(file));
+    /// What is wrong with the text, as the protocol has it. What it includes is read as it is in `open`, or else
+    /// from disk.
+    pub fn findings(&self, open: &BTreeMap<PathBuf, Source>) -> Vec<Value> {
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let mut include = |file: &str| {
+            let path = folder.join(file);
+            match open.get(&plain(&path)) {
+                Some(source) => Ok(source.clone()),
+                None => Source::read(&path),
+            }
+        };
         let found = match compile::net_with(&self.source, &mut include) {
             Ok(net) => soundness(net),
             Err(found) => found,
@@ -175,8 +201,8 @@ impl Document {
         self.outline.at(at)
     }
 
-    /// What may stand at a place.
-    pub fn completions(&self, at: usize, offered: &Offered) -> Value {
+    /// What may stand at a place, of the words of this text and of what it includes.
+    pub fn completions(&self, at: usize, offered: &Offered, whole: &Outline) -> Value {
         let start = self
             .text()
             .get(..at)
@@ -205,7 +231,7 @@ impl Document {
             return Value::Array(shown.collect());
         };
         let names = |kind: Kind, code: u8, detail: &str| -> Vec<Value> {
-            let names = self.outline.names(kind, &scope);
+            let names = whole.names(kind, &scope);
             names
                 .iter()
                 .map(|name| item(&in_text(name), code, detail))
@@ -222,6 +248,7 @@ impl Document {
             }
             "tape" => names(Kind::Symbol, 20, "symbol of the input tape"),
             "write" => names(Kind::Answer, 20, "symbol of the output tape"),
+            "do" if before.contains('(') => names(Kind::Data, 5, "data object"),
             "do" => names(Kind::Function, 3, "local function"),
             "when" => {
                 let mut items = names(Kind::Enabling, 3, "enabling function");
@@ -332,31 +359,6 @@ impl Document {
             .unwrap_or_default()
     }
 
-    fn location(&self, uri: &str, word: &Occurrence) -> Value {
-        json!({ "uri": uri, "range": self.range(&word.range) })
-    }
-
-    /// Where a word is declared.
-    pub fn definition(&self, uri: &str, at: usize) -> Value {
-        let declared = self
-            .word(at)
-            .and_then(|word| self.outline.declaration(word));
-        declared.map_or(Value::Null, |word| self.location(uri, word))
-    }
-
-    /// Everywhere where a word stands for the same thing.
-    pub fn references(&self, uri: &str, at: usize) -> Value {
-        let Some(word) = self.word(at) else {
-            return Value::Null;
-        };
-        let same = self.outline.same(word);
-        Value::Array(
-            same.into_iter()
-                .map(|word| self.location(uri, word))
-                .collect(),
-        )
-    }
-
     /// Places, transitions and subnets, for an overview.
     pub fn symbols(&self) -> Value {
         let shown = |word: &Occurrence| {
@@ -390,29 +392,6 @@ impl Document {
         let word = self.word(at).filter(|word| word.kind != Kind::Keyword);
         word.map_or(Value::Null, |word| self.range(&word.range))
     }
-
-    /// The edits by which a word gets another name everywhere in this text.
-    pub fn rename(&self, uri: &str, at: usize, name: &str) -> Result<Value, String> {
-        let word = self.word(at).filter(|word| word.kind != Kind::Keyword);
-        let word = word.ok_or("there is no name here")?;
-        if name.trim().is_empty() {
-            return Err("a name is not empty".to_owned());
-        }
-        let kind = match word.kind {
-            Kind::Argument => Kind::Place,
-            kind => kind,
-        };
-        let taken = self.outline.words().iter().any(|other| {
-            other.declared && other.kind == kind && other.scope == word.scope && other.name == name
-        });
-        if taken && name != word.name {
-            return Err(format!("there is a {} `{name}` already", name_of(kind)));
-        }
-        let new = in_text(name);
-        let edit = |word: &Occurrence| json!({ "range": self.range(&word.range), "newText": new });
-        let edits: Vec<Value> = self.outline.same(word).into_iter().map(edit).collect();
-        Ok(json!({ "changes": { uri: edits } }))
-    }
 }
 
 fn item(label: &str, kind: u8, detail: &str) -> Value {
@@ -424,7 +403,8 @@ fn in_text(name: &str) -> String {
     text::name_in_text(name)
 }
 
-fn name_of(kind: Kind) -> &'static str {
+/// What a kind of name is called.
+pub(super) fn name_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Keyword => "keyword",
         Kind::Net => "net",
@@ -444,8 +424,21 @@ fn name_of(kind: Kind) -> &'static str {
     }
 }
 
+/// The `file:` address of a path.
+pub fn uri_of(path: &Path) -> String {
+    let mut uri = "file://".to_owned();
+    for byte in path.display().to_string().bytes() {
+        match byte {
+            b'/' | b'-' | b'_' | b'.' | b'~' => uri.push(char::from(byte)),
+            byte if byte.is_ascii_alphanumeric() => uri.push(char::from(byte)),
+            byte => uri += &format!("%{byte:02X}"),
+        }
+    }
+    uri
+}
+
 /// The path of a `file:` address.
-fn path_of(uri: &str) -> Option<PathBuf> {
+pub fn path_of(uri: &str) -> Option<PathBuf> {
     let encoded = uri.strip_prefix("file://")?;
     let mut bytes = Vec::with_capacity(encoded.len());
     let mut rest = encoded.bytes();
