@@ -81,9 +81,12 @@ pub fn always_reachable(
     Some(components.without_wanted)
 }
 
-/// Index, lowest index, stack and call frame of every marking, and whether it returns.
+/// Index, lowest index, stack and call frame of every marking, whether it returns, and where its firings
+/// lead.
 fn components_bytes(explored: &Explored<'_>) -> Option<usize> {
-    explored.markings.checked_mul(4 + 4 + 4 + 12 + 1)
+    let each = 4 + 4 + 4 + size_of::<Frame>() + 1;
+    let edges = usize::try_from(explored.edges).ok()?.checked_mul(4)?;
+    explored.markings.checked_mul(each)?.checked_add(edges)
 }
 
 /// The markings of all workers numbered through, and the firings between them.
@@ -296,6 +299,9 @@ struct Components<'a> {
     /// Nodes whose component is not complete.
     open: Vec<u32>,
     frames: Vec<Frame>,
+    /// Where the firings at the markings of the frames lead, one frame's behind the other's.
+    ahead: Vec<u32>,
+    successors: Vec<usize>,
     next: u32,
     live: Vec<bool>,
     terminal: usize,
@@ -309,7 +315,9 @@ struct Components<'a> {
 
 struct Frame {
     node: u32,
-    position: u32,
+    /// Where its successors begin in the list of all, and the one to be followed next.
+    start: usize,
+    position: usize,
     /// Whether something leaves the part of the component found so far.
     leaves: bool,
     /// Whether something leads to a marking from which a way leads to the initial one.
@@ -329,6 +337,8 @@ impl<'a> Components<'a> {
             low: vec![NEW; explored.markings],
             open: Vec::new(),
             frames: Vec::new(),
+            ahead: Vec::new(),
+            successors: Vec::new(),
             next: 0,
             live: vec![true; explored.model.label_count()],
             terminal: 0,
@@ -372,15 +382,15 @@ impl<'a> Components<'a> {
     /// All that is reached from here and was not visited before.
     fn visit_from(&mut self, root: usize, initial: usize) {
         self.visit(root);
-        while let Some(frame) = self.frames.last() {
-            let (node, position) = (frame.node, frame.position as usize);
-            self.graph.expand(node as usize);
-            let enabled = std::mem::take(&mut self.graph.scratch.enabled);
-            let mut rest = enabled.iter().skip(position);
-            if !rest.any(|transition| self.follow(node, *transition)) {
-                self.leave(initial);
+        while let Some(frame) = self.frames.last_mut() {
+            let node = frame.node;
+            match self.ahead.get(frame.position).copied() {
+                Some(successor) => {
+                    frame.position += 1;
+                    self.follow(node, successor as usize);
+                }
+                None => self.leave(initial),
             }
-            self.graph.scratch.enabled = enabled;
         }
     }
 
@@ -409,31 +419,32 @@ impl<'a> Components<'a> {
         self.index[node] = self.next;
         self.low[node] = self.next;
         self.next += 1;
-        // Fewer than 2^32 markings in all: their lists are in memory.
+        let start = self.ahead.len();
+        // All were found: the graph is complete.
+        if self.graph.successors(node, &mut self.successors).is_some() {
+            // Fewer than 2^32 markings in all: their lists are in memory.
+            self.ahead
+                .extend(self.successors.iter().map(|to| *to as u32));
+        }
         let node = node as u32;
         self.open.push(node);
         self.frames.push(Frame {
             node,
-            position: 0,
+            start,
+            position: start,
             leaves: false,
             returns: false,
         });
     }
 
-    /// Follows a firing of the top frame's marking. Whether that leads to a marking not yet visited.
-    fn follow(&mut self, node: u32, transition: TransitionNumber) -> bool {
-        let successor = self.graph.successor(node as usize, transition);
+    /// Follows a firing of the top frame's marking.
+    fn follow(&mut self, node: u32, successor: usize) {
         let Some(frame) = self.frames.last_mut() else {
-            return false;
-        };
-        frame.position += 1;
-        let Some(successor) = successor else {
-            return false;
+            return;
         };
         match self.index[successor] {
             NEW => {
                 self.visit(successor);
-                return true;
             }
             DONE => {
                 frame.leaves = true;
@@ -444,7 +455,6 @@ impl<'a> Components<'a> {
                 *low = (*low).min(index);
             }
         }
-        false
     }
 
     /// All successors of the top frame are looked at.
@@ -452,6 +462,7 @@ impl<'a> Components<'a> {
         let Some(frame) = self.frames.pop() else {
             return;
         };
+        self.ahead.truncate(frame.start);
         let node = frame.node as usize;
         let low = self.low[node];
         let complete = low == self.index[node];
