@@ -127,6 +127,9 @@ impl Processor {
         note: &mut Option<Note>,
         cx: &PollContext<'_>,
     ) -> Looked {
+        if self.handovers.is_cancelled() {
+            return Looked::Waiting;
+        }
         let (looked, before) = {
             let mut calls = self.calls.borrow_mut();
             let mut timers = self.timers.borrow_mut();

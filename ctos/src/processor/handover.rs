@@ -25,6 +25,8 @@ pub(super) struct Handovers {
     made: Cell<u32>,
     /// Those that have not ended.
     depth: Cell<u32>,
+    /// Whether the future that has the present turn was cancelled by whom it called.
+    cancelled: Cell<bool>,
     /// Whether turns are taken to be brief.
     #[cfg(test)]
     always: Cell<bool>,
@@ -36,6 +38,14 @@ impl Handovers {
     pub(super) fn begin_anew(&self) {
         self.made.set(0);
         self.depth.set(0);
+        self.cancelled.set(false);
+    }
+
+    /// Whether the future that has the present turn is to learn nothing more: whom it called has cancelled
+    /// it, and it is dropped at the end of the turn.
+    #[inline]
+    pub(super) fn is_cancelled(&self) -> bool {
+        self.cancelled.get()
     }
 }
 
@@ -50,15 +60,23 @@ impl Processor {
         let Some(running) = self.take_idle(to) else {
             return false;
         };
-        let Handovers { made, depth, .. } = &self.handovers;
+        let Handovers {
+            made,
+            depth,
+            cancelled,
+            ..
+        } = &self.handovers;
         made.set(made.get() + 1);
         depth.set(depth.get() + 1);
         // Here a part of the caller's turn ends.
         self.start_calls();
         let caller = self.current.take();
+        let was_cancelled = cancelled.replace(false);
         let handling = self.handling.replace(0);
         meter.out_of_turn(|| self.poll_running(to, running));
         self.handling.set(handling);
+        let is_there = |(id, _)| self.futures.borrow_mut().entry(id).is_some();
+        cancelled.set(was_cancelled || !caller.is_some_and(is_there));
         self.current.set(caller);
         depth.set(depth.get().saturating_sub(1));
         self.leave();

@@ -49,6 +49,8 @@ enum Step {
     /// Drops the right to answer, then goes on.
     Drop,
     Panic,
+    /// Begins a child that calls its own task, which panics, and that says so if it comes so far.
+    Child,
 }
 
 crate::command! {
@@ -150,6 +152,16 @@ impl EventHandler for Worker {
                 Step::Refuse => return Err("no".into()),
                 Step::Drop => drop(reply.take()),
                 Step::Panic => panic!("on purpose"),
+                Step::Child => {
+                    let (own, log) = (cx.clone(), self.log.clone());
+                    let task = TaskRef::new(cx.name(), cx.tid());
+                    cx.spawn(async move {
+                        let steps = vec![Step::Panic];
+                        let number = 0;
+                        let _ = own.call(&task, Do { number, steps }).await;
+                        lock(&log).push((own.tid(), own.tid(), u64::MAX));
+                    });
+                }
             }
         }
         match reply {
@@ -397,6 +409,18 @@ fn a_panic_of_whom_a_task_calls_is_no_panic_of_its_own() {
     assert_eq!((failed(0), failed(1)), (1, 1));
     // The caller goes on.
     assert_eq!(bench.ask(Vec::new()).unwrap(), 1);
+}
+
+#[test]
+fn a_child_that_its_own_task_cancels_at_its_call_goes_no_further() {
+    for hands_over in [false, true] {
+        let bench = Bench::new(hands_over);
+        assert_eq!(bench.ask(vec![Step::Child]).unwrap(), 1);
+        let failed = bench.records[0].statistics.read().failed;
+        assert_eq!(failed, 1, "it was called");
+        let went_on = bench.log().iter().any(|(.., number)| *number == u64::MAX);
+        assert!(!went_on);
+    }
 }
 
 #[test]
