@@ -117,6 +117,13 @@ fn symbol(rest: &str, first: char) -> Result<(Symbol, usize), (String, usize)> {
             return Ok((Symbol::Mark(mark), mark.len()));
         }
     }
+    let mut digits = rest.chars().skip(1).take_while(char::is_ascii_digit);
+    if first == '-' && digits.next().is_some() {
+        let length = 2 + digits.count();
+        let number = rest.get(..length).unwrap_or(rest);
+        let text = format!("`{number}`: numbers in a net count something, from 0 up");
+        return Err((text, length));
+    }
     Err((
         format!("`{first}` has no meaning in net text"),
         first.len_utf8(),

@@ -96,6 +96,18 @@ transition w
 }
 
 #[test]
+fn a_number_below_zero_is_said_to_be_one_where_it_stands() {
+    let found = findings("net n\nplace a = -12, b\ntransition t\n  in a*-3\n  out b-\n");
+    let starts = [
+        "a.net:2:11: error: `-12`: numbers in a net count something, from 0 up",
+        "a.net:4:8: error: `-3`: numbers in a net count something, from 0 up",
+    ];
+    for start in starts {
+        assert!(found.iter().any(|line| line.starts_with(start)), "{found:#?}");
+    }
+}
+
+#[test]
 fn all_mistakes_of_a_text_are_found_at_once_with_their_places() {
     let text = "net n\nplase a\nplace b = x\nplace c ! d\ntransition t\n  in a b\n  wen x\n  do f\n  do g\n  in a*0\n  within 3 years\nout\n";
     let found = findings(text);
