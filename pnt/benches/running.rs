@@ -1,10 +1,12 @@
 //! What running a net costs around its firings: commands per second of a net that is durable and of one
 //! that is not, a token to another net beside a message call, and the time from one action's end to the
-//! start of the action that it enables. All in one chassis, on the real clock, with a real redb file.
+//! start of the action that it enables; in one chassis, on the real clock, with a real redb file. The last of
+//! these also to another process.
 
 #![allow(
     clippy::unwrap_used,
     clippy::cast_precision_loss,
+    clippy::panic,
     clippy::print_stdout,
     reason = "a benchmark may end when its input is wrong; its figures are rounded"
 )]
@@ -36,8 +38,18 @@ const AT_ONCE: usize = 512;
 /// Actions of which the start is timed.
 const ACTIONS: u32 = 20_000;
 
+#[path = "running/processes.rs"]
+mod processes;
+
 fn main() {
+    if processes::is_child() {
+        return;
+    }
     latency();
+    // Without `--bench` this is a test that the benchmark is compiled in.
+    if std::env::args().any(|word| word == "--bench") {
+        processes::latency();
+    }
     divan::main();
 }
 
