@@ -103,6 +103,10 @@ pub(crate) struct Mailbox {
     urgent: Room,
     normal: Room,
     /// The gates that the queue begins with; taken by it.
+    #[allow(
+        clippy::box_collection,
+        reason = "few queues begin with any, and of the others two words less are kept"
+    )]
     gates: Mutex<Option<Box<BTreeSet<u8>>>>,
 }
 

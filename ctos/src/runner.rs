@@ -139,9 +139,9 @@ pub(crate) fn start_at(
         Origin::StartedBy(parent) => (Some(parent), None),
         Origin::Moved(arrival) => (None, Some(Box::new(arrival))),
     };
-    let resting = Box::new(Resting::new(cx, spec.build, handler, parent));
+    let resting = Resting::new(cx, spec.build, handler, parent);
     match arrival {
-        None => queue.rest(resting),
+        None => queue.rest(Box::new(resting)),
         Some(arrival) => queue.set_runner(resting.begin(&queue, Some(arrival))),
     }
     Ok(())

@@ -52,18 +52,14 @@ impl Resting {
     }
 
     /// Begins the loop of the task, which takes its messages out of `queue`.
-    pub(super) fn begin(
-        self: Box<Self>,
-        queue: &Rc<TaskQueue>,
-        arrival: Option<Box<Arrival>>,
-    ) -> FutureId {
+    pub(super) fn begin(self, queue: &Rc<TaskQueue>, arrival: Option<Box<Arrival>>) -> FutureId {
         let Self {
             inner,
             build,
             handler,
             rare,
             phase,
-        } = *self;
+        } = self;
         let cx = Context::of(inner);
         let record = cx.inner.record.clone();
         let (restarts, kept, parent) = match rare.map(|rare| *rare) {
@@ -101,7 +97,7 @@ impl Resting {
 
 impl Rest for Resting {
     fn end(self: Box<Self>, queue: &Rc<TaskQueue>) -> FutureId {
-        self.begin(queue, None)
+        (*self).begin(queue, None)
     }
 }
 
