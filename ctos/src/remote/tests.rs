@@ -290,7 +290,7 @@ fn an_outbox_keeps_lines_up_to_its_limit_and_everything_else() {
 fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
     run(async {
         // Both end with their hold on the agent; the second one does so at once.
-        let host = Host::start(r#"case "$*" in *c2*) exit 4;; esac; echo up >&2; cat"#).await;
+        let host = Host::start(r#"case " $* " in *" c2 "*) exit 4;; esac; echo up >&2; cat"#).await;
         let mut boot = Boot::with_app(&host, &hello("r")).await;
         boot.start(1, 1);
         boot.start(2, 1);

@@ -103,7 +103,10 @@ fn a_number_below_zero_is_said_to_be_one_where_it_stands() {
         "a.net:4:8: error: `-3`: numbers in a net count something, from 0 up",
     ];
     for start in starts {
-        assert!(found.iter().any(|line| line.starts_with(start)), "{found:#?}");
+        assert!(
+            found.iter().any(|line| line.starts_with(start)),
+            "{found:#?}"
+        );
     }
 }
 

@@ -107,9 +107,16 @@ impl EventHandler for Caller {
     }
 }
 
+/// Who looks for messages all the time does so on a core of its own: the configuration says which, for a process
+/// that is kept on one core from outside never does it.
 fn app(spin: &str) -> App {
+    let processor = |cpu: u8| match spin {
+        "0" => String::new(),
+        spin => format!("processors.main = {{ cpu = {cpu}, spin_us = {spin} }}\n"),
+    };
+    let (one, two) = (processor(0), processor(1));
     let text = format!(
-        "[app]\nuntil = \"caller\"\nspin_us = {spin}\n[chassis.a]\n[chassis.b]\n[task.caller]\nhandler = \"caller\"\non = \"a\"\n[task.far]\nhandler = \"far\"\non = \"b\"\n"
+        "[app]\nuntil = \"caller\"\nspin_us = {spin}\n[chassis.a]\n{one}[chassis.b]\n{two}[task.caller]\nhandler = \"caller\"\non = \"a\"\n[task.far]\nhandler = \"far\"\non = \"b\"\n"
     );
     load_texts(&[("frames.toml", text.as_str())], &[], &[]).unwrap()
 }
@@ -125,9 +132,10 @@ fn registry() -> Registry {
 }
 
 fn ours(spin: &str, pins: [&str; 2]) -> f64 {
+    let [one, two] = if spin == "0" { pins } else { ["", ""] };
     let launcher = Launcher {
         program: std::env::current_exe().unwrap(),
-        arguments: ["frames-chassis", spin, pins[0], pins[1]]
+        arguments: ["frames-chassis", spin, one, two]
             .map(OsString::from)
             .to_vec(),
     };
