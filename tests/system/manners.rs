@@ -1,5 +1,7 @@
 //! How the program behaves on the command line.
 
+use std::collections::BTreeSet;
+
 use crate::harness::{CTOS, Scratch, VIRTUAL};
 
 #[test]
@@ -130,15 +132,25 @@ fn v_shows_the_net_transitions_as_they_start_and_complete() {
             &firing(net, transition, "completed"),
         );
     }
-    // The two branches run side by side: both have started before either is over.
-    for branch in [("motion", "do_find_pos"), ("vision", "do_find_spot")] {
-        for other in [("motion", "do_find_pos"), ("vision", "do_find_spot")] {
-            ended.must_say_before(
-                &firing(branch.0, branch.1, "started"),
-                &firing(other.0, other.1, "completed"),
-            );
+    // The two branches run side by side: both have started before either is over, but perhaps at the first
+    // position, where the arm stands already and one may be over in the instant in which both are asked.
+    let (mut busy, mut positions, mut beside) = (BTreeSet::new(), 0, 0);
+    for line in ended.stderr.lines() {
+        for (net, transition) in [("motion", "do_find_pos"), ("vision", "do_find_spot")] {
+            if line.contains(&firing(net, transition, "started")) {
+                busy.insert(net);
+                positions += u32::from(net == "motion");
+                beside += u32::from(busy.len() == 2);
+            }
+            if line.contains(&firing(net, transition, "completed")) {
+                busy.remove(net);
+            }
         }
     }
+    assert!(
+        positions > 10 && beside + 1 >= positions,
+        "{beside} of {positions}"
+    );
     ended.must_say(&firing("dispatcher", "start_move_robot", "fired"));
     let quiet = scratch.boot(&VIRTUAL);
     quiet.must_exit(0).must_not_say("transition=");
