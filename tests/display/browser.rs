@@ -101,6 +101,11 @@ impl Browser {
     }
 
     fn order(&mut self, method: &str, parameters: Value) -> Value {
+        let told = self.try_order(method, parameters);
+        told.unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    fn try_order(&mut self, method: &str, parameters: Value) -> Result<Value, Value> {
         self.asked += 1;
         let mut order = json!({ "id": self.asked, "method": method, "params": parameters });
         if !self.session.is_empty() {
@@ -113,8 +118,10 @@ impl Browser {
             };
             let told: Value = serde_json::from_str(&text).unwrap();
             if told["id"] == self.asked {
-                assert!(told.get("error").is_none(), "{method}: {told}");
-                return told["result"].clone();
+                return match told.get("error") {
+                    Some(error) => Err(error.clone()),
+                    None => Ok(told["result"].clone()),
+                };
             }
             self.note(&told);
         }
@@ -134,17 +141,25 @@ impl Browser {
     /// What an expression is in the page; a promise is waited for.
     #[track_caller]
     pub fn ask(&mut self, expression: &str) -> Value {
+        let told = self.evaluate(expression);
+        told.unwrap_or_else(|error| panic!("{expression}: {error}"))
+    }
+
+    /// What an expression is in the page, if the page stays long enough to say so.
+    #[track_caller]
+    fn evaluate(&mut self, expression: &str) -> Result<Value, Value> {
         let question =
             json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
-        let told = self.order("Runtime.evaluate", question);
+        let told = self.try_order("Runtime.evaluate", question)?;
         assert!(
             told.get("exceptionDetails").is_none(),
             "{expression}: {told}"
         );
-        told["result"]["value"].clone()
+        Ok(told["result"]["value"].clone())
     }
 
-    /// Waits until a condition holds in the page.
+    /// Waits until a condition holds in the page, or in the one that comes after it: a click may lead to
+    /// another page just now.
     #[track_caller]
     pub fn wait(&mut self, condition: &str) {
         let promise = format!(
@@ -153,7 +168,11 @@ impl Browser {
              if (holds) done(true); else if (performance.now() - begun > {PATIENCE_MS}) done(false); \
              else setTimeout(look, 15); }}; look(); }})"
         );
-        let held = self.ask(&promise);
+        let left = |error: &Value| error.to_string().contains("navigated");
+        let held = match self.evaluate(&promise) {
+            Err(error) if left(&error) => self.ask(&promise),
+            held => held.unwrap_or_else(|error| panic!("{condition}: {error}")),
+        };
         if held != Value::Bool(true) {
             let seen = self.ask("document.body.innerText");
             panic!("never: {condition}\n{seen}\n{:?}", self.complaints);
