@@ -168,7 +168,10 @@ impl Browser {
              if (holds) done(true); else if (performance.now() - begun > {PATIENCE_MS}) done(false); \
              else setTimeout(look, 15); }}; look(); }})"
         );
-        let left = |error: &Value| error.to_string().contains("navigated");
+        let left = |error: &Value| {
+            let said = error.to_string();
+            said.contains("navigated") || said.contains("context")
+        };
         let held = match self.evaluate(&promise) {
             Err(error) if left(&error) => self.ask(&promise),
             held => held.unwrap_or_else(|error| panic!("{condition}: {error}")),
