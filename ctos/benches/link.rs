@@ -89,7 +89,7 @@ const CASES: [Case; 3] = [
 ];
 
 /// The configuration pins the processors: a process that is kept on one core from outside never spins.
-const SPINNING: &str = "same_host=shm;spin_us=50;chassis.a.processors.main={cpu=0,spin_us=50};chassis.b.processors.main={cpu=1,spin_us=50}";
+const SPINNING: &str = "same_host=shm;spin_us=50;chassis.a.processors.main={cpu=0,spin_us=0};chassis.b.processors.main={cpu=1,spin_us=0}";
 
 const LIMIT: Duration = Duration::from_millis(1_500);
 

@@ -112,7 +112,8 @@ impl EventHandler for Caller {
 fn app(spin: &str) -> App {
     let processor = |cpu: u8| match spin {
         "0" => String::new(),
-        spin => format!("processors.main = {{ cpu = {cpu}, spin_us = {spin} }}\n"),
+        // The links spin, and not the processor before them.
+        _ => format!("processors.main = {{ cpu = {cpu}, spin_us = 0 }}\n"),
     };
     let (one, two) = (processor(0), processor(1));
     let text = format!(
