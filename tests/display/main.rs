@@ -78,11 +78,15 @@ fn pictures(browser: &mut Browser, name: &str) {
 #[test]
 fn a_person_watches_stops_scrubs_and_releases_a_running_calibration() {
     let scratch = scratch();
-    let (_run, page) = boot(&scratch, &[]);
+    // Who looks back to the beginning must have been there: the net waits before its first firing.
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (_run, page) = boot(&scratch, &["--set", waits]);
     let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
     let state = |name: &str| {
         format!("document.querySelector('[data-key=\"dispatcher/{name}\"]').dataset.state")
     };
+    browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    browser.click("Release net");
 
     // Tokens move: the robot goes, arrives, and both requests are under way at once.
     browser.wait(&format!("{} === 'running'", state("move_robot")));
