@@ -1,11 +1,16 @@
 //! Markings per second of the explicit state space, on one thread and two; counting by decision
 //! diagrams; and the whole check of a net as large as a robot's.
 //!
+//! With `-- threads`, instead of all this: one thread and two in turns, wall and processor time, and the
+//! ratios.
+//!
 //! Peers and their figures stand in `docs/benchmarks.md`.
 
 #![allow(
     clippy::unwrap_used,
-    reason = "a benchmark may end when its input is wrong"
+    clippy::cast_precision_loss,
+    clippy::print_stdout,
+    reason = "a benchmark may end when its input is wrong; its figures are rounded"
 )]
 
 use std::{
@@ -14,7 +19,7 @@ use std::{
     sync::Arc,
 };
 
-use ctos::diagnostic::Source;
+use ctos::{diagnostic::Source, time::Clock};
 use divan::{Bencher, counter::ItemsCount};
 use pnt::{
     analysis::{
@@ -30,7 +35,56 @@ use pnt::{
 };
 
 fn main() {
-    divan::main();
+    if std::env::args().any(|word| word == "threads") {
+        compare_threads("Kanban with 5 cards", &kanban(5), usize::MAX);
+        compare_threads("400 places, 1,000 transitions", &wide(), 300_000);
+    } else {
+        divan::main();
+    }
+}
+
+/// Wall and processor time of a listing, ms.
+fn listed(model: &Model, markings: usize, threads: usize) -> [f64; 2] {
+    let limits = Limits {
+        markings,
+        threads,
+        ..Limits::default()
+    };
+    let clock = Clock::real();
+    let processor = || {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+        time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
+    };
+    let (wall, used) = (clock.now(), processor());
+    divan::black_box(explore(model, &limits).markings);
+    let wall = (clock.now() - wall).as_secs_f64() * 1e3;
+    [wall, processor() - used]
+}
+
+fn median(of: impl Iterator<Item = f64>) -> f64 {
+    let mut all: Vec<f64> = of.collect();
+    all.sort_by(f64::total_cmp);
+    all[all.len() / 2]
+}
+
+/// Lists a state space on one thread and on two, in turns.
+fn compare_threads(name: &str, model: &Model, markings: usize) {
+    let round = |_| [1, 2].map(|threads| listed(model, markings, threads));
+    let rounds: Vec<[[f64; 2]; 2]> = (0..11).map(round).collect();
+    let of = |threads: usize, what: usize| median(rounds.iter().map(|r| r[threads][what]));
+    println!(
+        "{name}, medians of {} rounds: one thread {:.0} ms, two threads {:.0} ms",
+        rounds.len(),
+        of(0, 0),
+        of(1, 0)
+    );
+    println!(
+        "  two threads are {:.2} times as fast, and take {:.2} of the processor time ({:.0} and {:.0} ms)",
+        median(rounds.iter().map(|r| r[0][0] / r[1][0])),
+        median(rounds.iter().map(|r| r[1][1] / r[0][1])),
+        of(0, 1),
+        of(1, 1)
+    );
 }
 
 fn net(text: &str) -> Arc<Net> {

@@ -9,6 +9,7 @@
 //!
 //! Knows no net text and no finding: [`crate::check`] says in words what is proved here.
 
+mod compare;
 pub mod cover;
 pub mod explicit;
 mod layout;

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::{
     cover::{self, Tokens},
-    explicit::{Limits, Stopped, explore},
+    explicit::{Explored, Limits, Stopped, explore},
     model::{Model, Transition},
     question::{Answer, Because, Question},
     returns::{always_reachable, returns},
@@ -175,11 +175,65 @@ fn any_model() -> impl Strategy<Value = Model> {
     prop_oneof![random_model(), guarded_model()]
 }
 
+/// Everything that a search tells.
+fn told(found: &Explored<'_>, place: usize) -> String {
+    let ways: Vec<_> = found
+        .dead
+        .iter()
+        .map(|dead| found.path(&dead.marking))
+        .collect();
+    let nearest = found.nearest(|marking| marking[place] > 1);
+    let way = nearest.as_ref().map(|nearest| found.path(&nearest.marking));
+    let end = found.complete().then(|| {
+        let mut returns = returns(found, usize::MAX);
+        // Numbers that threads had left over need room as well.
+        returns.iter_mut().for_each(|returns| returns.bytes = 0);
+        let wanted = |marking: &[u32]| marking[place] > 0;
+        (returns, always_reachable(found, &wanted, usize::MAX))
+    });
+    let numbers = (
+        found.markings,
+        found.edges,
+        found.dead_count,
+        found.most_tokens,
+    );
+    let lists = (&found.bounds, &found.seen, &found.dead);
+    format!(
+        "{numbers:?} {:?} {:?} {lists:?} {ways:?} {nearest:?} {way:?} {end:?}",
+        found.stopped, found.growth
+    )
+}
+
+proptest! {
+    // Every case starts threads for each level.
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    #[test]
+    fn threads_change_nothing_that_is_told(
+        model in any_model(), markings in 5_usize..600, place in any::<prop::sample::Index>()
+    ) {
+        let place = place.index(model.places.len());
+        let found = |threads| {
+            let found = explore(&model, &Limits { markings, threads, ..Limits::default() });
+            (told(&found, place), found.stopped)
+        };
+        let (one, stopped) = found(1);
+        let (two, _) = found(2);
+        // Alone, a search knows some of the level that it did not end.
+        if stopped != Some(Stopped::Markings) {
+            prop_assert_eq!(&one, &two);
+        }
+        for threads in [2, 3, 8] {
+            prop_assert_eq!(&two, &found(threads).0, "{} threads", threads);
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(500))]
 
     #[test]
-    fn the_list_of_markings_is_that_of_the_definition(model in any_model(), threads in 1_usize..3) {
+    fn the_list_of_markings_is_that_of_the_definition(model in any_model(), threads in 1_usize..5) {
         let Some(all) = all(&model) else { return Ok(()) };
         let limits = Limits { threads, ..Limits::default() };
         let found = explore(&model, &limits);

@@ -1,8 +1,10 @@
 //! The reachable markings of a model, all of them, by distance: packed to the bits that each place
-//! needs, on one thread or several. Each thread owns the markings that a hash gives it, so nothing is
-//! locked, and the result does not depend on timing.
+//! needs, on one thread or several. Level after level, the threads take parts of what is left, and keep
+//! what they find in one store without locks. Which thread finds a marking, and under which number, is a
+//! matter of timing; nothing that is told depends on it.
 
 mod growth;
+mod levels;
 mod path;
 mod rules;
 mod worker;
@@ -10,19 +12,33 @@ mod worker;
 #[cfg(test)]
 mod tests;
 
+use std::{
+    collections::BTreeMap,
+    mem,
+    sync::atomic::{AtomicBool, AtomicUsize, Ordering},
+};
+
 use super::{
-    layout::{Layout, bits_for},
+    layout::{Layout, bits_for, linear},
     model::{Model, PlaceNumber, TransitionNumber},
+    store::Store,
 };
 pub use growth::Growth;
+use levels::Levels;
 pub(super) use rules::{Rules, Scratch};
-use worker::{TooWide, Worker};
+use worker::{Queue, Record, Round, Tally, TooWide, Worker};
 
-/// Markings expanded between two looks at the limits.
+/// Markings that a thread expands between two looks at the limits, when it is alone and when it is not.
+/// Fewer in tests, here and below, so that small nets come to everything.
 const CHUNK: usize = 1 << 14;
+const CHUNK_OF_SEVERAL: usize = if cfg!(test) { 4 } else { 1 << 17 };
 
-/// Below so many markings further threads cost more than they bring.
-const PARALLEL_FROM: usize = 1 << 15;
+/// Below so many markings, and in smaller levels, further threads cost more than they bring.
+const PARALLEL_FROM: usize = if cfg!(test) { 4 } else { 1 << 15 };
+const PARALLEL_LEVEL: usize = if cfg!(test) { 2 } else { 1 << 12 };
+
+/// Numbers that a thread gets at most beyond those that it waits for.
+const MORE: usize = 1 << 10;
 
 /// Dead markings that are kept; the others are only counted.
 pub const DEAD_KEPT: usize = 1000;
@@ -90,8 +106,10 @@ pub struct Reached {
 pub struct Explored<'a> {
     pub(super) model: &'a Model,
     pub(super) rules: Rules,
-    workers: Vec<Worker>,
-    /// Markings found.
+    pub(super) store: Store,
+    pub(super) levels: Levels,
+    /// Markings found. Where a limit has ended a search on several threads, those of the levels that were
+    /// found whole; all else is then about the levels before, so that nothing depends on timing.
     pub markings: usize,
     /// Pairs of a marking and a transition enabled in it.
     pub edges: u64,
@@ -126,248 +144,303 @@ pub fn explore_with<'a>(
     limits: &Limits,
     progress: &mut dyn FnMut(&Progress),
 ) -> Explored<'a> {
-    let mut bits: Vec<u32> = model.places.iter().map(|p| bits_for(p.tokens)).collect();
-    loop {
-        let mut search = Search::new(model, *limits, &bits);
-        match search.run(progress) {
-            Ok(stopped) => return search.finish(stopped),
-            // Only a search on several threads begins again; one that is alone widens as it goes.
-            Err(TooWide { place, tokens }) => {
-                bits = search.layout_bits();
-                bits[place as usize] = bits_for(tokens).saturating_add(1).min(32);
-            }
-        }
-    }
+    let mut search = Search::new(model, *limits);
+    let stopped = search.run(progress);
+    search.finish(stopped)
 }
 
 struct Search<'a> {
     model: &'a Model,
     rules: Rules,
     limits: Limits,
+    store: Store,
     workers: Vec<Worker>,
-    growth: Option<Growth>,
+    levels: Levels,
     level: usize,
+    /// Markings found, those of the next level included.
+    found: AtomicUsize,
+    /// What the levels tell that are done.
+    tally: Tally,
+    bounds: Vec<u32>,
+    growth: Option<Growth>,
     peak: usize,
 }
 
 impl<'a> Search<'a> {
-    fn new(model: &'a Model, limits: Limits, bits: &[u32]) -> Self {
-        let rules = Rules::new(model, Layout::new(bits));
-        let mut worker = Worker::new(&rules, 1);
-        worker.insert_marking(&rules, &model.initial());
+    fn new(model: &'a Model, limits: Limits) -> Self {
+        let bits: Vec<u32> = model.places.iter().map(|p| bits_for(p.tokens)).collect();
+        let rules = Rules::new(model, Layout::new(&bits));
+        let mut store = Store::new(rules.layout.words);
+        let mut worker = Worker::new(0, &rules);
+        let mut packed = Vec::new();
+        rules.layout.pack(&model.initial(), &mut packed);
+        store.insert(&mut worker.share, &packed, linear(&packed));
         Self {
             model,
             rules,
             limits,
+            store,
             workers: vec![worker],
-            growth: None,
+            levels: Levels::default(),
             level: 0,
+            found: AtomicUsize::new(1),
+            tally: Tally::new(model.transitions.len()),
+            bounds: model.initial(),
+            growth: None,
             peak: 0,
         }
     }
 
-    fn layout_bits(&self) -> Vec<u32> {
-        self.rules.layout.bits()
-    }
-
     /// Level after level, until one is empty.
-    fn run(&mut self, progress: &mut dyn FnMut(&Progress)) -> Result<Option<Stopped>, TooWide> {
+    fn run(&mut self, progress: &mut dyn FnMut(&Progress)) -> Option<Stopped> {
         loop {
-            for worker in &mut self.workers {
-                worker.begin_level();
+            let given = self
+                .workers
+                .iter_mut()
+                .map(|w| mem::take(&mut w.share.given));
+            let mut level: Vec<_> = given.collect();
+            for numbers in level.iter().flatten() {
+                self.levels.add(self.level, numbers.clone());
             }
-            if self.workers.iter().all(|worker| worker.left() == 0) {
-                return Ok(None);
+            let size: usize = level.iter().flatten().map(|numbers| numbers.len()).sum();
+            if size == 0 {
+                return None;
             }
-            while self.workers.iter().any(|worker| worker.left() > 0) {
-                if let Some(stopped) = self.round()? {
-                    return Ok(Some(stopped));
-                }
-                let at = self.progress();
-                progress(&at);
-                self.peak = self.peak.max(self.bytes_peak());
-                if at.markings > self.limits.markings {
-                    return Ok(Some(Stopped::Markings));
-                }
-                if self.workers.iter().map(Worker::bytes_soon).sum::<usize>() > self.limits.bytes {
-                    return Ok(Some(Stopped::Bytes));
-                }
-                if self.workers.iter().any(Worker::is_full) {
-                    return Ok(Some(Stopped::Bytes));
-                }
+            let alone = self.workers.len() == 1 || size < PARALLEL_LEVEL;
+            if alone {
+                level = vec![level.concat()];
             }
-            self.deliver()?;
-            if self.look_for_growth() {
-                return Ok(Some(Stopped::Growth));
+            let stopped = self.expand_level(&Queue::new(&level), alone, progress);
+            if stopped.is_some() {
+                return stopped;
+            }
+            let records = self.end_level();
+            if self.look_for_growth(&records) {
+                return Some(Stopped::Growth);
             }
             self.level += 1;
-            if self.workers.len() < self.limits.threads && self.markings() >= PARALLEL_FROM {
-                self.split();
+            let threads = self.limits.threads;
+            if self.workers.len() < threads && self.markings() >= PARALLEL_FROM {
+                let more = (self.workers.len()..threads).map(|n| Worker::new(n, &self.rules));
+                self.workers.extend(more);
+                self.end_level();
             }
         }
     }
 
     fn markings(&self) -> usize {
-        self.workers.iter().map(Worker::len).sum()
+        self.found.load(Ordering::Relaxed)
     }
 
-    fn bytes_peak(&self) -> usize {
-        self.workers.iter().map(Worker::bytes_peak).sum()
+    fn bytes(&self) -> usize {
+        self.store.bytes() + self.beside()
+    }
+
+    /// Bytes but for the store.
+    fn beside(&self) -> usize {
+        self.workers.iter().map(Worker::bytes).sum()
     }
 
     fn progress(&self) -> Progress {
         Progress {
             markings: self.markings(),
-            expanded: self.workers.iter().map(Worker::expanded).sum(),
+            expanded: self.expanded(),
             level: self.level,
-            bytes: self.workers.iter().map(Worker::bytes).sum(),
+            bytes: self.bytes(),
             for_deadlock: false,
         }
     }
 
-    /// Every worker takes in what was sent to it, and expands a chunk of its level.
-    fn round(&mut self) -> Result<Option<Stopped>, TooWide> {
-        if let [worker] = self.workers.as_mut_slice() {
-            loop {
-                match worker.expand(&self.rules, CHUNK, self.limits.markings) {
-                    Ok(()) => return Ok(None),
-                    Err(TooWide {
-                        place,
-                        tokens: u32::MAX,
-                    }) => {
-                        return Ok(Some(Stopped::Tokens(place)));
-                    }
-                    Err(TooWide { place, tokens }) => {
-                        let mut bits = self.rules.layout.bits();
-                        bits[place as usize] = bits_for(tokens);
-                        let rules = Rules::new(self.model, Layout::new(&bits));
-                        worker.repack(&self.rules, &rules);
-                        self.rules = rules;
-                    }
+    /// Round after round, until the level is done.
+    fn expand_level(
+        &mut self,
+        queue: &Queue,
+        alone: bool,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Option<Stopped> {
+        let mut told = self.expanded();
+        loop {
+            let mut end = self.make_room().err();
+            if let Err(wide) = self.round(queue, alone) {
+                if wide.tokens == u32::MAX {
+                    end = Some(self.overflow(wide.place));
+                } else {
+                    self.widen(&wide);
                 }
             }
-        }
-        let (rules, most) = (&self.rules, self.limits.markings);
-        let turn = |worker: &mut Worker| {
-            worker.take_in(rules);
-            worker.expand(rules, CHUNK, most)
-        };
-        let left: usize = self.workers.iter().map(Worker::left).sum();
-        let results = if left < CHUNK / 4 {
-            self.workers.iter_mut().map(turn).collect()
-        } else {
-            on_all(&mut self.workers, turn)
-        };
-        self.exchange();
-        for result in results {
-            match result {
-                Err(TooWide {
-                    place,
-                    tokens: u32::MAX,
-                }) => {
-                    return Ok(Some(Stopped::Tokens(place)));
-                }
-                Err(wide) => return Err(wide),
-                Ok(()) => {}
+            self.peak = self.peak.max(self.store.peak() + self.beside());
+            if self.markings() > self.limits.markings {
+                end = end.or(Some(Stopped::Markings));
+            } else if self.bytes() > self.limits.bytes {
+                end = end.or(Some(Stopped::Bytes));
             }
-        }
-        Ok(None)
-    }
-
-    /// What workers have found for each other changes hands.
-    fn exchange(&mut self) {
-        let count = self.workers.len();
-        for from in 0..count {
-            for to in 0..count {
-                if from != to {
-                    let empty = self.workers[from].spare.pop().unwrap_or_default();
-                    let sent = std::mem::replace(&mut self.workers[from].outboxes[to], empty);
-                    self.workers[to].inbox.push(sent);
-                }
+            let busy = |worker: &Worker| !worker.part.is_empty() || worker.waiting() > 0;
+            let done = queue.left() == 0 && !self.workers.iter().any(busy);
+            if done || end.is_some() || self.expanded() >= told + CHUNK {
+                told = self.expanded();
+                progress(&self.progress());
+            }
+            if done || end.is_some() {
+                return end;
             }
         }
     }
 
-    fn deliver(&mut self) -> Result<(), TooWide> {
-        if self.workers.len() > 1 {
-            let rules = &self.rules;
-            on_all(&mut self.workers, |worker| worker.take_in(rules));
+    /// The first place of this level that would hold more than 32 bits can say, whichever was met.
+    fn overflow(&mut self, met: PlaceNumber) -> Stopped {
+        let level = self.levels.level(self.level);
+        let first = self.workers.first_mut();
+        let first = first.and_then(|worker| worker.overflow(&self.rules, &self.store, level));
+        Stopped::Tokens(first.unwrap_or(met))
+    }
+
+    fn expanded(&self) -> usize {
+        self.workers.iter().map(|worker| worker.expanded).sum()
+    }
+
+    /// Numbers for what waits for them, and some more.
+    fn make_room(&mut self) -> Result<(), Stopped> {
+        let beside = self.beside();
+        let threads = self.workers.len();
+        let more = (self.store.numbers() / 16).min(MORE);
+        let mut lacking = 0;
+        let mut shares = Vec::with_capacity(threads);
+        for worker in &mut self.workers {
+            let (waiting, left) = (worker.waiting(), worker.share.left());
+            let wanted = if waiting > left { waiting + more } else { left };
+            lacking += wanted - left;
+            shares.push((&mut worker.share, wanted));
         }
+        if lacking == 0 {
+            return Ok(());
+        }
+        let bytes = self.store.bytes_with(lacking).ok_or(Stopped::Bytes)?;
+        if bytes + beside > self.limits.bytes {
+            return Err(Stopped::Bytes);
+        }
+        self.store.reserve(&mut shares, threads);
         Ok(())
     }
 
-    /// From one worker to as many as there are threads.
-    fn split(&mut self) {
-        let threads = self.limits.threads;
-        let mut workers: Vec<Worker> = (0..threads)
-            .map(|_| Worker::new(&self.rules, threads))
-            .collect();
-        for (number, worker) in workers.iter_mut().enumerate() {
-            worker.number = number;
+    /// Every worker, or the first alone, expands a chunk of the level.
+    fn round(&mut self, queue: &Queue, alone: bool) -> Result<(), TooWide> {
+        if !alone {
+            self.store.open();
         }
-        if let Some(single) = self.workers.pop() {
-            single.deal(&mut workers);
+        let most_numbers = self.store.most_numbers(self.limits.bytes, self.beside());
+        let round = Round {
+            rules: &self.rules,
+            store: &self.store,
+            queue,
+            level: self.level,
+            chunk: if alone { CHUNK } else { CHUNK_OF_SEVERAL },
+            alone,
+            found: &self.found,
+            most: self.limits.markings,
+            most_numbers,
+            stop: AtomicBool::new(false),
+        };
+        let (first, others) = match self.workers.split_first_mut() {
+            Some((first, others)) if !alone => (first, others),
+            Some((first, _)) => return first.work(&round),
+            None => return Ok(()),
+        };
+        let round = &round;
+        std::thread::scope(|scope| {
+            let others: Vec<_> = others
+                .iter_mut()
+                .map(|worker| scope.spawn(move || worker.work(round)))
+                .collect();
+            let own = first.work(round);
+            let join = |handle: std::thread::ScopedJoinHandle<'_, Result<(), TooWide>>| {
+                let result = handle.join();
+                result.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            others.into_iter().map(join).fold(own, Result::and)
+        })
+    }
+
+    /// Makes room for more tokens in a place.
+    fn widen(&mut self, wide: &TooWide) {
+        let waiting = self.workers.iter_mut().map(|worker| {
+            let waiting = worker.waiting();
+            (&mut worker.share, waiting)
+        });
+        self.store.reserve(&mut waiting.collect::<Vec<_>>(), 1);
+        for worker in &mut self.workers {
+            worker.settle(&self.store, &self.found, true);
         }
-        self.workers = workers;
-        self.peak = self.peak.max(self.bytes_peak());
+        let mut bits = self.rules.layout.bits();
+        if let Some(bits) = bits.get_mut(wide.place as usize) {
+            *bits = bits_for(wide.tokens).max(*bits);
+        }
+        let rules = Rules::new(self.model, Layout::new(&bits));
+        self.store = self.store.repacked(&self.rules.layout, &rules.layout);
+        for worker in &mut self.workers {
+            worker.repack(&rules);
+        }
+        self.rules = rules;
+    }
+
+    /// All workers learn what each has seen in this level. The least marking of each record.
+    fn end_level(&mut self) -> BTreeMap<Record, Vec<u32>> {
+        let mut records: BTreeMap<Record, Vec<u32>> = BTreeMap::new();
+        for worker in &mut self.workers {
+            self.tally.add(&mut worker.tally);
+            raise(&mut self.bounds, &worker.bounds);
+            for (record, marking) in mem::take(&mut worker.records) {
+                let least = records.entry(record).or_insert_with(|| marking.clone());
+                if marking < *least {
+                    *least = marking;
+                }
+            }
+        }
+        self.tally.cut_dead();
+        for worker in &mut self.workers {
+            worker.begin_level(&self.rules, &self.bounds);
+        }
+        records
     }
 
     fn finish(mut self, stopped: Option<Stopped>) -> Explored<'a> {
-        self.peak = self.peak.max(self.bytes_peak());
-        let mut dead: Vec<Reached> = self
-            .workers
-            .iter_mut()
-            .flat_map(|w| std::mem::take(&mut w.dead))
-            .collect();
-        dead.sort_unstable();
-        dead.truncate(DEAD_KEPT);
-        let mut seen = vec![false; self.model.transitions.len()];
-        let mut bounds = self.model.initial();
-        for worker in &self.workers {
-            for (all, own) in seen.iter_mut().zip(&worker.seen) {
-                *all |= own;
-            }
-            for (all, own) in bounds.iter_mut().zip(&worker.bounds) {
-                *all = (*all).max(*own);
+        // What is known of a level that was not ended depends on timing, unless one thread was alone.
+        let whole = matches!(stopped, None | Some(Stopped::Growth));
+        if whole || self.workers.len() == 1 {
+            self.end_level();
+            for worker in &mut self.workers {
+                for numbers in mem::take(&mut worker.share.given) {
+                    self.levels.add(self.level + 1, numbers);
+                }
             }
         }
+        for worker in &mut self.workers {
+            self.store.give_back(&mut worker.share);
+        }
+        let tally = self.tally;
         Explored {
-            markings: self.markings(),
-            edges: self.workers.iter().map(|w| w.edges).sum(),
+            markings: self.levels.markings(),
+            edges: tally.edges,
             stopped,
-            dead,
-            dead_count: self.workers.iter().map(|w| w.dead_count).sum(),
-            seen,
-            bounds,
-            most_tokens: self
-                .workers
-                .iter()
-                .map(|w| w.most_tokens)
-                .max()
-                .unwrap_or(0),
+            dead: tally.dead,
+            dead_count: tally.dead_count,
+            seen: tally.seen,
+            bounds: self.bounds,
+            most_tokens: tally.most_tokens,
             growth: self.growth,
-            peak_bytes: self.peak,
+            peak_bytes: self.peak.max(self.store.peak()),
             model: self.model,
             rules: self.rules,
-            workers: self.workers,
+            store: self.store,
+            levels: self.levels,
         }
     }
 }
 
-/// Runs a turn of every worker on a thread of its own; results in their order.
-fn on_all<T: Send>(workers: &mut [Worker], turn: impl Fn(&mut Worker) -> T + Sync) -> Vec<T> {
-    let turn = &turn;
-    std::thread::scope(|scope| {
-        let handles: Vec<_> = workers
-            .iter_mut()
-            .map(|worker| scope.spawn(move || turn(worker)))
-            .collect();
-        let join = |handle: std::thread::ScopedJoinHandle<'_, T>| match handle.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        };
-        handles.into_iter().map(join).collect()
-    })
+/// The larger of each two.
+fn raise(bounds: &mut [u32], others: &[u32]) {
+    for (bound, other) in bounds.iter_mut().zip(others) {
+        *bound = (*bound).max(*other);
+    }
 }
 
 impl Explored<'_> {
@@ -386,13 +459,14 @@ impl Explored<'_> {
     /// Bytes held now.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.workers.iter().map(Worker::bytes).sum()
+        self.store.bytes()
     }
 
     /// Gives back the memory of a search that a limit has ended. What is known by numbers stays; no way
     /// to any marking can be told any more.
     pub(super) fn forget(&mut self) {
-        self.workers = vec![Worker::new(&self.rules, 1)];
+        self.store = Store::new(self.rules.layout.words);
+        self.levels = Levels::default();
     }
 
     /// Transitions that are enabled nowhere.

@@ -6,9 +6,9 @@ use super::model::{Model, PlaceNumber, Weighted};
 /// The field of one place.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Field {
-    word: u32,
-    shift: u32,
-    bits: u32,
+    pub(super) word: u32,
+    pub(super) shift: u32,
+    pub(super) bits: u32,
 }
 
 impl Field {
@@ -143,6 +143,11 @@ impl Packed {
         }
     }
 
+    /// What it adds to a marking of one word, and to its [`linear`] sum.
+    pub(super) fn step(&self) -> (u64, u64) {
+        (self.adds.first().map_or(0, |(_, add)| *add), self.hash)
+    }
+
     /// The same as [`Packed::fire`], with the successor put at the end of a list.
     pub(super) fn fire_onto(
         &self,
@@ -203,8 +208,12 @@ fn factor(word: u32) -> u64 {
 
 /// A sum over the words that a firing changes by a constant: half of the hash of a marking.
 pub(super) fn linear(packed: &[u64]) -> u64 {
-    let words = (0..).zip(packed);
-    words.fold(0, |sum, (word, value)| {
+    linear_of(packed.iter().copied())
+}
+
+/// The same of words that come one by one.
+pub(super) fn linear_of(packed: impl Iterator<Item = u64>) -> u64 {
+    (0..).zip(packed).fold(0, |sum, (word, value)| {
         sum.wrapping_add(value.wrapping_mul(factor(word)))
     })
 }

@@ -3,9 +3,8 @@
 //! marking is expanded again when its successors are asked for.
 
 use super::{
-    explicit::{Explored, Scratch},
+    explicit::{Explored, Reached, Scratch},
     layout::linear,
-    model::TransitionNumber,
     store::Looks,
 };
 
@@ -40,11 +39,13 @@ impl Returns {
 /// bytes than permitted.
 #[must_use]
 pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
-    if explored.markings / 8 > bytes {
+    if explored.store.numbers() / 8 > bytes {
         return None;
     }
     // Where all firings are sure, what is reachable is reachable from wherever the initial marking is.
-    let quick = (!explored.rules.has_whens).then(|| all_return(explored));
+    // From a dead marking there is no way to another.
+    let dead = explored.dead_count > 0 && explored.markings > 1;
+    let quick = (!explored.rules.has_whens && !dead).then(|| all_return(explored));
     if let Some(bytes) = quick.flatten() {
         let mut live = vec![false; explored.model.label_count()];
         for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
@@ -78,7 +79,7 @@ pub fn always_reachable(
     }
     let mut components = Components::new(explored, wanted);
     components.visit_all();
-    Some(components.without_wanted)
+    Some(components.without_wanted.map(|reached| reached.marking))
 }
 
 /// Index, lowest index, stack and call frame of every marking, whether it returns, and where its firings
@@ -86,18 +87,17 @@ pub fn always_reachable(
 fn components_bytes(explored: &Explored<'_>) -> Option<usize> {
     let each = 4 + 4 + 4 + size_of::<Frame>() + 1;
     let edges = usize::try_from(explored.edges).ok()?.checked_mul(4)?;
-    explored.markings.checked_mul(each)?.checked_add(edges)
+    let numbers = explored.store.numbers();
+    numbers.checked_mul(each)?.checked_add(edges)
 }
 
-/// The markings of all workers numbered through, and the firings between them.
+/// The markings by number, and the firings between them.
 struct Graph<'a> {
     explored: &'a Explored<'a>,
-    /// The first number of each worker.
-    offsets: Vec<usize>,
     scratch: Scratch,
-    /// Packed successor.
-    target: Vec<u64>,
-    /// Packed successors of one marking, their sums, and what finds them.
+    /// The packed marking that was expanded last.
+    from: Vec<u64>,
+    /// Packed successors of it, their sums, and what finds them.
     targets: Vec<u64>,
     sums: Vec<u64>,
     looks: Looks,
@@ -106,17 +106,10 @@ struct Graph<'a> {
 
 impl<'a> Graph<'a> {
     fn new(explored: &'a Explored<'a>) -> Self {
-        let mut next = 0;
-        let offsets = explored.stores().iter().map(|worker| {
-            let first = next;
-            next += worker.len();
-            first
-        });
         Self {
-            offsets: offsets.collect(),
             explored,
             scratch: Scratch::default(),
-            target: vec![0; explored.rules.layout.words],
+            from: Vec::new(),
             targets: Vec::new(),
             sums: Vec::new(),
             looks: Looks::default(),
@@ -124,39 +117,17 @@ impl<'a> Graph<'a> {
         }
     }
 
-    fn packed(&self, node: usize) -> &'a [u64] {
-        let worker = self
-            .offsets
-            .partition_point(|first| *first <= node)
-            .saturating_sub(1);
-        // A number within one worker has 32 bits.
-        self.explored.stores()[worker]
-            .store()
-            .get((node - self.offsets[worker]) as u32)
-    }
-
     /// Looks at a marking: its sure firings are then `self.scratch.enabled`.
     fn expand(&mut self, node: usize) {
-        let rules = &self.explored.rules;
-        rules
-            .layout
-            .unpack(self.packed(node), &mut self.scratch.marking);
-        rules.enabled(&mut self.scratch);
-        let mut sure = self.scratch.sure.iter();
-        self.scratch.enabled.retain(|_| sure.next() == Some(&true));
-    }
-
-    /// The marking that a firing leads to; nothing when the search had stopped before it was found.
-    fn successor(&mut self, node: usize, transition: TransitionNumber) -> Option<usize> {
-        let rules = &self.explored.rules;
-        let from = self.packed(node);
-        let packed = rules.packed.get(transition as usize)?;
-        let sum = packed.fire(&rules.layout, from, linear(from), &mut self.target);
-        let worker = self.explored.owner(sum);
-        let id = self.explored.stores()[worker]
-            .store()
-            .find(&self.target, sum)?;
-        Some(self.offsets[worker] + id as usize)
+        let explored = self.explored;
+        // Numbers have 32 bits.
+        explored.store.read(node as u32, &mut self.from);
+        let rules = &explored.rules;
+        rules.enabled(&self.from, &mut self.scratch);
+        if rules.has_whens {
+            let mut sure = self.scratch.sure.iter();
+            self.scratch.enabled.retain(|_| sure.next() == Some(&true));
+        }
     }
 
     /// The markings that the sure firings at a marking lead to, in order; nothing when the search had
@@ -164,27 +135,16 @@ impl<'a> Graph<'a> {
     fn successors(&mut self, node: usize, successors: &mut Vec<usize>) -> Option<()> {
         self.expand(node);
         successors.clear();
-        let explored = self.explored;
-        let [worker] = explored.stores() else {
-            let enabled = std::mem::take(&mut self.scratch.enabled);
-            for transition in &enabled {
-                successors.push(self.successor(node, *transition)?);
-            }
-            self.scratch.enabled = enabled;
-            return Some(());
-        };
-        let rules = &explored.rules;
-        let from = self.packed(node);
-        let sum = linear(from);
+        let rules = &self.explored.rules;
+        let sum = linear(&self.from);
         self.targets.clear();
         self.sums.clear();
         for transition in &self.scratch.enabled {
             let packed = rules.packed.get(*transition as usize)?;
-            let sum = packed.fire_onto(&rules.layout, from, sum, &mut self.targets);
+            let sum = packed.fire_onto(&rules.layout, &self.from, sum, &mut self.targets);
             self.sums.push(sum);
         }
-        let store = worker.store();
-        store.find_all(
+        self.explored.store.find_all(
             &self.targets,
             &self.sums,
             &mut self.looks,
@@ -194,17 +154,19 @@ impl<'a> Graph<'a> {
         Some(())
     }
 
+    /// All markings.
+    fn nodes(&self) -> impl Iterator<Item = usize> + use<'a> {
+        self.explored.levels.numbers().map(|number| number as usize)
+    }
+
     /// The number of the initial marking.
     fn initial(&self) -> Option<usize> {
         let mut packed = Vec::new();
-        self.explored
-            .rules
-            .layout
-            .pack(&self.explored.model.initial(), &mut packed);
-        let sum = linear(&packed);
-        let worker = self.explored.owner(sum);
-        let id = self.explored.stores()[worker].store().find(&packed, sum)?;
-        Some(self.offsets[worker] + id as usize)
+        let explored = self.explored;
+        let initial = explored.model.initial();
+        explored.rules.layout.pack(&initial, &mut packed);
+        let number = explored.store.find(&packed, linear(&packed))?;
+        Some(number as usize)
     }
 }
 
@@ -217,13 +179,13 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
     const SEEN: u8 = 1;
     const RETURNS: u8 = 2;
     let mut graph = Graph::new(explored);
-    let mut state = vec![UNKNOWN; explored.markings];
+    let mut state = vec![UNKNOWN; explored.store.numbers()];
     state[graph.initial()?] = RETURNS;
     let mut walk: Vec<(usize, u32)> = Vec::new();
     let mut longest = 0;
     let mut aside: Vec<usize> = Vec::new();
     let mut successors = Vec::new();
-    for root in 0..explored.markings {
+    for root in graph.nodes() {
         if state[root] != UNKNOWN {
             continue;
         }
@@ -288,7 +250,7 @@ fn all_return(explored: &Explored<'_>) -> Option<usize> {
         aside = left;
     }
     let lists = longest * size_of::<(usize, u32)>() + 2 * most * size_of::<usize>();
-    Some(explored.markings + lists)
+    Some(state.len() + lists)
 }
 
 /// Tarjan's algorithm (1972) with a stack of its own.
@@ -309,8 +271,8 @@ struct Components<'a> {
     /// Of nodes whose component is complete, whether a way leads to the initial marking.
     returns: Vec<bool>,
     wanted: &'a dyn Fn(&[u32]) -> bool,
-    /// A marking of a terminal component that has none as wanted.
-    without_wanted: Option<Vec<u32>>,
+    /// The nearest, and of those the least, marking of the terminal components that have none as wanted.
+    without_wanted: Option<Reached>,
 }
 
 struct Frame {
@@ -333,8 +295,8 @@ impl<'a> Components<'a> {
     fn new(explored: &'a Explored<'a>, wanted: &'a dyn Fn(&[u32]) -> bool) -> Self {
         Self {
             graph: Graph::new(explored),
-            index: vec![NEW; explored.markings],
-            low: vec![NEW; explored.markings],
+            index: vec![NEW; explored.store.numbers()],
+            low: vec![NEW; explored.store.numbers()],
             open: Vec::new(),
             frames: Vec::new(),
             ahead: Vec::new(),
@@ -343,7 +305,7 @@ impl<'a> Components<'a> {
             live: vec![true; explored.model.label_count()],
             terminal: 0,
             home_states: 0,
-            returns: vec![false; explored.markings],
+            returns: vec![false; explored.store.numbers()],
             wanted,
             without_wanted: None,
         }
@@ -351,7 +313,7 @@ impl<'a> Components<'a> {
 
     fn find(mut self, bytes: usize) -> Returns {
         self.visit_all();
-        let reversible = self.returns.iter().all(|returns| *returns);
+        let reversible = self.graph.nodes().all(|node| self.returns[node]);
         let no_return = (!reversible).then(|| self.no_return()).flatten();
         Returns {
             reversible,
@@ -372,7 +334,7 @@ impl<'a> Components<'a> {
         let initial = self.graph.initial().unwrap_or(0);
         self.visit_from(initial, initial);
         // What only firings lead to that are not sure.
-        for root in 0..self.index.len() {
+        for root in self.graph.nodes() {
             if self.index[root] == NEW {
                 self.visit_from(root, initial);
             }
@@ -394,25 +356,10 @@ impl<'a> Components<'a> {
         }
     }
 
-    /// The nearest marking from which no way leads to the initial one.
+    /// The nearest marking from which no way leads to the initial one; of those, the least.
     fn no_return(&self) -> Option<Vec<u32>> {
-        let explored = self.graph.explored;
-        let mut best: Option<(usize, Vec<u32>)> = None;
-        for (worker, first) in explored.stores().iter().zip(&self.graph.offsets) {
-            let lost = (0..worker.len()).find(|id| !self.returns[first + id]);
-            if let Some(id) = lost {
-                // A number within one worker has 32 bits.
-                let id = id as u32;
-                let mut marking = Vec::new();
-                explored
-                    .rules
-                    .layout
-                    .unpack(worker.store().get(id), &mut marking);
-                let found = (worker.level_of(id), marking);
-                best = Some(best.map_or(found.clone(), |best| best.min(found)));
-            }
-        }
-        best.map(|(_, marking)| marking)
+        let lost = |marking: u32| !self.returns[marking as usize];
+        self.graph.explored.nearest_number(lost)
     }
 
     fn visit(&mut self, node: usize) {
@@ -487,6 +434,7 @@ impl<'a> Components<'a> {
         let mut fires = (!frame.leaves).then(|| vec![false; self.live.len()]);
         let mut size = 0;
         let mut wanted = false;
+        let mut nearest: Option<Reached> = None;
         // The initial marking is visited first, so it is the root of its component.
         let returns = frame.returns || root as usize == initial;
         while let Some(node) = self.open.pop() {
@@ -495,7 +443,23 @@ impl<'a> Components<'a> {
             self.returns[node as usize] = returns;
             if let Some(fires) = &mut fires {
                 self.graph.expand(node as usize);
-                wanted |= (self.wanted)(&self.graph.scratch.marking);
+                let graph = &mut self.graph;
+                let layout = &graph.explored.rules.layout;
+                layout.unpack(&graph.from, &mut graph.scratch.marking);
+                let marking = &self.graph.scratch.marking;
+                wanted |= (self.wanted)(marking);
+                if !wanted {
+                    // Every node has a level.
+                    let distance = self.graph.explored.levels.of(node).unwrap_or(usize::MAX);
+                    let nearer =
+                        |best: &Reached| (distance, marking) < (best.distance, &best.marking);
+                    if nearest.as_ref().is_none_or(nearer) {
+                        nearest = Some(Reached {
+                            distance,
+                            marking: marking.clone(),
+                        });
+                    }
+                }
                 let transitions = &self.graph.explored.model.transitions;
                 for transition in &self.graph.scratch.enabled {
                     if let Some(label) = transitions[*transition as usize].label {
@@ -509,8 +473,8 @@ impl<'a> Components<'a> {
         }
         if let Some(fires) = fires {
             if !wanted {
-                self.graph.expand(root as usize);
-                self.without_wanted = Some(self.graph.scratch.marking.clone());
+                let others = self.without_wanted.take();
+                self.without_wanted = others.into_iter().chain(nearest).min();
             }
             self.terminal += 1;
             self.home_states = size;

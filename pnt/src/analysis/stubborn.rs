@@ -12,7 +12,7 @@ use super::{
     explicit::{Limits, Progress, Stopped},
     layout::{Layout, bits_for, linear},
     model::{Model, PlaceNumber, TransitionNumber, Weighted},
-    store::{self, Store},
+    store::{self, Share, Store},
 };
 
 /// Markings looked at between two looks at the limits.
@@ -54,7 +54,8 @@ pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&P
     let mut expanded = 0_usize;
     // The latest first: whoever looks for one dead marking is sooner at the ends than at all of the middle.
     while let Some(at) = search.open.pop() {
-        search.layout.unpack(search.store.get(at), &mut marking);
+        search.store.read(at, &mut search.packed);
+        search.layout.unpack(&search.packed, &mut marking);
         let fired = rules.stubborn(&marking, &mut scratch);
         if fired.is_empty() {
             let deadlock = Some((search.path(at), marking));
@@ -67,16 +68,16 @@ pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&P
             search.insert(&to, (at, transition));
         }
         expanded += 1;
-        if search.store.len() > limits.markings {
+        if search.parents.len() > limits.markings {
             return search.found(None, Some(Stopped::Markings));
         }
-        if search.bytes_soon() > limits.bytes || search.store.len() + 1 >= store::MOST {
+        if search.bytes_soon() > limits.bytes || search.parents.len() + 1 >= store::MOST {
             return search.found(None, Some(Stopped::Bytes));
         }
         if expanded.is_multiple_of(CHUNK) {
             search.peak = search.peak.max(search.bytes());
             progress(&Progress {
-                markings: search.store.len(),
+                markings: search.parents.len(),
                 expanded,
                 level: search.path(at).len(),
                 bytes: search.bytes(),
@@ -91,6 +92,7 @@ pub fn deadlock_with(model: &Model, limits: &Limits, progress: &mut dyn FnMut(&P
 struct Search {
     layout: Layout,
     store: Store,
+    share: Share,
     /// Those whose firings are still to be looked at.
     open: Vec<u32>,
     /// From which marking, by which transition, each was reached first.
@@ -107,6 +109,7 @@ impl Search {
         let layout = Layout::new(&bits);
         let mut search = Self {
             store: Store::new(layout.words),
+            share: Share::default(),
             layout,
             open: Vec::new(),
             parents: Vec::new(),
@@ -121,7 +124,9 @@ impl Search {
     fn insert(&mut self, marking: &[u32], parent: (u32, TransitionNumber)) {
         self.make_room(marking);
         self.layout.pack(marking, &mut self.packed);
-        let (number, new) = self.store.insert(&self.packed, linear(&self.packed));
+        let (number, new) = self
+            .store
+            .insert(&mut self.share, &self.packed, linear(&self.packed));
         if new {
             self.parents.push(parent);
             self.open.push(number);
@@ -137,15 +142,8 @@ impl Search {
         let wider = self.layout.bits().into_iter().zip(marking);
         let wider: Vec<u32> = wider.map(|(bits, n)| bits.max(bits_for(*n))).collect();
         let layout = Layout::new(&wider);
-        let mut store = Store::new(layout.words);
-        let mut unpacked = Vec::new();
-        for number in 0..self.parents.len() {
-            // Numbers of a store are 32 bits.
-            self.layout
-                .unpack(self.store.get(number as u32), &mut unpacked);
-            layout.pack(&unpacked, &mut self.packed);
-            store.insert(&self.packed, linear(&self.packed));
-        }
+        let store = self.store.repacked(&self.layout, &layout);
+        // That knows of both stores, and this of the lists beside them.
         self.peak = self.peak.max(self.bytes() + store.bytes());
         self.layout = layout;
         self.store = store;
@@ -162,7 +160,10 @@ impl Search {
         // A list that is full is copied into one of twice its size.
         let parents = self.parents.capacity() * mem::size_of::<(u32, TransitionNumber)>();
         let nearly = self.parents.len() + self.parents.len() / 64 >= self.parents.capacity();
-        self.bytes() + self.store.next_table() + if nearly { 2 * parents } else { 0 }
+        let lists = self.bytes() - self.store.bytes() + if nearly { 2 * parents } else { 0 };
+        let soon = self.parents.len() / 32 + 64;
+        let store = self.store.bytes_with(soon).unwrap_or(usize::MAX);
+        store.saturating_add(lists)
     }
 
     fn path(&self, at: u32) -> Vec<TransitionNumber> {
@@ -183,7 +184,7 @@ impl Search {
         stopped: Option<Stopped>,
     ) -> Found {
         Found {
-            markings: self.store.len(),
+            markings: self.parents.len(),
             deadlock,
             stopped,
             peak_bytes: self.peak.max(self.store.peak()).max(self.bytes()),

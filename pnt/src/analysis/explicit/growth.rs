@@ -2,10 +2,13 @@
 //! can be left in the same way again and again (Karp and Miller 1969). That holds unless an inhibitor
 //! arc, a capacity or a priority looks at what grows, or a firing of the round empties it.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::{
     super::model::{PlaceNumber, TransitionNumber},
     Rules, Search,
     path::Lookup,
+    worker::Record,
 };
 
 /// A proof that a place can grow without bound.
@@ -24,21 +27,19 @@ pub struct Growth {
 const ALL_PAIRS: usize = 400;
 
 impl Search<'_> {
-    /// Looks along the ways to the markings that have doubled a bound since the last look.
-    pub(super) fn look_for_growth(&mut self) -> bool {
-        let records: Vec<Vec<u32>> = self
-            .workers
-            .iter_mut()
-            .flat_map(|worker| std::mem::take(&mut worker.records))
-            .collect();
+    /// Looks along the ways to the markings that have doubled a bound in this level.
+    pub(super) fn look_for_growth(&mut self, records: &BTreeMap<Record, Vec<u32>>) -> bool {
         if self.rules.has_priorities {
             return false;
         }
         let lookup = Lookup {
             rules: &self.rules,
-            workers: &self.workers,
+            store: &self.store,
+            levels: &self.levels,
         };
-        self.growth = records.iter().find_map(|record| {
+        // One marking may be several records.
+        let markings: BTreeSet<&Vec<u32>> = records.values().collect();
+        self.growth = markings.into_iter().find_map(|record| {
             let (sequence, markings) = lookup.way(record)?;
             growth_on(&self.rules, &sequence, &markings)
         });

@@ -3,45 +3,37 @@
 
 use super::{
     super::{
-        layout::{Layout, Packed, linear, mix},
+        layout::{Layout, Packed, linear},
         model::TransitionNumber,
+        store::Store,
     },
     Explored, Reached, Rules, Scratch,
-    worker::{Worker, owner},
+    levels::Levels,
 };
 
-/// The shares of all workers, to look markings up in.
+/// All that was found, to look markings up in.
 pub(super) struct Lookup<'a> {
     pub(super) rules: &'a Rules,
-    pub(super) workers: &'a [Worker],
+    pub(super) store: &'a Store,
+    pub(super) levels: &'a Levels,
 }
 
 impl Lookup<'_> {
-    /// Which worker has a marking, and its number there.
-    pub(super) fn find(&self, marking: &[u32], packed: &mut Vec<u64>) -> Option<(usize, u32)> {
+    /// The distance of a marking, if it was found.
+    fn distance(&self, marking: &[u32], packed: &mut Vec<u64>) -> Option<usize> {
         if !fits(&self.rules.layout, marking) {
             return None;
         }
         self.rules.layout.pack(marking, packed);
-        let sum = linear(packed);
-        let at = match self.workers.len() {
-            1 => 0,
-            count => owner(sum, count),
-        };
-        let id = self.workers.get(at)?.store().find(packed, sum)?;
-        Some((at, id))
-    }
-
-    fn distance(&self, at: (usize, u32)) -> usize {
-        self.workers[at.0].level_of(at.1)
+        let number = self.store.find(packed, linear(packed))?;
+        self.levels.of(number)
     }
 
     /// A shortest sequence from the initial marking, with all markings on the way, the given one last;
     /// nothing when the marking was not found.
     pub(super) fn way(&self, to: &[u32]) -> Option<(Vec<TransitionNumber>, Vec<Vec<u32>>)> {
         let mut packed = Vec::new();
-        let at = self.find(to, &mut packed)?;
-        let mut distance = self.distance(at);
+        let mut distance = self.distance(to, &mut packed)?;
         let mut marking = to.to_vec();
         let (mut sequence, mut markings) = (Vec::new(), vec![marking.clone()]);
         let mut scratch = Scratch::default();
@@ -66,32 +58,26 @@ impl Lookup<'_> {
         scratch: &mut Scratch,
         packed: &mut Vec<u64>,
     ) -> Option<(TransitionNumber, Vec<u32>)> {
-        // Of several, the marking that was found first: the way is then the one that a search in the
-        // order of the transitions would take.
-        let mut best: Option<((usize, u32), TransitionNumber, Vec<u32>)> = None;
-        for (number, transition) in (0..).zip(&self.rules.packed) {
+        // Of several, the one that is declared last: what can be done in any order is then done in that of
+        // the transitions.
+        for (number, transition) in self.rules.packed.iter().enumerate().rev() {
             if !transition.resets.is_empty() {
                 continue;
             }
+            // Transitions are numbered with 32 bits.
+            let number = number as TransitionNumber;
             let Some(before) = unfired(transition, marking) else {
                 continue;
             };
-            if !transition.is_enabled(&before) {
+            if !transition.is_enabled(&before) || self.distance(&before, packed) != Some(distance) {
                 continue;
             }
-            let Some(at) = self.find(&before, packed) else {
-                continue;
-            };
-            if self.distance(at) != distance || best.as_ref().is_some_and(|best| best.0 <= at) {
-                continue;
-            }
-            scratch.marking.clone_from(&before);
-            self.rules.enabled(scratch);
+            self.rules.enabled(packed, scratch);
             if scratch.enabled.contains(&number) {
-                best = Some((at, number, before));
+                return Some((number, before));
             }
         }
-        best.map(|(_, number, before)| (number, before))
+        None
     }
 
     /// The same for any transition, by looking at the whole level.
@@ -103,22 +89,28 @@ impl Lookup<'_> {
         let layout = &self.rules.layout;
         let (mut scratch, mut wanted) = (Scratch::default(), Vec::new());
         layout.pack(marking, &mut wanted);
-        let mut target = wanted.clone();
-        for worker in self.workers {
-            for id in worker.level(distance) {
-                let from = worker.store().get(id);
-                layout.unpack(from, &mut scratch.marking);
-                self.rules.enabled(&mut scratch);
-                for number in &scratch.enabled {
-                    let transition = &self.rules.packed[*number as usize];
-                    transition.fire(layout, from, linear(from), &mut target);
-                    if target == wanted {
-                        return Some((*number, scratch.marking));
-                    }
+        let (mut from, mut target) = (wanted.clone(), wanted.clone());
+        let mut best: Option<(TransitionNumber, Vec<u32>)> = None;
+        for number in self.levels.level(distance) {
+            self.store.read(number, &mut from);
+            self.rules.enabled(&from, &mut scratch);
+            layout.unpack(&from, &mut scratch.marking);
+            for number in &scratch.enabled {
+                let transition = &self.rules.packed[*number as usize];
+                transition.fire(layout, &from, linear(&from), &mut target);
+                if target != wanted {
+                    continue;
+                }
+                let found = (*number, &scratch.marking);
+                if best
+                    .as_ref()
+                    .is_none_or(|(n, marking)| found < (*n, marking))
+                {
+                    best = Some((*number, scratch.marking.clone()));
                 }
             }
         }
-        None
+        best
     }
 }
 
@@ -148,7 +140,8 @@ impl Explored<'_> {
     fn lookup(&self) -> Lookup<'_> {
         Lookup {
             rules: &self.rules,
-            workers: &self.workers,
+            store: &self.store,
+            levels: &self.levels,
         }
     }
 
@@ -161,35 +154,47 @@ impl Explored<'_> {
     /// Whether a marking was found.
     #[must_use]
     pub fn contains(&self, marking: &[u32]) -> bool {
-        self.lookup().find(marking, &mut Vec::new()).is_some()
+        self.lookup().distance(marking, &mut Vec::new()).is_some()
     }
 
     /// The nearest marking that is as wanted; of those, the first in the order of place and tokens.
     #[must_use]
     pub fn nearest(&self, wanted: impl Fn(&[u32]) -> bool) -> Option<Reached> {
-        let mut marking = Vec::new();
+        self.nearest_of(|_| true, wanted)
+    }
+
+    /// The same of markings whose numbers are as wanted.
+    pub(in crate::analysis) fn nearest_number(
+        &self,
+        wanted: impl Fn(u32) -> bool,
+    ) -> Option<Vec<u32>> {
+        let found = self.nearest_of(wanted, |_| true)?;
+        Some(found.marking)
+    }
+
+    fn nearest_of(
+        &self,
+        number_wanted: impl Fn(u32) -> bool,
+        wanted: impl Fn(&[u32]) -> bool,
+    ) -> Option<Reached> {
+        let (mut packed, mut marking) = (Vec::new(), Vec::new());
         let mut best: Option<Reached> = None;
-        for worker in &self.workers {
-            for id in 0..u32::try_from(worker.len()).unwrap_or(u32::MAX) {
-                let distance = || worker.level_of(id);
-                self.rules
-                    .layout
-                    .unpack(worker.store().get(id), &mut marking);
-                if !wanted(&marking) {
-                    continue;
-                }
-                let found = Reached {
-                    distance: distance(),
+        for (distance, number) in self.levels.nearest_first() {
+            // What comes now is farther.
+            if best.as_ref().is_some_and(|best| best.distance < distance) {
+                break;
+            }
+            if !number_wanted(number) {
+                continue;
+            }
+            self.store.read(number, &mut packed);
+            self.rules.layout.unpack(&packed, &mut marking);
+            let least = best.as_ref().is_none_or(|best| marking < best.marking);
+            if least && wanted(&marking) {
+                best = Some(Reached {
+                    distance,
                     marking: marking.clone(),
-                };
-                // The levels follow each other: what comes after the nearest level is farther.
-                if best
-                    .as_ref()
-                    .is_some_and(|best| best.distance < found.distance)
-                {
-                    break;
-                }
-                best = Some(best.map_or(found.clone(), |best| best.min(found)));
+                });
             }
         }
         best
@@ -198,25 +203,12 @@ impl Explored<'_> {
     /// The nearest marking at which a transition may fire.
     #[must_use]
     pub fn nearest_enabled(&self, transition: TransitionNumber) -> Option<Reached> {
-        let scratch = std::cell::RefCell::new(Scratch::default());
+        let memory = std::cell::RefCell::new((Scratch::default(), Vec::new()));
         self.nearest(|marking| {
-            let scratch = &mut *scratch.borrow_mut();
-            scratch.marking.clear();
-            scratch.marking.extend_from_slice(marking);
-            self.rules.enabled(scratch);
+            let (scratch, packed) = &mut *memory.borrow_mut();
+            self.rules.layout.pack(marking, packed);
+            self.rules.enabled(packed, scratch);
             scratch.enabled.contains(&transition)
         })
-    }
-
-    pub(in crate::analysis) fn stores(&self) -> &[Worker] {
-        &self.workers
-    }
-
-    /// Which worker has the marking with this packed form and [`linear`] sum.
-    pub(in crate::analysis) fn owner(&self, sum: u64) -> usize {
-        match self.workers.len() {
-            1 => 0,
-            count => (mix(sum) >> 40) as usize % count,
-        }
     }
 }

@@ -1,18 +1,31 @@
 //! Which transitions may fire at a marking.
 
+use std::ops::Range;
+
 use super::super::{
+    compare::{Compare, Marked, Sum, enabling},
     layout::{Layout, Packed},
-    model::{Model, TransitionNumber},
+    model::{Model, PlaceNumber, TransitionNumber},
 };
 
 /// The transitions against a layout, and where to look for enabled ones.
 pub struct Rules {
     pub(in crate::analysis) layout: Layout,
     pub(in crate::analysis) packed: Vec<Packed>,
-    /// Per place, the transitions that need it and of whose needs it is the one to look at first.
-    triggers: Vec<Vec<TransitionNumber>>,
-    /// Transitions that need nothing.
-    free: Vec<TransitionNumber>,
+    /// What enables each transition, ordered by the place of its needs that is the one to look at first;
+    /// last those that need nothing.
+    conditions: Vec<Condition>,
+    /// Per place, which of them it is looked at for; and for those that need nothing.
+    by_place: Vec<Range<usize>>,
+    free: Range<usize>,
+    /// Finds the places that are looked at first, where it does not pay to try all transitions.
+    marked: Option<Marked>,
+    pub(in crate::analysis) sum: Sum,
+    /// What each transition adds to a packed marking and to its [`linear`] sum, where markings are one word
+    /// and nothing is emptied.
+    ///
+    /// [`linear`]: crate::analysis::layout::linear
+    pub(in crate::analysis) steps: Option<Vec<(u64, u64)>>,
     /// Group and priority of each transition.
     priorities: Vec<(u32, Option<u32>)>,
     pub(in crate::analysis) has_priorities: bool,
@@ -25,12 +38,30 @@ pub struct Rules {
     pub(in crate::analysis) inhibiting: Vec<bool>,
 }
 
+/// Transitions up to which all are tried at every marking.
+const ALL: usize = 64;
+
+/// What enables a transition. Nearly always one comparison is all.
+struct Condition {
+    transition: TransitionNumber,
+    first: Compare,
+    others: Vec<Compare>,
+}
+
+impl Condition {
+    #[inline]
+    fn holds(&self, packed: &[u64]) -> bool {
+        self.first.holds(packed) && self.others.iter().all(|compare| compare.holds(packed))
+    }
+}
+
 /// Memory of one thread for looking at one marking.
 #[derive(Default)]
 pub struct Scratch {
     pub(in crate::analysis) marking: Vec<u32>,
     pub(in crate::analysis) enabled: Vec<TransitionNumber>,
-    /// Per enabled transition, whether nothing can keep it from firing.
+    /// Per enabled transition, whether nothing can keep it from firing; empty where there are no enabling
+    /// functions, so that all are sure.
     pub(in crate::analysis) sure: Vec<bool>,
     most: Vec<u32>,
     /// Per enabling function, the highest priority at which it, and its negation, is asked.
@@ -43,28 +74,30 @@ impl Rules {
         let packed: Vec<Packed> = (0..model.transitions.len())
             .map(|number| Packed::new(model, number, &layout))
             .collect();
-        // A place that few transitions need says most.
-        let mut users = vec![0_usize; model.places.len()];
-        for (place, _) in packed.iter().flat_map(|t| &t.needs) {
-            users[*place as usize] += 1;
+        let firsts = firsts(model, &packed);
+        let (mut conditions, mut by_place) = (Vec::new(), Vec::new());
+        let places = (0..).zip(&model.places).map(|(place, _)| Some(place));
+        for first in places.chain([None]) {
+            let start = conditions.len();
+            let of = (0..)
+                .zip(&packed)
+                .zip(&firsts)
+                .filter(|(_, f)| **f == first);
+            conditions.extend(of.map(|((transition, t), _)| {
+                let mut all = enabling(&layout, &t.needs, &t.forbids).into_iter();
+                Condition {
+                    transition,
+                    first: all.next().unwrap_or_default(),
+                    others: all.collect(),
+                }
+            }));
+            by_place.push(start..conditions.len());
         }
-        let mut triggers = vec![Vec::new(); model.places.len()];
-        let mut free = Vec::new();
-        for (number, transition) in (0..).zip(&packed) {
-            let rarity = |place: u32| {
-                let tokens = model.places[place as usize].tokens;
-                (tokens > 0, users[place as usize])
-            };
-            match transition
-                .needs
-                .iter()
-                .map(|need| need.0)
-                .min_by_key(|p| rarity(*p))
-            {
-                Some(place) => triggers[place as usize].push(number),
-                None => free.push(number),
-            }
-        }
+        let free = by_place.pop().unwrap_or_default();
+        let marked = (conditions.len() > ALL)
+            .then(|| Marked::new(&layout, firsts.iter().copied().flatten()));
+        let plain = layout.words == 1 && packed.iter().all(|t| t.resets.is_empty());
+        let steps = plain.then(|| packed.iter().map(Packed::step).collect());
         let mut inhibiting = vec![false; model.places.len()];
         for (place, _) in packed.iter().flat_map(|t| &t.forbids) {
             inhibiting[*place as usize] = true;
@@ -76,8 +109,12 @@ impl Rules {
             .map(|(function, _)| *function as usize + 1);
         let groups = model.transitions.iter().map(|t| t.group as usize + 1);
         Self {
-            triggers,
+            conditions,
+            by_place,
             free,
+            marked,
+            sum: Sum::new(&layout),
+            steps,
             priorities: model
                 .transitions
                 .iter()
@@ -94,35 +131,35 @@ impl Rules {
         }
     }
 
-    /// The transitions that may fire at `scratch.marking`, and whether each is sure to stay possible: one
+    /// The transitions that may fire at a packed marking, and whether each is sure to stay possible: one
     /// with an enabling function is only sure when its negation is enabled as well, so that one of the
     /// two must be allowed.
-    pub(in crate::analysis) fn enabled(&self, scratch: &mut Scratch) {
+    pub(in crate::analysis) fn enabled(&self, packed: &[u64], scratch: &mut Scratch) {
         scratch.enabled.clear();
-        let all = self.triggers.iter().zip(&scratch.marking);
-        for (transitions, tokens) in all {
-            if *tokens == 0 {
-                continue;
-            }
-            for number in transitions {
-                if self.packed[*number as usize].is_enabled(&scratch.marking) {
-                    scratch.enabled.push(*number);
+        match &self.marked {
+            None => try_all(&self.conditions, packed, &mut scratch.enabled),
+            Some(marked) => {
+                let places = marked.of(packed);
+                let tried = places.map(|place| self.by_place[place as usize].clone());
+                for range in tried.chain([self.free.clone()]) {
+                    try_all(&self.conditions[range], packed, &mut scratch.enabled);
                 }
-            }
-        }
-        for number in &self.free {
-            if self.packed[*number as usize].is_enabled(&scratch.marking) {
-                scratch.enabled.push(*number);
             }
         }
         if self.has_priorities {
             self.drop_low_priorities(scratch);
         }
-        scratch.sure.clear();
         if self.has_whens {
+            scratch.sure.clear();
             self.find_sure(scratch);
-        } else {
-            scratch.sure.resize(scratch.enabled.len(), true);
+        }
+    }
+
+    /// Whether none of the transitions that were found enabled is sure.
+    pub(in crate::analysis) fn is_dead(&self, scratch: &Scratch) -> bool {
+        match self.has_whens {
+            true => !scratch.sure.contains(&true),
+            false => scratch.enabled.is_empty(),
         }
     }
 
@@ -173,4 +210,29 @@ impl Rules {
             scratch.sure.push(when(number).is_none_or(both));
         }
     }
+}
+
+/// Per transition, the place of its needs that is looked at first: one that few transitions need says most.
+fn firsts(model: &Model, packed: &[Packed]) -> Vec<Option<PlaceNumber>> {
+    let mut users = vec![0_usize; model.places.len()];
+    for (place, _) in packed.iter().flat_map(|t| &t.needs) {
+        users[*place as usize] += 1;
+    }
+    let rarity = |place: &PlaceNumber| {
+        let tokens = model.places[*place as usize].tokens;
+        (tokens > 0, users[*place as usize])
+    };
+    let first = |t: &Packed| t.needs.iter().map(|need| need.0).min_by_key(rarity);
+    packed.iter().map(first).collect()
+}
+
+/// Adds those that are enabled. Which they are cannot be foreseen, so nothing is jumped over.
+fn try_all(conditions: &[Condition], packed: &[u64], enabled: &mut Vec<TransitionNumber>) {
+    let mut count = enabled.len();
+    enabled.resize(count + conditions.len(), 0);
+    for condition in conditions {
+        enabled[count] = condition.transition;
+        count += usize::from(condition.holds(packed));
+    }
+    enabled.truncate(count);
 }

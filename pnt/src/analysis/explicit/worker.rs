@@ -1,10 +1,19 @@
-//! One thread's share of the markings: those whose hash says so.
+//! What one thread does: it expands markings of a level, and keeps what it finds in the store that all
+//! threads share.
+
+use std::{
+    collections::BTreeMap,
+    mem,
+    ops::Range,
+    sync::atomic::{AtomicBool, AtomicUsize, Ordering},
+};
 
 use super::{
     super::{
+        compare::{Compare, at_most},
         layout::{linear, mix},
         model::{PlaceNumber, TransitionNumber},
-        store::{self, BATCH, Store},
+        store::{BATCH, Share, Store},
     },
     DEAD_KEPT, Reached, Rules, Scratch,
 };
@@ -17,29 +26,157 @@ pub(super) struct TooWide {
     pub(super) tokens: u32,
 }
 
-pub(in crate::analysis) struct Worker {
-    pub(super) number: usize,
-    workers: usize,
-    store: Store,
-    /// The first marking of each level; what follows the last one is for the next level.
-    levels: Vec<u32>,
-    /// The next marking to expand, and where this level ends.
-    next: u32,
-    end: u32,
+/// Markings that a thread takes of a level at once. Fewer in tests, so that threads have to share small nets.
+const PART: u32 = if cfg!(test) { 1 } else { 128 };
+
+/// A place, and how many bits its tokens need.
+pub(super) type Record = (PlaceNumber, u32);
+
+/// What is left of a level: for each thread those parts that it found itself, and are best in its cache.
+#[derive(Default)]
+pub(super) struct Queue {
+    lists: Vec<List>,
+}
+
+struct List {
+    parts: Vec<Range<u32>>,
+    taken: AtomicUsize,
+}
+
+impl Queue {
+    /// The markings of a level, by who found them.
+    pub(super) fn new(level: &[Vec<Range<u32>>]) -> Self {
+        let cut = |range: &Range<u32>| {
+            let end = range.end;
+            let starts = range.clone().step_by(PART as usize);
+            starts.map(move |start| start..end.min(start.saturating_add(PART)))
+        };
+        let list = |found: &Vec<Range<u32>>| List {
+            parts: found.iter().flat_map(cut).collect(),
+            taken: AtomicUsize::new(0),
+        };
+        Self {
+            lists: level.iter().map(list).collect(),
+        }
+    }
+
+    /// A part for a thread: of its own, or else of another's. Only the counter decides who has it.
+    fn take(&self, own: usize) -> Option<Range<u32>> {
+        let (before, from) = self.lists.split_at_checked(own)?;
+        from.iter().chain(before).find_map(|list| {
+            if list.taken.load(Ordering::Relaxed) >= list.parts.len() {
+                return None;
+            }
+            let at = list.taken.fetch_add(1, Ordering::Relaxed);
+            list.parts.get(at).cloned()
+        })
+    }
+
+    /// How many markings are in parts that nobody has taken.
+    pub(super) fn left(&self) -> usize {
+        let lists = self.lists.iter();
+        lists
+            .flat_map(|list| list.parts.iter().skip(list.taken.load(Ordering::Relaxed)))
+            .map(|part| part.len())
+            .sum()
+    }
+}
+
+/// What all threads see of a round.
+pub(super) struct Round<'a> {
+    pub(super) rules: &'a Rules,
+    pub(super) store: &'a Store,
+    pub(super) queue: &'a Queue,
+    pub(super) level: usize,
+    /// Markings that each expands at most, but for the rest of a part.
+    pub(super) chunk: usize,
+    /// Whether only one thread takes part.
+    pub(super) alone: bool,
+    /// Markings found, and the most there may be.
+    pub(super) found: &'a AtomicUsize,
+    pub(super) most: usize,
+    /// The most numbers that memory permits.
+    pub(super) most_numbers: usize,
+    /// All stop as soon as they can: a thread has no numbers left, or there are too many markings. None reads
+    /// by this what another wrote.
+    pub(super) stop: AtomicBool,
+}
+
+/// What the markings of a level, or of several, tell.
+#[derive(Debug, Default)]
+pub(super) struct Tally {
     pub(super) edges: u64,
+    /// Dead markings: of those that are as far as each other the least, and not many more than are kept.
     pub(super) dead: Vec<Reached>,
+    /// Where as many as are kept are less than this one.
+    worst_dead: Option<Reached>,
     pub(super) dead_count: u64,
     pub(super) seen: Vec<bool>,
-    pub(super) bounds: Vec<u32>,
     pub(super) most_tokens: u64,
-    /// Markings that made a place double its bound: where to look for growth.
-    pub(super) records: Vec<Vec<u32>>,
-    /// Packed markings that other workers own.
-    pub(super) outboxes: Vec<Vec<u64>>,
-    /// Packed markings that other workers have found.
-    pub(super) inbox: Vec<Vec<u64>>,
-    /// Empty boxes, to be filled again.
-    pub(super) spare: Vec<Vec<u64>>,
+}
+
+impl Tally {
+    pub(super) fn new(transitions: usize) -> Self {
+        Self {
+            seen: vec![false; transitions],
+            ..Self::default()
+        }
+    }
+
+    /// Adds what one thread has seen of the level that follows, and leaves it nothing.
+    pub(super) fn add(&mut self, other: &mut Self) {
+        self.edges += mem::take(&mut other.edges);
+        self.dead_count += mem::take(&mut other.dead_count);
+        self.most_tokens = self.most_tokens.max(other.most_tokens);
+        for (all, own) in self.seen.iter_mut().zip(&mut other.seen) {
+            *all |= mem::take(own);
+        }
+        self.dead.append(&mut other.dead);
+        other.worst_dead = None;
+    }
+
+    /// Leaves out dead markings that are too many.
+    pub(super) fn cut_dead(&mut self) {
+        self.dead.sort_unstable();
+        self.dead.truncate(DEAD_KEPT);
+    }
+
+    /// Notes a dead marking.
+    fn note_dead(&mut self, distance: usize, marking: &[u32]) {
+        self.dead_count += 1;
+        let worst = self.worst_dead.as_ref();
+        if worst.is_some_and(|worst| worst.marking.as_slice() <= marking) {
+            return;
+        }
+        self.dead.push(Reached {
+            distance,
+            marking: marking.to_vec(),
+        });
+        if self.dead.len() >= 2 * DEAD_KEPT {
+            self.cut_dead();
+            self.worst_dead = self.dead.last().cloned();
+        }
+    }
+}
+
+pub(super) struct Worker {
+    pub(super) number: usize,
+    pub(super) share: Share,
+    /// What of its part it has not expanded.
+    pub(super) part: Range<u32>,
+    pub(super) expanded: usize,
+    pub(super) tally: Tally,
+    /// The most tokens that it has seen in each place, or others in the levels before.
+    pub(super) bounds: Vec<u32>,
+    /// The bounds of all threads at the end of the level before.
+    known_at: Vec<u32>,
+    /// Markings of this level in which a place needs more bits than in all levels before: where to look for
+    /// growth. Of several the least, so that it does not matter who finds them.
+    pub(super) records: BTreeMap<Record, Vec<u32>>,
+    /// Per place, the most tokens that are no record.
+    no_record: Vec<u32>,
+    /// Hold for markings by which neither bounds nor records change.
+    nothing_new: Vec<Compare>,
     scratch: Scratch,
     from: Vec<u64>,
     /// Successors that are not yet in the store, packed, and their sums.
@@ -49,6 +186,7 @@ pub(in crate::analysis) struct Worker {
     /// Per transition, whether one of its gains may not fit: a place has been so full already that it
     /// must be looked at.
     tight: Vec<bool>,
+    any_tight: bool,
 }
 
 /// Markings from which on it pays to know what was found a moment ago. Fewer in tests, so that small nets
@@ -59,7 +197,7 @@ const RECENT_FROM: usize = if cfg!(test) { 8 } else { 1 << 15 };
 const RECENT: usize = if cfg!(test) { 16 } else { 1 << 16 };
 
 /// Markings of one word that were found a moment ago. Most successors have just been found from another
-/// marking; of those neither the table nor another thread need be asked.
+/// marking; for those the table need not be asked.
 #[derive(Default)]
 struct Recent {
     words: Vec<u64>,
@@ -84,192 +222,175 @@ impl Recent {
     }
 }
 
-/// Which of several workers owns a marking. Its slot in the table is of other bits of the same hash.
-pub(super) fn owner(sum: u64, workers: usize) -> usize {
-    (mix(sum) >> 40) as usize % workers
-}
-
 impl Worker {
-    pub(super) fn new(rules: &Rules, workers: usize) -> Self {
+    pub(super) fn new(number: usize, rules: &Rules) -> Self {
+        let places = rules.layout.fields.len();
         Self {
-            number: 0,
-            workers,
-            store: Store::new(rules.layout.words),
-            levels: Vec::new(),
-            next: 0,
-            end: 0,
-            edges: 0,
-            dead: Vec::new(),
-            dead_count: 0,
-            seen: vec![false; rules.packed.len()],
-            bounds: vec![0; rules.layout.fields.len()],
-            most_tokens: 0,
-            records: Vec::new(),
-            outboxes: vec![Vec::new(); workers],
-            inbox: Vec::new(),
-            spare: Vec::new(),
+            number,
+            share: Share::default(),
+            part: 0..0,
+            expanded: 0,
+            tally: Tally::new(rules.packed.len()),
+            bounds: vec![0; places],
+            known_at: vec![0; places],
+            records: BTreeMap::new(),
+            no_record: vec![1; places],
+            nothing_new: at_most(&rules.layout, &vec![0; places]),
             scratch: Scratch::default(),
             from: Vec::new(),
             successors: Vec::new(),
             sums: Vec::new(),
             recent: Recent::default(),
             tight: vec![true; rules.packed.len()],
+            any_tight: true,
         }
-    }
-
-    pub(in crate::analysis) fn len(&self) -> usize {
-        self.store.len()
-    }
-
-    pub(super) fn left(&self) -> usize {
-        (self.end - self.next) as usize
-    }
-
-    pub(super) fn expanded(&self) -> usize {
-        self.next as usize
     }
 
     pub(super) fn bytes(&self) -> usize {
-        let boxes = self.outboxes.iter().chain(&self.inbox).chain(&self.spare);
-        let waiting = boxes.map(Vec::capacity);
-        self.store.bytes() + (waiting.sum::<usize>() + self.recent.words.len()) * 8
+        self.recent.words.len() * 8
     }
 
-    /// Bytes at most so far.
-    pub(super) fn bytes_peak(&self) -> usize {
-        self.bytes().max(self.store.peak())
+    /// Successors that wait for numbers.
+    pub(super) fn waiting(&self) -> usize {
+        self.sums.len()
     }
 
-    /// Bytes when the table grows next.
-    pub(super) fn bytes_soon(&self) -> usize {
-        self.bytes() + self.store.next_table()
-    }
-
-    pub(super) fn is_full(&self) -> bool {
-        self.store.len() + (1 << 20) > store::MOST
-    }
-
-    pub(in crate::analysis) fn store(&self) -> &Store {
-        &self.store
-    }
-
-    /// Number of the level of a marking.
-    pub(in crate::analysis) fn level_of(&self, id: u32) -> usize {
-        self.levels
-            .partition_point(|first| *first <= id)
-            .saturating_sub(1)
-    }
-
-    /// The markings of a level.
-    pub(super) fn level(&self, level: usize) -> std::ops::Range<u32> {
-        let all = u32::try_from(self.store.len()).unwrap_or(u32::MAX);
-        let start = self.levels.get(level).copied().unwrap_or(all);
-        start..self.levels.get(level + 1).copied().unwrap_or(all)
-    }
-
-    pub(super) fn insert_marking(&mut self, rules: &Rules, marking: &[u32]) {
-        let mut packed = Vec::new();
-        rules.layout.pack(marking, &mut packed);
-        self.insert(&packed);
-    }
-
-    fn insert(&mut self, packed: &[u64]) {
-        self.store.insert(packed, linear(packed));
-    }
-
-    /// All that was found for the next level is this level now.
-    pub(super) fn begin_level(&mut self) {
-        self.levels.push(self.end);
-        self.end = u32::try_from(self.store.len()).unwrap_or(u32::MAX);
-    }
-
-    /// Takes in what others have found.
-    pub(super) fn take_in(&mut self, rules: &Rules) {
-        while let Some(mut sent) = self.inbox.pop() {
-            for batch in sent.chunks(BATCH * rules.layout.words) {
-                self.sums.clear();
-                let each = batch.chunks_exact(rules.layout.words);
-                self.sums.extend(each.map(linear));
-                self.store.insert_all(batch, &self.sums);
+    /// Expands parts of the level until a chunk is done, the level is, or the round stops.
+    pub(super) fn work(&mut self, round: &Round<'_>) -> Result<(), TooWide> {
+        let until = self.expanded.saturating_add(round.chunk);
+        loop {
+            if self.sums.len() >= BATCH {
+                self.keep(round);
             }
-            if sent.capacity() > 0 {
-                sent.clear();
-                self.spare.push(sent);
+            if round.stop.load(Ordering::Relaxed) {
+                return Ok(());
             }
+            if self.part.is_empty() {
+                if self.expanded >= until {
+                    break;
+                }
+                match round.queue.take(self.number) {
+                    Some(part) => self.part = part,
+                    None => break,
+                }
+            }
+            self.expand_one(round, self.part.start)?;
+            self.part.start += 1;
+            self.expanded += 1;
         }
-        self.sums.clear();
-    }
-
-    /// Expands up to `chunk` markings of this level; fewer when there are more than `most` in all.
-    pub(super) fn expand(
-        &mut self,
-        rules: &Rules,
-        chunk: usize,
-        most: usize,
-    ) -> Result<(), TooWide> {
-        let chunk = u32::try_from(chunk).unwrap_or(u32::MAX);
-        let until = self.end.min(self.next.saturating_add(chunk));
-        while self.next < until && self.store.len() <= most {
-            let expanded = self.expand_one(rules, self.next);
-            if expanded.is_err() || self.sums.len() >= BATCH {
-                self.keep_successors();
-            }
-            expanded?;
-            self.next += 1;
-        }
-        self.keep_successors();
+        self.keep(round);
         Ok(())
     }
 
-    fn keep_successors(&mut self) {
-        if self.store.len() >= RECENT_FROM {
+    /// Puts the successors into the store. They wait where there are no numbers for them; then the round stops.
+    pub(super) fn keep(&mut self, round: &Round<'_>) {
+        let needed = self.sums.len();
+        if needed == 0 {
+            return;
+        }
+        let share = &mut self.share;
+        if share.left() < needed
+            && (round.alone || !round.store.take(share, needed, round.most_numbers))
+        {
+            round.stop.store(true, Ordering::Relaxed);
+            return;
+        }
+        let found = self.settle(round.store, round.found, round.alone);
+        if found > round.most {
+            round.stop.store(true, Ordering::Relaxed);
+        }
+        if found >= RECENT_FROM {
             self.recent.begin();
         }
-        self.store.insert_all(&self.successors, &self.sums);
+    }
+
+    /// Puts the successors into the store, where there are numbers for them. Markings found then.
+    pub(super) fn settle(&mut self, store: &Store, found: &AtomicUsize, alone: bool) -> usize {
+        if self.sums.is_empty() {
+            return found.load(Ordering::Relaxed);
+        }
+        let new = store.insert_all(&mut self.share, &self.successors, &self.sums, alone);
+        self.drop_waiting();
+        found.fetch_add(new, Ordering::Relaxed) + new
+    }
+
+    /// Forgets the successors that wait.
+    pub(super) fn drop_waiting(&mut self) {
         self.successors.clear();
         self.sums.clear();
     }
 
-    fn expand_one(&mut self, rules: &Rules, id: u32) -> Result<(), TooWide> {
-        self.from.clear();
-        self.from.extend_from_slice(self.store.get(id));
-        rules.layout.unpack(&self.from, &mut self.scratch.marking);
-        rules.enabled(&mut self.scratch);
+    fn expand_one(&mut self, round: &Round<'_>, number: u32) -> Result<(), TooWide> {
+        let rules = round.rules;
+        round.store.read(number, &mut self.from);
+        rules.enabled(&self.from, &mut self.scratch);
         self.note_tokens(rules);
         self.check_room(rules)?;
-        self.note_dead();
-        self.edges += self.scratch.enabled.len() as u64;
-        let sum = linear(&self.from);
-        for number in &self.scratch.enabled {
-            self.seen[*number as usize] = true;
-            let transition = &rules.packed[*number as usize];
-            let start = self.successors.len();
-            let sum = transition.fire_onto(&rules.layout, &self.from, sum, &mut self.successors);
-            if self.recent.has(&self.successors[start..], sum) {
-                self.successors.truncate(start);
-                continue;
-            }
-            if self.workers > 1 {
-                let owner = owner(sum, self.workers);
-                if owner != self.number {
-                    self.outboxes[owner].extend(self.successors.drain(start..));
-                    continue;
-                }
-            }
-            self.sums.push(sum);
+        if rules.is_dead(&self.scratch) {
+            rules.layout.unpack(&self.from, &mut self.scratch.marking);
+            self.tally.note_dead(round.level, &self.scratch.marking);
         }
+        self.tally.edges += self.scratch.enabled.len() as u64;
+        for number in &self.scratch.enabled {
+            self.tally.seen[*number as usize] = true;
+        }
+        self.fire(rules);
         Ok(())
     }
 
+    /// Of some markings, the first place that would hold more than 32 bits can say.
+    pub(super) fn overflow(
+        &mut self,
+        rules: &Rules,
+        store: &Store,
+        numbers: impl Iterator<Item = u32>,
+    ) -> Option<PlaceNumber> {
+        let wide = numbers.filter_map(|number| {
+            store.read(number, &mut self.from);
+            rules.enabled(&self.from, &mut self.scratch);
+            self.check_room(rules).err()
+        });
+        let overflows = wide.filter(|wide| wide.tokens == u32::MAX);
+        overflows.map(|wide| wide.place).min()
+    }
+
+    /// Fires all that is enabled.
+    fn fire(&mut self, rules: &Rules) {
+        let sum = linear(&self.from);
+        let (from, recent) = (self.from.as_slice(), &mut self.recent);
+        if let ([word], Some(steps)) = (from, &rules.steps) {
+            for number in &self.scratch.enabled {
+                let (add, more) = steps[*number as usize];
+                let (to, sum) = (word.wrapping_add(add), sum.wrapping_add(more));
+                if !recent.has(&[to], sum) {
+                    self.successors.push(to);
+                    self.sums.push(sum);
+                }
+            }
+            return;
+        }
+        for number in &self.scratch.enabled {
+            let transition = &rules.packed[*number as usize];
+            let start = self.successors.len();
+            let sum = transition.fire_onto(&rules.layout, from, sum, &mut self.successors);
+            if recent.has(&self.successors[start..], sum) {
+                self.successors.truncate(start);
+            } else {
+                self.sums.push(sum);
+            }
+        }
+    }
+
     fn check_room(&self, rules: &Rules) -> Result<(), TooWide> {
+        if !self.any_tight {
+            return Ok(());
+        }
         let tight = |number: &&TransitionNumber| self.tight[**number as usize];
         for number in self.scratch.enabled.iter().filter(tight) {
             let transition = &rules.packed[*number as usize];
             let gained = transition.gains.iter().map(|(place, gain)| {
-                (
-                    *place,
-                    self.scratch.marking[*place as usize].saturating_add(*gain),
-                )
+                let held = rules.layout.fields[*place as usize].get(&self.from);
+                (*place, held.saturating_add(*gain))
             });
             for (place, tokens) in gained.chain(transition.resets.iter().copied()) {
                 // A sum that saturates would fit, and be wrong.
@@ -283,35 +404,56 @@ impl Worker {
 
     /// What a marking tells by its tokens: bounds and sums.
     fn note_tokens(&mut self, rules: &Rules) {
+        let tokens = rules.sum.of(&rules.layout, &self.from);
+        self.tally.most_tokens = self.tally.most_tokens.max(tokens);
+        if !self.nothing_new.iter().all(|known| known.holds(&self.from)) {
+            rules.layout.unpack(&self.from, &mut self.scratch.marking);
+            self.note_bounds(rules);
+        }
+    }
+
+    fn note_bounds(&mut self, rules: &Rules) {
         let marking = &self.scratch.marking;
-        let tokens: u64 = marking.iter().map(|tokens| u64::from(*tokens)).sum();
-        self.most_tokens = self.most_tokens.max(tokens);
-        let bounds = self.bounds.iter().zip(marking);
-        if bounds.fold(false, |over, (bound, tokens)| over | (tokens > bound)) {
-            let mut record = false;
-            for (bound, tokens) in self.bounds.iter_mut().zip(marking) {
-                if tokens > bound {
-                    record |= *tokens > 1 && (tokens ^ *bound) > *bound;
-                    *bound = *tokens;
+        let mut wider = false;
+        for (place, tokens) in (0..).zip(marking) {
+            let bound = &mut self.bounds[place as usize];
+            wider |= tokens > bound;
+            *bound = (*bound).max(*tokens);
+            if *tokens > self.no_record[place as usize] {
+                let record = self.records.entry((place, tokens.ilog2()));
+                let least = record.or_insert_with(|| marking.clone());
+                if *marking < *least {
+                    least.clone_from(marking);
                 }
             }
-            if record {
-                self.records.push(marking.clone());
-            }
+        }
+        if wider {
+            self.find_known(rules);
             self.find_tight(rules);
         }
     }
 
-    fn note_dead(&mut self) {
-        if !self.scratch.sure.contains(&true) {
-            self.dead_count += 1;
-            if self.dead.len() < DEAD_KEPT {
-                self.dead.push(Reached {
-                    distance: self.levels.len().saturating_sub(1),
-                    marking: self.scratch.marking.clone(),
-                });
-            }
+    fn find_known(&mut self, rules: &Rules) {
+        let each = self.bounds.iter().zip(&self.no_record);
+        let known: Vec<u32> = each.map(|(bound, record)| *bound.min(record)).collect();
+        self.nothing_new = at_most(&rules.layout, &known);
+    }
+
+    /// Takes over what all threads together know of a level that is done.
+    pub(super) fn begin_level(&mut self, rules: &Rules, bounds: &[u32]) {
+        if self.bounds == bounds && self.known_at == bounds {
+            return;
         }
+        self.bounds.copy_from_slice(bounds);
+        self.known_at.copy_from_slice(bounds);
+        self.find_tight(rules);
+        for (no_record, bound) in self.no_record.iter_mut().zip(bounds) {
+            // As many bits as the bound has.
+            *no_record = u32::MAX
+                .checked_shr(bound.leading_zeros())
+                .map_or(1, |most| most.max(1));
+        }
+        self.find_known(rules);
     }
 
     /// Which transitions may put more into a place than fits, as full as places have been so far.
@@ -326,59 +468,15 @@ impl Worker {
             });
             *tight = !gained || !transition.resets.is_empty();
         }
+        self.any_tight = self.tight.contains(&true);
     }
 
-    /// The same markings in another layout.
-    pub(super) fn repack(&mut self, old: &Rules, new: &Rules) {
-        let mut store = Store::new(new.layout.words);
-        let (mut marking, mut packed) = (Vec::new(), Vec::new());
-        for id in 0..self.store.len() {
-            // Ids are 32 bits; see Store.
-            old.layout.unpack(self.store.get(id as u32), &mut marking);
-            new.layout.pack(&marking, &mut packed);
-            store.insert(&packed, linear(&packed));
+    /// From here on markings are packed otherwise.
+    pub(super) fn repack(&mut self, rules: &Rules) {
+        if !self.recent.words.is_empty() {
+            self.recent.words.fill(u64::MAX);
         }
-        self.store = store;
-        self.recent = Recent::default();
-        self.find_tight(new);
-    }
-
-    /// Gives all markings to their owners among several workers, level by level. All levels but the last
-    /// one are expanded.
-    pub(super) fn deal(self, workers: &mut [Self]) {
-        let count = workers.len();
-        for level in 0..self.levels.len() {
-            for worker in workers.iter_mut() {
-                worker
-                    .levels
-                    .push(u32::try_from(worker.store.len()).unwrap_or(u32::MAX));
-            }
-            for id in self.level(level) {
-                if level + 1 == self.levels.len() && id >= self.end {
-                    break;
-                }
-                let marking = self.store.get(id);
-                workers[owner(linear(marking), count)].insert(marking);
-            }
-        }
-        for worker in workers.iter_mut() {
-            worker.end = u32::try_from(worker.store.len()).unwrap_or(u32::MAX);
-            worker.next = worker.end;
-        }
-        for id in self.end..u32::try_from(self.store.len()).unwrap_or(u32::MAX) {
-            let marking = self.store.get(id);
-            workers[owner(linear(marking), count)].insert(marking);
-        }
-        if let Some(first) = workers.first_mut() {
-            first.edges = self.edges;
-            first.dead = self.dead;
-            first.dead_count = self.dead_count;
-            first.seen = self.seen;
-            first.bounds.clone_from(&self.bounds);
-            first.most_tokens = self.most_tokens;
-        }
-        for worker in workers {
-            worker.bounds.clone_from(&self.bounds);
-        }
+        self.find_known(rules);
+        self.find_tight(rules);
     }
 }
