@@ -298,6 +298,7 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
     for (index, (name, handle)) in chassis.processors.iter().enumerate() {
         if let Some(config) = chassis.processor_config(index) {
             handle.set_spin(placement::spin(&chassis.app, config, cpus));
+            handle.set_shares_core(placement::shares(&chassis.app, config, cpus));
         }
         let (home, memory, prepared) = (chassis.clone(), memory.clone(), prepared.clone());
         let gate = gate.clone();

@@ -36,7 +36,7 @@ use crate::{
 };
 
 pub(crate) use self::{
-    delivery::{Question, Sent, WaitFor},
+    delivery::{Called, Question, Sent, WaitFor},
     links::{Inbound, Outbound},
     tasks::TaskRecord,
 };
@@ -188,7 +188,7 @@ impl Chassis {
         if let Some(config) = self.processor_config(index) {
             settings.period = config.period;
             settings.overrun = config.overrun;
-            settings.spin = config.tick_spin();
+            settings.lead = config.lead();
         }
         let schedule = Schedule::new(settings, self.clock.clone());
         let schedule = schedule.shown_in(self.cyclics.clone());
@@ -373,7 +373,7 @@ impl Chassis {
         }
         let links = std::mem::take(&mut *lock(&self.links));
         for pending in links.pending.into_values() {
-            let fault = self.peer_down_fault(pending.peer);
+            let fault = self.peer_down_fault(pending.peer());
             pending.answer(Err(fault));
         }
         lock(&self.shared).clear();

@@ -63,7 +63,7 @@ async fn ask_agent(cx: &Context, task: Tid) -> Option<system::Waits> {
 /// waited for long enough that the wait is no passing one.
 pub(crate) fn of_task(chassis: &Chassis, task: Tid) -> Option<system::Waits> {
     let record = chassis.task(task)?;
-    let (to, since) = record.waits.latest()?;
+    let (to, since) = record.statistics.waits()?.latest()?;
     let began = record.statistics.read().began?;
     let long = chassis.clock.now().since(since) >= LONG / 2;
     (long && began <= since).then(|| system::Waits {

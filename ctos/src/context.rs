@@ -1,6 +1,7 @@
 //! What a task can reach: the [`Context`] its handler is called with.
 
 mod asking;
+mod beside;
 mod finding;
 mod services;
 
@@ -27,14 +28,14 @@ use crate::{
     chassis::{Chassis, TaskRecord},
     config::TaskConfig,
     diagnostic::Finding,
-    message::{Command, CommandInfo, Data, Message, Tid},
+    message::{Command, CommandInfo, Data, Letter, Message, Tid},
     processor::{FutureId, Processor},
     system::{Broke, CommandDescription, Introspect, Ping, Shutdown, Statistics},
-    task::Handled,
+    task::{Handled, Phase},
     time::Instant,
 };
 
-pub(crate) use self::asking::Note;
+pub(crate) use self::{asking::Note, beside::Beside};
 pub use self::{
     asking::{Call, Calling, Send, Sending},
     finding::{NameError, TaskRef},
@@ -54,12 +55,12 @@ pub(crate) struct Inner {
     pub(crate) processor: Rc<Processor>,
     /// Boxed, because it is large and tasks of the runtime have none.
     config: Option<Box<TaskConfig>>,
-    /// How long a call waits if it does not say.
-    limit: Duration,
     /// Made for the first of it: most tasks have none.
     family: RefCell<Option<Box<Family>>>,
     /// Counts the handlers that the task had.
-    incarnation: Cell<u64>,
+    incarnation: Cell<u32>,
+    /// The last phase that was entered, while the task rests.
+    pub(crate) phase: Cell<Option<Phase>>,
 }
 
 /// What belongs to a task besides its handler.
@@ -73,6 +74,14 @@ pub(crate) struct Family {
 }
 
 impl Inner {
+    /// How long a call waits if it does not say.
+    #[inline]
+    fn limit(&self) -> Duration {
+        let config = self.config.as_ref();
+        let limit = config.and_then(|config| config.call_deadline);
+        limit.unwrap_or(DEFAULT_DEADLINE)
+    }
+
     /// What belongs to the task.
     pub(crate) fn family(&self) -> RefMut<'_, Family> {
         RefMut::map(self.family.borrow_mut(), |family| {
@@ -103,17 +112,16 @@ impl Context {
         config: Option<TaskConfig>,
         commands: Arc<[CommandInfo]>,
     ) -> Self {
-        let limit = config.as_ref().and_then(|config| config.call_deadline);
-        record.statistics.meter.count(commands);
+        record.statistics.takes(commands);
         Self {
             inner: Rc::new(Inner {
-                limit: limit.unwrap_or(DEFAULT_DEADLINE),
                 record,
                 chassis,
                 processor,
                 config: config.map(Box::new),
                 family: RefCell::default(),
                 incarnation: Cell::new(0),
+                phase: Cell::new(None),
             }),
             trace: 0,
         }
@@ -124,12 +132,19 @@ impl Context {
         Self { inner, trace: 0 }
     }
 
-    /// This context for one message: what the handler sends belongs to the message's trace.
-    pub(crate) fn within(&self, trace: u64) -> Self {
+    /// This context within a trace: what is sent from here belongs to it.
+    #[must_use]
+    pub fn within(&self, trace: u64) -> Self {
         Self {
             inner: self.inner.clone(),
             trace,
         }
+    }
+
+    /// From now on it is that for another message.
+    #[inline]
+    pub(crate) fn set_trace(&mut self, trace: u64) {
+        self.trace = trace;
     }
 
     /// This context at the beginning of a new trace: for work that no single message led to.
@@ -179,7 +194,7 @@ impl Context {
 
     /// The commands that the task takes.
     pub(crate) fn commands(&self) -> &[CommandInfo] {
-        self.inner.record.statistics.meter.counted()
+        self.inner.record.statistics.commands()
     }
 
     /// The kinds of event handlers that this program knows.
@@ -203,9 +218,11 @@ impl Context {
     /// begun any more, wherever the receiver runs.
     #[inline]
     pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
-        let mut message = self.message(to, C::CODE, Data::of(request));
-        message.letter.to = self.inner.name_to_keep(to);
-        message.letter.limit = self.inner.limit;
+        let from = self.inner.record.tid;
+        let mut message = Message::request(to.tid, from, C::CODE, request).in_trace(self.trace);
+        message
+            .letter
+            .for_sender(self.inner.name_to_keep(to), self.inner.limit());
         Call {
             asker: self.inner.clone(),
             message,
@@ -247,21 +264,22 @@ impl Context {
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
         let mut message = self.message(to, command.code, Data::Bytes(data));
-        message.letter.to = Some(to.name.clone());
-        message.letter.limit = deadline;
+        message.letter.for_sender(Some(to.name.clone()), deadline);
         let mut ask = Ask::new(self.inner.clone(), message);
-        ask.begin(command.name).map_err(|error| *error)?;
         let mut answer = Vec::new();
-        let ended = poll_fn(|poll| {
-            ask.poll(poll, command.name, &mut |letter| {
-                let bytes = letter.open().0.into_bytes();
-                answer = bytes.map_err(|error| Fault::BadPayload {
-                    text: error.to_string(),
-                })?;
-                Ok(())
-            })
-        });
-        ended.await.map_err(|error| *error)?;
+        let mut open = |letter: Box<Letter>| {
+            let bytes = letter.open().0.into_bytes();
+            answer = bytes.map_err(|error| Fault::BadPayload {
+                text: error.to_string(),
+            })?;
+            Ok(())
+        };
+        let ended = match ask.begin(command.name) {
+            Ok(Some(letter)) => ask.opened(command.name, open(letter)),
+            Ok(None) => poll_fn(|poll| ask.poll(poll, command.name, &mut open)).await,
+            Err(error) => Err(error),
+        };
+        ended.map_err(|error| *error)?;
         Ok(answer)
     }
 
@@ -379,7 +397,7 @@ impl Context {
     /// What to call when a part of the present handler breaks: the task's loop decides what follows.
     pub(crate) fn when_broken(&self) -> impl Fn(&str) + 'static {
         let cx = self.clone();
-        let incarnation = self.inner.incarnation.get();
+        let incarnation = self.incarnation();
         move |reason| {
             if cx.config().is_none() {
                 return cx.fail(reason);
@@ -395,12 +413,13 @@ impl Context {
 
     /// Counts the handlers that the task had.
     pub(crate) fn incarnation(&self) -> u64 {
-        self.inner.incarnation.get()
+        u64::from(self.inner.incarnation.get())
     }
 
     /// What breaks of the handler up to now is no news any more.
     pub(crate) fn next_incarnation(&self) {
-        self.inner.incarnation.set(self.inner.incarnation.get() + 1);
+        let incarnation = &self.inner.incarnation;
+        incarnation.set(incarnation.get().wrapping_add(1));
     }
 
     /// Ends all children.

@@ -27,8 +27,9 @@ use crate::{
 struct Shared {
     home: Arc<ProcessorHandle>,
     slot: u32,
-    /// The generation of the call that waits in the slot; [`NOBODY`] when none does.
-    live: AtomicU64,
+    /// The last generation whose caller went without its answer; [`NOBODY`] before there is one. Calls
+    /// that end well leave it alone, so that those who answer them keep the cache line.
+    gone: AtomicU64,
 }
 
 /// No call has this generation.
@@ -47,16 +48,19 @@ impl Ticket {
     pub(crate) fn answer(self, answer: Brought) {
         match Processor::here_if(&self.shared.home) {
             Some(processor) => processor.take_answer(self, answer),
-            None => {
-                let home = self.shared.home.clone();
-                home.bring_answer(self, answer);
-            }
+            None => match Processor::here() {
+                Some(here) => here.bring_answer(self, answer),
+                None => {
+                    let home = self.shared.home.clone();
+                    home.bring_answer(self, answer);
+                }
+            },
         }
     }
 
     /// Whether the caller waits no longer.
     pub(crate) fn is_abandoned(&self) -> bool {
-        self.shared.live.load(Ordering::Acquire) != self.generation
+        self.generation <= self.shared.gone.load(Ordering::Acquire)
     }
 
     /// Names the call that the ticket is for.
@@ -216,7 +220,7 @@ impl Calls {
                 shared: Arc::new(Shared {
                     home: home.clone(),
                     slot: index,
-                    live: AtomicU64::new(NOBODY),
+                    gone: AtomicU64::new(NOBODY),
                 }),
                 generation: NOBODY,
                 state: State::Free,
@@ -238,10 +242,14 @@ impl Calls {
         slot.limit = limit;
         slot.since = None;
         slot.long = Long::NotYet;
-        slot.shared.live.store(slot.generation, Ordering::Release);
-        let mut ticket = slot.ticket.take().unwrap_or_else(|| Ticket {
-            shared: slot.shared.clone(),
-            generation: NOBODY,
+        let mut ticket = slot.ticket.take().unwrap_or_else(|| {
+            // Whoever may have that of the last call learns that it is over.
+            let before = slot.generation - 1;
+            slot.shared.gone.store(before, Ordering::Release);
+            Ticket {
+                shared: slot.shared.clone(),
+                generation: NOBODY,
+            }
         });
         ticket.generation = slot.generation;
         ticket
@@ -378,7 +386,7 @@ impl Calls {
             slot.long = Long::ToBeTold;
             fired.again = slot.since.map(|since| since + slot.limit);
         } else {
-            slot.shared.live.store(NOBODY, Ordering::Release);
+            slot.shared.gone.store(slot.generation, Ordering::Release);
             slot.state = State::Late;
         }
         fired
@@ -422,13 +430,33 @@ impl Calls {
         (looked, None)
     }
 
+    /// The answer to a call that nobody has looked at, nor noted anything of: if it is data, the call is over.
+    #[inline]
+    pub(crate) fn take_answered(&mut self, key: CallKey) -> Option<Box<Letter>> {
+        let slot = self.slots.get_mut(key.slot as usize)?;
+        let is_bare = slot.timer.is_none() && slot.note.is_none();
+        if slot.generation != key.generation || !is_bare {
+            return None;
+        }
+        match std::mem::take(&mut slot.state) {
+            State::Answered(Brought::Data(letter)) => {
+                self.free.push(key.slot);
+                Some(letter)
+            }
+            other => {
+                slot.state = other;
+                None
+            }
+        }
+    }
+
     /// Nobody waits for the answer any more.
     pub(crate) fn give_up(&mut self, key: CallKey) -> Rest {
         let mut rest = Rest::default();
         let Some(slot) = self.slot(key) else {
             return rest;
         };
-        slot.shared.live.store(NOBODY, Ordering::Release);
+        slot.shared.gone.store(slot.generation, Ordering::Release);
         rest.timer = slot.timer.take();
         rest._note = slot.note.take();
         match std::mem::take(&mut slot.state) {

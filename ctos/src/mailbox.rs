@@ -13,20 +13,14 @@
 mod gate;
 mod queue;
 
-use std::{
-    collections::BTreeSet,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
-    },
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
 };
 
-pub(crate) use self::{
-    gate::Order,
-    queue::{Rest, TaskQueue},
-};
+pub(crate) use self::{gate::Order, queue::TaskQueue};
 use crate::{
-    call::{Fault, ReplySlot, lock},
+    call::{Fault, ReplySlot},
     message::{Data, Flags, Message, SYSTEM_COMMANDS},
     processor::{Processor, ProcessorHandle},
     room::Room,
@@ -102,12 +96,6 @@ pub(crate) struct Mailbox {
     closed: AtomicBool,
     urgent: Room,
     normal: Room,
-    /// The gates that the queue begins with; taken by it.
-    #[allow(
-        clippy::box_collection,
-        reason = "few queues begin with any, and of the others two words less are kept"
-    )]
-    gates: Mutex<Option<Box<BTreeSet<u8>>>>,
 }
 
 /// Whether a message goes to the high-priority lane, and whether it is one of the runtime's.
@@ -128,7 +116,6 @@ impl Mailbox {
             closed: AtomicBool::new(false),
             urgent: Room::default(),
             normal: Room::default(),
-            gates: Mutex::default(),
         })
     }
 
@@ -236,11 +223,9 @@ impl Mailbox {
         self.normal.shut(shut);
     }
 
-    /// Keeps what comes straight from `chassis` until their gates are opened. For a queue that is about to
-    /// be made.
-    pub(crate) fn close_gates(&self, chassis: BTreeSet<u8>) {
+    /// Its queue is about to be made, with gates that are closed.
+    pub(crate) fn close_gates(&self) {
         self.shut(true);
-        *lock(&self.gates) = (!chassis.is_empty()).then(|| Box::new(chassis));
     }
 
     /// Lets in what came straight from `chassis`, in its order, and whatever comes from there later.

@@ -205,19 +205,30 @@ pub struct Message {
 
 impl Message {
     /// A request of `from` that nothing led to and that nobody waits for.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn request<T: Serialize + Send + 'static>(
         to: Tid,
         from: Tid,
         command: u16,
         value: T,
     ) -> Self {
-        Self::with_data(to, from, command, Data::of(value))
+        let mut message = Self::blank(to, from, command);
+        // The letter is there already, so that the value is written at once where it stays.
+        message.letter.write(Data::of(value));
+        message
     }
 
     /// [`Self::request`] with data of any kind.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn with_data(to: Tid, from: Tid, command: u16, data: Data) -> Self {
+        let mut message = Self::blank(to, from, command);
+        message.letter.write(data);
+        message
+    }
+
+    /// A message without data.
+    #[inline(always)]
+    fn blank(to: Tid, from: Tid, command: u16) -> Self {
         let mut letter = Letter::blank();
         letter.header = Header {
             to,
@@ -229,7 +240,6 @@ impl Message {
         letter.trace = 0;
         letter.deadline = None;
         letter.recorded = 0;
-        letter.write(data);
         Self { letter }
     }
 

@@ -64,7 +64,9 @@ impl<T: Payload> KindOf<T> {
     }
 }
 
-/// A value of one type among all that can be sent.
+/// A value of one type among all that can be sent. In this order, so that who looks for its type brings over
+/// the cache line that most of the value is in.
+#[repr(C)]
 pub struct Parcel {
     words: Words,
     kind: &'static Kind,
@@ -131,6 +133,12 @@ impl Parcel {
             // SAFETY: as above, with the pointer that `Box::into_raw` gave for a `T`.
             Some(*unsafe { Box::from_raw(words.cast::<*mut T>().read()) })
         }
+    }
+
+    /// Looks at what it holds, and does nothing with it.
+    #[inline]
+    pub(crate) fn glance(&self) {
+        std::hint::black_box(self.kind);
     }
 
     /// The value, whatever its type.

@@ -2,7 +2,8 @@
 //!
 //! To wake a thread on another core that sleeps costs tens of microseconds on a virtual machine, to
 //! hand over to one that looks costs a fraction of one. On a core that the partner shares, looking
-//! keeps the partner from answering: there it is never worth it.
+//! keeps the partner from answering: there it is never worth it, but to let the partner have the core
+//! before going to sleep is.
 
 use std::time::Duration;
 
@@ -11,15 +12,17 @@ use crate::config::{App, ProcessorConfig};
 /// Looked for on a CPU of its own, unless the configuration says otherwise.
 const SPIN: Duration = Duration::from_micros(20);
 
+/// Whether `processor` of `app` has its CPU together with another one, on a machine with `cpus` CPUs that it
+/// may use.
+pub(crate) fn shares(app: &App, processor: &ProcessorConfig, cpus: usize) -> bool {
+    let all = || app.chassis.iter().flat_map(|chassis| &chassis.processors);
+    let beside = |other: &&ProcessorConfig| processor.cpu.is_some() && other.cpu == processor.cpu;
+    all().filter(beside).count() > 1 || (cpus < 2 && all().count() > 1)
+}
+
 /// How long `processor` of `app` looks for messages, on a machine with `cpus` CPUs that it may use.
 pub(crate) fn spin(app: &App, processor: &ProcessorConfig, cpus: usize) -> Duration {
-    let sharing = app
-        .chassis
-        .iter()
-        .flat_map(|chassis| &chassis.processors)
-        .filter(|other| processor.cpu.is_some() && other.cpu == processor.cpu)
-        .count();
-    if cpus < 2 || sharing > 1 {
+    if cpus < 2 || shares(app, processor, cpus) {
         return Duration::ZERO;
     }
     processor.spin.unwrap_or(match processor.cpu {

@@ -12,9 +12,11 @@
 
 mod alarm;
 mod calls;
+mod courtesy;
 mod futures;
 mod handle;
 mod handover;
+mod routes;
 mod stopwatch;
 
 use std::{
@@ -28,16 +30,19 @@ use std::{
 
 use self::{
     alarm::Timed,
+    courtesy::Courtesy,
     futures::{Futures, WakerOf},
     handle::Item,
     handover::Handovers,
+    routes::Routes,
     stopwatch::Stopwatch,
 };
 use crate::{
     call::ReplySlot,
+    context::Beside,
     exchange::{CallKey, Calls},
-    mailbox::{Mailbox, TaskQueue},
-    message::Tid,
+    link::lookout::Glance,
+    mailbox::TaskQueue,
     sync::Schedule,
     time::{Clock, Instant},
     timers::Timers,
@@ -59,6 +64,7 @@ pub(crate) struct Processor {
     /// How rarely it looks at the clock while the code of its tasks is brief.
     stopwatch: Stopwatch,
     handovers: Handovers,
+    courtesy: Courtesy,
     futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
     current: Cell<Option<(FutureId, WakerOf)>>,
@@ -72,19 +78,23 @@ pub(crate) struct Processor {
     /// When these are looked after at the latest, if nothing leads to it before.
     young_until: Cell<Instant>,
     queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
-    /// Queues of the other processors of the chassis, by processor and slot, that messages went to.
-    routes: RefCell<Vec<Vec<Option<Arc<Mailbox>>>>>,
+    /// Tasks of the other processors of the chassis that messages went to.
+    routes: Routes,
     batch: RefCell<Vec<Item>>,
     /// Names of its tasks, by slot, as those beside them called them.
     names: RefCell<Vec<Option<Arc<str>>>>,
     /// Its synchronous functions.
     pub(crate) schedule: Schedule,
+    /// What its tasks show each other.
+    pub(crate) beside: Beside,
     /// The next trace ids of its tasks, and where they end.
     traces: Cell<(u64, u64)>,
     handling: Cell<u64>,
     next_serial: Cell<u64>,
     /// Rights to answer that handlers at work have dropped.
     orphans: RefCell<Vec<ReplySlot>>,
+    /// How many tasks were started here.
+    starts: Cell<u32>,
 }
 
 thread_local! {
@@ -111,6 +121,7 @@ impl Processor {
             stopwatch: Stopwatch::new(clock.origin_ns().is_some()),
             clock,
             handovers: Handovers::default(),
+            courtesy: Courtesy::default(),
             futures: RefCell::default(),
             current: Cell::new(None),
             timers: RefCell::default(),
@@ -119,14 +130,16 @@ impl Processor {
             young: RefCell::default(),
             young_until: Cell::new(Instant::LAST),
             queues: RefCell::default(),
-            routes: RefCell::default(),
+            routes: Routes::default(),
             batch: RefCell::default(),
             names: RefCell::default(),
             schedule,
+            beside: Beside::default(),
             traces: Cell::new((0, 0)),
             handling: Cell::new(0),
             next_serial: Cell::new(1),
             orphans: RefCell::default(),
+            starts: Cell::new(0),
         })
     }
 
@@ -147,6 +160,16 @@ impl Processor {
     pub(crate) fn look_at_clock(&self) -> Instant {
         self.measure();
         self.recent.get()
+    }
+
+    /// The present moment by `clock`, which is that of the chassis that this thread belongs to. If the thread
+    /// runs a processor, it has looked at its clock then.
+    #[inline]
+    pub(crate) fn look_here(clock: &Clock) -> Instant {
+        match Self::here() {
+            Some(processor) => processor.look_at_clock(),
+            None => clock.now(),
+        }
     }
 
     /// Looks at the clock; what the last of the turns since the look before took, ns.
@@ -235,6 +258,21 @@ impl Processor {
 
     // -- queues of tasks --------------------------------------------------------------------
 
+    /// A task is about to be started. Where many are, memory for the next ones is asked for together: the
+    /// allocator of a thread may go to the system for each page (that of glibc does), which takes about as long
+    /// as starting the tasks that are in it.
+    pub(crate) fn prepare_start(&self) {
+        /// So many tasks at once, and what they take in all, bytes.
+        const STARTS: u32 = 64;
+        const MEMORY: usize = 40 << 10;
+        let starts = self.starts.get().wrapping_add(1);
+        self.starts.set(starts);
+        if starts.is_multiple_of(STARTS) {
+            // What is given back is kept by the allocator.
+            drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
+        }
+    }
+
     /// Makes the queue of the task in `slot` known.
     pub(crate) fn add_queue(&self, slot: u16, queue: Rc<TaskQueue>) {
         let mut queues = self.queues.borrow_mut();
@@ -263,40 +301,6 @@ impl Processor {
         if let Some(queue) = queue {
             queue.close(self);
         }
-    }
-
-    /// The open queue of `to`, a task of another processor of this chassis; `find` is asked when it
-    /// is not known here.
-    pub(crate) fn route(
-        &self,
-        to: Tid,
-        find: impl FnOnce() -> Option<Arc<Mailbox>>,
-    ) -> Option<std::cell::Ref<'_, Arc<Mailbox>>> {
-        let (processor, slot) = (usize::from(to.processor()), usize::from(to.slot()));
-        let known = std::cell::Ref::filter_map(self.routes.borrow(), |routes| {
-            let mailbox = routes.get(processor)?.get(slot)?.as_ref()?;
-            (!mailbox.is_closed()).then_some(mailbox)
-        });
-        match known {
-            Ok(known) => return Some(known),
-            // Not known, or closed; the cell is free again.
-            Err(routes) => drop(routes),
-        }
-        let found = find();
-        let mut routes = self.routes.borrow_mut();
-        if routes.len() <= processor {
-            routes.resize_with(processor + 1, Vec::new);
-        }
-        let slots = routes.get_mut(processor)?;
-        if slots.len() <= slot {
-            slots.resize_with(slot + 1, || None);
-        }
-        *slots.get_mut(slot)? = found;
-        drop(routes);
-        std::cell::Ref::filter_map(self.routes.borrow(), |routes| {
-            routes.get(processor)?.get(slot)?.as_ref()
-        })
-        .ok()
     }
 
     /// A trace id that no other message of the run has; `more` gives the first of as many new ones.
@@ -410,11 +414,11 @@ impl Processor {
     fn wait(&self) {
         let now = self.moment();
         self.start_begun(now);
-        if self.spin(now) {
+        if self.spin(now) || self.give_way(now) {
             return;
         }
         self.settle_calls();
-        let deadline = self.wake_at();
+        let (tick, deadline) = (self.schedule.wake_at(), self.wake_at());
         // The clock was looked at above, or when it last looked for work.
         let now = self.recent.get();
         if deadline.is_some_and(|deadline| deadline <= now) || !self.handle.inbox.sleep() {
@@ -427,11 +431,15 @@ impl Processor {
             self.handle.parker.had_work();
         }
         // What came over a link has led to a look already.
-        self.moment();
+        let now = self.moment();
+        if let Some(tick) = tick {
+            self.schedule.woke(tick, now);
+        }
     }
 
-    /// Looks for work without sleeping, as long as the processor was told to. Never yields: that would
-    /// hand the core to whoever else wants it for a whole slice. True when there is something to do.
+    /// Looks for work without sleeping, as long as the processor was told to: at what other threads brought,
+    /// and at the links of the chassis. Never yields: that would hand the core to whoever else wants it for a
+    /// whole slice. True when there is something to do.
     fn spin(&self, since: Instant) -> bool {
         /// Looks between two looks at the clock.
         const LOOKS: u32 = 32;
@@ -442,16 +450,20 @@ impl Processor {
         let until = since + spin;
         let deadline = self.wake_at().unwrap_or(Instant::LAST);
         let deadline = deadline.min(self.young_until.get());
+        let handle = &self.handle;
+        // What comes over a link may be for others, and a future of this processor is ready when it is not.
+        let brings = |glance: Glance| handle.parker.glance(glance) && self.ready_count() > 0;
         loop {
             for _ in 0..LOOKS {
-                if self.handle.inbox.is_filled() {
+                if handle.inbox.is_filled() || brings(Glance::AtMemory) {
                     self.look_at_clock();
                     return true;
                 }
                 std::hint::spin_loop();
             }
+            let brought = brings(Glance::Everywhere);
             let now = self.look_at_clock();
-            if deadline <= now {
+            if brought || deadline <= now {
                 return true;
             }
             if now >= until {
@@ -488,7 +500,8 @@ impl Processor {
             }
             drop_contained(timers);
         }
-        self.routes.borrow_mut().clear();
+        self.routes.clear();
+        self.beside.clear();
         let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
         // Outside the borrow, as in `enter`.
         drop(here);

@@ -149,7 +149,7 @@ impl Recent {
 /// How the task `tid` of `chassis` is.
 pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<Seen> {
     let record = chassis.task(tid)?;
-    let mut last = record.statistics.recent.look(without);
+    let mut last = record.statistics.activity().recent.look(without);
     let task = survey::of_task(chassis, &record);
     for note in &mut last {
         note.named = survey::command_name(chassis, &task.handler, note.command);

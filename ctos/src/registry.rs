@@ -6,7 +6,7 @@ mod tests;
 mod waiting;
 
 use std::{
-    collections::{BTreeMap, btree_map::Entry},
+    collections::{BTreeMap, BTreeSet, btree_map::Entry},
     future::Future,
     rc::Rc,
     sync::Arc,
@@ -22,7 +22,11 @@ use crate::{
 type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
 type WaitsFor = Box<dyn Fn(&TaskConfig) -> Vec<String> + Send + Sync>;
+type Speaks = Box<dyn Fn(&TaskConfig) -> Vocabulary + Send + Sync>;
 type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
+
+/// Names that the files of a task may use, by what they stand for.
+pub type Vocabulary = BTreeMap<&'static str, BTreeSet<String>>;
 
 /// A kind of event handler: how to build one, which commands it takes, how to check its arguments.
 pub struct HandlerKind {
@@ -31,6 +35,7 @@ pub struct HandlerKind {
     build: Build,
     checks: Vec<CheckTask>,
     waits_for: Option<WaitsFor>,
+    vocabulary: Option<Speaks>,
 }
 
 impl HandlerKind {
@@ -70,6 +75,22 @@ impl HandlerKind {
     ) -> &mut Self {
         self.checks.push(Box::new(check));
         self
+    }
+
+    /// Declares the words of its own that the files of a task of this kind may use, for editors.
+    pub fn speaks(
+        &mut self,
+        words: impl Fn(&TaskConfig) -> Vocabulary + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.vocabulary = Some(Box::new(words));
+        self
+    }
+
+    /// The words of its own that the files of this task may use.
+    #[must_use]
+    pub fn vocabulary(&self, task: &TaskConfig) -> Vocabulary {
+        let words = self.vocabulary.as_ref();
+        words.map_or_else(Vocabulary::new, |words| words(task))
     }
 
     /// The same, to be kept.
@@ -156,6 +177,7 @@ impl Registry {
             build,
             checks: Vec::new(),
             waits_for: None,
+            vocabulary: None,
         };
         match self.kinds.entry(name.to_owned()) {
             Entry::Vacant(free) => free.insert(kind),

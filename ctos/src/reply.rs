@@ -63,8 +63,8 @@ impl Promise {
 /// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
 pub(crate) struct Waiting {
     promise: Arc<Promise>,
-    /// The call, when it went over a link.
-    outbound: Option<Outbound>,
+    /// The call and who made it, when it went over a link.
+    outbound: Option<(Arc<Chassis>, Outbound)>,
 }
 
 impl Waiting {
@@ -75,7 +75,12 @@ impl Waiting {
     }
 
     /// Waits for an answer that comes over a link, if there is an `outbound`.
-    pub(crate) fn for_call(promise: Arc<Promise>, outbound: Option<Outbound>) -> Self {
+    pub(crate) fn for_call(
+        promise: Arc<Promise>,
+        chassis: &Arc<Chassis>,
+        outbound: Option<Outbound>,
+    ) -> Self {
+        let outbound = outbound.map(|outbound| (chassis.clone(), outbound));
         Self { promise, outbound }
     }
 }
@@ -83,8 +88,8 @@ impl Waiting {
 impl Drop for Waiting {
     fn drop(&mut self) {
         self.promise.abandoned.store(true, Ordering::Release);
-        if let Some(outbound) = self.outbound.take() {
-            outbound.abandon();
+        if let Some((chassis, outbound)) = self.outbound.take() {
+            chassis.abandon(outbound);
         }
     }
 }
@@ -112,7 +117,7 @@ enum ReplyTo {
     /// To somebody in this process who is no task.
     Outside(Arc<Promise>),
     /// Over a link.
-    Remote(Box<(Arc<Chassis>, Inbound)>),
+    Remote(Arc<Chassis>, Arc<Inbound>),
 }
 
 impl ReplyTo {
@@ -120,7 +125,7 @@ impl ReplyTo {
         match self {
             Self::Local(ticket) => ticket.answer(answer.into()),
             Self::Outside(promise) => promise.fulfil(answer),
-            Self::Remote(to) => to.0.post_reply(&to.1, answer),
+            Self::Remote(chassis, request) => chassis.post_reply(&request, answer),
         }
     }
 }
@@ -149,9 +154,9 @@ impl ReplySlot {
         }
     }
 
-    pub(crate) fn remote(chassis: Arc<Chassis>, request: Inbound) -> Self {
+    pub(crate) fn remote(chassis: Arc<Chassis>, request: Arc<Inbound>) -> Self {
         Self {
-            to: Some(ReplyTo::Remote(Box::new((chassis, request)))),
+            to: Some(ReplyTo::Remote(chassis, request)),
             serial: 0,
         }
     }
@@ -170,7 +175,7 @@ impl ReplySlot {
         match &self.to {
             Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
             Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
-            Some(ReplyTo::Remote(to)) => to.1.is_abandoned(),
+            Some(ReplyTo::Remote(_, request)) => request.is_abandoned(),
             None => true,
         }
     }
@@ -201,7 +206,7 @@ impl ReplySlot {
         Some(match self.to.as_ref()? {
             ReplyTo::Local(ticket) => ReplyKey::Local(ticket.home().index(), ticket.key()),
             ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
-            ReplyTo::Remote(to) => ReplyKey::Remote(Box::new(to.1.clone())),
+            ReplyTo::Remote(_, request) => ReplyKey::Remote(request.clone()),
         })
     }
 }
@@ -256,7 +261,7 @@ pub(crate) enum ReplyKey {
     /// To somebody in this process who is no task.
     Outside(Arc<Promise>),
     /// Over a link.
-    Remote(Box<Inbound>),
+    Remote(Arc<Inbound>),
 }
 
 #[cfg(test)]

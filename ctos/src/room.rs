@@ -1,22 +1,64 @@
 //! How full one lane of a queue is, for senders on other threads than its owner's: they claim a place
 //! before they bring a message. It knows nothing of messages.
+//!
+//! Senders count the places that they claim, the owner those whose messages have come, and neither writes
+//! where the other one does: a counter that both wrote to would go to and fro between their cores for each
+//! message. What is claimed and has not come is the difference of the two.
 
-use crate::concurrent::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::OnceLock;
+
+use crate::concurrent::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 /// How many senders may wait for room, as a multiple of the capacity.
 const WAITING_FACTOR: usize = 16;
 
-/// The places of a lane. The owner writes `held`, everybody the rest.
+/// The places of a lane.
 #[derive(Default)]
 pub(crate) struct Room {
-    /// Messages in the queue.
-    held: AtomicUsize,
+    /// What the owner has, as a [`Stock`]. Written by it only.
+    stock: AtomicU64,
     /// Senders that wait for room, those on their way included.
-    waiting: AtomicUsize,
+    waiting: AtomicU32,
     /// Nobody claims a place now, though there may be room.
     shut: AtomicBool,
-    /// Places claimed by messages that are on their way.
-    coming: AtomicUsize,
+    /// Made for the first message that is brought: most queues are only sent to from their own thread.
+    claimed: OnceLock<Box<Claimed>>,
+}
+
+/// How many places were ever claimed, the last 32 bits of it; written by senders only, and in a cache line
+/// of its own: the owner looks at what is beside it for every message, too.
+#[derive(Default)]
+#[repr(align(64))]
+struct Claimed(AtomicU32);
+
+/// What the owner tells, both at one moment.
+#[derive(Clone, Copy)]
+struct Stock {
+    /// Messages in the queue. One of 2^32 messages has no memory to be in.
+    held: u32,
+    /// How many messages with claimed places have ever come, the last 32 bits of it.
+    arrived: u32,
+}
+
+impl Stock {
+    fn of(bits: u64) -> Self {
+        Self {
+            held: bits as u32,
+            arrived: (bits >> 32) as u32,
+        }
+    }
+
+    fn bits(self) -> u64 {
+        u64::from(self.arrived) << 32 | u64::from(self.held)
+    }
+
+    /// How many places are taken when `claimed` were ever claimed. Less than none when messages came whose
+    /// places were claimed later: then they are counted among those in the queue.
+    fn taken(self, claimed: u32) -> i64 {
+        // As a difference of counters that have gone round it is right with its sign.
+        let coming = claimed.wrapping_sub(self.arrived) as i32;
+        i64::from(coming) + i64::from(self.held)
+    }
 }
 
 /// How many senders may wait for room at a queue of `capacity`.
@@ -26,44 +68,65 @@ pub(crate) fn most_waiting(capacity: usize) -> usize {
 
 impl Room {
     /// Claims a place for a message that will be brought. Claims of several threads at the same
-    /// moment may fail together; more than `capacity` never succeed.
+    /// moment may fail together; more than `capacity` never succeed: the last one of those that do has
+    /// counted all others, those that come to nothing included.
     pub(crate) fn claim(&self, capacity: usize) -> bool {
         // Nobody overtakes those who wait: one of them may be the same sender's.
         if self.waiting.load(Ordering::Acquire) > 0 || self.shut.load(Ordering::Acquire) {
             return false;
         }
-        let coming = self.coming.fetch_add(1, Ordering::AcqRel);
-        // What arrives is counted in `held` before it leaves `coming`, so it is never missed here.
-        let is_free = coming + self.held.load(Ordering::Acquire) < capacity;
+        let claimed = &self.claimed.get_or_init(Box::default).0;
+        let before = claimed.fetch_add(1, Ordering::AcqRel);
+        let taken = self.stock(Ordering::Acquire).taken(before);
+        let is_free = i64::try_from(capacity).is_ok_and(|capacity| taken < capacity);
         if !is_free {
-            self.coming.fetch_sub(1, Ordering::AcqRel);
+            claimed.fetch_sub(1, Ordering::AcqRel);
         }
         is_free
     }
 
+    #[inline]
+    fn stock(&self, ordering: Ordering) -> Stock {
+        Stock::of(self.stock.load(ordering))
+    }
+
     /// The owner has as many messages in the queue.
+    #[inline]
     pub(crate) fn set_held(&self, held: usize) {
-        self.held.store(held, Ordering::Release);
+        self.arrived(0, held);
     }
 
     /// The owner has taken a message out of the queue and has `held` left. It need not tell for each, if
     /// the queue is a long one: the line that the senders look at stays theirs for a while.
     #[inline]
     pub(crate) fn took(&self, held: usize, capacity: usize) {
-        let told = self.held.load(Ordering::Relaxed);
+        let told = self.stock(Ordering::Relaxed).held as usize;
         if held == 0 || told.saturating_sub(held) > capacity / 16 {
             self.set_held(held);
         }
     }
 
-    /// As many messages with claimed places are in the queue, and counted there.
-    pub(crate) fn arrived(&self, count: usize) {
-        self.coming.fetch_sub(count, Ordering::AcqRel);
+    /// So many messages with claimed places have come to the owner, which has `held` in the queue, these
+    /// included.
+    #[inline]
+    pub(crate) fn arrived(&self, count: usize, held: usize) {
+        let before = self.stock(Ordering::Relaxed);
+        let stock = Stock {
+            held: held as u32,
+            arrived: before.arrived.wrapping_add(count as u32),
+        };
+        self.stock.store(stock.bits(), Ordering::Release);
+    }
+
+    /// [`Self::arrived`] of one that did not go to the queue.
+    pub(crate) fn arrived_elsewhere(&self) {
+        self.arrived(1, self.stock(Ordering::Relaxed).held as usize);
     }
 
     /// Joins the line of those who wait, if it is not too long.
     pub(crate) fn line_up(&self, capacity: usize) -> bool {
-        let joined = self.waiting.fetch_add(1, Ordering::AcqRel) < most_waiting(capacity);
+        let before = self.waiting.fetch_add(1, Ordering::AcqRel) as usize;
+        let joined = before < most_waiting(capacity);
         if !joined {
             self.waiting.fetch_sub(1, Ordering::AcqRel);
         }
@@ -87,11 +150,17 @@ impl Room {
 
     /// Messages in the queue, on their way to it and in the line.
     pub(crate) fn len(&self) -> usize {
-        self.held.load(Ordering::Relaxed) + self.coming.load(Ordering::Relaxed) + self.waiting()
+        let claimed = self.claimed.get();
+        let stock = self.stock(Ordering::Relaxed);
+        let taken = match claimed {
+            Some(claimed) => stock.taken(claimed.0.load(Ordering::Relaxed)),
+            None => i64::from(stock.held),
+        };
+        usize::try_from(taken).unwrap_or(0) + self.waiting()
     }
 
     /// Those in the line, also on their way to it.
     pub(crate) fn waiting(&self) -> usize {
-        self.waiting.load(Ordering::Relaxed)
+        self.waiting.load(Ordering::Relaxed) as usize
     }
 }

@@ -5,12 +5,17 @@ mod incarnation;
 mod resting;
 mod serving;
 
-use std::{future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+use std::{
+    collections::BTreeSet, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc,
+};
 
 use futures_util::{FutureExt, future::LocalBoxFuture};
 
-pub(crate) use self::serving::{Served, Serving};
-use self::{resting::Resting, serving::AtHand};
+use self::serving::AtHand;
+pub(crate) use self::{
+    resting::Resting,
+    serving::{Served, Serving},
+};
 use crate::{
     call::Fault,
     chassis::{Chassis, TaskRecord},
@@ -27,7 +32,6 @@ use crate::{
         StopTask, TaskChanged, interrupts,
     },
     task::{DynHandler, Handled, HandlerError, Phase},
-    waits::Waits,
 };
 
 /// How many messages the queue of a runtime task holds.
@@ -48,7 +52,6 @@ pub(crate) fn record(
         tid,
         mailbox: Mailbox::new(capacity, processor.clone(), tid.slot()),
         statistics: TaskStatistics::default(),
-        waits: Waits::default(),
     })
 }
 
@@ -121,6 +124,7 @@ pub(crate) fn start_at(
     spec: TaskSpec,
     origin: Origin,
 ) -> Result<(), HandlerError> {
+    processor.prepare_start();
     let cx = Context::new(
         spec.record.clone(),
         chassis.clone(),
@@ -130,7 +134,11 @@ pub(crate) fn start_at(
     );
     let handler = build_contained(&spec.build, &cx)?;
     let record = spec.record;
-    let queue = TaskQueue::new(record.mailbox.clone());
+    let gates = match &origin {
+        Origin::Boot | Origin::StartedBy(_) => BTreeSet::new(),
+        Origin::Moved(_) => chassis.others().chain([chassis.index()]).collect(),
+    };
+    let queue = TaskQueue::gated(record.mailbox.clone(), gates);
     processor.add_queue(record.tid.slot(), queue.clone());
     chassis.add_task(record.clone());
     chassis.tap.built(record.tid, &record.name, cx.commands());
@@ -141,7 +149,7 @@ pub(crate) fn start_at(
     };
     let resting = Resting::new(cx, spec.build, handler, parent);
     match arrival {
-        None => queue.rest(Box::new(resting)),
+        None => queue.rest(resting),
         Some(arrival) => queue.set_runner(resting.begin(&queue, Some(arrival))),
     }
     Ok(())
@@ -322,7 +330,10 @@ impl Runner {
 
     pub(crate) fn entered(&mut self, phase: Phase) {
         self.phase = Some(phase);
-        self.record.statistics.entered(phase, self.cx.now());
+        self.record
+            .statistics
+            .activity()
+            .entered(phase, self.cx.now());
         let tap = &self.cx.chassis().tap;
         tap.phase(self.cx.tid(), Some(phase));
     }

@@ -34,6 +34,7 @@ use crate::{
         simulated::{Arrival, InFlight, Network, below},
     },
     message::{Flags, SYSTEM_COMMANDS},
+    processor::Processor,
     record,
     registry::Registry,
     system,
@@ -442,7 +443,12 @@ impl Simulation {
         }
         let chassis = &machine.chassis;
         match arrival {
-            Arrival::Frame(frame) => chassis.receive(from, frame),
+            Arrival::Frame(frame) => {
+                if let Some(processor) = Processor::here() {
+                    processor.look_at_clock();
+                }
+                chassis.receive(from, frame, chassis.clock.now());
+            }
             Arrival::Closed => self.link_down(chassis, from),
             Arrival::Silence => match machine.frozen(now) {
                 // Who stands still itself listens first when it goes on.

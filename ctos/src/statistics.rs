@@ -2,17 +2,35 @@
 //! disturbing it.
 
 use std::{
-    sync::atomic::{AtomicU8, AtomicU16, AtomicU64, Ordering},
+    sync::{
+        Arc, OnceLock,
+        atomic::{AtomicU8, AtomicU16, AtomicU64, Ordering},
+    },
     time::Duration,
 };
 
 use serde::{Deserialize, Serialize};
 
-use crate::{recent::Recent, task::Phase, time::Instant, watch::TaskMeter};
+use crate::{
+    message::CommandInfo,
+    recent::Recent,
+    task::Phase,
+    time::Instant,
+    waits::Waits,
+    watch::{CommandCount, TaskMeter},
+};
 
-/// The counters of one task.
+/// What is known of one task: nothing, until it has something to do.
 #[derive(Debug, Default)]
 pub(crate) struct TaskStatistics {
+    commands: OnceLock<Arc<[CommandInfo]>>,
+    /// Made when there is something to count: of very many tasks most may be idle.
+    activity: OnceLock<Arc<Activity>>,
+}
+
+/// What one task does.
+#[derive(Debug, Default)]
+pub(crate) struct Activity {
     handled: AtomicU64,
     failed: AtomicU64,
     busy_ns: AtomicU64,
@@ -27,6 +45,8 @@ pub(crate) struct TaskStatistics {
     pub(crate) meter: TaskMeter,
     /// Its last messages, for whoever looks at it.
     pub(crate) recent: Recent,
+    /// Whom it waits for.
+    pub(crate) waits: Waits,
 }
 
 /// Adds to a counter that has one writer, the loop of its task: no other addition can come between.
@@ -57,7 +77,64 @@ pub struct TaskCounters {
 }
 
 impl TaskStatistics {
+    /// The task takes these commands, which are counted one by one.
+    pub(crate) fn takes(&self, commands: Arc<[CommandInfo]>) {
+        // Once: a task takes the same commands as long as it lives.
+        let _ = self.commands.set(commands);
+    }
+
+    /// The commands that the task takes.
+    pub(crate) fn commands(&self) -> &[CommandInfo] {
+        self.commands.get().map_or(&[], |commands| commands)
+    }
+
+    fn blank(&self) -> Activity {
+        Activity {
+            meter: TaskMeter::of(self.commands.get().cloned().unwrap_or_default()),
+            ..Activity::default()
+        }
+    }
+
+    /// What the task does, from now on at the latest.
+    #[inline]
+    pub(crate) fn activity(&self) -> &Arc<Activity> {
+        self.activity.get_or_init(|| Arc::new(self.blank()))
+    }
+
+    /// The counters as they are now. Each is exact; together they may be of slightly different moments.
+    pub(crate) fn read(&self) -> TaskCounters {
+        let activity = self.activity.get();
+        activity.map_or_else(TaskCounters::default, |activity| activity.read())
+    }
+
+    /// When the last startup phase was entered.
+    pub(crate) fn phase_since(&self) -> Option<Instant> {
+        self.activity.get()?.phase_since()
+    }
+
+    /// Whom the task waits for, if it ever waited for anybody.
+    pub(crate) fn waits(&self) -> Option<&Waits> {
+        self.activity.get().map(|activity| &activity.waits)
+    }
+
+    /// The turn that the handler has on its processor at this moment, if it has one.
+    pub(crate) fn turn(&self) -> Option<u64> {
+        self.activity.get()?.meter.turn()
+    }
+
+    /// Messages by command, and how many took at most the bound of each bucket, and longer than all.
+    pub(crate) fn counts(&self) -> (Vec<CommandCount>, Vec<u64>) {
+        let of = |activity: &Activity| (activity.meter.commands(), activity.meter.durations());
+        match self.activity.get() {
+            Some(activity) => of(activity),
+            None => of(&self.blank()),
+        }
+    }
+}
+
+impl Activity {
     /// The handler is called with `command`.
+    #[inline]
     pub(crate) fn begin(&self, command: u16, now: Instant) {
         self.command.store(command, Ordering::Relaxed);
         self.began_ns
@@ -65,6 +142,7 @@ impl TaskStatistics {
     }
 
     /// The handler has returned, after `took` nanoseconds.
+    #[inline]
     pub(crate) fn end(&self, ok: bool, took: u64) {
         self.began_ns.store(0, Ordering::Release);
         add(&self.busy_ns, took);
@@ -95,15 +173,13 @@ impl TaskStatistics {
         self.phase.store(number, Ordering::Release);
     }
 
-    /// When the last startup phase was entered.
-    pub(crate) fn phase_since(&self) -> Option<Instant> {
+    fn phase_since(&self) -> Option<Instant> {
         let entered = self.phase.load(Ordering::Acquire) > 0;
         let since = self.phase_since_ns.load(Ordering::Relaxed);
         entered.then_some(Instant::from_nanos(since))
     }
 
-    /// The counters as they are now. Each is exact; together they may be of slightly different moments.
-    pub(crate) fn read(&self) -> TaskCounters {
+    fn read(&self) -> TaskCounters {
         let began = self.began_ns.load(Ordering::Acquire);
         TaskCounters {
             handled: self.handled.load(Ordering::Relaxed),
@@ -130,12 +206,14 @@ mod tests {
     #[test]
     fn a_message_counts_once_with_the_time_it_took() {
         let statistics = TaskStatistics::default();
-        statistics.entered(Phase::Run, Instant::START);
-        statistics.begin(7, Instant::START);
+        assert_eq!(statistics.read(), TaskCounters::default());
+        let activity = statistics.activity();
+        activity.entered(Phase::Run, Instant::START);
+        activity.begin(7, Instant::START);
         assert_eq!(statistics.read().began, Some(Instant::START));
-        statistics.end(true, 30);
-        statistics.begin(8, Instant::from_nanos(40));
-        statistics.end(false, 10);
+        activity.end(true, 30);
+        activity.begin(8, Instant::from_nanos(40));
+        activity.end(false, 10);
         let counters = statistics.read();
         assert_eq!(
             counters,

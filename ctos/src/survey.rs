@@ -133,7 +133,10 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
         cyclic: cyclic.get(&*task.name).copied().unwrap_or_default(),
         phase_since: task.statistics.phase_since(),
         queue: task.mailbox.lengths(),
-        waits: task.waits.read(),
+        waits: task
+            .statistics
+            .waits()
+            .map_or_else(Vec::new, |waits| waits.read()),
     }
 }
 

@@ -18,6 +18,7 @@ pub struct WaitReport {
     pub since: Instant,
 }
 
+#[derive(Debug)]
 struct Entry {
     to: Arc<str>,
     tid: Tid,
@@ -26,7 +27,7 @@ struct Entry {
 }
 
 /// What one task waits for. Its children's calls count as its own.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Waits {
     /// Made for the first one. Free places are used again, so that a call allocates nothing.
     entries: OnceLock<Box<Mutex<Vec<Option<Entry>>>>>,

@@ -21,7 +21,7 @@ use crate::{
 pub use lint::{Lint, LintCode};
 
 pub(crate) use lint::Watch;
-pub(crate) use meter::TaskMeter;
+pub(crate) use meter::{CommandCount, TaskMeter};
 pub(crate) use metrics::{Gather, gather_here};
 pub(crate) use server::serve;
 

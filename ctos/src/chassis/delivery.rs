@@ -9,7 +9,7 @@ use crate::{
     context::Note,
     exchange::CallKey,
     mailbox::{Acceptance, Offered},
-    message::{Command, Data, Flags, Message, Tid},
+    message::{Command, Data, Flags, Letter, Message, Tid},
     processor::Processor,
     record::Asked,
     system,
@@ -25,6 +25,14 @@ pub(crate) enum WaitFor {
     Acceptance,
 }
 
+/// What became of a call.
+pub(crate) enum Called {
+    /// It has been answered.
+    Answered(Box<Letter>),
+    /// It waits at its processor; with the way to take it back when it went over a link.
+    Waits(CallKey, Option<Outbound>),
+}
+
 /// What became of a one-way message.
 pub(crate) enum Sent {
     /// The receiver's queue has taken it, or never will.
@@ -36,7 +44,7 @@ pub(crate) enum Sent {
 /// A send that waits at its processor; with the way to take it back when it went over a link.
 pub(crate) struct Question {
     pub(crate) key: CallKey,
-    pub(crate) outbound: Option<Box<Outbound>>,
+    pub(crate) outbound: Option<Outbound>,
     /// The message's number in the record.
     pub(crate) recorded: u64,
     pub(crate) asked: Asked,
@@ -63,8 +71,7 @@ enum Offer {
 impl Chassis {
     /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, with
     /// what `note` makes of it and of the message's number in the record. It may have ended already: then
-    /// `meter`, its caller's, has stood still meanwhile, and a note that is `spared` is not made. With the way
-    /// to take the call back, when it went over a link.
+    /// `meter`, its caller's, has stood still meanwhile, and a note that is `spared` is not made.
     #[inline]
     pub(crate) fn call(
         self: &Arc<Self>,
@@ -74,28 +81,33 @@ impl Chassis {
         meter: &TaskMeter,
         spared: bool,
         note: impl FnOnce(Asked, u64) -> Note,
-    ) -> (CallKey, Option<Box<Outbound>>) {
+    ) -> Called {
         let asked = self.address(Some(processor), &mut message);
         let to = message.header().to;
         let here = to.chassis() == self.index;
         let beside = here && !self.tap.is_on() && self.is_on(to, processor);
         // What stays on the processor is told when the caller gives up once that is known there.
+        let mut now = None;
         if !beside {
-            message.letter.deadline = Some(processor.now() + limit);
+            let moment = processor.now();
+            message.letter.deadline = Some(moment + limit);
+            now = Some(moment);
         }
-        let ticket = processor.begin_call(limit);
+        let ticket = processor.begin_untimed(limit);
         let key = ticket.key();
         let slot = ReplySlot::call(ticket);
         if let Some(replay) = self.tap.replay() {
             processor.note_call(key, false, || note(asked, 0));
             replay.dispatch(&message, WaitFor::Reply, self.clock.now(), slot);
-            return (key, None);
+            processor.time_call(key);
+            return Called::Waits(key, None);
         }
         let recorded = self.tap.sent(&message, Some(WaitFor::Reply));
         if !here {
             processor.note_call(key, false, || note(asked, recorded));
-            let outbound = self.post(message, WaitFor::Reply, Some(slot));
-            return (key, outbound.map(Box::new));
+            let outbound = self.post(message, WaitFor::Reply, Some(slot), now);
+            processor.time_call(key);
+            return Called::Waits(key, outbound);
         }
         finish(&mut message, Flags::REPLY_WAIT, recorded, Some(slot));
         let offer = if beside {
@@ -107,6 +119,11 @@ impl Chassis {
             self.offer(processor, to, message)
         };
         match offer {
+            Offer::Done(Offered::Taken) if beside && spared => {
+                if let Some(letter) = processor.take_answered(key) {
+                    return Called::Answered(letter);
+                }
+            }
             Offer::Done(Offered::Taken) => {}
             Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
                 Some(task) => task.mailbox.line_up(message, Acceptance::Silent),
@@ -117,7 +134,8 @@ impl Chassis {
         }
         // Answers of other threads are taken in after the present turn.
         processor.note_call(key, beside && spared, || note(asked, recorded));
-        (key, None)
+        processor.time_call(key);
+        Called::Waits(key, None)
     }
 
     /// Sends a message that needs no reply, and waits for room at `processor`, at most for `limit`, if
@@ -131,8 +149,11 @@ impl Chassis {
         let asked = self.address(Some(processor), &mut message);
         let to = message.header().to;
         let here = to.chassis() == self.index;
+        let mut now = None;
         if !here || self.tap.is_on() {
-            message.letter.deadline = Some(processor.now() + limit);
+            let moment = processor.now();
+            message.letter.deadline = Some(moment + limit);
+            now = Some(moment);
         }
         let wait = || {
             let ticket = processor.begin_call(limit);
@@ -148,8 +169,7 @@ impl Chassis {
         if !here {
             let (mut question, slot) = wait();
             question.recorded = recorded;
-            let outbound = self.post(message, WaitFor::Acceptance, Some(slot));
-            question.outbound = outbound.map(Box::new);
+            question.outbound = self.post(message, WaitFor::Acceptance, Some(slot), now);
             return Sent::Waits(question);
         }
         finish(&mut message, Flags::ACCEPT_WAIT, recorded, None);
@@ -219,8 +239,8 @@ impl Chassis {
         }
         let recorded = self.tap.sent(&message, Some(wait));
         if message.header().to.chassis() != self.index {
-            let outbound = self.post(message, wait, Some(slot));
-            return Waiting::for_call(promise, outbound);
+            let outbound = self.post(message, wait, Some(slot), None);
+            return Waiting::for_call(promise, self, outbound);
         }
         let Some(task) = self.task(message.header().to) else {
             slot.answer(Err(Fault::UnknownTask));
@@ -250,7 +270,7 @@ impl Chassis {
         }
         let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance));
         if to.chassis() != self.index {
-            self.post(message, WaitFor::Acceptance, None);
+            self.post(message, WaitFor::Acceptance, None, None);
         } else if let Some(task) = self.task(to) {
             finish(&mut message, Flags::ACCEPT_WAIT, recorded, None);
             task.mailbox.put(message, Acceptance::Silent);
@@ -276,7 +296,7 @@ impl Chassis {
 
     /// Whether task `to` of this chassis runs on `processor`.
     #[inline]
-    fn is_on(&self, to: Tid, processor: &Processor) -> bool {
+    pub(super) fn is_on(&self, to: Tid, processor: &Processor) -> bool {
         self.processors
             .get(usize::from(to.processor()))
             .is_some_and(|(_, handle)| Arc::ptr_eq(handle, &processor.handle))
@@ -323,5 +343,5 @@ fn finish(message: &mut Message, flags: Flags, recorded: u64, reply: Option<Repl
     let letter = &mut *message.letter;
     letter.header.flags = letter.header.flags.with(flags).with(Flags::OWNED);
     letter.recorded = recorded;
-    letter.reply = reply;
+    letter.set_reply(reply);
 }

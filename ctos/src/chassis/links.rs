@@ -15,7 +15,7 @@ use crate::{
     blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
     link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
-    mailbox::Acceptance,
+    mailbox::{Acceptance, Offered},
     message::{Data, Flags, Header, Message},
     processor::Processor,
     system,
@@ -25,10 +25,17 @@ use crate::{
 pub(super) struct Pending {
     /// Who waits for the answer; `None` when nobody does.
     reply: Option<ReplySlot>,
-    pub(super) peer: u8,
+    /// What was asked, to take it back.
+    header: Header,
+    trace: u64,
 }
 
 impl Pending {
+    /// The chassis that was asked.
+    pub(super) fn peer(&self) -> u8 {
+        self.header.to.chassis()
+    }
+
     pub(super) fn answer(self, answer: Answer) {
         if let Some(reply) = self.reply {
             reply.answer(answer);
@@ -42,19 +49,18 @@ pub(super) struct Links {
     /// What this chassis asked others and has no answer to yet.
     pub(super) pending: BTreeMap<u64, Pending>,
     next_call: u64,
-    /// What others asked this chassis, by chassis and its number for the call: the flag is set when
-    /// nobody waits for the answer any more.
-    inbound: BTreeMap<(u8, u64), Arc<AtomicBool>>,
+    /// What others asked this chassis, by chassis and its number for the call.
+    inbound: BTreeMap<(u8, u64), Arc<Inbound>>,
 }
 
 /// A request that came over a link and waits for its answer.
-#[derive(Clone)]
 pub(crate) struct Inbound {
     header: Header,
     call: u64,
     trace: u64,
     recorded: u64,
-    abandoned: Arc<AtomicBool>,
+    /// Set when nobody waits for the answer any more.
+    abandoned: AtomicBool,
 }
 
 impl Inbound {
@@ -62,52 +68,51 @@ impl Inbound {
     pub(crate) fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Acquire)
     }
+
+    fn abandon(&self) {
+        self.abandoned.store(true, Ordering::Release);
+    }
 }
 
-/// A request that went over a link and waits for its answer.
-pub(crate) struct Outbound {
-    chassis: Arc<Chassis>,
-    header: Header,
-    call: u64,
-    trace: u64,
-}
+/// The number of a request that went over a link and waits for its answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Outbound(u64);
 
-impl Outbound {
-    /// The sender waits no longer: the receiver need not begin, if it has not.
-    pub(crate) fn abandon(self) {
-        let peer = self.header.to.chassis();
+impl Chassis {
+    /// The sender of a request waits no longer: the receiver need not begin, if it has not.
+    pub(crate) fn abandon(&self, Outbound(call): Outbound) {
         let (pending, link) = {
-            let mut links = lock(&self.chassis.links);
-            let pending = links.pending.remove(&self.call);
-            (pending, links.up.get(&peer).cloned())
+            let mut links = lock(&self.links);
+            let Some(pending) = links.pending.remove(&call) else {
+                return;
+            };
+            let link = links.up.get(&pending.peer()).cloned();
+            (pending, link)
         };
-        if pending.is_some()
-            && let Some(link) = link
-        {
+        if let Some(link) = link {
             // What is not a request is never refused.
             let _ = link.post(Frame {
                 header: Header {
                     flags: Flags::ABANDONED,
                     size: 0,
-                    ..self.header
+                    ..pending.header
                 },
-                call: self.call,
-                trace: self.trace,
+                call,
+                trace: pending.trace,
                 left_ns: NO_DEADLINE,
                 body: Body::default(),
             });
         }
     }
-}
 
-impl Chassis {
-    /// Sends a message to another chassis; `reply` is told what `wait` names. This is the one place
-    /// that every message to another chassis passes on its way out.
+    /// Sends a message to another chassis; `reply` is told what `wait` names. `now` is the present moment, where
+    /// that is known. This is the one place that every message to another chassis passes on its way out.
     pub(super) fn post(
-        self: &Arc<Self>,
+        &self,
         message: Message,
         wait: WaitFor,
         reply: Option<ReplySlot>,
+        now: Option<Instant>,
     ) -> Option<Outbound> {
         let failed = |reply: Option<ReplySlot>, fault| {
             if let Some(reply) = reply {
@@ -136,13 +141,18 @@ impl Chassis {
         };
         links.next_call += 1;
         let call = links.next_call;
-        links.pending.insert(call, Pending { reply, peer });
+        let pending = Pending {
+            reply,
+            header,
+            trace,
+        };
+        links.pending.insert(call, pending);
         drop(links);
         let posted = link.post(Frame {
             header,
             call,
             trace,
-            left_ns: self.left_ns(deadline),
+            left_ns: self.left_ns(deadline, now),
             body,
         });
         if let Err(Full { bytes }) = posted {
@@ -150,18 +160,14 @@ impl Chassis {
             let reply = pending.and_then(|pending| pending.reply);
             return failed(reply, Fault::LinkFull { bytes });
         }
-        Some(Outbound {
-            chassis: self.clone(),
-            header,
-            call,
-            trace,
-        })
+        Some(Outbound(call))
     }
 
     /// How long it is until `deadline`, for the wire.
-    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
+    fn left_ns(&self, deadline: Option<Instant>, now: Option<Instant>) -> u64 {
         deadline.map_or(NO_DEADLINE, |deadline| {
-            let left = deadline.since(self.clock.now()).as_nanos();
+            let now = now.unwrap_or_else(|| self.clock.now());
+            let left = deadline.since(now).as_nanos();
             u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
         })
     }
@@ -211,8 +217,9 @@ impl Chassis {
         });
     }
 
-    /// Takes a frame that came from chassis `peer`.
-    pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame) {
+    /// Takes a frame that came from chassis `peer` at `now`; the processor that this thread runs, if any, has
+    /// looked at its clock then.
+    pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame, now: Instant) {
         let Frame {
             header,
             call,
@@ -220,10 +227,6 @@ impl Chassis {
             left_ns,
             body,
         } = frame;
-        if let Some(processor) = Processor::here() {
-            // Its thread slept at the links: its last look at the clock may be an old one.
-            processor.look_at_clock();
-        }
         if header.flags.contains(Flags::REPLY) {
             return self.receive_reply(peer, call, header.flags, body);
         }
@@ -237,28 +240,24 @@ impl Chassis {
             return;
         }
         if header.flags.contains(Flags::ABANDONED) {
-            let abandoned = lock(&self.links).inbound.remove(&(peer, call));
-            if let Some(abandoned) = abandoned {
-                abandoned.store(true, Ordering::Release);
+            let request = lock(&self.links).inbound.remove(&(peer, call));
+            if let Some(request) = request {
+                request.abandon();
             }
             return;
         }
-        let deadline =
-            (left_ns != NO_DEADLINE).then(|| self.clock.now() + Duration::from_nanos(left_ns));
+        let deadline = (left_ns != NO_DEADLINE).then(|| now + Duration::from_nanos(left_ns));
         let recorded = self.tap.arrived(&header, trace, deadline, &body);
-        let request = Inbound {
+        let request = Arc::new(Inbound {
             header,
             call,
             trace,
             recorded,
-            abandoned: Arc::default(),
-        };
+            abandoned: AtomicBool::new(false),
+        });
         lock(&self.links)
             .inbound
-            .insert((peer, call), request.abandoned.clone());
-        let Some(task) = self.task(header.to) else {
-            return self.post_reply(&request, Err(Fault::UnknownTask));
-        };
+            .insert((peer, call), request.clone());
         // Every request between chassis waits for one or the other, so that none is lost unseen.
         let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
             let slot = ReplySlot::remote(self.clone(), request);
@@ -274,7 +273,28 @@ impl Chassis {
         message.letter.header = header;
         message.letter.recorded = recorded;
         message.letter.reply = reply;
-        task.mailbox.put(message, acceptance);
+        self.hand_in(message, acceptance);
+    }
+
+    /// Puts a message from another chassis into the queue of its task.
+    fn hand_in(&self, mut message: Message, acceptance: Acceptance) {
+        let to = message.header().to;
+        // Read by the processor of the task itself, it is put in without a detour, if there is room.
+        if let Some(here) = Processor::here().filter(|here| self.is_on(to, here))
+            && let Some(queue) = here.queue(to.slot())
+        {
+            match queue.offer(&here, message) {
+                Offered::Taken => return acceptance.tell(Ok(())),
+                Offered::NoRoom(refused) | Offered::Closed(refused) => message = refused,
+            }
+        }
+        match self.task(to) {
+            Some(task) => task.mailbox.put(message, acceptance),
+            None => {
+                message.refuse(Fault::UnknownTask);
+                acceptance.tell(Err(Fault::UnknownTask));
+            }
+        }
     }
 
     fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Body) {
@@ -282,7 +302,7 @@ impl Chassis {
             let mut links = lock(&self.links);
             // A reply counts only when it comes from the chassis that was asked.
             match links.pending.get(&call) {
-                Some(pending) if pending.peer == peer => links.pending.remove(&call),
+                Some(pending) if pending.peer() == peer => links.pending.remove(&call),
                 _ => None,
             }
         };
@@ -332,16 +352,16 @@ impl Chassis {
             if links.up.remove(&peer).is_none() {
                 return;
             }
-            links.inbound.retain(|(from, _), abandoned| {
+            links.inbound.retain(|(from, _), request| {
                 if *from == peer {
-                    abandoned.store(true, Ordering::Release);
+                    request.abandon();
                 }
                 *from != peer
             });
             let of_peer: Vec<u64> = links
                 .pending
                 .iter()
-                .filter(|(_, pending)| pending.peer == peer)
+                .filter(|(_, pending)| pending.peer() == peer)
                 .map(|(call, _)| *call)
                 .collect();
             of_peer

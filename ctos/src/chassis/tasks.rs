@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::{mailbox::Mailbox, message::Tid, statistics::TaskStatistics, waits::Waits};
+use crate::{mailbox::Mailbox, message::Tid, statistics::TaskStatistics};
 
 /// A task of this chassis, as the others see it.
 pub(crate) struct TaskRecord {
@@ -10,7 +10,6 @@ pub(crate) struct TaskRecord {
     pub(crate) tid: Tid,
     pub(crate) mailbox: Arc<Mailbox>,
     pub(crate) statistics: TaskStatistics,
-    pub(crate) waits: Waits,
 }
 
 /// Tasks by processor and slot.

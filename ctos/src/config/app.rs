@@ -5,7 +5,7 @@ use super::{LinkConfig, Node, SecurityConfig, Selection};
 use crate::diagnostic::{Findings, Place};
 use crate::semaphore::Scope;
 use crate::supervise::Policy;
-use crate::sync::Overrun;
+use crate::sync::{Lead, Overrun};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -192,19 +192,15 @@ pub struct ProcessorConfig {
     pub place: Place,
 }
 
-/// How long a real-time processor spins before a tick, unless the configuration says otherwise: waking up
-/// takes about so long on a busy machine.
-const TICK_SPIN: Duration = Duration::from_micros(80);
-
 impl ProcessorConfig {
-    /// How long before a tick it is awake and waits spinning.
+    /// How long before a tick it wakes up and spins.
     #[must_use]
-    pub fn tick_spin(&self) -> Duration {
-        self.spin.unwrap_or(if self.realtime {
-            TICK_SPIN
-        } else {
-            Duration::ZERO
-        })
+    pub fn lead(&self) -> Lead {
+        match self.spin {
+            Some(spin) => Lead::Fixed(spin),
+            None if self.realtime => Lead::Learned,
+            None => Lead::default(),
+        }
     }
 }
 

@@ -380,7 +380,7 @@ pub(super) const TABLES: &[Table] = &[
                 "spin_us",
                 Kind::Integer(0, 10_000),
                 None,
-                "How long it spins, us: before a tick (default: 80 with `realtime`, else 0), and for messages before it sleeps (default: 20 on a CPU of its own, else 0).",
+                "How long it spins, us: before a tick (default: 0, with `realtime` as long as its wake-ups were late, 80 to 500), and for messages before it sleeps (default: 20 on a CPU of its own, else 0).",
             ),
         ],
     },

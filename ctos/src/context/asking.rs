@@ -16,10 +16,10 @@ use futures_util::future::LocalBoxFuture;
 use super::{Context, Inner, TaskRef};
 use crate::{
     call::{CallError, Fault},
-    chassis::{Outbound, Question, Sent},
+    chassis::{Called, Outbound, Question, Sent},
     circle,
     exchange::{Brought, CallKey, Looked},
-    message::{Command, Flags, Letter, Message, Tid},
+    message::{Command, Flags, Letter, Message, PayloadError, Tid},
     record::Asked,
     time::Instant,
 };
@@ -76,13 +76,14 @@ impl<C: Command> Future for Calling<C> {
     #[inline]
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
         let Self { ask, .. } = self.get_mut();
-        ask.begin(C::NAME).map_err(|error| *error)?;
+        if let Some(letter) = ask.begin(C::NAME).map_err(|error| *error)? {
+            let reply = letter.take::<C::Reply>();
+            return Poll::Ready(reply.map_err(|error| ask.misread(C::NAME, &error)));
+        }
         let mut reply = None;
         let mut open = |letter: Box<Letter>| {
             let taken = letter.take::<C::Reply>();
-            reply = Some(taken.map_err(|error| Fault::BadPayload {
-                text: format!("its reply: {error}"),
-            })?);
+            reply = Some(taken.map_err(|error| bad_reply(&error))?);
             Ok(())
         };
         let ended = std::task::ready!(ask.poll(poll, C::NAME, &mut open));
@@ -165,22 +166,29 @@ pub(crate) struct Note {
 
 impl Inner {
     /// The name of a task that is about to be asked, for the error that may come, unless the processor knows
-    /// it: those of its own tasks it keeps, so that a call needs no share of the name.
+    /// it: those of tasks of its chassis it keeps, so that a call needs no share of the name.
     #[inline]
     pub(super) fn name_to_keep(&self, to: &TaskRef) -> Option<Arc<str>> {
         let (own, tid) = (self.record.tid, to.tid);
-        let beside = own.chassis() == tid.chassis() && own.processor() == tid.processor();
-        if beside && self.processor.knows_name(tid.slot(), &to.name) {
-            None
-        } else {
-            Some(to.name.clone())
-        }
+        let known = own.chassis() == tid.chassis()
+            && if own.processor() == tid.processor() {
+                self.processor.knows_name(tid.slot(), &to.name)
+            } else {
+                self.processor.knows_far_name(tid, &to.name)
+            };
+        if known { None } else { Some(to.name.clone()) }
     }
 
     /// The name of a task that was asked.
     #[cold]
     fn name_of(&self, kept: Option<&Arc<str>>, asked: Tid) -> Arc<str> {
-        let known = || self.processor.known_name(asked.slot());
+        let known = || {
+            if self.record.tid.processor() == asked.processor() {
+                self.processor.known_name(asked.slot())
+            } else {
+                self.processor.far_name(asked)
+            }
+        };
         // One or the other is there.
         kept.cloned().or_else(known).unwrap_or_else(|| "".into())
     }
@@ -195,7 +203,7 @@ impl Note {
     /// Shows the call to whoever wants to know what its task waits for.
     pub(crate) fn show(&mut self, since: Instant) {
         if self.place.is_none() {
-            let waits = &self.asker.record.waits;
+            let waits = &self.asker.record.statistics.activity().waits;
             let to = self.asker.name_of(self.to.as_ref(), self.named);
             self.place = Some(waits.begin(to, self.asked.to(), self.command, since));
         }
@@ -206,7 +214,7 @@ impl Drop for Note {
     #[inline]
     fn drop(&mut self) {
         if let Some(place) = self.place {
-            self.asker.record.waits.end(place);
+            self.asker.record.statistics.activity().waits.end(place);
         }
     }
 }
@@ -231,7 +239,7 @@ enum AskState {
     /// The message, which has not been sent yet.
     New(Message),
     /// The call, and the way to take it back when it went over a link.
-    Asked(CallKey, Option<Box<Outbound>>),
+    Asked(CallKey, Option<Outbound>),
     Ended,
 }
 
@@ -270,16 +278,19 @@ impl Ask {
         }
     }
 
-    /// Makes the call, if that has not been done yet.
+    /// Makes the call, if that has not been done yet. The answer, if it is there at once.
     ///
     /// # Errors
     /// When there is no time at all for it.
-    pub(super) fn begin(&mut self, command: &'static str) -> Result<(), Box<CallError>> {
+    pub(super) fn begin(
+        &mut self,
+        command: &'static str,
+    ) -> Result<Option<Box<Letter>>, Box<CallError>> {
         let Some(mut message) = self.take_new() else {
-            return Ok(());
+            return Ok(None);
         };
         let asker = &self.asker;
-        let to = message.letter.to.take();
+        let to = message.letter.take_to();
         let (named, limit) = (message.header().to, message.letter.limit);
         if limit == Duration::ZERO {
             let fault = Fault::Deadline { after: limit };
@@ -297,14 +308,40 @@ impl Ask {
             recorded,
             place: None,
         };
-        let meter = &asker.record.statistics.meter;
-        let (key, outbound) =
-            asker
-                .chassis
-                .call(&asker.processor, message, limit, meter, spared, note);
+        let meter = &asker.record.statistics.activity().meter;
+        let called = asker
+            .chassis
+            .call(&asker.processor, message, limit, meter, spared, note);
         self.named = named;
-        self.state = AskState::Asked(key, outbound);
-        Ok(())
+        match called {
+            Called::Answered(letter) => Ok(Some(letter)),
+            Called::Waits(key, outbound) => {
+                self.state = AskState::Asked(key, outbound);
+                Ok(None)
+            }
+        }
+    }
+
+    /// What came of opening an answer that was there at once.
+    ///
+    /// # Errors
+    /// What was wrong with it.
+    pub(super) fn opened(
+        &self,
+        command: &'static str,
+        opened: Result<(), Fault>,
+    ) -> Result<(), Box<CallError>> {
+        opened.map_err(|fault| {
+            let to = self.asker.name_of(None, self.named);
+            Box::new(call_error(&self.asker, &to, command, fault))
+        })
+    }
+
+    /// The error of an answer that was there at once and is not what it should be.
+    #[cold]
+    fn misread(&self, command: &'static str, error: &PayloadError) -> CallError {
+        let to = self.asker.name_of(None, self.named);
+        call_error(&self.asker, &to, command, bad_reply(error))
     }
 
     /// Sends the message, if that has not been done yet. Pending when its end is still to come.
@@ -313,7 +350,7 @@ impl Ask {
             return Poll::Pending;
         };
         let asker = &self.asker;
-        let to = message.letter.to.take();
+        let to = message.letter.take_to();
         let (named, limit) = (message.header().to, message.letter.limit);
         match asker.chassis.send(&asker.processor, message, limit) {
             Sent::Ended(Ok(())) => Poll::Ready(Ok(())),
@@ -421,9 +458,16 @@ impl Ask {
         if let (AskState::Asked(_, Some(outbound)), Fault::Deadline { .. } | Fault::Circle { .. }) =
             (state, &fault)
         {
-            outbound.abandon();
+            self.asker.chassis.abandon(outbound);
         }
         fault
+    }
+}
+
+#[cold]
+fn bad_reply(error: &PayloadError) -> Fault {
+    Fault::BadPayload {
+        text: format!("its reply: {error}"),
     }
 }
 
@@ -448,7 +492,7 @@ impl Drop for Ask {
         {
             self.asker.processor.give_up_call(key);
             if let Some(outbound) = outbound {
-                outbound.abandon();
+                self.asker.chassis.abandon(outbound);
             }
         }
     }

@@ -15,7 +15,7 @@ use std::{
     mem::MaybeUninit,
     os::fd::{BorrowedFd, OwnedFd},
     sync::{
-        Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, TryLockError,
+        Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, TryLockError, Weak,
         atomic::{AtomicBool, AtomicU64, Ordering, fence},
     },
     thread::Thread,
@@ -75,6 +75,15 @@ pub(crate) struct Happened {
     pub(crate) room: bool,
 }
 
+/// How a thread that is awake looks at the links.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Glance {
+    /// At shared memory only, which costs next to nothing.
+    AtMemory,
+    /// At the sockets as well, of which the system is asked.
+    Everywhere,
+}
+
 /// One end of a link, as the lookout sees it.
 pub(crate) trait Source: Send + Sync {
     /// Reads what there is and hands it on; writes what waited for room.
@@ -102,6 +111,17 @@ struct Turn {
     looked: u32,
     /// When the timer rings, if it is set.
     rings_at: Option<Instant>,
+    known: Known,
+}
+
+/// The sources as whoever has the turn knows them, so that looking at them takes no lock.
+#[derive(Default)]
+struct Known {
+    /// Which state of them it is; there are none in the first, 0.
+    version: u64,
+    visible: Vec<(u64, Arc<dyn Source>)>,
+    /// The others. Not kept alive here: the other end sees that a socket is closed, and shall see it at once.
+    hidden: BTreeMap<u64, Weak<dyn Source>>,
 }
 
 /// How a wait at the links ended.
@@ -127,6 +147,8 @@ pub(crate) struct Lookout {
     sources: RwLock<Sources>,
     /// Those that can be looked at without asking the system.
     visible: RwLock<Sources>,
+    /// Counts the changes of both.
+    version: AtomicU64,
     turn: Mutex<Turn>,
     /// Somebody is at the links.
     manned: AtomicBool,
@@ -172,6 +194,7 @@ impl Lookout {
             next: AtomicU64::new(NUDGE + 1),
             sources: RwLock::default(),
             visible: RwLock::default(),
+            version: AtomicU64::new(0),
             turn: Mutex::default(),
             manned: AtomicBool::new(false),
             turns: AtomicU64::new(0),
@@ -203,6 +226,7 @@ impl Lookout {
             // The first of them writes what was posted before.
             epoll::EventFlags::IN | epoll::EventFlags::OUT
         };
+        self.version.fetch_add(1, Ordering::Release);
         let watched = Watched {
             lookout: self.clone(),
             source,
@@ -230,9 +254,31 @@ impl Lookout {
         write(&self.visible).remove(&id);
         let removed = write(&self.sources).remove(&id);
         if let Some(source) = removed {
+            self.version.fetch_add(1, Ordering::Release);
             // It fails when it could not be added.
             let _ = epoll::delete(&self.epoll, source.fd());
+            // Whoever sleeps there keeps it no longer.
+            self.nudge();
         }
+    }
+
+    /// Looks which sources there are, if that has changed.
+    fn refresh(&self, known: &mut Known) {
+        let version = self.version.load(Ordering::Acquire);
+        if known.version == version {
+            return;
+        }
+        // What changes meanwhile makes another version.
+        let visible = read(&self.visible).clone();
+        let hidden = read(&self.sources);
+        let hidden = hidden.iter().filter(|(id, _)| !visible.contains_key(id));
+        *known = Known {
+            version,
+            hidden: hidden
+                .map(|(id, source)| (*id, Arc::downgrade(source)))
+                .collect(),
+            visible: visible.into_iter().collect(),
+        };
     }
 
     /// Ends the relief; nobody looks at the links any more.
@@ -264,17 +310,26 @@ impl Lookout {
         let Some(mut turn) = self.take_turn() else {
             return Waited::Elsewhere;
         };
-        self.turns.fetch_add(1, Ordering::Relaxed);
-        self.manned.store(true, Ordering::SeqCst);
+        self.count_turn(&mut turn);
+        // Seen late, it leads the relief to a turn that it does not get.
+        self.manned.store(true, Ordering::Release);
         let waited = self.look(&mut turn, parker, end);
         drop(turn);
         self.manned.store(false, Ordering::SeqCst);
-        if self.relief.asleep.swap(false, Ordering::SeqCst)
+        // Mostly it is not, and a look costs less than a change.
+        if self.relief.asleep.load(Ordering::SeqCst)
+            && self.relief.asleep.swap(false, Ordering::SeqCst)
             && let Some(thread) = self.relief.thread.get()
         {
             thread.unpark();
         }
         waited
+    }
+
+    /// Somebody has come to the links, and has the turn: nobody else counts.
+    fn count_turn(&self, _: &mut Turn) {
+        let turns = self.turns.load(Ordering::Relaxed);
+        self.turns.store(turns.wrapping_add(1), Ordering::Relaxed);
     }
 
     /// The turn, if nobody has it. The relief is told that it is wanted.
@@ -304,11 +359,41 @@ impl Lookout {
         }
     }
 
+    /// Looks once, without sleeping, and hands on what has come.
+    pub(crate) fn glance(&self, glance: Glance) -> Seen {
+        let come = read(&self.visible).values().any(|source| source.has_come());
+        if !come && glance == Glance::AtMemory {
+            return Seen::Nothing;
+        }
+        // Whoever has the turn sees it, too.
+        let Some(mut turn) = self.take_turn() else {
+            return Seen::Nothing;
+        };
+        self.count_turn(&mut turn);
+        self.refresh(&mut turn.known);
+        let mut seen = if come {
+            turn.looked += 1;
+            self.serve_visible(&turn.known)
+        } else {
+            Seen::Nothing
+        };
+        let due = glance == Glance::Everywhere || turn.looked >= LOOKS_PER_WAIT;
+        if due && !turn.known.hidden.is_empty() {
+            turn.looked = 0;
+            let mut space = [MaybeUninit::uninit(); EVENTS];
+            // Should it fail, whoever sleeps there next says so.
+            if let Ok(events) = self.wait_for_events(&mut turn, &mut space, true, None) {
+                seen = self.serve_events(&mut turn, events, seen);
+            }
+        }
+        seen
+    }
+
     fn look(&self, turn: &mut Turn, parker: &Parker, end: Option<Instant>) -> Waited {
         if !self.spin.is_zero() && turn.looked < LOOKS_PER_WAIT {
             let until = self.clock.now() + self.spin;
             let until = end.map_or(until, |end| end.min(until));
-            if let Some(seen) = self.spin(parker, until) {
+            if let Some(seen) = self.spin(&mut turn.known, parker, until) {
                 turn.looked += 1;
                 return parker.after(seen);
             }
@@ -326,19 +411,18 @@ impl Lookout {
     }
 
     /// Looks at the shared memory until something has come, the thread is nudged or the time is over.
-    fn spin(&self, parker: &Parker, until: Instant) -> Option<Seen> {
-        let visible = read(&self.visible);
-        if visible.is_empty() {
-            return None;
-        }
+    fn spin(&self, known: &mut Known, parker: &Parker, until: Instant) -> Option<Seen> {
         loop {
+            self.refresh(known);
+            if known.visible.is_empty() {
+                return None;
+            }
             for _ in 0..LOOKS_PER_CLOCK {
                 if parker.is_nudged() {
                     return Some(Seen::Nothing);
                 }
-                if visible.values().any(|source| source.has_come()) {
-                    drop(visible);
-                    return Some(self.serve_visible());
+                if known.has_come() {
+                    return Some(self.serve_visible(known));
                 }
                 std::hint::spin_loop();
             }
@@ -348,19 +432,14 @@ impl Lookout {
         }
     }
 
-    fn serve_visible(&self) -> Seen {
-        let come: Vec<(u64, Arc<dyn Source>)> = {
-            let visible = read(&self.visible);
-            let come = visible.iter().filter(|(_, source)| source.has_come());
-            come.map(|(id, source)| (*id, source.clone())).collect()
-        };
+    fn serve_visible(&self, known: &Known) -> Seen {
         let mut seen = Seen::Nothing;
-        for (id, source) in come {
-            let happened = Happened {
-                came: true,
-                room: false,
-            };
-            seen = self.served(id, source.serve(happened), seen);
+        let happened = Happened {
+            came: true,
+            room: false,
+        };
+        for (id, source) in known.visible.iter().filter(|(_, source)| source.has_come()) {
+            seen = self.served(*id, source.serve(happened), seen);
         }
         seen
     }
@@ -380,17 +459,15 @@ impl Lookout {
     /// Sleeps until something happens, at most until `end`, and hands on what has come. It may end before
     /// for no reason. `None` when the system does not let it.
     fn sleep(&self, turn: &mut Turn, parker: &Parker, end: Option<Instant>) -> Option<Seen> {
+        self.refresh(&mut turn.known);
         parker.set_at_links(true);
-        let work = {
-            let visible = read(&self.visible);
-            for source in visible.values() {
-                source.set_asleep(true);
-            }
-            // Pairs with the fence of whoever writes into the memory: either it sees the sleeper, or
-            // the sleeper sees what was written.
-            fence(Ordering::SeqCst);
-            visible.values().any(|source| source.has_come())
-        };
+        for (_, source) in &turn.known.visible {
+            source.set_asleep(true);
+        }
+        // Pairs with the fence of whoever writes into the memory, and with the nudge: either they see the
+        // sleeper, or the sleeper sees what was written.
+        fence(Ordering::SeqCst);
+        let work = turn.known.has_come();
         let mut space = [MaybeUninit::uninit(); EVENTS];
         let waited = if work && turn.looked < LOOKS_PER_WAIT {
             // The sockets can wait for a few rounds.
@@ -402,7 +479,7 @@ impl Lookout {
             self.wait_for_events(turn, &mut space, at_once, end)
         };
         parker.set_at_links(false);
-        for source in read(&self.visible).values() {
+        for (_, source) in &turn.known.visible {
             source.set_asleep(false);
         }
         let events = match waited {
@@ -412,7 +489,16 @@ impl Lookout {
                 return None;
             }
         };
-        let mut seen = Seen::Nothing;
+        let mut seen = self.serve_events(turn, events, Seen::Nothing);
+        if work && self.serve_visible(&turn.known) == Seen::Frames {
+            seen = Seen::Frames;
+        }
+        Some(seen)
+    }
+
+    /// Hands on what has come where something has happened; what that was, beside what there was before.
+    fn serve_events(&self, turn: &mut Turn, events: &[epoll::Event], before: Seen) -> Seen {
+        let mut seen = before;
         for event in events {
             let id = event.data.u64();
             let flags = event.flags;
@@ -420,17 +506,27 @@ impl Lookout {
                 turn.rings_at = None;
                 continue;
             }
-            let Some(source) = read(&self.sources).get(&id).cloned() else {
-                continue;
+            let happened = Happened {
+                came: flags.intersects(!epoll::EventFlags::OUT),
+                room: flags.contains(epoll::EventFlags::OUT),
             };
-            let room = flags.contains(epoll::EventFlags::OUT);
-            let came = flags.intersects(!epoll::EventFlags::OUT);
-            seen = self.served(id, source.serve(Happened { came, room }), seen);
+            let known = &turn.known;
+            let served = match known.visible.iter().find(|(known, _)| *known == id) {
+                Some((_, source)) => source.serve(happened),
+                None => match self.hidden(known, id) {
+                    Some(source) => source.serve(happened),
+                    None => continue,
+                },
+            };
+            seen = self.served(id, served, seen);
         }
-        if work && self.serve_visible() == Seen::Frames {
-            seen = Seen::Frames;
-        }
-        Some(seen)
+        seen
+    }
+
+    /// A source that cannot be looked at without asking the system, or one that has just come.
+    fn hidden(&self, known: &Known, id: u64) -> Option<Arc<dyn Source>> {
+        let hidden = known.hidden.get(&id).and_then(Weak::upgrade);
+        hidden.or_else(|| read(&self.sources).get(&id).cloned())
     }
 
     /// Waits for what happens, at most until `end`.
@@ -521,6 +617,13 @@ impl Lookout {
             drop(turn);
             self.hand_over();
         }
+    }
+}
+
+impl Known {
+    /// Whether anything has come that can be seen without asking the system.
+    fn has_come(&self) -> bool {
+        self.visible.iter().any(|(_, source)| source.has_come())
     }
 }
 

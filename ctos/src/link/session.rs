@@ -13,6 +13,7 @@ mod direct;
 pub(crate) mod drive;
 mod free;
 mod line;
+mod moment;
 pub(crate) mod packet;
 mod post;
 pub(crate) mod state;
@@ -21,10 +22,7 @@ mod writer;
 
 use std::{
     fmt, io,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex},
     task::{Context as PollContext, Poll, Waker},
     time::Duration,
 };
@@ -36,13 +34,16 @@ pub(crate) use self::writer::DirectWrite;
 pub(crate) use self::writer::Writer;
 use self::{
     line::Line,
+    moment::Moment,
     packet::{Kind, Lend, PacketError},
     state::{Event, State},
     window::{Incoming, Outgoing, Pumped},
+    writer::Socket,
 };
 use crate::{
     call::lock,
     link::{Counts, Frame, injure::Injury},
+    processor::Processor,
     time::{Clock, Instant},
 };
 
@@ -92,8 +93,8 @@ impl fmt::Display for DownReason {
 pub(crate) trait Receiver: Send + Sync {
     /// The first stream is there; frames may be posted, and come from now on.
     fn up(&self, session: Arc<Session>);
-    /// A frame of a task.
-    fn frame(&self, frame: Frame);
+    /// A frame of a task, which came at `now`.
+    fn frame(&self, frame: Frame, now: Instant);
     /// A message of the peer's mesh.
     fn notice(&self, bytes: Vec<u8>);
     /// Nothing more will come. Called once, also if it was never up.
@@ -125,6 +126,7 @@ struct Core {
     due: Instant,
     reason: Option<DownReason>,
     greeted: bool,
+    counts: Counts,
 }
 
 /// One end of a session.
@@ -138,16 +140,7 @@ pub(crate) struct Session {
     handing: Mutex<()>,
     receiver: Box<dyn Receiver>,
     state: watch::Sender<State>,
-    counts: [AtomicU64; 6],
 }
-
-/// The places of the counters.
-const FRAMES_OUT: usize = 0;
-const BYTES_OUT: usize = 1;
-const FRAMES_IN: usize = 2;
-const BYTES_IN: usize = 3;
-const STREAMS: usize = 4;
-const REFUSED: usize = 5;
 
 /// The stream is of no use to the session.
 #[derive(Debug, thiserror::Error)]
@@ -182,6 +175,7 @@ impl Session {
             due: now,
             reason: None,
             greeted: false,
+            counts: Counts::default(),
         };
         Arc::new(Self {
             clock,
@@ -191,7 +185,6 @@ impl Session {
             handing: Mutex::new(()),
             receiver,
             state: watch::Sender::new(State::Waiting),
-            counts: Default::default(),
         })
     }
 
@@ -227,12 +220,6 @@ impl Session {
     /// The number up to which everything of the peer has come; said when a stream begins.
     pub(crate) fn received(&self) -> u64 {
         lock(&self.core).incoming.received()
-    }
-
-    fn count(&self, which: usize, by: u64) {
-        if let Some(count) = self.counts.get(which) {
-            count.fetch_add(by, Ordering::Relaxed);
-        }
     }
 
     /// Goes on over a new stream, whose other end has received everything up to `received`. The number
@@ -276,11 +263,11 @@ impl Session {
             core.line.advance(&mut core.outgoing, now);
             core.writer = Some(writer);
             core.stream += 1;
+            core.counts.streams += 1;
             core.heard = now;
             let first = !std::mem::replace(&mut core.greeted, true);
             (core.stream, first)
         };
-        self.count(STREAMS, 1);
         self.state.send_replace(State::Up);
         if first {
             self.receiver.up(self.clone());
@@ -360,7 +347,7 @@ impl Session {
     }
 
     /// Writes what can be written at once, from whatever thread.
-    fn pump_now(core: &mut Core, now: Instant) -> io::Result<Pumped> {
+    fn pump_now<'a>(core: &mut Core, now: impl Into<Moment<'a>>) -> io::Result<Pumped> {
         let Core {
             outgoing,
             incoming,
@@ -374,8 +361,8 @@ impl Session {
     }
 
     /// Takes packets and writes as far as the stream allows; what is left the driver writes.
-    fn put(&self, put: impl FnOnce(&mut Core, Instant)) {
-        let now = self.clock.now();
+    fn put(&self, put: impl FnOnce(&mut Core, Moment<'_>)) {
+        let now = Moment::by(&self.clock);
         let driver = {
             let mut core = lock(&self.core);
             if core.state == State::Down {
@@ -406,16 +393,27 @@ impl Session {
 
     /// Goes on writing to `stream`, which may have room again.
     pub(crate) fn pump(&self, stream: u64) {
-        let now = self.clock.now();
+        self.pump_on(&mut lock(&self.core), stream);
+    }
+
+    /// [`Self::pump`] for a stream over `socket`, which is asked about room as long as there is too little.
+    pub(super) fn pump_socket(&self, stream: u64, socket: &Socket) {
         let mut core = lock(&self.core);
-        if core.stream == stream {
-            self.pump_or_wake(&mut core, now);
+        if !self.pump_on(&mut core, stream) {
+            // Whoever finds too little later asks behind this: under the lock, too.
+            socket.set_wants_room(false);
         }
     }
 
-    /// The present moment.
+    /// Whether there was too little room.
+    fn pump_on(&self, core: &mut Core, stream: u64) -> bool {
+        core.stream == stream && self.pump_or_wake(core, Moment::by(&self.clock))
+    }
+
+    /// The present moment. If this thread runs a processor, which slept at the links, the moment is the
+    /// processor's from now on as well.
     pub(crate) fn now(&self) -> Instant {
-        self.clock.now()
+        Processor::look_here(&self.clock)
     }
 
     /// Something came over `stream` that is no whole packet yet.
@@ -505,18 +503,10 @@ impl Session {
 
     /// What went over it.
     pub(crate) fn counts(&self) -> Counts {
-        let count = |which: usize| {
-            let count = self.counts.get(which);
-            count.map_or(0, |count| count.load(Ordering::Relaxed))
-        };
+        let core = lock(&self.core);
         Counts {
-            frames_out: count(FRAMES_OUT),
-            bytes_out: count(BYTES_OUT),
-            frames_in: count(FRAMES_IN),
-            bytes_in: count(BYTES_IN),
-            streams: count(STREAMS),
-            refused: count(REFUSED),
-            bytes_under_way: lock(&self.core).outgoing.bytes() as u64,
+            bytes_under_way: core.outgoing.bytes() as u64,
+            ..core.counts
         }
     }
 }

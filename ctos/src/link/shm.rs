@@ -439,12 +439,8 @@ impl Receiver {
     /// This side's bell must ring from now on, or need no longer. Whoever goes to sleep looks for work
     /// once more, behind a fence.
     pub(crate) fn set_asleep(&self, asleep: bool) {
-        let order = if asleep {
-            Ordering::SeqCst
-        } else {
-            Ordering::Relaxed
-        };
-        self.sleeper.sleeps().store(u32::from(asleep), order);
+        let sleeps = self.sleeper.sleeps();
+        sleeps.store(u32::from(asleep), Ordering::Relaxed);
     }
 }
 

@@ -65,6 +65,8 @@ impl TaskQueue {
         self.recount(&lanes);
         drop(lanes);
         drop(news);
+        // The room they had is for those who wait.
+        self.admit();
     }
 
     /// The lanes were changed otherwise than by putting in or taking out one message.
@@ -192,7 +194,7 @@ impl TaskQueue {
             let (urgent, _) = is_urgent(&message);
             let lane = lanes.lane(urgent);
             // Those beyond the room wait. They are bounded already: the gate holds no more than may wait.
-            if lane.queue.len() < self.mailbox.capacity {
+            if !lane.is_full(self.mailbox.capacity) {
                 lane.queue.push_back(message);
                 admitted.push(acceptance);
             } else {

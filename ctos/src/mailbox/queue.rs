@@ -2,7 +2,7 @@
 
 use std::{
     cell::{Cell, RefCell, RefMut},
-    collections::VecDeque,
+    collections::{BTreeSet, VecDeque},
     future::poll_fn,
     rc::Rc,
     sync::{Arc, atomic::Ordering},
@@ -11,10 +11,11 @@ use std::{
 
 use super::{Acceptance, Delivery, Mailbox, Offered, Place, gate::Gate, is_urgent, refuse};
 use crate::{
-    call::{Fault, lock},
-    message::{Command, Message},
+    call::Fault,
+    message::{Command, Message, SYSTEM_COMMANDS},
     processor::{FutureId, Processor},
     room::{Room, most_waiting},
+    runner::Resting,
     system::{Broke, StopTask, interrupts},
     watch::TaskMeter,
 };
@@ -22,27 +23,35 @@ use crate::{
 #[derive(Default)]
 pub(super) struct Lane {
     pub(super) queue: VecDeque<Message>,
-    /// Never holds anybody while the queue has room.
+    /// Whoever comes while it holds anybody waits, too: nobody is overtaken. While the queue has room it holds
+    /// somebody only as [`TaskQueue::lets_wait`] says.
     pub(super) waiting: VecDeque<(Message, Acceptance)>,
     /// Messages in the queue that still count as being on their way.
     arrived: usize,
 }
 
-/// Who is told when a message has been taken.
+/// Who is told when messages have been taken.
+#[derive(Default)]
 struct Admitted {
-    /// Has its message in the queue now.
-    admitted: Acceptance,
+    /// Have their messages in the queue now.
+    admitted: Vec<Acceptance>,
     /// Gave up before there was room.
     given_up: Vec<(Message, Acceptance)>,
 }
 
+impl Admitted {
+    /// Where no cell is borrowed: what is dropped and told here may run code of others.
+    fn tell(self) {
+        drop(self.given_up);
+        for acceptance in self.admitted {
+            acceptance.tell(Ok(()));
+        }
+    }
+}
+
 impl Lane {
-    /// Moves the first sender that still waits into the room of a message that was taken.
-    fn admit(&mut self, capacity: usize, room: &Room) -> Admitted {
-        let mut result = Admitted {
-            admitted: Acceptance::Silent,
-            given_up: Vec::new(),
-        };
+    /// Moves the senders that still wait into the room of messages that were taken.
+    fn admit(&mut self, capacity: usize, room: &Room, result: &mut Admitted) {
         while self.queue.len() < capacity {
             let Some((message, acceptance)) = self.waiting.pop_front() else {
                 break;
@@ -53,10 +62,14 @@ impl Lane {
                 continue;
             }
             self.queue.push_back(message);
-            result.admitted = acceptance;
-            break;
+            result.admitted.push(acceptance);
         }
-        result
+    }
+
+    /// Whether a message that comes now has to wait.
+    #[inline]
+    pub(super) fn is_full(&self, capacity: usize) -> bool {
+        self.queue.len() >= capacity || !self.waiting.is_empty()
     }
 
     #[inline]
@@ -68,9 +81,7 @@ impl Lane {
     /// Counts what has arrived as being in the queue.
     fn tell_arrived(&mut self, room: &Room) {
         if self.arrived > 0 {
-            // In this order, so that nothing is missed by who claims a place meanwhile.
-            room.set_held(self.queue.len());
-            room.arrived(std::mem::take(&mut self.arrived));
+            room.arrived(std::mem::take(&mut self.arrived), self.queue.len());
         }
     }
 }
@@ -112,32 +123,39 @@ impl Lanes {
     }
 }
 
-/// What is left of a task while nothing has come that it could do.
-pub(crate) trait Rest {
-    /// Begins the loop of the task that `queue` belongs to.
-    fn end(self: Box<Self>, queue: &Rc<TaskQueue>) -> FutureId;
-}
-
 /// The queue of one task, on its processor.
 pub(crate) struct TaskQueue {
     /// Made for the first message: of very many tasks most may be idle.
     lanes: RefCell<Option<Box<Lanes>>>,
+    /// The message that an idle task has its turn for at once, from before that until it takes it.
+    handed: Cell<Option<Message>>,
     pub(super) mailbox: Arc<Mailbox>,
     /// The future that is the task's loop; none while the task rests.
     runner: Cell<Option<FutureId>>,
-    resting: Cell<Option<Box<dyn Rest>>>,
+    /// What is left of the task while it rests. Here and not behind a pointer: a chassis may have very many tasks.
+    resting: Cell<Option<Resting>>,
     pub(super) waits_for: Cell<WaitsFor>,
     /// Messages in the queue that interrupt a handler at work.
     pub(super) interruptions: Cell<u32>,
+    /// Whether senders wait though there is room. To wake a sender costs as much as many brief handlers, so
+    /// while handlers are brief they are let in together once a sixteenth of a long queue is free: those that
+    /// are woken then find room for many messages, and not for one.
+    lets_wait: Cell<bool>,
 }
 
 impl TaskQueue {
     /// The queue behind `mailbox`.
+    #[cfg(test)]
     pub(crate) fn new(mailbox: Arc<Mailbox>) -> Rc<Self> {
-        let closed = lock(&mailbox.gates).take();
-        let gated = closed.map(|closed| {
+        Self::gated(mailbox, BTreeSet::new())
+    }
+
+    /// The queue behind `mailbox`, which keeps what comes straight from the chassis `closed` until their gates
+    /// are opened.
+    pub(crate) fn gated(mailbox: Arc<Mailbox>, closed: BTreeSet<u8>) -> Rc<Self> {
+        let gated = (!closed.is_empty()).then(|| {
             let gate = Gate {
-                closed: *closed,
+                closed,
                 held: Vec::new(),
             };
             Box::new(Lanes {
@@ -147,11 +165,13 @@ impl TaskQueue {
         });
         Rc::new(Self {
             lanes: RefCell::new(gated),
+            handed: Cell::new(None),
             mailbox,
             runner: Cell::new(None),
             resting: Cell::new(None),
             waits_for: Cell::new(WaitsFor::Nothing),
             interruptions: Cell::new(0),
+            lets_wait: Cell::new(false),
         })
     }
 
@@ -168,7 +188,7 @@ impl TaskQueue {
     }
 
     /// There is no loop until something comes, which then begins one. For a queue without messages.
-    pub(crate) fn rest(&self, resting: Box<dyn Rest>) {
+    pub(crate) fn rest(&self, resting: Resting) {
         let mut lanes = self.lanes.borrow_mut();
         // What waits at a gate, or came while the queue is held, stays.
         let unused = lanes.take_if(|lanes| lanes.are_unused());
@@ -180,7 +200,7 @@ impl TaskQueue {
     }
 
     /// Takes out what is left of a task that rests.
-    pub(crate) fn take_resting(&self) -> Option<Box<dyn Rest>> {
+    pub(crate) fn take_resting(&self) -> Option<Resting> {
         self.resting.take()
     }
 
@@ -199,7 +219,7 @@ impl TaskQueue {
         if let Some(resting) = self.resting.take() {
             self.waits_for.set(WaitsFor::Nothing);
             // The future is ready from the beginning.
-            let runner = resting.end(self);
+            let runner = resting.begin(self, None);
             self.runner.set(Some(runner));
         }
     }
@@ -225,17 +245,44 @@ impl TaskQueue {
         message: Message,
         meter: &TaskMeter,
     ) -> Offered {
-        match self.put_in(message) {
-            Ok(command) => {
-                if let Some(runner) = self.concerns(command)
-                    && !processor.hand_over(runner, meter)
-                {
-                    processor.wake(runner);
-                }
-                Offered::Taken
-            }
-            Err(offered) => offered,
+        match self.hand_over(processor, message, meter) {
+            Ok(()) => Offered::Taken,
+            Err(message) => self.offer(processor, message),
         }
+    }
+
+    /// Gives a message to the loop of an idle task, which has its turn at once.
+    ///
+    /// # Errors
+    /// The message, when the task is to have it in the usual way.
+    #[inline]
+    fn hand_over(
+        &self,
+        processor: &Processor,
+        message: Message,
+        meter: &TaskMeter,
+    ) -> Result<(), Message> {
+        let idle = self.waits_for.get() == WaitsFor::Message && !self.mailbox.is_closed();
+        let Some(runner) = self.runner.get().filter(|_| idle && self.is_unused()) else {
+            return Err(message);
+        };
+        self.waits_for.set(WaitsFor::Nothing);
+        self.handed.set(Some(message));
+        if !processor.hand_over(runner, meter) {
+            self.waits_for.set(WaitsFor::Message);
+        }
+        // It is there still when there was no turn, or when the loop had to end in it.
+        match self.handed.take() {
+            Some(message) => Err(message),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether nothing is in it, and nothing would be kept from its task.
+    #[inline]
+    fn is_unused(&self) -> bool {
+        let lanes = self.lanes.borrow();
+        lanes.as_deref().is_none_or(Lanes::are_unused)
     }
 
     /// Puts a message in if there is room now; its command.
@@ -251,7 +298,7 @@ impl TaskQueue {
         let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
         let kept = gated || (lanes.held && !system);
         let lane = lanes.lane(urgent);
-        if kept || (!system && lane.queue.len() >= self.mailbox.capacity) {
+        if kept || (!system && lane.is_full(self.mailbox.capacity)) {
             return Err(Offered::NoRoom(message));
         }
         lane.push(message, room);
@@ -274,7 +321,7 @@ impl TaskQueue {
         if let Some(gate) = gate.as_mut().filter(|gate| gate.keeps(&message)) {
             let acceptance = match place {
                 Place::Claimed => {
-                    room.arrived(1);
+                    room.arrived_elsewhere();
                     Acceptance::Silent
                 }
                 Place::Always => Acceptance::Silent,
@@ -291,7 +338,7 @@ impl TaskQueue {
         }
         let lane = lanes.lane(urgent);
         match place {
-            Place::Waits(acceptance) if held || lane.queue.len() >= self.mailbox.capacity => {
+            Place::Waits(acceptance) if held || lane.is_full(self.mailbox.capacity) => {
                 lane.waiting.push_back((message, *acceptance));
                 drop(lanes);
                 if held {
@@ -375,28 +422,67 @@ impl TaskQueue {
     /// The next message, high priority first.
     #[inline(always)]
     pub(crate) fn take(&self) -> Option<Message> {
+        if let Some(handed) = self.handed.take() {
+            return Some(handed);
+        }
         let mut all = self.lanes.borrow_mut();
         let lanes = all.as_deref_mut()?;
         let urgent = !lanes.urgent.queue.is_empty();
         let room = self.mailbox.room(urgent);
         let lane = lanes.lane(urgent);
         let message = lane.queue.pop_front()?;
-        let admitted = (!lane.waiting.is_empty()).then(|| lane.admit(self.mailbox.capacity, room));
-        room.took(
-            lane.queue.len().saturating_sub(lane.arrived),
-            self.mailbox.capacity,
-        );
+        let others_wait = !lane.waiting.is_empty();
+        if !others_wait {
+            let left = lane.queue.len().saturating_sub(lane.arrived);
+            room.took(left, self.mailbox.capacity);
+        }
         drop(all);
         if interrupts(message.command()) {
             self.interruptions
                 .set(self.interruptions.get().saturating_sub(1));
         }
-        if let Some(Admitted { admitted, given_up }) = admitted {
-            // Outside the borrow: what is dropped and told here may run code of others.
-            drop(given_up);
-            admitted.tell(Ok(()));
+        if others_wait || self.lets_wait.get() {
+            self.took_from_full(message.command());
         }
         Some(message)
+    }
+
+    /// A message of `command` was taken out of a queue for which others wait, or did.
+    #[cold]
+    fn took_from_full(&self, command: u16) {
+        let brief = || Processor::here().is_some_and(|here| here.turns_are_brief());
+        let lets_wait = {
+            let lanes = self.lanes();
+            let Lanes { urgent, normal, .. } = &*lanes;
+            let capacity = self.mailbox.capacity;
+            let is_nearly_full = |lane: &Lane| {
+                let free = capacity.saturating_sub(lane.queue.len());
+                lane.waiting.is_empty() || free < capacity / 16
+            };
+            command < SYSTEM_COMMANDS && is_nearly_full(urgent) && is_nearly_full(normal) && brief()
+        };
+        self.lets_wait.set(lets_wait);
+        if !lets_wait {
+            self.admit();
+        }
+    }
+
+    /// Lets those who wait have the room there is, and tells them.
+    pub(super) fn admit(&self) {
+        self.lets_wait.set(false);
+        let mut admitted = Admitted::default();
+        let mut lanes = self.lanes();
+        let may = !lanes.held;
+        for urgent in [true, false] {
+            let room = self.mailbox.room(urgent);
+            let lane = lanes.lane(urgent);
+            if may {
+                lane.admit(self.mailbox.capacity, room, &mut admitted);
+            }
+            room.set_held(lane.queue.len().saturating_sub(lane.arrived));
+        }
+        drop(lanes);
+        admitted.tell();
     }
 
     /// Puts the next message, high priority first, into `next`; none once the queue is closed. For the loop
@@ -427,6 +513,10 @@ impl TaskQueue {
             if let Some(found) = commands.find(|command| wanted(*command)) {
                 return Ok(Some(found));
             }
+        }
+        if self.lets_wait.get() {
+            // The handler may be at work for long.
+            self.admit();
         }
         self.waits_for.set(WaitsFor::Interruption);
         Ok(None)

@@ -13,6 +13,8 @@ use crate::{
     time::Clock,
 };
 
+mod storm;
+
 fn message(number: u32, flags: Flags) -> Message {
     Message::request(Tid::from_bits(1), Tid::from_bits(2), 1, number).flagged(flags)
 }
@@ -300,16 +302,97 @@ fn a_busy_task_is_woken_by_an_order_to_stop_only() {
     }
 }
 
+/// A queue of 64 that is full, three senders that wait for room, and handlers that are brief.
+fn full_and_brief(senders: Senders) -> (Bench, [Waiter; 3]) {
+    let bench = Bench::new(64, senders);
+    bench.processor.take_turns_to_be_brief();
+    bench.caller.take_turns_to_be_brief();
+    for number in 0..64 {
+        bench.send(message(number, Flags::NONE));
+    }
+    let waiters = [64, 65, 66].map(|number| bench.waiting_send(message(number, Flags::NONE)));
+    bench.processor.run_jobs();
+    bench.processor.enter();
+    (bench, waiters)
+}
+
+/// How many of them have been told that their messages were taken.
+fn told(bench: &Bench, waiters: &[Waiter; 3]) -> usize {
+    bench.caller.run_jobs();
+    let told = waiters
+        .iter()
+        .filter_map(Waiter::answer)
+        .map(|answer| answer.is_ok());
+    let told = told.filter(|ok| *ok).count();
+    bench.processor.enter();
+    told
+}
+
+#[test]
+fn those_who_wait_for_a_long_queue_of_brief_work_are_let_in_together_and_in_order() {
+    for senders in BOTH {
+        let (bench, waiters) = full_and_brief(senders);
+        for _ in 0..3 {
+            assert!(bench.queue.take().is_some());
+            assert_eq!(told(&bench, &waiters), 0);
+        }
+        // There is room, but nobody overtakes those who wait.
+        bench.caller.enter();
+        let fault = bench.try_send(message(90, Flags::NONE)).unwrap_err();
+        assert_eq!(fault, Fault::Full { capacity: 64 });
+        bench.send(message(67, Flags::NONE));
+        bench.processor.run_jobs();
+        bench.processor.enter();
+        // The fourth place makes a sixteenth.
+        assert!(bench.queue.take().is_some());
+        assert_eq!(told(&bench, &waiters), 3);
+        bench.caller.enter();
+        assert_eq!(bench.take_all(), Vec::from_iter(4..68));
+    }
+}
+
+#[test]
+fn those_who_wait_are_let_in_before_a_handler_that_waits_and_after_a_message_of_the_runtime() {
+    for senders in BOTH {
+        let (bench, waiters) = full_and_brief(senders);
+        assert!(bench.queue.take().is_some());
+        assert_eq!(told(&bench, &waiters), 0);
+        // The handler waits for something else.
+        assert!(bench.queue.interruption().is_none());
+        assert_eq!(told(&bench, &waiters), 1);
+
+        let (bench, waiters) = full_and_brief(senders);
+        assert!(bench.queue.take().is_some());
+        let mut order = message(99, Flags::HIGH_PRIORITY);
+        order.letter.header.command = SYSTEM_COMMANDS;
+        bench.caller.enter();
+        bench.send(order);
+        bench.processor.run_jobs();
+        bench.processor.enter();
+        assert_eq!(told(&bench, &waiters), 0);
+        assert_eq!(
+            bench.queue.take().map(|it| it.command()),
+            Some(SYSTEM_COMMANDS)
+        );
+        assert_eq!(told(&bench, &waiters), 1);
+    }
+}
+
 proptest! {
     #[test]
     fn nothing_is_lost_or_reordered_whatever_the_capacity(
         afar: bool,
-        capacity in 1_usize..8,
-        count in 0_u32..64,
-        takes in proptest::collection::vec(any::<(bool, bool)>(), 0..64)
+        brief: bool,
+        capacity in prop_oneof![1_usize..8, 16_usize..40],
+        count in 0_u32..128,
+        takes in proptest::collection::vec(any::<(bool, bool)>(), 0..128)
     ) {
         let senders = if afar { Senders::Afar } else { Senders::Here };
         let bench = Bench::new(capacity, senders);
+        if brief {
+            bench.processor.take_turns_to_be_brief();
+        bench.caller.take_turns_to_be_brief();
+        }
         let mut accepted = Vec::new();
         let mut received = Vec::new();
         let mut takes = takes.into_iter();

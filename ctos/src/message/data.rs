@@ -126,6 +126,14 @@ impl Data {
         Self::Typed(Parcel::new(value))
     }
 
+    /// Looks at it, and does nothing with it.
+    #[inline]
+    pub(crate) fn glance(&self) {
+        if let Self::Typed(parcel) = self {
+            parcel.glance();
+        }
+    }
+
     /// The value, moved out or decoded.
     ///
     /// # Errors

@@ -28,7 +28,8 @@ const BATCH: usize = 64;
 const MOST_BATCHES: usize = 64;
 
 /// What a message consists of. In this order and at the beginning of a cache line it takes three of them,
-/// which are what a message to another core costs.
+/// which are what a message to another core costs. One that nobody waits for costs two: the third is
+/// written to only where something in it changes, so that both cores keep it.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Letter {
@@ -37,14 +38,14 @@ pub(crate) struct Letter {
     /// Its number in the record; 0 when it is not in it.
     pub(crate) recorded: u64,
     pub(crate) deadline: Option<Instant>,
+    pub(crate) data: Data,
     /// How long the sender waits, and the receiver as the sender knows it; until the message is sent.
     pub(crate) limit: Duration,
-    pub(crate) data: Data,
     pub(crate) reply: Option<ReplySlot>,
     pub(crate) to: Option<Arc<str>>,
 }
 
-const _: () = assert!(size_of::<Letter>() == 192);
+const _: () = assert!(size_of::<Letter>() == 192 && std::mem::offset_of!(Letter, limit) == 128);
 
 thread_local! {
     /// Blank letters of this thread.
@@ -66,8 +67,8 @@ impl Letter {
         trace: 0,
         recorded: 0,
         deadline: None,
-        limit: Duration::ZERO,
         data: Data::NOTHING,
+        limit: Duration::ZERO,
         reply: None,
         to: None,
     };
@@ -88,13 +89,12 @@ impl Letter {
         let got = SPARE.try_with(|spare| {
             let mut spare = spare.borrow_mut();
             STORE.take(&mut spare);
-            // They were another core's. Written to one after the other, they come over together, and not
-            // one by one when each is needed.
+            // They were another core's. Written to one after the other, their first two lines come over
+            // together, and not one by one when each is needed.
             for letter in spare.iter_mut() {
                 letter.trace = 0;
-                letter.limit = Duration::ZERO;
-                letter.write(Data::NOTHING);
-                letter.reply = None;
+                letter.write(Data::of(()));
+                letter.set_reply(None);
             }
             spare.pop()
         });
@@ -109,13 +109,53 @@ impl Letter {
         std::mem::forget(std::mem::replace(&mut self.data, data));
     }
 
+    /// Notes what its sender needs of it before it is sent: the receiver as the sender knows it, and how long
+    /// it waits.
+    #[inline]
+    pub(crate) fn for_sender(&mut self, to: Option<Arc<str>>, limit: Duration) {
+        if to.is_some() || self.to.is_some() {
+            self.to = to;
+        }
+        if self.limit != limit {
+            self.limit = limit;
+        }
+    }
+
+    /// The receiver as the sender knows it.
+    #[inline]
+    pub(crate) fn take_to(&mut self) -> Option<Arc<str>> {
+        if self.to.is_some() {
+            self.to.take()
+        } else {
+            None
+        }
+    }
+
+    /// Who waits for the answer from now on.
+    #[inline]
+    pub(crate) fn set_reply(&mut self, reply: Option<ReplySlot>) {
+        if reply.is_some() || self.reply.is_some() {
+            self.reply = reply;
+        }
+    }
+
+    /// Who waits for the answer; from now on nobody does.
+    #[inline]
+    fn take_reply(&mut self) -> Option<ReplySlot> {
+        if self.reply.is_some() {
+            self.reply.take()
+        } else {
+            None
+        }
+    }
+
     /// Looks at all of it. Where several letters came from another core they come over together, and not
     /// one by one when each is opened.
     #[inline]
     pub(crate) fn glance(&self) {
         std::hint::black_box((
             self.header.command,
-            matches!(self.data, Data::Typed(_)),
+            self.data.glance(),
             self.reply.is_some(),
         ));
     }
@@ -124,7 +164,7 @@ impl Letter {
     #[inline]
     pub(crate) fn open(mut self: Box<Self>) -> (Data, Option<ReplySlot>) {
         let data = std::mem::replace(&mut self.data, Data::NOTHING);
-        let reply = self.reply.take();
+        let reply = self.take_reply();
         self.keep();
         (data, reply)
     }
@@ -138,7 +178,7 @@ impl Letter {
         mut self: Box<Self>,
     ) -> Result<T, PayloadError> {
         let value = self.data.take_out::<T>()?;
-        self.reply = None;
+        self.set_reply(None);
         self.keep();
         Ok(value)
     }

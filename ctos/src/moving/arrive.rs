@@ -133,8 +133,7 @@ fn make_place(
     chassis.name().clone_into(&mut config.chassis);
     name.clone_into(&mut config.processor);
     let record = record(&request.name, new, Some(&config), processor);
-    let everybody = chassis.others().chain([chassis.index()]);
-    record.mailbox.close_gates(everybody.collect());
+    record.mailbox.close_gates();
     let spec = TaskSpec {
         record,
         config: Some(config),

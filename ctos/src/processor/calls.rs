@@ -7,18 +7,23 @@ use crate::{
     call::ReplySlot,
     context::Note,
     exchange::{Brought, CallKey, Given, Looked, SOON, Started, Ticket},
+    message::Letter,
     time::Instant,
 };
 
 impl Processor {
     /// A poll has ended: the time of the calls that were made in it runs from now, or from the next look at
     /// the clock, which is near.
-    #[inline]
+    #[inline(always)]
     pub(super) fn start_calls(&self) {
         if !self.is_exact() && (self.fresh.get() || self.stopwatch.skips()) {
             self.fresh.set(true);
             return;
         }
+        self.start_calls_at_once();
+    }
+
+    fn start_calls_at_once(&self) {
         self.start_begun(self.moment());
     }
 
@@ -76,9 +81,32 @@ impl Processor {
     /// present poll.
     #[inline]
     pub(crate) fn begin_call(&self, limit: Duration) -> Ticket {
-        let ticket = self.calls.borrow_mut().begin(&self.handle, limit);
-        self.begun.borrow_mut().push(ticket.key());
+        let ticket = self.begin_untimed(limit);
+        self.time_call(ticket.key());
         ticket
+    }
+
+    /// [`Self::begin_call`] without its time, which begins with [`Self::time_call`] if the call has not
+    /// ended by then.
+    #[inline]
+    pub(crate) fn begin_untimed(&self, limit: Duration) -> Ticket {
+        self.calls.borrow_mut().begin(&self.handle, limit)
+    }
+
+    /// The time of a call runs from the end of the present poll.
+    #[inline]
+    pub(crate) fn time_call(&self, key: CallKey) {
+        self.begun.borrow_mut().push(key);
+    }
+
+    /// The answer to a call that has just been made and of which nothing is known but that, if it came in the
+    /// same turn and is data. The call is over then.
+    #[inline]
+    pub(crate) fn take_answered(&self, key: CallKey) -> Option<Box<Letter>> {
+        if self.handovers.is_cancelled() {
+            return None;
+        }
+        self.calls.borrow_mut().take_answered(key)
     }
 
     /// Notes who asked whom for what in a call; what is `spared` only if the answer is not there yet.

@@ -150,6 +150,7 @@ impl Processor {
 
     /// Drops a future. A future that cancels itself ends at its next await.
     pub(crate) fn cancel(&self, id: FutureId) {
+        self.handovers.count_cancel();
         let running = self.futures.borrow_mut().remove(id);
         // Dropped outside the borrow: destructors may spawn, wake or cancel.
         drop_contained(running);
@@ -198,7 +199,7 @@ impl Processor {
             return true;
         };
         self.enter();
-        self.handovers.begin_anew();
+        self.handovers.begin_anew(self.recent.get());
         self.poll_running(id, running);
         true
     }

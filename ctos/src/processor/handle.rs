@@ -46,6 +46,8 @@ pub(crate) struct ProcessorHandle {
     pub(super) stop: AtomicBool,
     /// How long the thread looks for work before it sleeps, ns.
     pub(super) spin_ns: AtomicU64,
+    /// Whether the thread lets others have its core before it sleeps.
+    pub(super) shares_core: AtomicBool,
 }
 
 impl ProcessorHandle {
@@ -84,6 +86,11 @@ impl ProcessorHandle {
     pub(crate) fn set_spin(&self, spin: Duration) {
         let spin_ns = u64::try_from(spin.as_nanos()).unwrap_or(u64::MAX);
         self.spin_ns.store(spin_ns, Ordering::Relaxed);
+    }
+
+    /// Whether another processor runs on the same core: then the thread lets it have that before it sleeps.
+    pub(crate) fn set_shares_core(&self, shares: bool) {
+        self.shares_core.store(shares, Ordering::Relaxed);
     }
 
     /// Brings a message for the task in `slot`.

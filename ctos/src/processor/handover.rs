@@ -7,13 +7,16 @@
 //! else waits longer for that, it is done only while the code of tasks is brief, for a few calls of a turn, and not
 //! where synchronous functions have their deadlines. Never in virtual time, nor while something is recorded.
 
-use std::{cell::Cell, sync::atomic::Ordering};
+use std::{cell::Cell, sync::atomic::Ordering, time::Duration};
 
 use super::{FutureId, Processor};
-use crate::watch::TaskMeter;
+use crate::{time::Instant, watch::TaskMeter};
 
-/// So many calls of one turn are made so. Then everything else is looked at.
-const MOST: u32 = 16;
+/// So many calls of one turn are made so at most. Then everything else is looked at.
+const MOST: u32 = 64;
+
+/// None of them is made once the turn is known to have lasted for so long.
+const LONGEST: Duration = Duration::from_micros(16);
 
 /// So many receivers have their turns within one another.
 const DEEPEST: u32 = 4;
@@ -23,6 +26,10 @@ const DEEPEST: u32 = 4;
 pub(super) struct Handovers {
     /// Those in the present turn.
     made: Cell<u32>,
+    /// When the present turn began.
+    began: Cell<Instant>,
+    /// Counts the futures that were cancelled, of all turns.
+    cancels: Cell<u32>,
     /// Those that have not ended.
     depth: Cell<u32>,
     /// Whether the future that has the present turn was cancelled by whom it called.
@@ -35,10 +42,17 @@ pub(super) struct Handovers {
 impl Handovers {
     /// A turn begins that is in no other one.
     #[inline]
-    pub(super) fn begin_anew(&self) {
+    pub(super) fn begin_anew(&self, now: Instant) {
         self.made.set(0);
+        self.began.set(now);
         self.depth.set(0);
         self.cancelled.set(false);
+    }
+
+    /// A future is cancelled.
+    #[inline]
+    pub(super) fn count_cancel(&self) {
+        self.cancels.set(self.cancels.get().wrapping_add(1));
     }
 
     /// Whether the future that has the present turn is to learn nothing more: whom it called has cancelled
@@ -63,6 +77,7 @@ impl Processor {
         let Handovers {
             made,
             depth,
+            cancels,
             cancelled,
             ..
         } = &self.handovers;
@@ -72,11 +87,13 @@ impl Processor {
         self.start_calls();
         let caller = self.current.take();
         let was_cancelled = cancelled.replace(false);
+        let cancels_before = cancels.get();
         let handling = self.handling.replace(0);
         meter.out_of_turn(|| self.poll_running(to, running));
         self.handling.set(handling);
         let is_there = |(id, _)| self.futures.borrow_mut().entry(id).is_some();
-        cancelled.set(was_cancelled || !caller.is_some_and(is_there));
+        let all_are_there = cancels.get() == cancels_before;
+        cancelled.set(was_cancelled || !(all_are_there || caller.is_some_and(is_there)));
         self.current.set(caller);
         depth.set(depth.get().saturating_sub(1));
         self.leave();
@@ -86,9 +103,12 @@ impl Processor {
     /// Whether nothing else is to be done before the turn of whoever is called now.
     #[inline]
     fn may_hand_over(&self) -> bool {
-        let Handovers { made, depth, .. } = &self.handovers;
+        let Handovers {
+            made, depth, began, ..
+        } = &self.handovers;
         self.turns_are_brief()
             && made.get() < MOST
+            && self.recent.get() <= began.get() + LONGEST
             && depth.get() < DEEPEST
             && self.schedule.is_idle()
             && !self.handle.inbox.is_filled()
@@ -96,13 +116,20 @@ impl Processor {
             && self.current.get().is_some()
     }
 
+    /// Whether the turns of tasks were brief of late. Never in virtual time.
     #[inline]
-    fn turns_are_brief(&self) -> bool {
+    pub(crate) fn turns_are_brief(&self) -> bool {
         #[cfg(test)]
         if self.handovers.always.get() {
             return true;
         }
         self.stopwatch.is_brief()
+    }
+
+    /// From now on turns are taken to be brief, whatever the clock says.
+    #[cfg(test)]
+    pub(crate) fn take_turns_to_be_brief(&self) {
+        self.handovers.always.set(true);
     }
 }
 

@@ -1,12 +1,17 @@
 //! The executor alone, without messages.
 
-use std::task::Poll;
+use std::{
+    os::fd::{AsFd, BorrowedFd, OwnedFd},
+    sync::{Mutex, atomic::AtomicU32},
+    task::{Poll, Waker},
+};
 
 use super::*;
 use crate::{
-    call::{Promise, Waiting},
+    call::{Promise, Waiting, lock},
+    link::lookout::{Happened, Lookout, Seen, Source, bell},
     message::Data,
-    sync::{ScheduleSettings, Synchronous, Tick},
+    sync::{Lead, ScheduleSettings, Synchronous, Tick},
 };
 
 fn processor() -> (Rc<Processor>, Clock) {
@@ -74,7 +79,7 @@ fn a_schedule_that_takes_all_the_time_does_not_starve_the_tasks() {
     let (handle, clock) = (Arc::new(ProcessorHandle::default()), Clock::real());
     let settings = ScheduleSettings {
         period: Some(Duration::from_micros(100)),
-        spin: Duration::from_micros(50),
+        lead: Lead::Fixed(Duration::from_micros(50)),
         ..ScheduleSettings::default()
     };
     let schedule = Schedule::new(settings, clock.clone());
@@ -133,8 +138,15 @@ fn a_destructor_that_panics_does_not_end_the_processor() {
 
 #[test]
 fn wakes_from_other_threads_are_never_lost() {
+    for gives_way in [false, true] {
+        wakes_from_other_threads(gives_way);
+    }
+}
+
+fn wakes_from_other_threads(gives_way: bool) {
     // Each round trip parks the processor; a lost wake-up would hang the test.
     let handle = Arc::new(ProcessorHandle::default());
+    handle.set_shares_core(gives_way);
     let (ask, asked) = std::sync::mpsc::channel::<Arc<Promise>>();
     let answering = std::thread::spawn(move || {
         for promise in asked {
@@ -172,4 +184,92 @@ fn a_job_from_another_thread_runs_on_the_processor() {
     let stopper = other.clone();
     other.inject(move |_| stopper.stop());
     thread.join().unwrap();
+}
+
+/// A link that shows something after some looks, and then wakes a task.
+struct Shows {
+    fd: OwnedFd,
+    looks_left: AtomicU32,
+    visible: bool,
+    wakes: Mutex<Option<Waker>>,
+}
+
+impl Source for Shows {
+    fn serve(&self, _: Happened) -> Seen {
+        match lock(&self.wakes).take() {
+            Some(waker) => {
+                waker.wake();
+                Seen::Frames
+            }
+            None => Seen::Nothing,
+        }
+    }
+
+    fn has_come(&self) -> bool {
+        let left = self.looks_left.load(Ordering::SeqCst).saturating_sub(1);
+        self.looks_left.store(left, Ordering::SeqCst);
+        left == 0
+    }
+
+    fn is_visible(&self) -> bool {
+        self.visible
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+
+    fn set_asleep(&self, _: bool) {}
+}
+
+/// Spins for as long as it takes until a link has brought something.
+fn spins_until_a_link_brings_something(visible: bool) -> Arc<Shows> {
+    let clock = Clock::real();
+    let lookout = Lookout::new("test", clock.clone(), Duration::ZERO).unwrap();
+    // Once the relief is gone nobody but the processor looks.
+    lookout.close();
+    while Arc::strong_count(&lookout) > 1 {
+        std::thread::yield_now();
+    }
+    let processor = Processor::new(Arc::default(), clock);
+    processor.enter();
+    processor.handle.parker.look_out(lookout.clone());
+    processor.handle.set_spin(Duration::from_secs(600));
+    let wakes = Arc::new(Mutex::new(None));
+    let keeps = wakes.clone();
+    processor.spawn(
+        std::future::poll_fn(move |cx| {
+            *lock(&keeps) = Some(cx.waker().clone());
+            Poll::Pending
+        }),
+        None,
+    );
+    run_until_idle(&processor);
+    let fd = bell().unwrap();
+    // What the system says of it is that something can be read.
+    rustix::io::write(&fd, &1_u64.to_ne_bytes()).unwrap();
+    let source = Arc::new(Shows {
+        fd,
+        looks_left: AtomicU32::new(1000),
+        visible,
+        wakes: Mutex::new(lock(&wakes).take()),
+    });
+    let shown = source.clone();
+    let watched = lookout.add(move |_| shown).unwrap();
+    assert!(processor.spin(processor.now()), "nothing has come");
+    assert_eq!(processor.ready_count(), 1);
+    drop(watched);
+    source
+}
+
+#[test]
+fn a_processor_that_spins_looks_at_shared_memory_as_often_as_at_its_inbox() {
+    let source = spins_until_a_link_brings_something(true);
+    assert_eq!(source.looks_left.load(Ordering::SeqCst), 0);
+}
+
+#[test]
+fn a_processor_that_spins_asks_for_what_comes_over_sockets() {
+    let source = spins_until_a_link_brings_something(false);
+    assert_eq!(source.looks_left.load(Ordering::SeqCst), 1000);
 }

@@ -128,7 +128,7 @@ impl Guest {
         let recorder = Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)
             .map_err(|error| error.to_string())?;
         for task in chassis.tasks() {
-            let commands = task.statistics.meter.counted();
+            let commands = task.statistics.commands();
             recorder.named(task.tid, &task.name, commands);
         }
         chassis.tap.admit(recorder.clone());

@@ -49,7 +49,7 @@ impl Runner {
         let why = "it is restarted by order".to_owned();
         self.end_incarnation(Ending::Order).await;
         self.tell(Change::Down { reason: why });
-        self.record.statistics.restarted();
+        self.record.statistics.activity().restarted();
         match self.rebuild_or_stop().await {
             Rebuilt::Yes => {
                 self.tell(Change::Up);
@@ -120,7 +120,7 @@ impl Runner {
                 return Next::Take;
             }
             self.step(Event::BackoffOver);
-            self.record.statistics.restarted();
+            self.record.statistics.activity().restarted();
             match self.rebuild_or_stop().await {
                 Rebuilt::Yes => {
                     self.step(Event::Rebuilt);

@@ -6,20 +6,19 @@ use std::{cell::Cell, rc::Rc};
 use super::{Build, Runner, Serving, TellParent};
 use crate::{
     context::{Context, Inner},
-    mailbox::{Rest, TaskQueue},
+    mailbox::TaskQueue,
     moving::Arrival,
     processor::FutureId,
     supervise::{Restarts, State},
-    task::{DynHandler, Phase},
+    task::DynHandler,
 };
 
 /// What is kept of a task that rests: its handler, and how to go on.
-pub(super) struct Resting {
+pub(crate) struct Resting {
     inner: Rc<Inner>,
     build: Build,
     handler: Box<dyn DynHandler>,
     rare: Option<Box<Rare>>,
-    phase: Option<Phase>,
 }
 
 /// What few tasks have.
@@ -47,19 +46,18 @@ impl Resting {
             build,
             handler,
             rare: rare.map(Box::new),
-            phase: None,
         }
     }
 
     /// Begins the loop of the task, which takes its messages out of `queue`.
-    pub(super) fn begin(self, queue: &Rc<TaskQueue>, arrival: Option<Box<Arrival>>) -> FutureId {
+    pub(crate) fn begin(self, queue: &Rc<TaskQueue>, arrival: Option<Box<Arrival>>) -> FutureId {
         let Self {
             inner,
             build,
             handler,
             rare,
-            phase,
         } = self;
+        let phase = inner.phase.get();
         let cx = Context::of(inner);
         let record = cx.inner.record.clone();
         let (restarts, kept, parent) = match rare.map(|rare| *rare) {
@@ -72,6 +70,7 @@ impl Resting {
             queue: queue.clone(),
             serving: Rc::new(Serving {
                 cx: cx.clone(),
+                activity: record.statistics.activity().clone(),
                 record,
                 queue: queue.clone(),
                 stopped: Cell::new(false),
@@ -95,12 +94,6 @@ impl Resting {
     }
 }
 
-impl Rest for Resting {
-    fn end(self: Box<Self>, queue: &Rc<TaskQueue>) -> FutureId {
-        (*self).begin(queue, None)
-    }
-}
-
 impl Runner {
     /// Whether a loop begun anew would go on as this one, if nothing comes before.
     pub(super) fn may_rest(&self) -> bool {
@@ -119,13 +112,13 @@ impl Runner {
             parent: self.parent.take(),
         };
         let is_rare = rare.restarts.is_some() || rare.kept.is_some() || rare.parent.is_some();
-        self.queue.rest(Box::new(Resting {
+        self.cx.inner.phase.set(self.phase);
+        self.queue.rest(Resting {
             inner: self.cx.inner.clone(),
             build: self.build.clone(),
             handler,
             rare: is_rare.then(|| Box::new(rare)),
-            phase: self.phase,
-        }));
+        });
         true
     }
 }

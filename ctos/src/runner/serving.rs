@@ -18,8 +18,9 @@ use crate::{
     message::{Command, Message, SYSTEM_COMMANDS},
     processor::panic_text,
     record::{self, Ending as HandlerEnding},
+    statistics::Activity,
     system::StopTask,
-    task::{EventHandler, Handled},
+    task::{EventHandler, Handled, HandlerError},
     time::Instant,
 };
 
@@ -27,6 +28,7 @@ use crate::{
 pub(crate) struct Serving {
     pub(super) cx: Context,
     pub(super) record: Arc<TaskRecord>,
+    pub(super) activity: Arc<Activity>,
     pub(super) queue: Rc<TaskQueue>,
     /// It was told to stop: nothing more is begun, or hardware at rest would move again.
     pub(super) stopped: Cell<bool>,
@@ -42,9 +44,13 @@ pub(crate) enum Served {
     Closed,
 }
 
-/// How the handling of one message ended.
-pub(super) enum Ended {
-    Done(Handled),
+/// How the handling of one message ended. Two words: what is moved right after it was written in small pieces is
+/// waited for.
+pub(super) type Ended = Result<(), Box<Bad>>;
+
+/// How the handling of one message ended otherwise than well.
+pub(super) enum Bad {
+    Refused(HandlerError),
     Panicked(String),
     /// By a message that ends whatever it does; whether because a part of it broke.
     Interrupted(bool),
@@ -60,6 +66,11 @@ pub(super) struct AtHand {
     owed: Cell<Option<ReplyKey>>,
     /// The message, for the record, if there is one.
     noted: Cell<Option<record::AtHand>>,
+}
+
+#[cold]
+fn ended_badly(bad: Bad) -> Poll<Ended> {
+    Poll::Ready(Err(Box::new(bad)))
 }
 
 impl Serving {
@@ -128,7 +139,7 @@ impl Serving {
         });
         at_hand.owed.set(owed);
         chassis.delivered(&self.record, message);
-        let statistics = &self.record.statistics;
+        let statistics = &self.activity;
         statistics.begin(command, began);
         statistics.recent.began(message.from(), command, began);
         if chassis.tap.is_on() {
@@ -144,18 +155,18 @@ impl Serving {
     pub(super) fn end(&self, at_hand: &AtHand, ended: Ended) -> Option<String> {
         let (command, serial) = (at_hand.command.get(), at_hand.serial.get());
         let processor = self.cx.processor();
-        let ok = matches!(ended, Ended::Done(Ok(())));
+        let ok = ended.is_ok();
         let tap = &self.cx.chassis().tap;
-        let statistics = &self.record.statistics;
+        let statistics = &self.activity;
         let is_seen = tap.is_on() || statistics.recent.is_kept();
         let took = processor.time_since(at_hand.began.get(), is_seen);
         statistics.end(ok, took);
         if is_seen {
-            let ending = || match &ended {
-                Ended::Done(Ok(())) => HandlerEnding::Done,
-                Ended::Done(Err(error)) => HandlerEnding::Refused(error.to_string()),
-                Ended::Panicked(text) => HandlerEnding::Panicked(text.clone()),
-                Ended::Interrupted(_) => HandlerEnding::Stopped,
+            let ending = || match ended.as_ref().map_err(Box::as_ref) {
+                Ok(()) => HandlerEnding::Done,
+                Err(Bad::Refused(error)) => HandlerEnding::Refused(error.to_string()),
+                Err(Bad::Panicked(text)) => HandlerEnding::Panicked(text.clone()),
+                Err(Bad::Interrupted(_)) => HandlerEnding::Stopped,
             };
             let now = processor.recent();
             statistics.recent.ended(command, now, ending);
@@ -164,15 +175,17 @@ impl Serving {
             }
         }
         let owed = at_hand.owed.take();
-        if ok {
-            // A right to answer that it kept is still good; one that it dropped is not.
-            drop(processor.take_orphan(serial).map(|mut slot| {
-                slot.set_serial(0);
-                slot
-            }));
-            return None;
+        match ended {
+            Ok(()) => {
+                // A right to answer that it kept is still good; one that it dropped is not.
+                drop(processor.take_orphan(serial).map(|mut slot| {
+                    slot.set_serial(0);
+                    slot
+                }));
+                None
+            }
+            Err(bad) => self.end_badly(command, serial, owed, *bad),
         }
-        self.end_badly(command, serial, owed, ended)
     }
 
     /// The handler has ended otherwise than well.
@@ -182,22 +195,21 @@ impl Serving {
         command: u16,
         serial: u64,
         owed: Option<ReplyKey>,
-        ended: Ended,
+        bad: Bad,
     ) -> Option<String> {
         let processor = self.cx.processor();
-        let (fault, panic) = match ended {
-            Ended::Done(Ok(())) => return None,
-            Ended::Done(Err(error)) => {
+        let (fault, panic) = match bad {
+            Bad::Refused(error) => {
                 tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
                 let text = error.to_string();
                 (Fault::Refused { text }, None)
             }
-            Ended::Interrupted(true) => {
+            Bad::Interrupted(true) => {
                 let text = "a part of it did, while it was handled".to_owned();
                 (Fault::Panicked { text }, None)
             }
-            Ended::Interrupted(false) => (Fault::Stopping, None),
-            Ended::Panicked(text) => {
+            Bad::Interrupted(false) => (Fault::Stopping, None),
+            Bad::Panicked(text) => {
                 tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
                 let fault = Fault::Panicked { text: text.clone() };
                 (fault, Some(text))
@@ -225,17 +237,18 @@ impl Serving {
         };
         let processor = self.cx.processor();
         processor.leave();
-        let polled = self.record.statistics.meter.in_turn(|| {
+        let polled = self.activity.meter.in_turn(|| {
             catch_unwind(AssertUnwindSafe(|| {
                 processor.handling(at_hand.serial.get(), || handling.poll(cx))
             }))
         });
         match polled {
-            Ok(Poll::Ready(handled)) => Poll::Ready(Ended::Done(handled)),
-            Err(panic) => Poll::Ready(Ended::Panicked(panic_text(panic.as_ref()))),
+            Ok(Poll::Ready(Ok(()))) => Poll::Ready(Ok(())),
+            Ok(Poll::Ready(Err(error))) => ended_badly(Bad::Refused(error)),
+            Err(panic) => ended_badly(Bad::Panicked(panic_text(panic.as_ref()))),
             // A handler that waits for others must not delay an orderly stop: it is dropped there.
             Ok(Poll::Pending) if interruptible => match self.queue.interruption() {
-                Some(broke) => Poll::Ready(Ended::Interrupted(broke)),
+                Some(broke) => ended_badly(Bad::Interrupted(broke)),
                 None => Poll::Pending,
             },
             Ok(Poll::Pending) => Poll::Pending,
@@ -246,9 +259,11 @@ impl Serving {
     pub(crate) async fn serve<H: EventHandler>(&self, handler: &mut H, first: Message) -> Served {
         let mut next = Some(first);
         let at_hand = AtHand::default();
+        // One context serves message after message.
+        let mut cx = self.cx.within(0);
         while let Some(mut message) = next.take() {
             self.begin(&at_hand, &mut message);
-            let cx = self.cx.within(message.trace());
+            cx.set_trace(message.trace());
             let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
             let ended = poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await;
             let processor = self.cx.processor();

@@ -17,6 +17,7 @@ use super::{
     TickSourceHandle, flow,
     function::{FailureHook, Function, Rate, Turns},
     grid::{Begun, Due, Grid, Node},
+    lead::{Lead, Leading},
     source::{self, Pacemaker},
 };
 use crate::{
@@ -48,8 +49,8 @@ pub struct ScheduleSettings {
     pub period: Option<Duration>,
     /// What happens after an overrun.
     pub overrun: Overrun,
-    /// How long before a tick its processor wakes up and spins. At most half a base period is spun.
-    pub spin: Duration,
+    /// How long before a tick its processor wakes up and spins.
+    pub lead: Lead,
 }
 
 /// The schedule of one processor.
@@ -57,6 +58,7 @@ pub struct ScheduleSettings {
 /// A processor runs its own; [`Schedule::run`] in a loop of one's own does the same.
 pub struct Schedule {
     settings: ScheduleSettings,
+    leading: Leading,
     clock: Clock,
     directory: Option<Arc<Directory>>,
     grids: RefCell<Vec<Grid>>,
@@ -70,6 +72,7 @@ impl Schedule {
     #[must_use]
     pub fn new(settings: ScheduleSettings, clock: Clock) -> Self {
         Self {
+            leading: Leading::new(settings.lead),
             settings,
             clock,
             directory: None,
@@ -441,8 +444,16 @@ impl Schedule {
         if grid.is_paced() {
             return due;
         }
-        let spin = self.settings.spin.min(grid.base() / 2);
-        Instant::from_nanos(due.as_nanos().saturating_sub(spin.as_nanos() as u64))
+        let lead = self.leading.before(grid.base());
+        Instant::from_nanos(due.as_nanos().saturating_sub(lead.as_nanos() as u64))
+    }
+
+    /// A sleep that was to end at [`Self::wake_at`] ended at `now`: what is learned from it is how long before
+    /// a tick to wake up.
+    pub fn woke(&self, planned: Instant, now: Instant) {
+        if now >= planned {
+            self.leading.woke_late(now.since(planned));
+        }
     }
 
     /// Spins to the next tick, if it is so near that no other work should be begun before it. True if
@@ -450,7 +461,7 @@ impl Schedule {
     pub fn spin_to_tick(&self) -> bool {
         // A virtual clock stands still while somebody waits for it.
         let stands = self.clock.origin_ns().is_none();
-        if self.idle.get() || self.settings.spin.is_zero() || stands {
+        if self.idle.get() || self.leading.is_none() || stands {
             return false;
         }
         let now = self.clock.now();

@@ -197,7 +197,7 @@ fn handler(
     config: &TaskConfig,
     now: Instant,
 ) -> Found {
-    let turn = task.statistics.meter.turn();
+    let turn = task.statistics.turn();
     seen.turn = turn.map(|turn| match seen.turn {
         Some((before, since)) if before == turn => (turn, since),
         _ => (turn, now),

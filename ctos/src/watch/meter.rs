@@ -1,7 +1,7 @@
 //! What is counted of a task for whoever watches: cheap to count, readable from any thread.
 
 use std::sync::{
-    Arc, OnceLock,
+    Arc,
     atomic::{AtomicU64, Ordering},
 };
 
@@ -24,22 +24,16 @@ struct Count {
     failed: AtomicU64,
 }
 
-#[derive(Debug)]
-struct Counts {
+/// The meter of one task.
+#[derive(Debug, Default)]
+pub(crate) struct TaskMeter {
+    counted: Arc<[CommandInfo]>,
     /// One more than [`BUCKETS`]: the last counts what is longer than all bounds.
     durations: [AtomicU64; BUCKETS + 1],
     /// By command, in the order of the commands that are counted.
     commands: Box<[Count]>,
     /// Messages of other commands, those of the runtime.
     other: Count,
-}
-
-/// The meter of one task.
-#[derive(Debug, Default)]
-pub(crate) struct TaskMeter {
-    commands: OnceLock<Arc<[CommandInfo]>>,
-    /// Made for the first message: of very many tasks most may be idle.
-    counts: OnceLock<Box<Counts>>,
     /// Odd while the handler keeps its processor.
     turns: AtomicU64,
 }
@@ -52,60 +46,56 @@ pub(crate) struct CommandCount {
     pub(crate) failed: u64,
 }
 
+/// The bucket of a duration: 0 for up to 1 us, then one more for every factor of four.
+#[inline]
+fn bucket_of(nanos: u64) -> usize {
+    // Most of those that are many are brief.
+    if nanos <= 1000 {
+        return 0;
+    }
+    let micros = (nanos - 1) / 1000;
+    (u64::BITS - micros.leading_zeros()).div_ceil(2) as usize
+}
+
 impl TaskMeter {
     /// Counts these commands one by one.
-    pub(crate) fn count(&self, commands: Arc<[CommandInfo]>) {
-        // Once: a task takes the same commands as long as it lives.
-        let _ = self.commands.set(commands);
-    }
-
-    /// The commands that are counted.
-    pub(crate) fn counted(&self) -> &[CommandInfo] {
-        self.commands.get().map_or(&[], |commands| commands)
-    }
-
-    fn counts(&self) -> &Counts {
-        self.counts.get_or_init(|| {
-            Box::new(Counts {
-                durations: Default::default(),
-                commands: self.counted().iter().map(|_| Count::default()).collect(),
-                other: Count::default(),
-            })
-        })
+    pub(crate) fn of(counted: Arc<[CommandInfo]>) -> Self {
+        Self {
+            commands: counted.iter().map(|_| Count::default()).collect(),
+            counted,
+            ..Self::default()
+        }
     }
 
     /// A handler has returned from a message of `command` after `nanos`.
+    #[inline]
     pub(crate) fn ended(&self, command: u16, ok: bool, nanos: u64) {
-        let micros = nanos.saturating_sub(1) / 1000;
-        // 0 for up to 1 us, then one more for every factor of four.
-        let bucket = (u64::BITS - micros.leading_zeros()).div_ceil(2) as usize;
-        let counts = self.counts();
-        if let Some(bucket) = counts.durations.get(bucket.min(BUCKETS)) {
+        let bucket = bucket_of(nanos);
+        if let Some(bucket) = self.durations.get(bucket.min(BUCKETS)) {
             add(bucket, 1);
         }
-        let mut known = self.counted().iter().zip(&counts.commands);
+        let mut known = self.counted.iter().zip(&self.commands);
         let known = known.find(|(info, _)| info.code == command);
-        let count = known.map_or(&counts.other, |(_, count)| count);
+        let count = known.map_or(&self.other, |(_, count)| count);
         add(if ok { &count.ok } else { &count.failed }, 1);
     }
 
     /// How many messages took at most the bound of each bucket, and longer than all.
     pub(crate) fn durations(&self) -> Vec<u64> {
         let read = |bucket: &AtomicU64| bucket.load(Ordering::Relaxed);
-        self.counts().durations.iter().map(read).collect()
+        self.durations.iter().map(read).collect()
     }
 
     /// Messages by command.
     pub(crate) fn commands(&self) -> Vec<CommandCount> {
-        let counts = self.counts();
         let read = |command: &str, count: &Count| CommandCount {
             command: command.to_owned(),
             ok: count.ok.load(Ordering::Relaxed),
             failed: count.failed.load(Ordering::Relaxed),
         };
-        let known = self.counted().iter().zip(&counts.commands);
+        let known = self.counted.iter().zip(&self.commands);
         let mut all: Vec<_> = known.map(|(info, count)| read(info.name, count)).collect();
-        all.push(read("runtime", &counts.other));
+        all.push(read("runtime", &self.other));
         all
     }
 

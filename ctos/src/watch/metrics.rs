@@ -84,11 +84,12 @@ pub(crate) fn gather_here(chassis: &Chassis) -> ChassisMetrics {
     let own = tasks.iter().filter(|task| task.tid.processor() > 0);
     let tasks = own.map(|task| {
         let counters = task.statistics.read();
+        let (commands, durations) = task.statistics.counts();
         let (queue, capacity) = task.mailbox.depth();
         TaskMetrics {
             task: task.name.to_string(),
-            commands: task.statistics.meter.commands(),
-            durations: task.statistics.meter.durations(),
+            commands,
+            durations,
             busy_s: counters.busy.as_secs_f64(),
             queue: count(queue),
             capacity: count(capacity),

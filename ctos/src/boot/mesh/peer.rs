@@ -13,6 +13,7 @@ use crate::{
         Frame,
         session::{DownReason, Receiver, Session, state::Event, state::State},
     },
+    time::Instant,
 };
 
 /// Exit code of a chassis that the boot has given up: it was silent for too long.
@@ -80,9 +81,9 @@ impl Receiver for PeerReceiver {
         runtime.spawn(async move { mesh.changed() });
     }
 
-    fn frame(&self, frame: Frame) {
+    fn frame(&self, frame: Frame, now: Instant) {
         if let Some(mesh) = self.mesh.upgrade() {
-            mesh.chassis.receive(self.chassis, frame);
+            mesh.chassis.receive(self.chassis, frame, now);
         }
     }
 

@@ -1,7 +1,7 @@
 //! What a processor's table says of real time and of its synchronous functions.
 
 use super::*;
-use crate::sync::Overrun;
+use crate::sync::{Lead, Overrun};
 
 fn processor(line: &str) -> ProcessorConfig {
     let text = format!("[chassis.b.processors.x]\n{line}\n[task.a]\nhandler = \"h\"\non = \"b\"\n");
@@ -9,27 +9,20 @@ fn processor(line: &str) -> ProcessorConfig {
 }
 
 #[test]
-fn real_time_may_be_asked_for_or_required_and_spins_by_default() {
+fn real_time_may_be_asked_for_or_required_and_learns_how_early_to_wake_unless_told() {
     let asked = |line| {
         let processor = processor(line);
-        (
-            processor.realtime,
-            processor.required,
-            processor.tick_spin(),
-        )
+        (processor.realtime, processor.required, processor.lead())
     };
-    let spun = Duration::from_micros(80);
-    assert_eq!(asked("realtime = false"), (false, false, Duration::ZERO));
-    assert_eq!(asked("realtime = true"), (true, false, spun));
-    assert_eq!(asked("realtime = \"require\""), (true, true, spun));
+    let fixed = |us| Lead::Fixed(Duration::from_micros(us));
+    assert_eq!(asked("realtime = false"), (false, false, fixed(0)));
+    assert_eq!(asked("realtime = true"), (true, false, Lead::Learned));
+    assert_eq!(asked("realtime = \"require\""), (true, true, Lead::Learned));
     assert_eq!(
         asked("realtime = true\nspin_us = 0"),
-        (true, false, Duration::ZERO)
+        (true, false, fixed(0))
     );
-    assert_eq!(
-        asked("spin_us = 20"),
-        (false, false, Duration::from_micros(20))
-    );
+    assert_eq!(asked("spin_us = 20"), (false, false, fixed(20)));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::{
     thread::Thread,
 };
 
-use super::{Lookout, Seen, Waited};
+use super::{Glance, Lookout, Seen, Waited};
 use crate::time::Instant;
 
 /// The place where one thread sleeps and others wake it. A wake-up that comes first is not lost: the
@@ -34,6 +34,11 @@ impl Parker {
     /// From now on the thread looks at the links instead of just sleeping.
     pub(crate) fn look_out(&self, lookout: Arc<Lookout>) {
         let _ = self.lookout.set(lookout);
+    }
+
+    /// Whether the thread looks at the links.
+    pub(crate) fn looks_out(&self) -> bool {
+        self.lookout.get().is_some()
     }
 
     /// Wakes the thread, if it sleeps.
@@ -75,6 +80,13 @@ impl Parker {
         self.take_nudge();
     }
 
+    /// Looks at the links once, for the thread while it is awake and has nothing to do, and hands on what has
+    /// come. Whether there were frames.
+    pub(crate) fn glance(&self, glance: Glance) -> bool {
+        let lookout = self.lookout.get();
+        lookout.is_some_and(|lookout| lookout.glance(glance) == Seen::Frames)
+    }
+
     /// What came last was for the thread itself: it keeps its turn at the links.
     pub(crate) fn had_work(&self) {
         self.aside.store(false, Ordering::Relaxed);
@@ -93,11 +105,19 @@ impl Parker {
     }
 
     pub(super) fn take_nudge(&self) -> bool {
-        self.nudged.swap(false, Ordering::SeqCst)
+        // Mostly there is none, and a look costs less than a change.
+        self.is_nudged() && self.nudged.swap(false, Ordering::SeqCst)
     }
 
+    /// The thread is about to sleep at the links, and looks for a nudge behind a fence; or it is there no
+    /// longer.
     pub(super) fn set_at_links(&self, at_links: bool) {
-        self.at_links.store(at_links, Ordering::SeqCst);
+        let order = if at_links {
+            Ordering::Relaxed
+        } else {
+            Ordering::SeqCst
+        };
+        self.at_links.store(at_links, order);
     }
 
     /// What becomes of the turn: when all that came was for others, one of them shall have it.

@@ -1,10 +1,11 @@
 //! What a session makes of the packets that come over its streams.
 
 use super::{
-    BYTES_IN, Core, DownReason, FRAMES_IN, Session,
+    Core, DownReason, Session,
+    moment::Moment,
     packet::{Content, Kind, Packet, PacketError},
     state::{Event, State},
-    window::Arrival,
+    window::{Arrival, Pumped},
 };
 use crate::{call::lock, time::Instant};
 
@@ -27,7 +28,7 @@ impl Session {
         let state = core.state;
         drop(core);
         if take {
-            self.hand_over(packet.content);
+            self.hand_over(packet.content, now);
         }
         if let Some((event, reason)) = event {
             self.event(event, reason);
@@ -74,6 +75,10 @@ impl Session {
                 Ok((false, None))
             }
             Arrival::Next => {
+                if let Content::Frame(frame) = &packet.content {
+                    core.counts.frames_in += 1;
+                    core.counts.bytes_in += frame.body.len() as u64;
+                }
                 let bye = packet.kind == Kind::Bye;
                 if core.incoming.must_acknowledge(self.limits.room / 4) || bye {
                     core.outgoing.pulse(Kind::Pulse);
@@ -84,21 +89,20 @@ impl Session {
         }
     }
 
-    /// As [`Self::put`], for one that holds the lock and is the driver.
-    pub(super) fn pump_or_wake(&self, core: &mut Core, now: Instant) {
+    /// As [`Self::put`], for one that holds the lock and is the driver. Whether there was too little room.
+    pub(super) fn pump_or_wake<'a>(&self, core: &mut Core, now: impl Into<Moment<'a>>) -> bool {
         let pumped = Self::pump_now(core, now);
         if self.needs_driver(core, &pumped)
             && let Some(driver) = &core.driver
         {
             driver.wake_by_ref();
         }
+        matches!(pumped, Ok(Pumped::Blocked))
     }
 
-    fn hand_over(&self, content: Content) {
+    fn hand_over(&self, content: Content, now: Instant) {
         match content {
             Content::Frame(frame) => {
-                self.count(FRAMES_IN, 1);
-                self.count(BYTES_IN, frame.body.len() as u64);
                 tracing::trace!(
                     target: "ctos::link",
                     from = %frame.header.from,
@@ -107,7 +111,7 @@ impl Session {
                     bytes = frame.body.len(),
                     "in"
                 );
-                self.receiver.frame(frame);
+                self.receiver.frame(frame, now);
             }
             Content::Notice(bytes) => self.receiver.notice(bytes),
             Content::Nothing => {}

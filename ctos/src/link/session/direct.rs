@@ -32,7 +32,7 @@ use crate::{
 };
 
 /// How many bytes are read at a time, where they are not the data of one large frame.
-const CHUNK: usize = 32 * 1024;
+const CHUNK: usize = 16 * 1024;
 
 /// How often one stream is read before others have their turn.
 const READS: usize = 64;
@@ -146,8 +146,9 @@ impl DirectStream {
                 let (result, wanted) = match large {
                     Some((body, most)) => (recv_into(socket.fd(), body, most), most),
                     None => {
-                        let read = recv(socket.fd(), chunk.as_mut_slice(), RecvFlags::DONTWAIT);
-                        (read.map(|(_, count)| count), CHUNK)
+                        let (chunk, _) = chunk.split_at_mut(decoder.most(CHUNK));
+                        let read = recv(socket.fd(), &mut *chunk, RecvFlags::DONTWAIT);
+                        (read.map(|(_, count)| count), chunk.len())
                     }
                 };
                 match result {
@@ -229,18 +230,17 @@ impl Source for DirectStream {
                 seen = Seen::Frames;
             }
         }
-        let room = match &self.carrier {
-            Carrier::Socket(socket) => {
-                if happened.room {
-                    socket.set_wants_room(false);
-                }
-                happened.room
+        match &self.carrier {
+            Carrier::Socket(socket) if happened.room => {
+                self.session.pump_socket(self.number, socket);
             }
+            Carrier::Socket(_) => {}
             // The bell of shared memory rings for what comes and for room.
-            Carrier::Shared { receiver, .. } => happened.room || receiver.waits_for_room(),
-        };
-        if room {
-            self.session.pump(self.number);
+            Carrier::Shared { receiver, .. } => {
+                if happened.room || receiver.waits_for_room() {
+                    self.session.pump(self.number);
+                }
+            }
         }
         seen
     }

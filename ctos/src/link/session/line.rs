@@ -3,7 +3,10 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use super::window::{Lane, NoRoom, Outgoing};
+use super::{
+    moment::Moment,
+    window::{Lane, NoRoom, Outgoing},
+};
 use crate::{
     link::{Frame, NO_DEADLINE},
     message::Flags,
@@ -35,12 +38,13 @@ impl Line {
     ///
     /// # Errors
     /// [`NoRoom`] when too many wait already.
-    pub(super) fn send(
+    pub(super) fn send<'a>(
         &mut self,
         frame: Frame,
         outgoing: &mut Outgoing,
-        now: Instant,
+        now: impl Into<Moment<'a>>,
     ) -> Result<(), NoRoom> {
+        let now = now.into();
         let lane = lane_of_request(&frame);
         let waits = |(other, _): &(Frame, Instant)| {
             lane == Lane::Data || lane_of_request(other) == Lane::Urgent
@@ -55,14 +59,14 @@ impl Line {
         }
     }
 
-    fn join(&mut self, frame: Frame, now: Instant, held: usize) -> Result<(), NoRoom> {
+    fn join(&mut self, frame: Frame, now: Moment<'_>, held: usize) -> Result<(), NoRoom> {
         let size = frame.body.len();
         let too_much = self.bytes > 0 && self.bytes.saturating_add(size) > self.room;
         if self.waiting.len() >= MOST || too_much {
             return Err(NoRoom { held });
         }
         self.bytes += size;
-        self.waiting.push_back((frame, now));
+        self.waiting.push_back((frame, now.get()));
         Ok(())
     }
 

@@ -23,7 +23,7 @@ pub(crate) const NOTICE_LIMIT: usize = 64 * 1024;
 /// How much memory an announced length reserves before any of it has come, bytes.
 const RESERVE: usize = 64 * 1024;
 
-/// How much more of it is reserved at once when [`LARGE`] bytes of it have come, at least, bytes. What is
+/// How much more of it is reserved at once when half of [`LARGE`] bytes of it have come, at least, bytes. What is
 /// not written to costs addresses, not memory.
 const RESERVE_MORE: usize = 1024 * 1024;
 
@@ -193,10 +193,14 @@ pub(crate) enum PacketError {
 pub(crate) fn put_head(into: &mut BytesMut, kind: Kind, numbers: [u64; 2], size: usize) {
     // The largest frame is far below 4 GiB; what is larger was refused when it was posted.
     let length = u32::try_from(PACKET_HEAD - 4 + size).unwrap_or(u32::MAX);
-    into.put_u32_le(length);
-    into.put_u8(kind as u8);
-    into.put_u64_le(numbers[0]);
-    into.put_u64_le(numbers[1]);
+    // In one piece: each that is put is looked after.
+    let mut head = [0; PACKET_HEAD];
+    let mut place = &mut head[..];
+    place.put_u32_le(length);
+    place.put_u8(kind as u8);
+    place.put_u64_le(numbers[0]);
+    place.put_u64_le(numbers[1]);
+    into.put_slice(&head);
 }
 
 enum Stage {
@@ -232,6 +236,8 @@ pub(crate) struct Decoder {
     body: Vec<u8>,
     /// What has come of a frame that comes in pieces.
     pieces: Vec<u8>,
+    /// The last packet was such a piece: most likely another one follows.
+    between: bool,
     /// Where the other end lends data from.
     foreign: Option<Arc<Foreign>>,
 }
@@ -243,6 +249,7 @@ impl Default for Decoder {
             head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
             body: Vec::new(),
             pieces: Vec::new(),
+            between: false,
             foreign: None,
         }
     }
@@ -281,10 +288,21 @@ impl Decoder {
         loop {
             match self.stage {
                 Stage::Head => {
-                    if !fill(&mut self.head, PACKET_HEAD, bytes) {
-                        return Ok(None);
-                    }
-                    self.begin()?;
+                    let head = match bytes.split_first_chunk::<PACKET_HEAD>() {
+                        // Read where it stands.
+                        Some((head, rest)) if self.head.is_empty() => {
+                            *bytes = rest;
+                            *head
+                        }
+                        _ => {
+                            let whole = fill(&mut self.head, PACKET_HEAD, bytes);
+                            match self.head.first_chunk() {
+                                Some(head) if whole => *head,
+                                _ => return Ok(None),
+                            }
+                        }
+                    };
+                    self.begin(&head)?;
                 }
                 Stage::Rest { kind, numbers, .. } => {
                     if !fill(&mut self.head, fixed_size(kind), bytes) {
@@ -299,6 +317,7 @@ impl Decoder {
                     }
                     if kind == Kind::Piece {
                         self.pieces = std::mem::take(&mut self.body);
+                        self.between = true;
                         self.head.clear();
                         self.stage = Stage::Head;
                         continue;
@@ -309,9 +328,12 @@ impl Decoder {
         }
     }
 
-    fn begin(&mut self) -> Result<(), PacketError> {
-        let length = usize::try_from(number(&self.head, 0, 4)).unwrap_or(usize::MAX);
-        let byte = u8::try_from(number(&self.head, 4, 1)).unwrap_or(0);
+    fn begin(&mut self, head: &[u8; PACKET_HEAD]) -> Result<(), PacketError> {
+        let mut head = &head[..];
+        // All of them are there.
+        let length = usize::try_from(head.get_u32_le()).unwrap_or(usize::MAX);
+        let byte = head.get_u8();
+        let numbers = [head.get_u64_le(), head.get_u64_le()];
         let kind = Kind::from_byte(byte).ok_or(PacketError::Kind(byte))?;
         let allowed = kind.sizes();
         let wrong = PacketError::Length {
@@ -324,8 +346,8 @@ impl Decoder {
             .checked_sub(PACKET_HEAD - 4)
             .filter(|size| allowed.contains(size))
             .ok_or(wrong)?;
-        let numbers = [number(&self.head, 5, 8), number(&self.head, 13, 8)];
         self.head.clear();
+        self.between = false;
         let before = self.body_before(kind, numbers, size)?;
         self.stage = Stage::Rest {
             kind,
@@ -394,6 +416,16 @@ impl Decoder {
         self.stage.missing(self.body.len()) >= LARGE
     }
 
+    /// How much to read at a time at most, where that is not the data of one large frame: between its pieces only
+    /// as much as stands in front of the next one, so that its data need not be copied.
+    pub(crate) fn most(&self, usual: usize) -> usize {
+        if self.between {
+            usual.min(PACKET_HEAD + FRAME_FIXED)
+        } else {
+            usual
+        }
+    }
+
     /// Where the data of a large packet goes, when much of it is still to come, and how much may be read
     /// into the free place there at most: that is not copied again. [`Self::feed`], with nothing,
     /// completes the packet.
@@ -406,7 +438,7 @@ impl Decoder {
             return None;
         }
         // Grows with what has come: an announcement alone reserves little.
-        let least = if self.body.len() < LARGE {
+        let least = if self.body.len() < LARGE / 2 {
             RESERVE
         } else {
             RESERVE_MORE
@@ -441,12 +473,6 @@ fn fill(head: &mut BytesMut, wanted: usize, bytes: &mut &[u8]) -> bool {
     head.extend_from_slice(now);
     *bytes = later;
     head.len() >= wanted
-}
-
-/// A little-endian number of `size` bytes, 0 where there are none.
-fn number(bytes: &[u8], at: usize, size: usize) -> u64 {
-    let digits = bytes.iter().skip(at).take(size).rev();
-    digits.fold(0, |number, digit| number << 8 | u64::from(*digit))
 }
 
 #[cfg(test)]
@@ -553,14 +579,17 @@ mod tests {
             let body: Vec<u8> = (0..size).map(|index| (index % 251) as u8).collect();
             let frame = Frame::of_body(body.clone());
             let mut stream = Vec::new();
+            let mut ends = Vec::new();
             let mut at = 0;
             for (index, size) in sizes.iter().enumerate() {
                 let part = &body[at..at + size];
-                stream.extend(if index + 1 < sizes.len() {
-                    bytes_of(Kind::Piece, [at as u64, 0], part)
+                if index + 1 < sizes.len() {
+                    stream.extend(bytes_of(Kind::Piece, [at as u64, 0], part));
+                    ends.push(stream.len());
                 } else {
-                    bytes_of(Kind::Last, [1, 0], &[&frame.head(), part].concat())
-                });
+                    let last = [&frame.head(), part].concat();
+                    stream.extend(bytes_of(Kind::Last, [1, 0], &last));
+                }
                 at += size;
             }
             stream.extend(bytes_of(Kind::Pulse, [1, 0], &[]));
@@ -568,6 +597,7 @@ mod tests {
             let mut decoder = Decoder::default();
             let mut packets = Vec::new();
             let mut steps = steps.iter().cycle();
+            const USUAL: usize = 10_000;
             while packets.len() < 2 {
                 let step = steps.next().copied().unwrap_or(1).min(bytes.len());
                 let mut now: &[u8] = &[];
@@ -578,7 +608,13 @@ mod tests {
                     prop_assert_eq!(body.capacity(), capacity, "there was no place for it");
                     bytes = &bytes[count..];
                 } else {
-                    (now, bytes) = bytes.split_at(step.min(100));
+                    let most = decoder.most(USUAL);
+                    let before = stream.len() - bytes.len();
+                    let mut ends = ends.iter();
+                    // Within the head of the piece that follows on one.
+                    let between = ends.any(|end| (*end..end + PACKET_HEAD).contains(&before));
+                    prop_assert_eq!(most < USUAL, between, "behind byte {}", before);
+                    (now, bytes) = bytes.split_at(step.min(most).min(100));
                 }
                 while let Some(packet) = decoder.feed(&mut now).unwrap() {
                     packets.push(packet);

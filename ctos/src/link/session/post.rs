@@ -2,7 +2,7 @@
 //! is no room.
 
 use super::{
-    BYTES_OUT, FRAMES_OUT, REFUSED, Session,
+    Session,
     line::{gives_up, lane_of_request},
     window::{Lane, NoRoom},
 };
@@ -28,30 +28,32 @@ impl Link for Session {
             "out"
         );
         let mut result = Ok(());
-        self.put(|core, now| match lane {
-            Lane::Data | Lane::Urgent => {
-                if let Err(NoRoom { held }) = core.line.send(frame, &mut core.outgoing, now) {
-                    self.count(REFUSED, 1);
-                    result = Err(Full { bytes: held });
+        self.put(|core, now| {
+            let counts = &mut core.counts;
+            match lane {
+                Lane::Data | Lane::Urgent => {
+                    if let Err(NoRoom { held }) = core.line.send(frame, &mut core.outgoing, now) {
+                        counts.refused += 1;
+                        result = Err(Full { bytes: held });
+                        return;
+                    }
+                }
+                // One that still waits for room is not sent at all.
+                Lane::Control if gives_up(&frame) && core.line.withdraw(frame.call) => {}
+                Lane::Control => {
+                    let frame = match core.outgoing.has_room(lane, size) {
+                        Ok(()) => frame,
+                        Err(NoRoom { held }) => {
+                            counts.refused += 1;
+                            without_body(frame, held)
+                        }
+                    };
+                    core.outgoing.put_frame(frame, lane, now);
                 }
             }
-            // One that still waits for room is not sent at all.
-            Lane::Control if gives_up(&frame) && core.line.withdraw(frame.call) => {}
-            Lane::Control => {
-                let frame = match core.outgoing.has_room(lane, size) {
-                    Ok(()) => frame,
-                    Err(NoRoom { held }) => {
-                        self.count(REFUSED, 1);
-                        without_body(frame, held)
-                    }
-                };
-                core.outgoing.put_frame(frame, lane, now);
-            }
+            counts.frames_out += 1;
+            counts.bytes_out += size as u64;
         });
-        if result.is_ok() {
-            self.count(FRAMES_OUT, 1);
-            self.count(BYTES_OUT, size as u64);
-        }
         result
     }
 

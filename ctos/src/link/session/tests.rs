@@ -28,7 +28,7 @@ impl Receiver for Keeps {
         lock(&self.0).ups += 1;
     }
 
-    fn frame(&self, frame: Frame) {
+    fn frame(&self, frame: Frame, _: Instant) {
         lock(&self.0).frames.push(frame.call);
     }
 

@@ -5,9 +5,12 @@ use std::{collections::VecDeque, io, io::IoSlice};
 
 use bytes::{Buf, BufMut, Bytes, BytesMut};
 
-use super::packet::{Kind, Lend, MOST_LENT, PACKET_HEAD, PacketError, Place, put_head};
+use super::{
+    moment::Moment,
+    packet::{Kind, Lend, MOST_LENT, PACKET_HEAD, PacketError, Place, put_head},
+};
 use crate::{
-    blob,
+    blob::{self, Body},
     link::{FRAME_FIXED, Frame, injure::Injury},
     time::Instant,
 };
@@ -42,6 +45,9 @@ struct Kept {
     kind: Kind,
     /// The fixed part of a frame.
     head: Option<[u8; FRAME_FIXED]>,
+    /// All its data, where that is little: never lent, nor sent in pieces.
+    small: Vec<u8>,
+    /// The beginning of its data, where that is much.
     body: Bytes,
     /// What follows the body: blobs that were not copied, and what is between them.
     more: Vec<Bytes>,
@@ -61,14 +67,19 @@ impl Kept {
     /// What follows the packet's head.
     fn rest(&self) -> usize {
         let more = self.more.iter().map(Bytes::len);
-        self.head().len() + self.body.len() + more.sum::<usize>()
+        self.head().len() + self.small.len() + self.body.len() + more.sum::<usize>()
     }
 
     fn size(&self) -> usize {
         PACKET_HEAD + self.rest()
     }
 
-    /// Its data, in parts.
+    /// Whether it may be sent.
+    fn is_ready(&self, now: Moment<'_>) -> bool {
+        self.ready == Instant::START || self.ready <= now.get()
+    }
+
+    /// Its data, in parts, where it is much.
     fn parts(&self) -> impl Iterator<Item = &Bytes> {
         std::iter::once(&self.body).chain(&self.more)
     }
@@ -154,7 +165,8 @@ pub(crate) struct Outgoing {
     piece: usize,
     /// Bytes on their way into the stream.
     staged: VecDeque<Bytes>,
-    /// Where small packets are made ready; the memory is used again when they have left.
+    /// Where small packets are made ready; the memory is used again when they have left. What is in it follows
+    /// on what is staged.
     small: BytesMut,
     /// An unnumbered packet that goes before the next numbered one.
     pulse: Option<Kind>,
@@ -222,33 +234,47 @@ impl Outgoing {
     }
 
     /// Takes a frame; the caller has asked for room.
-    pub(crate) fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
+    pub(crate) fn put_frame<'a>(&mut self, frame: Frame, lane: Lane, now: impl Into<Moment<'a>>) {
         let head = frame.head();
-        self.put(Kind::Frame, Some(head), frame.body.into_parts(), lane, now);
+        self.put(Kind::Frame, Some(head), frame.body, lane, now.into());
     }
 
     /// Takes a message of the mesh, or the last packet of all.
-    pub(crate) fn put_control(&mut self, kind: Kind, body: Vec<u8>, now: Instant) {
-        let parts = (Bytes::from(body), Vec::new());
-        self.put(kind, None, parts, Lane::Control, now);
+    pub(crate) fn put_control<'a>(
+        &mut self,
+        kind: Kind,
+        body: Vec<u8>,
+        now: impl Into<Moment<'a>>,
+    ) {
+        self.put(kind, None, body.into(), Lane::Control, now.into());
     }
 
     fn put(
         &mut self,
         kind: Kind,
         head: Option<[u8; FRAME_FIXED]>,
-        (body, more): (Bytes, Vec<Bytes>),
+        body: Body,
         lane: Lane,
-        now: Instant,
+        now: Moment<'_>,
     ) {
         let earliest = self.kept.back().map_or(Instant::START, |last| last.ready);
         let ready = match &mut self.injury {
-            Some(injury) => injury.delayed(now).max(earliest),
+            Some(injury) => injury.delayed(now.get()).max(earliest),
             None => Instant::START,
+        };
+        let small = body.len() <= COPIED.min(self.piece);
+        let (small, body, more) = match body.into_bytes() {
+            Ok(bytes) if small => (bytes, Bytes::new(), Vec::new()),
+            Ok(bytes) => (Vec::new(), bytes.into(), Vec::new()),
+            Err(body) => {
+                let (body, more) = body.into_parts();
+                (Vec::new(), body, more)
+            }
         };
         let kept = Kept {
             kind,
             head,
+            small,
             body,
             more,
             lane,
@@ -342,6 +368,7 @@ impl Outgoing {
     pub(crate) fn restart(&mut self, received: u64) -> Result<(), PacketError> {
         self.acknowledge(received)?;
         self.staged.clear();
+        self.small.clear();
         self.pulse = None;
         self.again();
         if let Some(injury) = &mut self.injury {
@@ -355,27 +382,33 @@ impl Outgoing {
     ///
     /// # Errors
     /// What `write` says, other than that it would block.
-    pub(crate) fn pump(
+    pub(crate) fn pump<'a>(
         &mut self,
         received: u64,
-        now: Instant,
+        now: impl Into<Moment<'a>>,
         mut write: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
     ) -> io::Result<Pumped> {
+        let now = now.into();
         loop {
-            if self.staged.is_empty() {
+            if !self.is_staged() {
                 self.stage(received, now);
             }
-            if self.staged.is_empty() {
+            if !self.is_staged() {
                 return Ok(Pumped::Idle);
             }
             let most = match &self.injury {
                 Some(injury) => injury.bytes_left()?,
                 None => usize::MAX,
             };
-            let written = {
+            let small = self.small.get(..most).unwrap_or(&self.small);
+            let written = if self.staged.is_empty() {
+                write(&[IoSlice::new(small)])
+            } else {
                 let mut slices = [IoSlice::new(&[]); SLICES];
                 let mut count = 0;
-                for (slice, bytes) in slices.iter_mut().zip(&self.staged) {
+                let staged = self.staged.iter().map(|bytes| &bytes[..]);
+                let staged = staged.chain((!small.is_empty()).then_some(small));
+                for (slice, bytes) in slices.iter_mut().zip(staged) {
                     *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
                     count += 1;
                     if most != usize::MAX {
@@ -397,12 +430,22 @@ impl Outgoing {
         }
     }
 
+    /// Whether anything is ready to be written.
+    fn is_staged(&self) -> bool {
+        !self.staged.is_empty() || !self.small.is_empty()
+    }
+
     fn written(&mut self, mut count: usize) {
         if let Some(injury) = &mut self.injury {
             injury.wrote(count);
         }
         while count > 0 {
             let Some(first) = self.staged.front_mut() else {
+                if self.small.len() > count {
+                    self.small.advance(count);
+                } else {
+                    self.small.clear();
+                }
                 return;
             };
             if first.len() > count {
@@ -414,8 +457,8 @@ impl Outgoing {
         }
     }
 
-    /// Makes the next packets ready to be written.
-    fn stage(&mut self, received: u64, now: Instant) {
+    /// Makes the next packets ready to be written, when nothing is.
+    fn stage(&mut self, received: u64, now: Moment<'_>) {
         let mut small = std::mem::take(&mut self.small);
         let mut size = 0;
         while size < BATCH {
@@ -430,7 +473,7 @@ impl Outgoing {
                 }
                 continue;
             }
-            let Some(kept) = self.kept.get(index).filter(|kept| kept.ready <= now) else {
+            let Some(kept) = self.kept.get(index).filter(|kept| kept.is_ready(now)) else {
                 break;
             };
             if self.injury.is_none()
@@ -458,6 +501,7 @@ impl Outgoing {
             }
             put_head(&mut small, kept.kind, [number, received], kept.rest());
             small.put_slice(kept.head());
+            small.put_slice(&kept.small);
             for part in kept.parts() {
                 if part.len() <= COPIED {
                     small.put_slice(part);
@@ -468,9 +512,6 @@ impl Outgoing {
                     self.staged.push_back(part.clone());
                 }
             }
-        }
-        if !small.is_empty() {
-            self.staged.push_back(small.split().freeze());
         }
         self.small = small;
     }

@@ -137,7 +137,9 @@ impl Socket {
         let size: usize = slices.iter().map(|slice| slice.len()).sum();
         let mut patience = (size >= MUCH).then(|| self.patience());
         loop {
-            let written = if self.short.swap(false, Ordering::Relaxed) {
+            // Mostly it was not, and a look costs less than a change.
+            let short = self.short.load(Ordering::Relaxed);
+            let written = if short && self.short.swap(false, Ordering::Relaxed) {
                 Err(io::ErrorKind::WouldBlock.into())
             } else {
                 self.write_once(slices)

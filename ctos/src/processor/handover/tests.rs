@@ -24,6 +24,7 @@ use crate::{
     chassis::{Chassis, TaskRecord},
     config::load_texts,
     context::{Context, TaskRef},
+    mailbox::{Mailbox, Offered, TaskQueue},
     message::{Command, Message, Tid},
     registry::Registry,
     runner::{TaskSpec, record, start_task},
@@ -300,12 +301,13 @@ type Answers = Rc<RefCell<Vec<Option<Result<u64, CallError>>>>>;
 
 #[test]
 fn a_call_of_an_idle_task_ends_in_the_turn_of_its_caller_a_few_times_in_a_row() {
+    const MANY: u64 = 2 * MOST as u64 + 8;
     let bench = Bench::new(true);
     let (cx, to) = (bench.caller(100), bench.tasks[0].clone());
     let turns = Rc::new(RefCell::new(Vec::new()));
     let others = turns.clone();
     let calls = async move {
-        for number in 0..40 {
+        for number in 0..MANY {
             let ask = Do {
                 number,
                 steps: Vec::new(),
@@ -327,8 +329,9 @@ fn a_call_of_an_idle_task_ends_in_the_turn_of_its_caller_a_few_times_in_a_row() 
     // The one after these waits in the usual way.
     assert_eq!(others.borrow().len(), MOST as usize);
     bench.settle();
-    assert_eq!(others.borrow().len(), 40);
-    assert_eq!(polls.load(Ordering::Relaxed), 40 / (MOST as usize + 1) + 1);
+    assert_eq!(others.borrow().len(), MANY as usize);
+    let polls = polls.load(Ordering::Relaxed);
+    assert_eq!(polls, MANY as usize / (MOST as usize + 1) + 1);
 }
 
 #[test]
@@ -455,6 +458,35 @@ fn the_time_of_a_call_that_was_handed_over_runs_as_that_of_any_other() {
     let (at, answer) = ended.take().unwrap();
     assert_eq!(at.since(began), Duration::from_millis(100));
     assert!(answer.is_err_and(|error| matches!(error.fault, Fault::Deadline { .. })));
+}
+
+#[test]
+fn what_a_task_does_not_take_in_the_turn_that_it_is_given_waits_in_its_queue() {
+    let bench = Bench::new(true);
+    let queue = TaskQueue::new(Mailbox::new(4, bench.processor.handle.clone(), 50));
+    let (own, polls) = (queue.clone(), Rc::new(RefCell::new(0)));
+    let counted = polls.clone();
+    let runner = poll_fn(move |_| {
+        *counted.borrow_mut() += 1;
+        if *counted.borrow() == 1 {
+            assert!(own.poll_next(&mut None).is_pending());
+        }
+        Poll::Pending
+    });
+    queue.set_runner(bench.processor.spawn(runner, None));
+    bench.settle();
+    let (to, processor) = (queue.clone(), bench.processor.clone());
+    let offers = async move {
+        let message = Message::request(Tid::new(1, 1, 50), Tid::default(), 1, 7_u32);
+        let offered = to.offer_call(&processor, message, &TaskMeter::default());
+        assert!(matches!(offered, Offered::Taken));
+    };
+    bench.processor.spawn(offers, None);
+    assert!(bench.processor.poll_ready(0));
+    assert_eq!(*polls.borrow(), 2, "it had its turn");
+    let message = queue.take().unwrap();
+    assert_eq!(message.letter.take::<u32>().unwrap(), 7);
+    assert!(queue.take().is_none());
 }
 
 fn steps() -> impl Strategy<Value = Vec<Step>> {

@@ -17,7 +17,7 @@ fn settings(period: Option<Duration>, overrun: Overrun) -> ScheduleSettings {
         processor: "cage/servo".to_owned(),
         period,
         overrun,
-        spin: Duration::ZERO,
+        lead: Lead::default(),
     }
 }
 
@@ -434,7 +434,7 @@ fn a_processor_wakes_for_spinning_at_most_half_a_period_before_its_tick() {
     let clock = Clock::virtual_clock();
     for (spin, wakes) in [(0, 1_000), (300, 700), (900, 500)] {
         let mut settings = settings(Some(BASE), Overrun::Skip);
-        settings.spin = Duration::from_nanos(spin);
+        settings.lead = Lead::Fixed(Duration::from_nanos(spin));
         let schedule = Schedule::new(settings, clock.clone());
         assert_eq!(schedule.wake_at(), None);
         let _handle = schedule.add(Synchronous::new("f", |_: &Tick| ())).unwrap();
