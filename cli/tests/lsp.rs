@@ -186,6 +186,8 @@ fn places_symbols_tasks_and_commands_are_offered_where_they_fit() {
     let commands = editor.offered(6, 18);
     assert!(commands.contains(&"put_tape".to_owned()), "{commands:?}");
     assert!(editor.offered(6, 7).contains(&"dispatcher".to_owned()));
+    // The functions of all nets of the app, as this one is none of them.
+    assert!(editor.offered(8, 5).contains(&"init_calib".to_owned()));
     assert!(editor.offered(5, 2).contains(&"inhibit".to_owned()));
     assert!(!editor.offered(1, 0).contains(&"inhibit".to_owned()));
     editor.end();
@@ -337,6 +339,19 @@ fn a_name_of_a_subnet_is_renamed_in_its_file_and_in_every_net_that_includes_it()
     assert_eq!(
         declared["range"]["start"],
         json!({ "line": 1, "character": 6 })
+    );
+    let told = editor.ask("textDocument/hover", at("left.net", 8, 11));
+    let told = told["contents"]["value"].as_str().unwrap().to_owned();
+    assert!(
+        told.contains("in parts.net:\n\n```\nplace open, closed = 1\n```"),
+        "{told}"
+    );
+    // From the name of an included file into it.
+    let included = editor.ask("textDocument/definition", at("left.net", 1, 12));
+    assert_eq!(included["uri"], json!(uri("lib/parts.net")));
+    assert_eq!(
+        editor.ask("textDocument/definition", at("left.net", 1, 3)),
+        Value::Null
     );
     let places = editor.ask("textDocument/references", at("lib/parts.net", 1, 7));
     assert_eq!(places.as_array().unwrap().len(), 4);

@@ -10,12 +10,13 @@ use std::{path::PathBuf, rc::Rc, time::Duration};
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::Findings,
-    registry::Registry,
+    registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
 use futures_util::future::join_all;
 use mcs::tasks::{SERVO, args::ServoArgs};
 use pnt::{
+    check::FunctionNames,
     library::{Acted, Action, Library},
     task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
@@ -98,6 +99,10 @@ pub(crate) fn register(registry: &mut Registry) {
             let store = DomStore::new(&args.dom);
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
         })
+        .speaks(|task| match net_args::<DispatcherArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
+        })
         .check_in_app(check);
     registry.app_check("coordinators::lamp", |app, registry, findings| {
         for task in app.tasks.iter().filter(|task| task.handler == HANDLER) {
@@ -118,8 +123,11 @@ fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     crate::need_task(task, app, "dom", &args.dom, findings);
     crate::need_task(task, app, "vsm", &args.vsm, findings);
     check_positions(task, app, &args.positions, findings);
-    let store = DomStore::new(&args.dom);
-    check_args(task, app, &library(args, store).names(), findings);
+    check_args(task, app, &names(&args), findings);
+}
+
+fn names(args: &DispatcherArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
 }
 
 /// Reads the positions and, where the app has a servo, holds them against its arm.

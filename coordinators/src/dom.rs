@@ -5,7 +5,11 @@
 //! its place calls invalid can still be read: its place is the guard, and a reader in a net fires only
 //! when the place is marked.
 
-use std::{collections::BTreeMap, rc::Rc, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    rc::Rc,
+    sync::Arc,
+};
 
 use ctos::{
     message::{Command, CommandInfo, Message},
@@ -24,6 +28,7 @@ pub const HANDLER: &str = "coordinators.dom";
 /// The commands it takes.
 pub const COMMANDS: &[CommandInfo] = &[
     PutData::INFO,
+    PutAll::INFO,
     GetData::INFO,
     SetValidity::INFO,
     ListData::INFO,
@@ -38,6 +43,14 @@ ctos::command! {
         /// Its value, postcard.
         pub bytes: Vec<u8>,
     } => (), 0x0601, "put"
+}
+ctos::command! {
+    /// Stores several data objects, all of them or none.
+    #[derive(Debug, Clone, PartialEq, Eq)]
+    pub struct PutAll {
+        /// Their names, each of them once, and values, postcard.
+        pub objects: Vec<(String, Vec<u8>)>,
+    } => (), 0x0605, "put_all"
 }
 ctos::command! {
     /// Retrieves a data object.
@@ -74,9 +87,16 @@ pub struct DataObject {
     pub valid: Option<bool>,
 }
 
-#[derive(Default, Serialize, Deserialize)]
+#[derive(Default, Deserialize)]
 struct Entry {
     bytes: Option<Vec<u8>>,
+    valid: Option<bool>,
+}
+
+/// The same, to be written.
+#[derive(Serialize)]
+struct Written<'e> {
+    bytes: Option<&'e [u8]>,
     valid: Option<bool>,
 }
 
@@ -142,12 +162,55 @@ impl Dom {
         })
     }
 
-    /// Writes an object through, before anybody is told that it has changed.
-    async fn keep(&self, cx: &Context, name: &str) -> Handled {
-        if let (Some(store), Some(entry)) = (&self.store, self.objects.get(name)) {
-            let bytes = postcard::to_stdvec(entry)?;
-            let change = (name.to_owned(), Some(bytes));
-            store.commit(cx, vec![change]).await?;
+    /// Puts objects, all or none: they are looked at, then written through, and are there only then.
+    async fn put(&mut self, cx: &Context, objects: Vec<(String, Vec<u8>)>) -> Handled {
+        let mut names = BTreeSet::new();
+        for (name, _) in &objects {
+            if name.is_empty() {
+                return Err(HandlerError::new("a data object needs a name"));
+            }
+            if !names.insert(name) {
+                let text = format!("data object `{name}` is put twice at once");
+                return Err(HandlerError::new(text));
+            }
+        }
+        let written = objects.iter().map(|(name, bytes)| {
+            let valid = self.objects.get(name).and_then(|entry| entry.valid);
+            let bytes = Some(bytes.as_slice());
+            (name.as_str(), Written { bytes, valid })
+        });
+        self.keep(cx, written).await?;
+        for (name, bytes) in objects {
+            self.objects.entry(name).or_default().bytes = Some(bytes);
+        }
+        Ok(())
+    }
+
+    /// Says whether an object is valid.
+    async fn set_validity(&mut self, cx: &Context, name: String, valid: bool) -> Handled {
+        let bytes = self.objects.get(&name);
+        let written = Written {
+            bytes: bytes.and_then(|entry| entry.bytes.as_deref()),
+            valid: Some(valid),
+        };
+        self.keep(cx, std::iter::once((name.as_str(), written)))
+            .await?;
+        self.objects.entry(name).or_default().valid = Some(valid);
+        Ok(())
+    }
+
+    /// Writes objects through, all or none, before anybody is told that they have changed.
+    async fn keep<'e>(
+        &self,
+        cx: &Context,
+        objects: impl Iterator<Item = (&'e str, Written<'e>)>,
+    ) -> Handled {
+        if let Some(store) = &self.store {
+            let change = |(name, written): (&str, Written<'_>)| {
+                Ok((name.to_owned(), Some(postcard::to_stdvec(&written)?)))
+            };
+            let changes = objects.map(change).collect::<Result<_, HandlerError>>()?;
+            store.commit(cx, changes).await?;
         }
         Ok(())
     }
@@ -158,8 +221,12 @@ impl EventHandler for Dom {
         match message.command() {
             PutData::CODE => {
                 let (PutData { name, bytes }, reply) = message.open::<PutData>()?;
-                self.objects.entry(name.clone()).or_default().bytes = Some(bytes);
-                self.keep(cx, &name).await?;
+                self.put(cx, vec![(name, bytes)]).await?;
+                reply.ok(())
+            }
+            PutAll::CODE => {
+                let (PutAll { objects }, reply) = message.open::<PutAll>()?;
+                self.put(cx, objects).await?;
                 reply.ok(())
             }
             GetData::CODE => {
@@ -175,8 +242,7 @@ impl EventHandler for Dom {
             }
             SetValidity::CODE => {
                 let (SetValidity { name, valid }, reply) = message.open::<SetValidity>()?;
-                self.objects.entry(name.clone()).or_default().valid = Some(valid);
-                self.keep(cx, &name).await?;
+                self.set_validity(cx, name, valid).await?;
                 reply.ok(())
             }
             ListData::CODE => {
@@ -254,11 +320,15 @@ impl DataStore for DomStore {
         Box::pin(async move { fetch_bytes(&cx, &dom, &object).await })
     }
 
-    fn put(&self, cx: &Context, object: &str, bytes: Vec<u8>) -> Later<Acted> {
-        let (cx, dom, name) = (cx.clone(), self.task.clone(), object.to_owned());
+    fn put(&self, cx: &Context, objects: Vec<(String, Vec<u8>)>) -> Later<Acted> {
+        let (cx, dom) = (cx.clone(), self.task.clone());
         Box::pin(async move {
             let dom = cx.task(&dom).await?;
-            Ok(cx.call(&dom, PutData { name, bytes }).await?)
+            match <[_; 1]>::try_from(objects) {
+                Ok([(name, bytes)]) => cx.call(&dom, PutData { name, bytes }).await?,
+                Err(objects) => cx.call(&dom, PutAll { objects }).await?,
+            }
+            Ok(())
         })
     }
 
@@ -326,8 +396,14 @@ mod tests {
         say(dom.fetch::<u8>(cx, "path").await.unwrap_err().to_string());
         let longer = dom.fetch::<[f64; 16]>(cx, "path").await;
         say(longer.unwrap_err().to_string());
-        dom.put(cx, "bytes", vec![1, 2, 3]).await?;
+        let named = |name: &str, bytes: &[u8]| (name.to_owned(), bytes.to_vec());
+        dom.put(cx, vec![named("bytes", &[1, 2, 3])]).await?;
         say(format!("{:?}", dom.get(cx, "bytes").await?));
+        // The first two could be put by themselves.
+        for bad in ["left", ""] {
+            let several = vec![named("left", &[4]), named("bytes", &[5]), named(bad, &[6])];
+            say(dom.put(cx, several).await.unwrap_err().to_string());
+        }
         let task = cx.task("dom").await?;
         for DataObject { name, bytes, valid } in cx.call(&task, ListData {}).await? {
             say(format!("{name} {bytes:?} {valid:?}"));
@@ -348,7 +424,14 @@ mod tests {
         registry.handler("user", &[], move |_| Ok(User(kept.clone())));
         let world = rig::Shared::default();
         let end = rig::boot(rig::load(text, folder.path()), registry, &world);
-        let steps = steps.lock().unwrap();
+        let mut steps = steps.lock().unwrap().clone();
+        for (step, why, short) in [
+            (6, "data object `left` is put twice at once", "TWICE"),
+            (7, "a data object needs a name", "NAMELESS"),
+        ] {
+            assert!(steps[step].contains(why), "{steps:?}");
+            steps[step] = short.to_owned();
+        }
         let expected = [
             "there is no data object `path`",
             "there is no data object `spots`",
@@ -356,6 +439,8 @@ mod tests {
             "data object `path` is of another type: 4 bytes too long",
             "data object `path` is of another type: Hit the end of buffer, expected more data",
             "[1, 2, 3]",
+            "TWICE",
+            "NAMELESS",
             "bytes Some(3) None",
             "path Some(5) Some(false)",
             "spots None Some(true)",

@@ -8,7 +8,7 @@ use std::{rc::Rc, time::Duration};
 use ctos::{
     call::{CallError, Fault},
     diagnostic::Finding,
-    registry::Registry,
+    registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
 use mcs::{
@@ -16,6 +16,7 @@ use mcs::{
     client::{Acquire, Move, PathKind, Plan, PlanReport, ReadPosition, Release, Stop, Target},
 };
 use pnt::{
+    check::FunctionNames,
     library::{Acted, Action, Library},
     task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
@@ -77,6 +78,10 @@ struct Motion {
     log: MotionLog,
 }
 
+fn names(args: &MotionArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
+}
+
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
     registry
@@ -85,10 +90,13 @@ pub(crate) fn register(registry: &mut Registry) {
             let store = DomStore::new(&args.dom);
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
         })
+        .speaks(|task| match net_args::<MotionArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
+        })
         .check_in_app(|task, app, findings| {
             if let Some(args) = findings.keep(net_args::<MotionArgs>(task)) {
-                let names = library(args.clone(), DomStore::new(&args.dom)).names();
-                check_args(task, app, &names, findings);
+                check_args(task, app, &names(&args), findings);
                 crate::need_task(task, app, "mcs", &args.mcs, findings);
                 crate::need_task(task, app, "dom", &args.dom, findings);
                 if !(args.speed > 0.0 && args.speed <= 1.0) {

@@ -6,11 +6,12 @@ use ctos::{
     call::{CallError, Fault},
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
-    registry::Registry,
+    registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
 use futures_util::future::join_all;
 use pnt::{
+    check::FunctionNames,
     library::{Acted, Action, Library},
     task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
@@ -58,6 +59,10 @@ struct Vision {
     tries_left: u32,
 }
 
+fn names(args: &VisionArgs) -> FunctionNames {
+    library(args.clone(), DomStore::new(&args.dom)).names()
+}
+
 /// Registers the handler.
 pub(crate) fn register(registry: &mut Registry) {
     registry
@@ -65,6 +70,10 @@ pub(crate) fn register(registry: &mut Registry) {
             let args: VisionArgs = args_of(cx)?;
             let store = DomStore::new(&args.dom);
             NetTask::from_args(cx, library(args, store.clone()), Some(Rc::new(store)))
+        })
+        .speaks(|task| match net_args::<VisionArgs>(task) {
+            Ok(args) => names(&args).vocabulary(),
+            Err(_) => Vocabulary::new(),
         })
         .check_in_app(|task, app, findings| {
             if let Some(args) = findings.keep(net_args::<VisionArgs>(task)) {
@@ -77,8 +86,7 @@ pub(crate) fn register(registry: &mut Registry) {
                     );
                 }
                 check_cameras(task, app, &args.cameras, findings);
-                let names = library(args.clone(), DomStore::new(&args.dom)).names();
-                check_args(task, app, &names, findings);
+                check_args(task, app, &names(&args), findings);
                 crate::need_task(task, app, "vsm", &args.vsm, findings);
                 crate::need_task(task, app, "dom", &args.dom, findings);
             }

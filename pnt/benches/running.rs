@@ -1,7 +1,7 @@
 //! What running a net costs around its firings: commands per second of a net that is durable and of one
 //! that is not, a token to another net beside a message call, and the time from one action's end to the
 //! start of the action that it enables; in one chassis, on the real clock, with a real redb file. The last of
-//! these also to another process.
+//! these also to another process, which `-- processes` measures alone.
 
 #![allow(
     clippy::unwrap_used,
@@ -45,10 +45,16 @@ fn main() {
     if processes::is_child() {
         return;
     }
-    latency();
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let is_given = |word: &str| arguments.iter().any(|given| given == word);
     // Without `--bench` this is a test that the benchmark is compiled in.
-    if std::env::args().any(|word| word == "--bench") {
-        processes::latency();
+    let measures = is_given("--bench");
+    if measures && is_given("processes") {
+        return processes::latency(&arguments);
+    }
+    latency();
+    if measures {
+        processes::latency(&[]);
     }
     divan::main();
 }

@@ -17,6 +17,7 @@ use std::{
 use ctos::{
     diagnostic::{Finding, Findings, Place as At},
     message::Fields,
+    registry::Vocabulary,
 };
 
 use commands::Workflow;
@@ -62,6 +63,19 @@ pub struct FunctionNames {
     pub typed: BTreeMap<String, (Fields, Fields)>,
 }
 
+impl FunctionNames {
+    /// What local functions are called in a [`Vocabulary`].
+    pub const LOCAL: &'static str = "local function";
+    /// What enabling functions are called in a [`Vocabulary`].
+    pub const ENABLING: &'static str = "enabling function";
+
+    /// The names for editors.
+    #[must_use]
+    pub fn vocabulary(self) -> Vocabulary {
+        Vocabulary::from([(Self::LOCAL, self.actions), (Self::ENABLING, self.enabling)])
+    }
+}
+
 /// Reports functions that a net names and a library does not offer.
 pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
     let mut unknown = |what: &str, name: &str, at: &At, known: &BTreeSet<String>| {
@@ -81,14 +95,14 @@ pub fn functions(net: &Net, names: &FunctionNames, findings: &mut Findings) {
     for transition in net.transitions() {
         if let Some(when) = &transition.when {
             unknown(
-                "enabling function",
+                FunctionNames::ENABLING,
                 &when.function,
                 &when.at,
                 &names.enabling,
             );
         }
         if let Some(Action::Local { function, at, .. }) = &transition.action {
-            unknown("local function", function, at, &names.actions);
+            unknown(FunctionNames::LOCAL, function, at, &names.actions);
         }
     }
     for transition in net.transitions() {

@@ -34,6 +34,7 @@ use enabling::Enabling;
 pub use error::FireError;
 pub use events::{End, Event, Happened, Wrote};
 use events::{Entry, EventLog, Kind};
+pub(crate) use outside::Tokens;
 pub use race::{Clock, Race};
 use running::{AllRunning, Running};
 pub use state::{RestoreError, RunningFiring, State};

@@ -33,8 +33,8 @@ type Load<S> = Box<dyn Fn(&mut S, &[u8]) -> postcard::Result<()>>;
 pub trait DataStore {
     /// The bytes of an object.
     fn get(&self, cx: &Context, object: &str) -> Later<Result<Vec<u8>, HandlerError>>;
-    /// Stores an object.
-    fn put(&self, cx: &Context, object: &str, bytes: Vec<u8>) -> Later<Acted>;
+    /// Stores objects, by name: all of them or, where one is refused, none.
+    fn put(&self, cx: &Context, objects: Vec<(String, Vec<u8>)>) -> Later<Acted>;
     /// Says that an object is valid, or no longer, because its place says so.
     fn validity(&self, cx: &Context, object: &str, valid: bool) -> Later<Acted>;
 }
@@ -109,7 +109,15 @@ impl<S> Action<S> {
     /// # Errors
     /// The store's, or that this net has none.
     pub async fn put_data(&self, object: &str, bytes: Vec<u8>) -> Acted {
-        self.store()?.put(&self.cx, object, bytes).await
+        self.put_all_data(vec![(object.to_owned(), bytes)]).await
+    }
+
+    /// Stores several data objects, all or none.
+    ///
+    /// # Errors
+    /// The store's, or that this net has none; then nothing was stored.
+    pub async fn put_all_data(&self, objects: Vec<(String, Vec<u8>)>) -> Acted {
+        self.store()?.put(&self.cx, objects).await
     }
 
     fn store(&self) -> Result<&Rc<dyn DataStore>, HandlerError> {

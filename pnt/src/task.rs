@@ -15,6 +15,7 @@ mod firing;
 mod journal;
 mod load;
 mod messages;
+mod neighbours;
 mod once;
 mod publish;
 mod replace;
@@ -71,14 +72,15 @@ pub fn register<S: 'static>(
     name: &str,
     library: impl Fn() -> Library<S> + Clone + Send + Sync + 'static,
 ) {
-    let build = library.clone();
+    let (build, spoken) = (library.clone(), library.clone());
     registry
         .handler(name, &COMMANDS, move |cx| {
             NetTask::from_args(cx, build(), None)
         })
         .check_in_app(move |task, app, findings| {
             check_args(task, app, &library().names(), findings);
-        });
+        })
+        .speaks(move |_| spoken().names().vocabulary());
     check_nets(registry);
 }
 
@@ -98,16 +100,20 @@ impl<S: 'static> NetTask<S> {
         data: Option<Rc<dyn DataStore>>,
     ) -> Self {
         let plain = (Settings::default(), None);
-        Self {
-            engine: Rc::new(Engine::new(
-                cx.clone(),
-                net,
-                library,
-                conflicts,
-                data,
-                plain,
-            )),
-        }
+        Self::of(Engine::new(
+            cx.clone(),
+            net,
+            library,
+            conflicts,
+            data,
+            plain,
+        ))
+    }
+
+    fn of(engine: Engine<S>) -> Self {
+        let engine = Rc::new(engine);
+        engine.show_beside();
+        Self { engine }
     }
 
     /// The same, with the net and the rule for conflicts from the task's arguments (`net`,
@@ -175,9 +181,7 @@ impl<S: 'static> NetTask<S> {
         let mut engine = Engine::new(cx.clone(), net, library, conflicts, data, with);
         engine.resume(&contents)?;
         engine.arm()?;
-        Ok(Self {
-            engine: Rc::new(engine),
-        })
+        Ok(Self::of(engine))
     }
 }
 
@@ -204,8 +208,8 @@ impl<S: 'static> EventHandler for NetTask<S> {
                 Ok(())
             }
             Control::CODE => {
-                let (Control { order }, reply) = message.open::<Control>()?;
-                self.engine.control(cx, order, reply)
+                let (Control { order, by }, reply) = message.open::<Control>()?;
+                self.engine.control(cx, (order, by), reply)
             }
             ReadTape::CODE => {
                 let (ReadTape { taken }, reply) = message.open::<ReadTape>()?;

@@ -58,8 +58,8 @@ async fn ask<C: Command>(cx: &Context, net: &str, request: C) -> Result<C::Reply
 
 async fn count(cx: &Context, nets: &[String]) -> Result<String, HandlerError> {
     for net in nets {
-        let order = Order::Pause;
-        ask(cx, net, Control { order }).await?;
+        let (order, by) = (Order::Pause, cx.name().to_owned());
+        ask(cx, net, Control { order, by }).await?;
     }
     loop {
         let mut snapshots: Vec<Snapshot> = Vec::new();

@@ -147,7 +147,8 @@ async fn order(cx: &Context, hub: &Hub, asked: &Asked) -> Result<String, Handler
     let to = cx.task(&asked.net).await?;
     let set = breakpoints(cx, &to).await?;
     let order = meant(asked, &set)?;
-    let done = cx.call(&to, Control { order }).deadline(LIMIT).await;
+    let by = cx.name().to_owned();
+    let done = cx.call(&to, Control { order, by }).deadline(LIMIT).await;
     hub.breakpoints(&asked.net, breakpoints(cx, &to).await?);
     Ok(done?)
 }

@@ -21,7 +21,7 @@ use vss::{
 };
 
 use super::{Answer, Script, SetLamp, Shared, World, cameras, lock, spot};
-use crate::dom::{Dom, GetData, PutData, SetValidity};
+use crate::dom::{Dom, GetData, PutAll, PutData, SetValidity};
 
 #[derive(Clone)]
 pub(super) struct StandIn {
@@ -228,7 +228,12 @@ pub(super) struct FaultyDom(pub(super) StandIn, pub(super) Dom);
 
 impl EventHandler for FaultyDom {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
-        let commands: [CommandInfo; 3] = [PutData::INFO, GetData::INFO, SetValidity::INFO];
+        let commands: [CommandInfo; 4] = [
+            PutData::INFO,
+            PutAll::INFO,
+            GetData::INFO,
+            SetValidity::INFO,
+        ];
         let known = commands.iter().find(|info| info.code == message.command());
         let answer = known.map_or(Answer::Work, |info| self.0.answer(info.name, ""));
         match answer {

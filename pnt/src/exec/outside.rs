@@ -4,7 +4,12 @@ use super::{
     Execution, FireError, error,
     events::{Entry, Kind},
 };
+use smallvec::{SmallVec, smallvec};
+
 use crate::net::PlaceId;
+
+/// Places, with so many tokens each. Mostly one: then it needs no memory besides.
+pub(crate) type Tokens = SmallVec<[(PlaceId, u32); 1]>;
 
 impl Execution {
     /// Puts tokens that came from another net, all or none. Returns what each place got.
@@ -12,12 +17,33 @@ impl Execution {
     /// # Errors
     /// The net has no such place, or it would overflow.
     pub fn put_all(&mut self, tokens: &[(String, u32)]) -> Result<Vec<(PlaceId, u32)>, FireError> {
+        self.put_each(tokens).map(SmallVec::into_vec)
+    }
+
+    /// [`Self::put_all`].
+    pub(crate) fn put_each(&mut self, tokens: &[(String, u32)]) -> Result<Tokens, FireError> {
+        let added = self.added(tokens)?;
+        for (place, count) in &added {
+            self.require_room_for(*place, *count)?;
+        }
+        for (place, count) in &added {
+            self.change(*place, *count);
+            self.log(|| Entry::new(Kind::Put, place.0, u64::from(*count)));
+        }
+        Ok(added)
+    }
+
+    /// What each place gets, once each.
+    fn added(&self, tokens: &[(String, u32)]) -> Result<Tokens, FireError> {
+        if let [(place, count)] = tokens {
+            return Ok(smallvec![(self.place(place)?, *count)]);
+        }
         let known = tokens
             .iter()
             .map(|(place, count)| Ok((self.place(place)?, *count)));
         let mut known: Vec<(PlaceId, u32)> = known.collect::<Result<_, FireError>>()?;
         known.sort_unstable_by_key(|(place, _)| *place);
-        let mut added: Vec<(PlaceId, u32)> = Vec::with_capacity(known.len());
+        let mut added = Tokens::with_capacity(known.len());
         for (place, count) in known {
             match added.last_mut() {
                 Some((last, sum)) if *last == place => {
@@ -26,13 +52,6 @@ impl Execution {
                 }
                 _ => added.push((place, count)),
             }
-        }
-        for (place, count) in &added {
-            self.require_room_for(*place, *count)?;
-        }
-        for (place, count) in &added {
-            self.change(*place, *count);
-            self.log(|| Entry::new(Kind::Put, place.0, u64::from(*count)));
         }
         Ok(added)
     }

@@ -14,7 +14,7 @@ use super::{
     Sent, State, view,
 };
 use crate::{
-    exec::{Execution, FiringId, OnTape},
+    exec::{Execution, FiringId, OnTape, Tokens},
     net::{self, Net, PlaceId, TransitionId},
 };
 
@@ -25,9 +25,6 @@ const KEPT: usize = 4 * MOST_EVENTS;
 /// that what many displays cost together is bounded too.
 const INTERVAL: Duration = Duration::from_millis(4);
 const INTERVAL_EACH: Duration = Duration::from_millis(1);
-
-/// Places, with so many tokens each.
-type Tokens = Vec<(PlaceId, u32)>;
 
 /// What is kept of an event: the net says the rest.
 #[derive(Debug, Clone)]
@@ -144,6 +141,12 @@ impl Source {
     /// Firings that ended, well or not.
     pub(crate) fn firings(&self) -> u64 {
         self.ended.iter().chain(&self.failed).sum()
+    }
+
+    /// When the latest event was; the beginning, if there was none.
+    pub(crate) fn at(&self) -> Instant {
+        let latest = self.kept.back().map_or(self.run, |kept| kept.at_ns);
+        Instant::from_nanos(latest)
     }
 
     /// Notes an event, after which the net is as `execution`.

@@ -443,7 +443,7 @@ transition loop
                 Push::Receive(index) => {
                     let name = &net.places()[index].name;
                     execution.put_tokens(name, 1).unwrap();
-                    Happened::Tokens(EventPhase::Received, vec![(net.place(name).unwrap(), 1)], "m".into())
+                    Happened::Tokens(EventPhase::Received, [(net.place(name).unwrap(), 1)].into_iter().collect(), "m".into())
                 }
             };
             source.note(now, 0, what, &execution);

@@ -253,7 +253,7 @@ async fn gathered<S>(action: &Action<S>, inputs: &[String]) -> Result<Vec<u8>, H
     Ok(bytes)
 }
 
-/// Stores a result as one data object, or each of its fields as one.
+/// Stores a result as one data object, or each of its fields as one: all of them or none.
 async fn store<S>(
     action: &Action<S>,
     outputs: &[String],
@@ -272,10 +272,8 @@ async fn store<S>(
                     objects.len()
                 )));
             }
-            for (object, part) in objects.iter().zip(parts) {
-                action.put_data(object, part).await?;
-            }
-            Ok(())
+            let named = objects.iter().cloned().zip(parts);
+            action.put_all_data(named.collect()).await
         }
     }
 }

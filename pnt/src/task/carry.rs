@@ -17,6 +17,7 @@ use ctos::{
 use super::{
     engine::Engine,
     messages::{Tokens, Transfer},
+    neighbours::{Known, Neighbour},
     routes::Bundle,
     settings::settings,
     transfers::Ready,
@@ -30,9 +31,8 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 const COME_BACK: Duration = Duration::from_secs(5);
 
 /// The nets to which something was carried, by name.
+#[derive(Default)]
 pub(super) struct Carrying {
-    /// The name of the net that sends.
-    from: Arc<str>,
     /// In the order of their first transfers; they are few.
     partners: Vec<(Arc<str>, Partner)>,
 }
@@ -43,6 +43,8 @@ struct Partner {
     carrier: Carrier,
     /// Whether it survives its process, once somebody has looked.
     durable: Option<bool>,
+    /// The net itself, where it is on this processor.
+    beside: Known,
     /// The contexts of transfers on their way, by number, oldest first.
     traces: VecDeque<(u64, Context)>,
 }
@@ -60,14 +62,6 @@ enum Carrier {
 }
 
 impl Carrying {
-    /// Of a net that has carried nothing.
-    pub(super) fn new(from: &str) -> Self {
-        Self {
-            from: from.into(),
-            partners: Vec::new(),
-        }
-    }
-
     fn partner(&mut self, net: &str) -> &mut Partner {
         let known = self.partners.iter().position(|(name, _)| **name == *net);
         let index = known.unwrap_or_else(|| {
@@ -75,6 +69,11 @@ impl Carrying {
             self.partners.len() - 1
         });
         &mut self.partners[index].1
+    }
+
+    /// A net that is on the processor of `cx`.
+    pub(super) fn neighbour(&mut self, cx: &Context, net: &str) -> Option<Rc<dyn Neighbour>> {
+        self.partner(net).beside.find(cx, net)
     }
 }
 
@@ -87,19 +86,23 @@ pub(super) enum Failed {
 }
 
 impl<S: 'static> Engine<S> {
-    /// Keeps tokens for their nets.
+    /// Sends tokens to their nets.
     pub(super) fn post(self: &Rc<Self>, cx: &Context, bundle: &Bundle) {
         for route in bundle.iter() {
-            self.post_to(cx, &route.net, Arc::clone(&route.transfer));
+            self.post_to(cx, &route.net, &route.transfer);
         }
     }
 
-    /// Keeps a transfer, which goes when the change that it came with is stored.
-    pub(super) fn post_to(self: &Rc<Self>, cx: &Context, net: &Arc<str>, transfer: Arc<Transfer>) {
+    /// Puts a transfer where it is to go, or keeps it: then it goes when the change that it came with is
+    /// stored.
+    pub(super) fn post_to(self: &Rc<Self>, cx: &Context, net: &Arc<str>, transfer: &Arc<Transfer>) {
+        if self.put_beside(cx, net, transfer) {
+            return;
+        }
         {
             let mut core = self.core.borrow_mut();
             let change = core.changes;
-            let number = core.transfers.post(net, transfer, change);
+            let number = core.transfers.post(net, Arc::clone(transfer), change);
             let partner = core.carrying.partner(net);
             partner.traces.push_back((number, cx.clone()));
         }
@@ -220,7 +223,7 @@ impl<S: 'static> Engine<S> {
             error => Failed::Never(error.to_string()),
         })?;
         let message = Tokens {
-            from: Arc::clone(&self.core.borrow().carrying.from),
+            from: Arc::clone(&self.name),
             stream,
             first,
             transfers,

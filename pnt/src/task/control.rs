@@ -287,7 +287,7 @@ impl<S: 'static> Engine<S> {
     pub(super) fn control(
         self: &Rc<Self>,
         cx: &Context,
-        order: Order,
+        (order, by): (Order, String),
         reply: Replier<Control>,
     ) -> Handled {
         if !self.settings.allow_control {
@@ -302,10 +302,10 @@ impl<S: 'static> Engine<S> {
             within_ms,
         } = order
         {
-            return self.replace(cx, &file, &text, within_ms, reply);
+            return self.replace(cx, (file, text, by), within_ms, reply);
         }
         let sets = matches!(order, Order::Break { .. } | Order::Clear { .. });
-        let (mut said, happened) = self.carry_out_order(cx, order)?;
+        let (mut said, happened) = self.carry_out_order(cx, order, &by)?;
         if sets && let Err(error) = self.keep_breakpoints() {
             said = format!("{said}, {error}");
         }
@@ -316,7 +316,7 @@ impl<S: 'static> Engine<S> {
             self.note(&mut core, cx, happened);
         }
         self.when_stored(move |_| {
-            tracing::warn!(target: "pnt::net", net = net.name(), order = %said, "by hand");
+            tracing::warn!(target: "pnt::net", net = net.name(), order = %said, by = %by, "by hand");
             // Answering never fails; a caller that is gone needs no answer.
             let _ = reply.ok(said);
         });
@@ -329,13 +329,14 @@ impl<S: 'static> Engine<S> {
         self: &Rc<Self>,
         cx: &Context,
         order: Order,
+        by: &str,
     ) -> Result<(String, Happened), HandlerError> {
         let mut core = self.core.borrow_mut();
         let ordered = |said: String| {
-            let what = Happened::Net(EventPhase::Ordered, said.clone());
+            let what = Happened::Net(EventPhase::Ordered, with_name(&said, by));
             Ok((said, what))
         };
-        let by_hand = || "by hand".to_owned();
+        let by_hand = || with_name(BY_HAND, by);
         match order {
             Order::Fire { transition } => {
                 drop(core);
@@ -357,7 +358,7 @@ impl<S: 'static> Engine<S> {
                 Ok((format!("take {tokens} out of {place}"), what))
             }
             Order::Pause => {
-                core.manual.pause(by_hand());
+                core.manual.pause(BY_HAND.to_owned());
                 let what = Happened::Net(EventPhase::Paused, by_hand());
                 Ok(("pause".to_owned(), what))
             }
@@ -369,7 +370,7 @@ impl<S: 'static> Engine<S> {
             }
             Order::Step { firings } => {
                 if core.manual.paused.is_none() {
-                    core.manual.pause(by_hand());
+                    core.manual.pause(BY_HAND.to_owned());
                 }
                 core.manual.steps = firings;
                 ordered(format!("step {firings}"))
@@ -435,8 +436,18 @@ impl<S: 'static> Engine<S> {
     }
 }
 
+/// Why a net is paused that somebody has paused.
+const BY_HAND: &str = "by hand";
+
+/// What was done, with who did it, if that was said.
+pub(super) fn with_name(what: &str, by: &str) -> String {
+    match by {
+        "" => what.to_owned(),
+        by => format!("{what} ({by})"),
+    }
+}
+
 impl Core {
-    /// Ends the action of a transition as failed.
     /// Ends the action of a transition, as completed or as failed.
     fn end_action(&mut self, name: &str, completed: bool) -> Handled {
         let net = std::sync::Arc::clone(self.execution.net());

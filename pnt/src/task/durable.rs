@@ -71,6 +71,11 @@ impl<S> Durable<S> {
         }
     }
 
+    /// Whether there is a store at all.
+    pub(super) fn is_kept(&self) -> bool {
+        self.store.is_some()
+    }
+
     /// Changes up to this one are stored.
     pub(super) fn stored(&self) -> u64 {
         self.stored.get()

@@ -5,7 +5,7 @@
 //! what must be stored before others see it in `durable.rs`, transfers to other nets in `carry.rs`.
 
 use std::{
-    cell::RefCell,
+    cell::{Cell, RefCell},
     collections::{BTreeMap, BTreeSet, VecDeque},
     rc::Rc,
     sync::Arc,
@@ -24,6 +24,7 @@ use super::{
     durable::Durable,
     journal::Journal,
     messages::{Output, PutOnce, PutTape, RequestId, Snapshot, TapeAnswer, Tokens, Transfer},
+    neighbours::Coming,
     once::{Known, Once},
     replace::Replacing,
     routes::Routes,
@@ -31,7 +32,7 @@ use super::{
     transfers::Transfers,
 };
 use crate::{
-    exec::{Conflicts, Execution, FireError, FiringId, OnTape, Race},
+    exec::{self, Conflicts, Execution, FireError, FiringId, OnTape, Race},
     library::{DataStore, Library},
     net::{Net, PlaceId, TransitionId},
     store::Store,
@@ -40,6 +41,8 @@ use crate::{
 
 pub(super) struct Engine<S> {
     pub(super) cx: Context,
+    /// The net's name, which is its task's.
+    pub(super) name: Arc<str>,
     pub(super) library: Library<S>,
     pub(super) data: Option<Rc<dyn DataStore>>,
     pub(super) settings: Settings,
@@ -48,6 +51,9 @@ pub(super) struct Engine<S> {
     pub(super) core: RefCell<Core>,
     /// What waits until the changes that led to it are stored.
     pub(super) durable: Durable<S>,
+    /// Whether tokens are put into nets on this processor without messages. Not in virtual time, where a run
+    /// with some seed must be the same whether it is recorded or not.
+    pub(super) puts_beside: Cell<bool>,
 }
 
 /// Who waits for the answer to a command.
@@ -102,6 +108,7 @@ pub(super) struct Core {
     /// What other nets get and got.
     pub(super) transfers: Transfers,
     pub(super) carrying: Carrying,
+    pub(super) coming: Coming,
     pub(super) routes: Routes,
     /// The output tape: answers that nobody was there to take.
     pub(super) output: VecDeque<Output>,
@@ -130,11 +137,13 @@ impl<S: 'static> Engine<S> {
         (settings, store): (Settings, Option<Arc<Store>>),
     ) -> Self {
         let net = Arc::new(net);
+        let name = Arc::from(net.name());
         let view = RefCell::new(NetView::new(&net));
         let execution = Execution::new(Arc::clone(&net));
         let race = Race::new(&execution, cx.rng("race"));
         Self {
             view,
+            puts_beside: Cell::new(cx.chassis().clock().origin_ns().is_some()),
             core: RefCell::new(Core {
                 conflicts,
                 journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),
@@ -145,7 +154,8 @@ impl<S: 'static> Engine<S> {
                 commands: BTreeMap::new(),
                 notes: Rc::default(),
                 transfers: Transfers::new(new_stream(&cx)),
-                carrying: Carrying::new(net.name()),
+                carrying: Carrying::default(),
+                coming: Coming::default(),
                 routes: Routes::new(&net),
                 output: VecDeque::new(),
                 outputs: 0,
@@ -161,6 +171,7 @@ impl<S: 'static> Engine<S> {
                 execution,
             }),
             cx,
+            name,
             library,
             data,
             settings,
@@ -453,25 +464,35 @@ impl Core {
                 Err(error) => return Err(error.into()),
             };
             last += 1;
-            self.transfers.take(&from, stream, last);
-            self.changed();
-            if let Some((symbol, with)) = &transfer.symbol {
-                note(self, Happened::Asked(symbol.clone(), with.join(" ")));
-            }
-            if !put.is_empty() {
-                let text = Arc::clone(&from);
-                note(self, Happened::Tokens(EventPhase::Received, put, text));
-            }
+            self.has_taken((&from, stream, last), (&transfer, put), &mut note);
         }
         Ok(last)
     }
 
+    /// Counts and notes a transfer that was taken in, with where its tokens were put.
+    pub(super) fn has_taken(
+        &mut self,
+        (from, stream, number): (&Arc<str>, u64, u64),
+        (transfer, put): (&Transfer, exec::Tokens),
+        mut note: impl FnMut(&mut Self, Happened),
+    ) {
+        self.transfers.take(from, stream, number);
+        self.changed();
+        if let Some((symbol, with)) = &transfer.symbol {
+            note(self, Happened::Asked(symbol.clone(), with.join(" ")));
+        }
+        if !put.is_empty() {
+            let text = Arc::clone(from);
+            note(self, Happened::Tokens(EventPhase::Received, put, text));
+        }
+    }
+
     /// Puts one transfer, all or nothing; the tokens, or nothing when a tape has no room for it.
-    fn take_in(
+    pub(super) fn take_in(
         &mut self,
         transfer: &Transfer,
         room: usize,
-    ) -> Result<Option<Vec<(PlaceId, u32)>>, FireError> {
+    ) -> Result<Option<exec::Tokens>, FireError> {
         if let Some((symbol, arguments)) = &transfer.symbol {
             let accepted = self.execution.net().command(symbol).is_some();
             if accepted && self.require_room(symbol, room).is_err() {
@@ -479,7 +500,7 @@ impl Core {
             }
             self.execution.put_symbol(symbol, arguments.clone())?;
         }
-        self.execution.put_all(&transfer.tokens).map(Some)
+        self.execution.put_each(&transfer.tokens).map(Some)
     }
 
     /// A command has its answer: to who waits for it, or else to the output tape.

@@ -239,7 +239,7 @@ impl<S: 'static> Engine<S> {
                 tokens: Vec::new(),
                 symbol: Some((symbol.clone(), on_tape.arguments.clone())),
             };
-            self.post_to(cx, &net.as_str().into(), Arc::new(transfer));
+            self.post_to(cx, &net.as_str().into(), &Arc::new(transfer));
         }
         let answer = self.core.borrow_mut().answer(&on_tape, symbol);
         if let Some((reply, answer)) = answer {

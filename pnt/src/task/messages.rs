@@ -191,6 +191,8 @@ ctos::command! {
     pub struct Control {
         /// What to do.
         pub order: Order,
+        /// Who orders it, for the log, the displays and the record; empty when nobody says.
+        pub by: String,
     } => String, 0x0004, "control"
 }
 

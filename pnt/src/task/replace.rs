@@ -10,6 +10,7 @@ use ctos::{
 };
 
 use super::{
+    control::with_name,
     engine::{Core, Engine, objects_of},
     load,
     messages::Control,
@@ -28,6 +29,8 @@ pub(super) struct Replacing {
     number: u64,
     file: String,
     text: String,
+    /// Who wants it.
+    by: String,
     net: Arc<Net>,
     pub(super) reply: Replier<Control>,
 }
@@ -37,12 +40,11 @@ impl<S: 'static> Engine<S> {
     pub(super) fn replace(
         self: &Rc<Self>,
         cx: &Context,
-        file: &str,
-        text: &str,
+        (file, text, by): (String, String, String),
         within_ms: u64,
         reply: Replier<Control>,
     ) -> Handled {
-        let net = match self.checked(cx, file, text) {
+        let net = match self.checked(cx, &file, &text) {
             Ok(net) => Arc::new(net),
             Err(findings) => {
                 return reply.fail(format!("the net is refused:\n{findings}"));
@@ -56,8 +58,9 @@ impl<S: 'static> Engine<S> {
             let number = core.changes;
             core.replacing = Some(Replacing {
                 number,
-                file: file.to_owned(),
-                text: text.to_owned(),
+                file,
+                text,
+                by,
                 net,
                 reply,
             });
@@ -133,12 +136,12 @@ impl<S: 'static> Engine<S> {
             } = &mut *core;
             journal.stream.begin_again(cx.now(), execution);
         }
-        let what = Happened::Net(EventPhase::Ordered, said.clone());
+        let what = Happened::Net(EventPhase::Ordered, with_name(&said, &replacing.by));
         core.changed();
         self.note(&mut core, cx, what);
-        let file = replacing.file.clone();
+        let (file, by) = (replacing.file.clone(), replacing.by.clone());
         self.when_change_stored(core.changes, move |_| {
-            tracing::warn!(target: "pnt::net", net = %name, file = %file, "net replaced");
+            tracing::warn!(target: "pnt::net", net = %name, file = %file, by = %by, "net replaced");
         });
         Some((Ok(said), replacing))
     }

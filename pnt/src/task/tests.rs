@@ -1,10 +1,12 @@
 //! Whole apps of nets in virtual time, over several chassis.
 
+mod beside;
 mod by_hand;
 mod lines;
 mod objects;
 mod seen_and_asked;
 mod survival;
+mod tapes;
 
 use std::{cell::RefCell, sync::Arc, time::Duration};
 
@@ -451,9 +453,11 @@ impl DataStore for Memory {
         Box::pin(async move { found.ok_or_else(|| HandlerError::new("no such object")) })
     }
 
-    fn put(&self, _cx: &Context, object: &str, bytes: Vec<u8>) -> Later<Handled> {
-        self.log.borrow_mut().push(format!("put {object}"));
-        self.objects.borrow_mut().insert(object.to_owned(), bytes);
+    fn put(&self, _cx: &Context, objects: Vec<(String, Vec<u8>)>) -> Later<Handled> {
+        for (object, bytes) in objects {
+            self.log.borrow_mut().push(format!("put {object}"));
+            self.objects.borrow_mut().insert(object, bytes);
+        }
         Box::pin(async { Ok(()) })
     }
 

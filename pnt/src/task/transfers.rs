@@ -104,6 +104,29 @@ impl Transfers {
         outbox.last
     }
 
+    /// The number of the next transfer to a net, if the net has all before it.
+    pub(super) fn next(&self, net: &str) -> Option<u64> {
+        match self.out.get(net) {
+            None => Some(1),
+            Some(outbox) => outbox.waiting.is_empty().then_some(outbox.last + 1),
+        }
+    }
+
+    /// The transfer of this number, which was the next one, is there and need not be kept.
+    pub(super) fn passed(&mut self, net: &str, number: u64) {
+        match self.out.get_mut(net) {
+            Some(outbox) => outbox.last = number,
+            None => {
+                let waiting = VecDeque::new();
+                let outbox = Outbox {
+                    last: number,
+                    waiting,
+                };
+                self.out.insert(net.to_owned(), outbox);
+            }
+        }
+    }
+
     /// The oldest transfers to a net, as far as the changes that they came to be with are stored.
     pub(super) fn ready(&self, net: &str, stored: u64) -> Option<Ready> {
         let waiting = &self.out.get(net)?.waiting;
@@ -196,6 +219,8 @@ mod tests {
         },
         /// An old message comes once more, as after a retransmission.
         Repeat,
+        /// A transfer is put where it is to go at once, if there is nothing before it.
+        Pass,
         /// The sender, or the receiver, goes on from what was stored.
         Restart,
     }
@@ -205,6 +230,7 @@ mod tests {
             3 => Just(Happens::Post),
             4 => (any::<bool>(), any::<bool>()).prop_map(|(arrives, answered)| Happens::Send { arrives, answered }),
             1 => Just(Happens::Repeat),
+            2 => Just(Happens::Pass),
             1 => Just(Happens::Restart),
         ]
     }
@@ -249,6 +275,15 @@ mod tests {
                         if let Some(ready) = &old {
                             receive(&mut receiver, ready, &mut got);
                         }
+                    }
+                    Happens::Pass => {
+                        let Some(number) = sender.next("b") else { continue };
+                        let transfer = token(posted.len() as u32);
+                        prop_assert_eq!(receiver.known("a", sender.stream(), number), Ok(0));
+                        receiver.take("a", sender.stream(), number);
+                        sender.passed("b", number);
+                        got.push(transfer.clone());
+                        posted.push(transfer);
                     }
                     Happens::Restart => {
                         let stored = postcard::to_stdvec(&(&sender, &receiver)).unwrap();

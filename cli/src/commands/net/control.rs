@@ -283,7 +283,8 @@ fn order(args: &NetTaskArgs, order: Order) -> u8 {
 
 /// Tells a net what to do, and shows what it did.
 fn told(args: &NetTaskArgs, order: Order, within_s: f64) -> u8 {
-    match ask(args, Control { order }, within_s) {
+    let by = whoever_runs_this();
+    match ask(args, Control { order, by }, within_s) {
         Ok(done) if args.json => data(&serde_json::json!({ "net": args.net, "done": done })),
         Ok(done) => {
             show::say(&format!("{}: {done}", args.net));
@@ -291,6 +292,15 @@ fn told(args: &NetTaskArgs, order: Order, within_s: f64) -> u8 {
         }
         Err(code) => code,
     }
+}
+
+/// The user of this command, as the host calls them.
+fn whoever_runs_this() -> String {
+    let user = ["USER", "LOGNAME"].iter().find_map(|key| {
+        let name = std::env::var(key).ok()?;
+        (!name.is_empty()).then_some(name)
+    });
+    user.unwrap_or_else(|| format!("user {}", rustix::process::getuid().as_raw()))
 }
 
 fn data(object: &serde_json::Value) -> u8 {

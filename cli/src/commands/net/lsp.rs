@@ -5,16 +5,20 @@ mod workspace;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 use clap::Args;
-use ctos::{config::Selection, diagnostic::Source, registry::Registry};
+use ctos::{
+    config::Selection,
+    diagnostic::Source,
+    registry::{Registry, Vocabulary},
+};
 use lsp_server::{Connection, ErrorCode, Message, Notification, Request, Response};
 use serde_json::{Value, json};
 
 use crate::{exit, program, show};
-use document::{Document, path_of, uri_of};
+use document::{Document, line_at, path_of, uri_of};
 use workspace::{Spot, Workspace};
 
 /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
@@ -36,6 +40,8 @@ pub struct LspArgs {
 pub struct Offered {
     /// Commands of each task, with their help.
     pub tasks: BTreeMap<String, Vec<(String, String)>>,
+    /// The functions of each net, which is called as its task is.
+    pub functions: BTreeMap<String, Vocabulary>,
 }
 
 impl Offered {
@@ -59,9 +65,25 @@ impl Offered {
             let commands = commands(&task.handler).unwrap_or_default();
             (task.name.clone(), commands)
         });
+        let functions = app.tasks.iter().filter_map(|task| {
+            let words = registry.kind(&task.handler)?.vocabulary(task);
+            Some((task.name.clone(), words))
+        });
         Ok(Self {
             tasks: tasks.collect(),
+            functions: functions.collect(),
         })
+    }
+
+    /// The functions of one kind that a net may use; all that are known if it is none of the app's.
+    pub fn functions(&self, net: Option<&str>, what: &str) -> BTreeSet<&str> {
+        let own = net.and_then(|net| self.functions.get(net));
+        let all = self.functions.values().filter(|_| own.is_none());
+        let words = own
+            .into_iter()
+            .chain(all)
+            .filter_map(|words| words.get(what));
+        words.flatten().map(String::as_str).collect()
     }
 }
 
@@ -229,7 +251,7 @@ impl Editor {
         let at = document.offset(&params["position"]);
         let result = match method.as_str() {
             "textDocument/completion" => Ok(self.completions(document, at, offered)),
-            "textDocument/hover" => Ok(document.hover(at)),
+            "textDocument/hover" => Ok(self.hover(document, at)),
             "textDocument/definition" => Ok(self.definition(document, at)),
             "textDocument/references" => Ok(self.references(document, at)),
             "textDocument/documentSymbol" => Ok(document.symbols()),
@@ -257,10 +279,22 @@ impl Editor {
         Workspace::around(document.path(), &self.folders, self.open())
     }
 
+    fn hover(&self, document: &Document, at: usize) -> Value {
+        let around = self.around(document);
+        let spot = document.spot(at);
+        let declared = spot.map_or_else(BTreeSet::new, |spot| around.declarations(&spot));
+        let elsewhere = declared.iter().find(|spot| spot.file != document.path());
+        let elsewhere = elsewhere.and_then(|spot| {
+            let text = around.text(&spot.file)?.text();
+            Some((spot.file.as_path(), line_at(text, spot.bytes.0)))
+        });
+        document.hover(at, elsewhere)
+    }
+
     fn completions(&self, document: &Document, at: usize, offered: &Offered) -> Value {
         let around = self.around(document);
-        match around.outline(document.path()) {
-            Some(whole) => document.completions(at, offered, whole),
+        match around.whole(document.path()) {
+            Some((net, whole)) => document.completions(at, offered, (net, whole)),
             None => json!([]),
         }
     }
@@ -268,6 +302,16 @@ impl Editor {
     /// Where the word at a byte is declared: in one place, or in each net that includes its file.
     fn definition(&self, document: &Document, at: usize) -> Value {
         let around = self.around(document);
+        if let Some(file) = document.included(at) {
+            let there = around.text(&file).is_some();
+            let start = json!({ "line": 0, "character": 0 });
+            let range = json!({ "start": start, "end": start });
+            return if there {
+                json!({ "uri": self.uri(&file), "range": range })
+            } else {
+                Value::Null
+            };
+        }
         let spot = document.spot(at);
         let declared = spot.map(|spot| around.declarations(&spot));
         let mut places = self.locations(&around, declared.unwrap_or_default());
@@ -304,15 +348,20 @@ impl Editor {
         Ok(json!({ "changes": changes }))
     }
 
+    /// A file's address: as the editor has it, where it is open.
+    fn uri(&self, file: &Path) -> String {
+        let mut open = self.documents.iter();
+        let open = open.find(|(_, document)| document.path() == file);
+        open.map_or_else(|| uri_of(file), |(uri, _)| uri.clone())
+    }
+
     /// Places as the protocol has them.
     fn locations(&self, around: &Workspace, spots: BTreeSet<Spot>) -> Vec<Value> {
         let mut read: BTreeMap<PathBuf, (String, Document)> = BTreeMap::new();
         let mut places = Vec::new();
         for spot in spots {
             if !read.contains_key(&spot.file) {
-                let mut open = self.documents.iter();
-                let open = open.find(|(_, document)| document.path() == spot.file);
-                let uri = open.map_or_else(|| uri_of(&spot.file), |(uri, _)| uri.clone());
+                let uri = self.uri(&spot.file);
                 let text = around.text(&spot.file).map_or("", Source::text);
                 let document = Document::new(&uri, text);
                 read.insert(spot.file.clone(), (uri, document));

@@ -2,12 +2,16 @@
 
 use ctos::{
     message::Command as _,
+    record::{Filter, Record},
     simulation::{Faults, Mishap},
     time::Instant,
 };
 
 use super::{
-    survival::{durable_app, insist, register_script, register_with_settings, simulate, tokens},
+    survival::{
+        durable_app, durable_app_with, insist, register_script, register_with_settings, simulate,
+        tokens,
+    },
     *,
 };
 
@@ -42,7 +46,8 @@ fn run_with(
 
 async fn order(cx: &Context, order: Order) -> String {
     let to = cx.task("n").await.unwrap();
-    match cx.call(&to, Control { order }).await {
+    let by = "ada".to_owned();
+    match cx.call(&to, Control { order, by }).await {
         Ok(said) => said,
         Err(error) => format!("no: {}", error.reason()),
     }
@@ -194,6 +199,92 @@ fn a_net_is_paused_stepped_fired_filled_emptied_and_its_actions_are_cancelled_by
         lines[8].contains("net `n` has no place `tnak`; there are: tank, out"),
         "{found}"
     );
+}
+
+/// Does everything that can be done to [`LAMP`] by hand, once.
+async fn every_intervention(cx: Context) -> Result<String, HandlerError> {
+    let replaced = replace(&cx, LAMP.to_owned(), 1000).await;
+    assert_eq!(replaced, "replaced by new.net");
+    let (place, on) = (|| "off".to_owned(), || "switch_on".to_owned());
+    let at = || "on>=90".to_owned();
+    let orders = [
+        Order::Clear { at: None },
+        Order::Break { at: at() },
+        Order::Clear { at: Some(at()) },
+        Order::Pause,
+        Order::Put {
+            place: place(),
+            tokens: 2,
+        },
+        Order::Take {
+            place: place(),
+            tokens: 2,
+        },
+        Order::Fire { transition: on() },
+        Order::Cancel { transition: on() },
+        Order::Step { firings: 1 },
+        Order::Complete { transition: on() },
+        Order::Resume,
+    ];
+    for one in orders {
+        if matches!(one, Order::Fire { .. }) {
+            let child = cx.clone();
+            cx.spawn(async move {
+                let _ = switch(&child).await;
+            });
+            cx.sleep(Duration::from_millis(10)).await;
+        }
+        let said = order(&cx, one.clone()).await;
+        assert!(!said.starts_with("no: "), "{one:?}: {said}");
+        // An action that was ended ends beside the order.
+        cx.sleep(Duration::from_millis(10)).await;
+    }
+    Ok(String::new())
+}
+
+#[test]
+fn each_intervention_is_in_the_record_with_who_did_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.mcap");
+    let set = format!("record.file={:?}", file.display().to_string());
+    let app = durable_app_with(&[("n", "allow_control = true")], 1, &[set]);
+    let mut registry = Registry::new();
+    register_with_settings(&mut registry, LAMP, || {
+        Library::new(()).action("work", slow(Duration::from_millis(500)))
+    });
+    register_script(&mut registry, every_intervention);
+    simulate(app, registry, Faults::none()).0.unwrap();
+    let filter = Filter {
+        topics: vec!["/firing/n".to_owned()],
+        ..Filter::default()
+    };
+    let record = Record::read(&[file], &filter).unwrap();
+    let events = record.entries.iter().map(|entry| {
+        let event: serde_json::Value = serde_json::from_slice(&entry.json).unwrap();
+        let word = |key: &str| event[key].as_str().unwrap_or_default().to_owned();
+        (word("phase"), word("text"))
+    });
+    let by_ada: Vec<(String, String)> =
+        events.filter(|(_, text)| text.ends_with("(ada)")).collect();
+    let by_ada: Vec<(&str, &str)> = by_ada
+        .iter()
+        .map(|(phase, text)| (phase.as_str(), text.trim_end_matches(" (ada)")))
+        .collect();
+    let expected = [
+        ("ordered", "replaced by new.net"),
+        ("ordered", "no breakpoints"),
+        ("ordered", "break at on>=90"),
+        ("ordered", "no break at on>=90"),
+        ("paused", "by hand"),
+        ("put", "by hand"),
+        ("taken", "by hand"),
+        ("ordered", "fire switch_on"),
+        ("ordered", "cancel switch_on"),
+        ("ordered", "step 1"),
+        ("ordered", "complete switch_on"),
+        ("resumed", "by hand"),
+    ];
+    assert_eq!(by_ada, expected);
 }
 
 #[test]

@@ -53,6 +53,9 @@ transition end
   write gone
 ";
 
+/// An object that no store takes.
+const REFUSED: &str = "refused";
+
 /// A store of data objects that outlives every chassis.
 #[derive(Clone, Default)]
 struct Objects(Arc<Mutex<BTreeMap<String, Vec<u8>>>>);
@@ -63,8 +66,13 @@ impl DataStore for Objects {
         Box::pin(async move { found.ok_or_else(|| HandlerError::new("no such object")) })
     }
 
-    fn put(&self, _cx: &Context, object: &str, bytes: Vec<u8>) -> Later<Handled> {
-        self.0.lock().unwrap().insert(object.to_owned(), bytes);
+    fn put(&self, _cx: &Context, objects: Vec<(String, Vec<u8>)>) -> Later<Handled> {
+        let refused = objects.iter().find(|(object, _)| object == REFUSED);
+        if let Some((object, _)) = refused {
+            let why = HandlerError::new(format!("there is no room for `{object}`"));
+            return Box::pin(async move { Err(why) });
+        }
+        self.0.lock().unwrap().extend(objects);
         Box::pin(async { Ok(()) })
     }
 
@@ -171,18 +179,19 @@ fn the_objects_of_a_durable_net_are_the_same_whenever_it_dies() {
     }
 }
 
-#[test]
-fn an_argument_that_is_not_what_a_function_takes_fails_its_action_and_stores_nothing() {
-    let text = "net n
-place free = 1, done
+/// Works on `number` once and stores the results as `low` and as an object called `high`; what became of
+/// the command, and the objects then.
+fn worked(number: &impl Serialize, high: &str) -> (String, BTreeMap<String, Vec<u8>>) {
+    let text = format!(
+        "net n
+place free = 1, done, lost
 command go -> gone, lost
 transition work
   in free
   tape go
-  do half(number -> low, high)
+  do half(number -> low, {high})
   out done
   fail lost
-place lost
 transition end
   in done
   out free
@@ -191,10 +200,11 @@ transition give_up
   in lost
   out free
   write lost
-";
+"
+    );
     let net = compile::net(&Source::new("n.net", text)).unwrap_or_else(|f| panic!("{f}"));
     let objects = Objects::default();
-    let bytes = Data::of("no number".to_owned()).into_bytes().unwrap();
+    let bytes = postcard::to_stdvec(number).unwrap();
     objects.0.lock().unwrap().insert("number".to_owned(), bytes);
     let kept = objects.clone();
     let mut registry = Registry::new();
@@ -208,10 +218,27 @@ transition give_up
         Ok(NetTask::new(cx, net.clone(), library, rule, Some(store)))
     });
     let said = run(app(&[("operator", "a"), ("n", "b")], 1), registry).unwrap();
+    let objects = objects.0.lock().unwrap().clone();
+    (said, objects)
+}
+
+#[test]
+fn an_argument_that_is_not_what_a_function_takes_fails_its_action_and_stores_nothing() {
+    let (said, objects) = worked(&"no number", "high");
     assert!(
         said.starts_with("answer lost [work: data is not a u32: "),
         "{said}"
     );
-    let objects = objects.0.lock().unwrap();
     assert!(!objects.contains_key("low") && !objects.contains_key("high"));
+}
+
+#[test]
+fn of_several_results_none_is_stored_when_the_store_refuses_one() {
+    let (said, objects) = worked(&9_u32, "high");
+    assert!(said.starts_with("answer gone"), "{said}");
+    assert!(objects.contains_key("low") && objects.contains_key("high"));
+    let (said, objects) = worked(&9_u32, REFUSED);
+    let told = "answer lost [work: there is no room for `refused`]";
+    assert!(said.starts_with(told), "{said}");
+    assert!(!objects.contains_key("low"), "the first of them was stored");
 }

@@ -41,6 +41,11 @@ transition never
 
 /// Each net durable or not, on a chassis of its own that comes back; the operator on another.
 pub(super) fn durable_app(nets: &[(&str, &str)], seed: u64) -> App {
+    durable_app_with(nets, seed, &[])
+}
+
+/// The same with settings as `--set` takes them.
+pub(super) fn durable_app_with(nets: &[(&str, &str)], seed: u64, sets: &[String]) -> App {
     let mut text = format!(
         "[app]\nname = \"t\"\nuntil = \"operator\"\nseed = {seed}\n[time]\nmode = \"virtual\"\n[chassis.desk]\nrestart = \"always\"\nmax_restarts = 100000\nrestart_backoff_s = 0.05\n[task.operator]\nhandler = \"operator\"\non = \"desk\"\n"
     );
@@ -49,7 +54,7 @@ pub(super) fn durable_app(nets: &[(&str, &str)], seed: u64) -> App {
             "[chassis.on_{name}]\nrestart = \"always\"\nmax_restarts = 100000\nrestart_backoff_s = 0.05\n[task.{name}]\nhandler = \"{name}\"\non = \"on_{name}\"\nargs = {{ net = \"{name}.net\", {more} }}\n"
         ));
     }
-    config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap_or_else(|f| panic!("{f}"))
+    config::load_texts(&[("app.toml", &text)], sets, &[]).unwrap_or_else(|f| panic!("{f}"))
 }
 
 /// Registers a net with the settings of its task.

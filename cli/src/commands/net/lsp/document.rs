@@ -10,7 +10,7 @@ use std::{
 
 use ctos::diagnostic::{Finding, Findings, Severity, Source};
 use pnt::{
-    check::{self, Limits, Rule},
+    check::{self, FunctionNames, Limits, Rule},
     compile,
     net::Net,
     text::{
@@ -202,7 +202,12 @@ impl Document {
     }
 
     /// What may stand at a place, of the words of this text and of what it includes.
-    pub fn completions(&self, at: usize, offered: &Offered, whole: &Outline) -> Value {
+    pub fn completions(
+        &self,
+        at: usize,
+        offered: &Offered,
+        (net, whole): (Option<&str>, &Outline),
+    ) -> Value {
         let start = self
             .text()
             .get(..at)
@@ -237,6 +242,15 @@ impl Document {
                 .map(|name| item(&in_text(name), code, detail))
                 .collect()
         };
+        let functions = |kind: Kind, what: &str| -> Vec<Value> {
+            let of_app = offered.functions(net, what);
+            let mut items: Vec<Value> = of_app
+                .iter()
+                .map(|name| item(&in_text(name), 3, what))
+                .collect();
+            items.extend(names(kind, 3, what));
+            items
+        };
         let words = before.split_whitespace().count();
         let items = match keyword {
             "in" | "read" | "inhibit" | "reset" | "out" | "fail" | "safe" => {
@@ -249,9 +263,9 @@ impl Document {
             "tape" => names(Kind::Symbol, 20, "symbol of the input tape"),
             "write" => names(Kind::Answer, 20, "symbol of the output tape"),
             "do" if before.contains('(') => names(Kind::Data, 5, "data object"),
-            "do" => names(Kind::Function, 3, "local function"),
+            "do" => functions(Kind::Function, FunctionNames::LOCAL),
             "when" => {
-                let mut items = names(Kind::Enabling, 3, "enabling function");
+                let mut items = functions(Kind::Enabling, FunctionNames::ENABLING);
                 items.extend((words == 1).then(|| item("not", 14, "negation")));
                 items
             }
@@ -312,8 +326,24 @@ impl Document {
         scope
     }
 
-    /// What is known about a word.
-    pub fn hover(&self, at: usize) -> Value {
+    /// The file that is included here, if the byte is within its name.
+    pub fn included(&self, at: usize) -> Option<PathBuf> {
+        let before = self.text().get(..at)?;
+        let column = at - before.rfind('\n').map_or(0, |end| end + 1);
+        let line = line_at(self.text(), at);
+        let name = line
+            .trim()
+            .strip_prefix("include")?
+            .trim()
+            .trim_matches('"');
+        let start = line.find(name)?;
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let known = self.outline.includes().iter().any(|file| file == name);
+        (known && (start..=start + name.len()).contains(&column)).then(|| plain(&folder.join(name)))
+    }
+
+    /// What is known about a word; where it is declared in another file, that file and the line there.
+    pub fn hover(&self, at: usize, elsewhere: Option<(&Path, &str)>) -> Value {
         let Some(word) = self.word(at) else {
             return Value::Null;
         };
@@ -322,17 +352,20 @@ impl Document {
                 Some(keyword) => format!("`{}`\n\n{}", keyword.form, keyword.meaning),
                 None => return Value::Null,
             },
-            kind => self.told(word, kind),
+            kind => self.told(word, kind, elsewhere),
         };
         json!({ "contents": { "kind": "markdown", "value": text }, "range": self.range(&word.range) })
     }
 
     /// The word, the line that declares it, and the transitions that use it.
-    fn told(&self, word: &Occurrence, kind: Kind) -> String {
+    fn told(&self, word: &Occurrence, kind: Kind, elsewhere: Option<(&Path, &str)>) -> String {
         let mut told = format!("{} `{}`", name_of(kind), word.name);
         if let Some(declared) = self.outline.declaration(word) {
-            let line = self.line_at(declared.range.start);
+            let line = line_at(self.text(), declared.range.start);
             told += &format!("\n\n```\n{}\n```", line.trim());
+        } else if let Some((file, line)) = elsewhere {
+            let file = file.file_name().unwrap_or_default().to_string_lossy();
+            told += &format!("\n\nin {file}:\n\n```\n{}\n```", line.trim());
         }
         let used = self
             .outline
@@ -348,15 +381,6 @@ impl Document {
             told += &format!("\n\nused by {}", users.join(", "));
         }
         told
-    }
-
-    fn line_at(&self, offset: usize) -> &str {
-        let before = self.text().get(..offset).unwrap_or_default();
-        let start = before.rfind('\n').map_or(0, |at| at + 1);
-        self.text()
-            .get(start..)
-            .and_then(|rest| rest.lines().next())
-            .unwrap_or_default()
     }
 
     /// Places, transitions and subnets, for an overview.
@@ -392,6 +416,14 @@ impl Document {
         let word = self.word(at).filter(|word| word.kind != Kind::Keyword);
         word.map_or(Value::Null, |word| self.range(&word.range))
     }
+}
+
+/// The line of a text in which a byte is.
+pub(super) fn line_at(text: &str, offset: usize) -> &str {
+    let before = text.get(..offset).unwrap_or_default();
+    let start = before.rfind('\n').map_or(0, |at| at + 1);
+    let rest = text.get(start..).and_then(|rest| rest.lines().next());
+    rest.unwrap_or_default()
 }
 
 fn item(label: &str, kind: u8, detail: &str) -> Value {

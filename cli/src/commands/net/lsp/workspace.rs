@@ -141,10 +141,10 @@ impl Workspace {
         self.texts.get(file)
     }
 
-    /// The words of a net with all that it includes.
-    pub fn outline(&self, file: &Path) -> Option<&Outline> {
+    /// The name of a net, if its text gives it one, and its words with those of all that it includes.
+    pub fn whole(&self, file: &Path) -> Option<(Option<&str>, &Outline)> {
         let whole = self.wholes.iter().find(|whole| is_of(whole, file));
-        whole.map(|whole| &whole.outline)
+        whole.map(|whole| (net_of(whole), &whole.outline))
     }
 
     /// The files whose nets include this one.
@@ -385,7 +385,7 @@ mod tests {
     fn spot(workspace: &Workspace, file: &str, what: &str) -> Spot {
         let file = PathBuf::from("/w").join(file);
         let start = workspace.texts[&file].text().find(what).unwrap();
-        let outline = workspace.outline(&file).unwrap();
+        let (_, outline) = workspace.whole(&file).unwrap();
         let word = outline.at_in(0, start).unwrap();
         let bytes = (word.range.start, word.range.end);
         Spot { file, bytes }
