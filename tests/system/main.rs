@@ -28,4 +28,5 @@ mod nets;
 mod recording;
 mod restarts;
 mod startup;
+mod stepped_clock;
 mod traces;
