@@ -160,6 +160,34 @@ fn a_place_of_several_nets_is_one_place_with_ways_to_all_of_them() {
 }
 
 #[test]
+fn what_a_person_looks_at_stays_when_the_nets_come_anew() {
+    let scratch = scratch();
+    let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
+    let (_run, page) = boot(&scratch, &["--set", waits]);
+    let mut browser = Browser::open(&format!("{page}#net=dispatcher"), SIZE);
+    browser.wait(&format!("{DISPATCHER}.head.paused !== null"));
+    browser.click("Release net");
+    browser.wait(&format!("{DISPATCHER}.head.seq > 20"));
+    browser.ask("nets.choose('dispatcher/move_robot')");
+    browser.ask(&format!("nets.goToEvent({DISPATCHER}, 8)"));
+    browser.ask("nets.picture.zoom(1.5)");
+    let seen = "JSON.stringify([nets.shown, nets.chosen, nets.cursor.at_ns, nets.picture.box, location.hash])";
+    let before = browser.ask(seen);
+    // As when the network was away for a moment, or a net was started on another chassis.
+    browser.ask("(() => { globalThis.was = nets.nets.get('dispatcher'); nets.socket.close(); })()");
+    browser.wait(&format!(
+        "{DISPATCHER} !== undefined && {DISPATCHER} !== was && nets.picked"
+    ));
+    assert_eq!(browser.ask(seen), before);
+    let marked = format!(
+        "nets.visibleNets()[0] === {DISPATCHER} && nets.stateOf({DISPATCHER}).at_ns <= nets.cursor.at_ns"
+    );
+    assert_eq!(browser.ask(&marked), true);
+    browser.wait("document.querySelector('#side h2').textContent.startsWith('move_robot')");
+    assert_eq!(browser.complaints, Vec::<String>::new());
+}
+
+#[test]
 fn a_breakpoint_at_a_place_waits_for_what_its_form_says() {
     let scratch = scratch();
     let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";

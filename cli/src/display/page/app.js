@@ -97,7 +97,10 @@ class App extends Moments {
     this.displays = message.displays;
     this.nets.clear();
     this.forks.clear();
+    $("fork").setAttribute("aria-pressed", "false");
     this.tasks.clear();
+    // Events that come anew may have other positions, but the same moments.
+    if (this.cursor !== null) this.cursor.net = null;
     /** When the app began, ns since 1970; of a record it is not known. */
     this.origin = message.origin_ns ?? null;
     this.wanted = message.nets;
@@ -123,14 +126,21 @@ class App extends Moments {
   ready() {
     this.picked = true;
     const wish = this.wish;
-    const name = this.known(wish?.get("net")) ? wish.get("net") : this.touched ? this.shown : null;
+    const wished = this.known(wish?.get("net"));
     const busiest = [...this.nets.values()].sort((a, b) => b.view.commands.length - a.view.commands.length || b.view.transitions.length - a.view.transitions.length)[0];
     this.tabs();
     $("names").replaceChildren();
-    this.open(this.known(name) ? name : busiest?.name ?? null, wish?.get("node") ?? null);
-    if (this.known(wish?.get("net"))) [this.wish, this.touched] = [null, true];
+    if (!wished && this.touched && this.known(this.shown)) return this.stay();
+    this.open(wished ? wish.get("net") : busiest?.name ?? null, wish?.get("node") ?? null);
+    if (wished) [this.wish, this.touched] = [null, true];
     if (wish?.has("t")) this.goTo(Number(wish.get("t")) * 1e9);
     else if (this.mode === "record") this.goTo(this.span()[0]);
+  }
+
+  /** The nets have come anew: what a person looks at stays, as far as it is still there. */
+  stay() {
+    this.draw(true);
+    if (this.chosen !== null && !this.picture.nodes.has(this.chosen)) this.choose(null);
   }
 
   known(name) {
