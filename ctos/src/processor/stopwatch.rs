@@ -1,9 +1,10 @@
 //! How often a processor looks at the clock while the code of its tasks is brief.
 //!
 //! A look costs about as much as a brief handler. So once many turns of tasks in a row have each been over
-//! within [`BRIEF`], only every few of them are measured together, and each is taken to have lasted as long
-//! as the last that were. What turns out to have been long is charged to the turn after which that was
-//! seen, which may be a few turns late, and everything is measured again. A virtual clock, which
+//! within [`BRIEF`], only every few of them are measured together, or more while all of these are taken to
+//! have been over within that, and each is taken to have lasted as long as the last that were. What turns
+//! out to have been long is charged to the turn after which that was seen, which may be some turns late, and
+//! everything is measured again. A virtual clock, which
 //! costs nothing and stands still while code runs, is always looked at; so is any clock while something
 //! is recorded.
 
@@ -18,6 +19,9 @@ const BRIEF_LOOKS: u32 = 16;
 /// Turns between two looks. With the measured one this makes a prime number, so that tasks that take
 /// turns are all measured.
 const SKIPPED: u32 = 4;
+
+/// The same at most, while the turns since the last look are taken to have been brief all together.
+const MOST_SKIPPED: u32 = 22;
 
 /// Counts turns and looks.
 pub(super) struct Stopwatch {
@@ -48,7 +52,11 @@ impl Stopwatch {
     #[inline]
     pub(super) fn skips(&self) -> bool {
         let skipped = self.skipped.get();
-        let skips = self.is_brief() && skipped < SKIPPED;
+        let is_soon = || {
+            let taken = Duration::from_nanos(u64::from(skipped) * self.each_ns.get());
+            skipped < MOST_SKIPPED && taken < BRIEF
+        };
+        let skips = self.is_brief() && (skipped < SKIPPED || is_soon());
         if skips {
             self.skipped.set(skipped + 1);
         }
@@ -86,7 +94,7 @@ impl Stopwatch {
         let since_ns = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX);
         let before = u64::from(skipped) * self.each_ns.get() + self.excess_ns.get();
         self.excess_ns.set(before.saturating_sub(since_ns));
-        if since <= BRIEF * (skipped + 1) {
+        if since <= BRIEF * (skipped.min(SKIPPED) + 1) {
             self.each_ns.set(since_ns / u64::from(skipped + 1));
             self.brief.set(self.brief.get().saturating_add(1));
         } else {
@@ -122,6 +130,21 @@ mod tests {
         assert_eq!(stopwatch.looked(Duration::from_millis(1)), 998_000);
         assert!(!stopwatch.is_behind());
         assert!(!stopwatch.skips(), "a long turn was seen");
+    }
+
+    #[test]
+    fn the_briefer_turns_are_the_more_of_them_are_measured_together() {
+        for (turn, together) in [(1, 22), (50, 20), (200, 5), (900, 4)] {
+            let stopwatch = Stopwatch::new(true);
+            for _ in 0..BRIEF_LOOKS {
+                stopwatch.looked(Duration::from_nanos(turn));
+            }
+            let skipped = std::iter::from_fn(|| stopwatch.skips().then_some(())).count();
+            assert_eq!(skipped, together, "{turn} ns");
+            // However many they were: one that was long is seen.
+            stopwatch.looked(BRIEF * 6);
+            assert!(!stopwatch.is_brief(), "{turn} ns");
+        }
     }
 
     #[test]
