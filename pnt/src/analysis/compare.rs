@@ -20,6 +20,21 @@ pub(super) struct Compare {
     expected: u64,
 }
 
+/// What some bits of a word must be: all that is looked at where places hold one token or none.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bits {
+    word: u32,
+    looked_at: u64,
+    expected: u64,
+}
+
+impl Bits {
+    #[inline]
+    pub(super) fn holds(&self, packed: &[u64]) -> bool {
+        packed[self.word as usize] & self.looked_at == self.expected
+    }
+}
+
 /// What one place must hold.
 #[derive(Debug, Clone, Copy)]
 enum Wanted {
@@ -32,6 +47,15 @@ impl Compare {
     pub(super) fn holds(&self, packed: &[u64]) -> bool {
         let value = (packed[self.word as usize] >> self.down) & self.fields;
         (value | self.above).wrapping_sub(self.less) & self.looked_at == self.expected
+    }
+
+    /// The same without subtraction, where it comes to that.
+    pub(super) fn bits(&self) -> Option<Bits> {
+        (self.above == 0 && self.less == 0).then_some(Bits {
+            word: self.word,
+            looked_at: self.looked_at << self.down,
+            expected: self.expected << self.down,
+        })
     }
 
     /// Adds a place if it is of this word and no other is in its way.
@@ -112,6 +136,21 @@ pub(super) fn enabling(layout: &Layout, needs: &[Weighted], forbids: &[Weighted]
         add(&mut list, field, Wanted::Below(*weight));
     }
     list
+}
+
+/// Conditions that hold where what a transition puts fits into the fields.
+pub(super) fn room(layout: &Layout, gains: &[Weighted]) -> Vec<Compare> {
+    let below = gains.iter().map(|(place, gain)| {
+        let most = layout.fields[*place as usize].most();
+        // A sum of all 32 bits is too many.
+        (
+            *place,
+            most.min(u32::MAX - 1)
+                .saturating_add(1)
+                .saturating_sub(*gain),
+        )
+    });
+    enabling(layout, &[], &below.collect::<Vec<_>>())
 }
 
 /// Conditions that hold where no place has more tokens than these.
@@ -268,6 +307,17 @@ mod tests {
                 let holds = needs.iter().all(|(place, weight)| held(place) >= *weight)
                     && forbids.iter().all(|(place, weight)| held(place) < *weight);
                 prop_assert_eq!(all(&enabling(&layout, &needs, &forbids)), holds);
+                for compare in enabling(&layout, &needs, &forbids) {
+                    let bits = compare.bits().map(|bits| bits.holds(&packed));
+                    prop_assert!(bits.is_none_or(|holds| holds == compare.holds(&packed)));
+                }
+                let gains: Vec<Weighted> = some.iter().copied().filter(|(_, gain)| *gain > 0).collect();
+                let fits = gains.iter().all(|(place, gain)| {
+                    let sum = u64::from(held(place)) + u64::from(*gain);
+                    let most = layout.fields[*place as usize].most();
+                    sum <= u64::from(most) && sum < u64::from(u32::MAX)
+                });
+                prop_assert_eq!(all(&room(&layout, &gains)), fits);
                 // Both of the same place.
                 let both = enabling(&layout, some, some);
                 prop_assert!(!all(&both));

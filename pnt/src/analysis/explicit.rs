@@ -169,7 +169,7 @@ struct Search<'a> {
 impl<'a> Search<'a> {
     fn new(model: &'a Model, limits: Limits) -> Self {
         let bits: Vec<u32> = model.places.iter().map(|p| bits_for(p.tokens)).collect();
-        let rules = Rules::new(model, Layout::new(&bits));
+        let rules = Rules::new(model, Layout::roomy(&bits));
         let mut store = Store::new(rules.layout.words);
         let mut worker = Worker::new(0, &rules);
         let mut packed = Vec::new();
@@ -374,7 +374,7 @@ impl<'a> Search<'a> {
         if let Some(bits) = bits.get_mut(wide.place as usize) {
             *bits = bits_for(wide.tokens).max(*bits);
         }
-        let rules = Rules::new(self.model, Layout::new(&bits));
+        let rules = Rules::new(self.model, Layout::roomy(&bits));
         self.store = self.store.repacked(&self.rules.layout, &rules.layout);
         for worker in &mut self.workers {
             worker.repack(&rules);

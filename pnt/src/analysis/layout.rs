@@ -57,6 +57,18 @@ impl Layout {
         }
     }
 
+    /// The same with wider fields where there is room for them: as many bits for every place, up to four, as
+    /// do not make a marking longer. What fits from the beginning need not be packed again later.
+    pub(super) fn roomy(bits: &[u32]) -> Self {
+        let tight = Self::new(bits);
+        let wider = (2..=4).rev().map(|least| {
+            let wider: Vec<u32> = bits.iter().map(|bits| (*bits).max(least)).collect();
+            Self::new(&wider)
+        });
+        let fitting = wider.into_iter().find(|wider| wider.words == tight.words);
+        fitting.unwrap_or(tight)
+    }
+
     /// Bits per place.
     pub(super) fn bits(&self) -> Vec<u32> {
         self.fields.iter().map(|field| field.bits).collect()

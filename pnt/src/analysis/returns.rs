@@ -2,6 +2,8 @@
 //! nothing leaves. From them follow liveness, home states and reversibility. Edges are not kept; a
 //! marking is expanded again when its successors are asked for.
 
+mod walk;
+
 use super::{
     explicit::{Explored, Reached, Scratch},
     layout::linear,
@@ -42,28 +44,32 @@ pub fn returns(explored: &Explored<'_>, bytes: usize) -> Option<Returns> {
     if explored.store.numbers() / 8 > bytes {
         return None;
     }
-    // Where all firings are sure, what is reachable is reachable from wherever the initial marking is.
-    // From a dead marking there is no way to another.
-    let dead = explored.dead_count > 0 && explored.markings > 1;
-    let quick = (!explored.rules.has_whens && !dead).then(|| all_return(explored));
-    if let Some(bytes) = quick.flatten() {
-        let mut live = vec![false; explored.model.label_count()];
-        for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
-            if let (Some(label), true) = (transition.label, seen) {
-                live[label as usize] = true;
-            }
-        }
-        return Some(Returns {
-            reversible: true,
-            no_return: None,
-            terminal: 1,
-            home_states: explored.markings,
-            live,
-            bytes,
-        });
+    // Where all firings are sure, what is reachable is reachable from wherever the initial marking is: all
+    // that returns is one component.
+    let walked = (!explored.rules.has_whens).then(|| walk::returning(explored));
+    let Some(walked) = walked.flatten() else {
+        let needed = components_bytes(explored, explored.store.numbers())?;
+        return (needed <= bytes).then(|| Components::new(explored, &|_| true).find(needed));
+    };
+    if !walked.lost.is_empty() {
+        let needed = components_bytes(explored, walked.lost.len())?.checked_add(walked.bytes)?;
+        let components = || Components::new(explored, &|_| true).find_lost(&walked.lost, needed);
+        return (needed <= bytes).then(components);
     }
-    let needed = components_bytes(explored)?;
-    (needed <= bytes).then(|| Components::new(explored, &|_| true).find(needed))
+    let mut live = vec![false; explored.model.label_count()];
+    for (transition, seen) in explored.model.transitions.iter().zip(&explored.seen) {
+        if let (Some(label), true) = (transition.label, seen) {
+            live[label as usize] = true;
+        }
+    }
+    Some(Returns {
+        reversible: true,
+        no_return: None,
+        terminal: 1,
+        home_states: explored.markings,
+        live,
+        bytes: walked.bytes,
+    })
 }
 
 /// Whether from every reachable marking one as wanted can be reached: if not, a marking from which none
@@ -74,7 +80,7 @@ pub fn always_reachable(
     wanted: &dyn Fn(&[u32]) -> bool,
     bytes: usize,
 ) -> Option<Option<Vec<u32>>> {
-    if !explored.complete() || components_bytes(explored)? > bytes {
+    if !explored.complete() || components_bytes(explored, explored.store.numbers())? > bytes {
         return None;
     }
     let mut components = Components::new(explored, wanted);
@@ -82,13 +88,15 @@ pub fn always_reachable(
     Some(components.without_wanted.map(|reached| reached.marking))
 }
 
-/// Index, lowest index, stack and call frame of every marking, whether it returns, and where its firings
-/// lead.
-fn components_bytes(explored: &Explored<'_>) -> Option<usize> {
-    let each = 4 + 4 + 4 + size_of::<Frame>() + 1;
-    let edges = usize::try_from(explored.edges).ok()?.checked_mul(4)?;
-    let numbers = explored.store.numbers();
-    numbers.checked_mul(each)?.checked_add(edges)
+/// Index and lowest index of every marking, and whether it returns; stack and call frame of those that are
+/// visited, and where their firings lead.
+fn components_bytes(explored: &Explored<'_>, visited: usize) -> Option<usize> {
+    let numbers = explored.store.numbers().checked_mul(4 + 4 + 1)?;
+    let stacks = visited.checked_mul(4 + size_of::<Frame>())?;
+    let most = visited.saturating_mul(explored.model.transitions.len());
+    let edges = most.min(usize::try_from(explored.edges).ok()?);
+    let edges = edges.checked_mul(4)?;
+    numbers.checked_add(stacks)?.checked_add(edges)
 }
 
 /// The markings by number, and the firings between them.
@@ -130,28 +138,45 @@ impl<'a> Graph<'a> {
         }
     }
 
-    /// The markings that the sure firings at a marking lead to, in order; nothing when the search had
-    /// stopped before one was found.
-    fn successors(&mut self, node: usize, successors: &mut Vec<usize>) -> Option<()> {
+    /// The markings that the sure firings at a marking lead to, in order, are then `self.numbers`; nothing
+    /// when the search had stopped before one was found.
+    fn successors(&mut self, node: usize) -> Option<()> {
         self.expand(node);
-        successors.clear();
-        let rules = &self.explored.rules;
-        let sum = linear(&self.from);
         self.targets.clear();
         self.sums.clear();
-        for transition in &self.scratch.enabled {
-            let packed = rules.packed.get(*transition as usize)?;
-            let sum = packed.fire_onto(&rules.layout, &self.from, sum, &mut self.targets);
-            self.sums.push(sum);
+        for position in 0..self.scratch.enabled.len() {
+            self.fire(position);
         }
-        self.explored.store.find_all(
-            &self.targets,
-            &self.sums,
-            &mut self.looks,
-            &mut self.numbers,
-        )?;
-        successors.extend(self.numbers.iter().map(|number| *number as usize));
-        Some(())
+        self.find()
+    }
+
+    /// Puts a firing at the marking that was expanded last beside those that are looked for; false when it
+    /// has fewer.
+    fn fire(&mut self, position: usize) -> bool {
+        let rules = &self.explored.rules;
+        let transition = self.scratch.enabled.get(position);
+        let Some(packed) = transition.and_then(|number| rules.packed.get(*number as usize)) else {
+            return false;
+        };
+        let sum = linear(&self.from);
+        let sum = packed.fire_onto(&rules.layout, &self.from, sum, &mut self.targets);
+        self.sums.push(sum);
+        true
+    }
+
+    /// Looks for where the firings lead.
+    fn find(&mut self) -> Option<()> {
+        let (targets, looks) = (&self.targets, &mut self.looks);
+        let store = &self.explored.store;
+        store.find_all(targets, &self.sums, looks, &mut self.numbers)
+    }
+
+    /// Where a single firing at the marking that was expanded last leads.
+    fn successor(&mut self, position: usize) -> Option<u32> {
+        self.targets.clear();
+        self.sums.clear();
+        self.fire(position);
+        self.explored.store.find(&self.targets, *self.sums.first()?)
     }
 
     /// All markings.
@@ -170,89 +195,6 @@ impl<'a> Graph<'a> {
     }
 }
 
-/// A quick answer for most nets: walks from every marking until it meets one that is known to return.
-/// All markings on the walk return as well. What leads only to markings of the walk itself is left aside
-/// and looked at again when more is known. The bytes it took, when all return; nothing when that is not
-/// so, or not found in this way.
-fn all_return(explored: &Explored<'_>) -> Option<usize> {
-    const UNKNOWN: u8 = 0;
-    const SEEN: u8 = 1;
-    const RETURNS: u8 = 2;
-    let mut graph = Graph::new(explored);
-    let mut state = vec![UNKNOWN; explored.store.numbers()];
-    state[graph.initial()?] = RETURNS;
-    let mut walk: Vec<(usize, u32)> = Vec::new();
-    let mut longest = 0;
-    let mut aside: Vec<usize> = Vec::new();
-    let mut successors = Vec::new();
-    for root in graph.nodes() {
-        if state[root] != UNKNOWN {
-            continue;
-        }
-        state[root] = SEEN;
-        walk.push((root, 0));
-        while let Some((node, tried)) = walk.last().copied() {
-            graph.successors(node, &mut successors)?;
-            if successors.is_empty() {
-                return None;
-            }
-            let mut next = None;
-            for (position, successor) in (0_u32..).zip(&successors).skip(tried as usize) {
-                match state[*successor] {
-                    RETURNS => {
-                        next = Some(None);
-                        break;
-                    }
-                    UNKNOWN if next.is_none() => next = Some(Some((position, *successor))),
-                    _ => {}
-                }
-            }
-            match next {
-                Some(None) => {
-                    for (node, _) in walk.drain(..) {
-                        state[node] = RETURNS;
-                    }
-                }
-                Some(Some((position, successor))) => {
-                    if let Some(top) = walk.last_mut() {
-                        top.1 = position + 1;
-                    }
-                    state[successor] = SEEN;
-                    walk.push((successor, 0));
-                    longest = longest.max(walk.len());
-                }
-                None => {
-                    walk.pop();
-                    aside.push(node);
-                }
-            }
-        }
-    }
-    let most = aside.len();
-    // What was put aside last leads to what was on the walk longest.
-    while !aside.is_empty() {
-        let before = aside.len();
-        let mut left = Vec::new();
-        for node in aside.into_iter().rev() {
-            graph.successors(node, &mut successors)?;
-            let returns = successors.iter().any(|to| state[*to] == RETURNS);
-            if returns {
-                state[node] = RETURNS;
-            } else {
-                left.push(node);
-            }
-        }
-        // The other way will tell which of them do not.
-        if left.len() == before {
-            return None;
-        }
-        left.reverse();
-        aside = left;
-    }
-    let lists = longest * size_of::<(usize, u32)>() + 2 * most * size_of::<usize>();
-    Some(state.len() + lists)
-}
-
 /// Tarjan's algorithm (1972) with a stack of its own.
 struct Components<'a> {
     graph: Graph<'a>,
@@ -263,7 +205,6 @@ struct Components<'a> {
     frames: Vec<Frame>,
     /// Where the firings at the markings of the frames lead, one frame's behind the other's.
     ahead: Vec<u32>,
-    successors: Vec<usize>,
     next: u32,
     live: Vec<bool>,
     terminal: usize,
@@ -300,7 +241,6 @@ impl<'a> Components<'a> {
             open: Vec::new(),
             frames: Vec::new(),
             ahead: Vec::new(),
-            successors: Vec::new(),
             next: 0,
             live: vec![true; explored.model.label_count()],
             terminal: 0,
@@ -313,6 +253,25 @@ impl<'a> Components<'a> {
 
     fn find(mut self, bytes: usize) -> Returns {
         self.visit_all();
+        self.told(bytes)
+    }
+
+    /// The same where all markings return but these, which nothing leads out of.
+    fn find_lost(mut self, lost: &[u32], bytes: usize) -> Returns {
+        self.returns.fill(true);
+        for node in lost {
+            self.returns[*node as usize] = false;
+        }
+        let initial = self.graph.initial().unwrap_or(0);
+        for root in lost {
+            if self.index[*root as usize] == NEW {
+                self.visit_from(*root as usize, initial);
+            }
+        }
+        self.told(bytes)
+    }
+
+    fn told(self, bytes: usize) -> Returns {
         let reversible = self.graph.nodes().all(|node| self.returns[node]);
         let no_return = (!reversible).then(|| self.no_return()).flatten();
         Returns {
@@ -368,10 +327,8 @@ impl<'a> Components<'a> {
         self.next += 1;
         let start = self.ahead.len();
         // All were found: the graph is complete.
-        if self.graph.successors(node, &mut self.successors).is_some() {
-            // Fewer than 2^32 markings in all: their lists are in memory.
-            self.ahead
-                .extend(self.successors.iter().map(|to| *to as u32));
+        if self.graph.successors(node).is_some() {
+            self.ahead.extend_from_slice(&self.graph.numbers);
         }
         let node = node as u32;
         self.open.push(node);

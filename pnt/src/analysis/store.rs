@@ -9,6 +9,8 @@
 //! loses a slot looks at it again, and gives the number to the next marking. Slots never change once
 //! they are taken, but when the table grows, and for that the store must be somebody's alone.
 
+mod table;
+
 use std::{
     collections::VecDeque,
     mem,
@@ -19,7 +21,7 @@ use std::{
     },
 };
 
-use super::layout::{Layout, linear, linear_of, mix};
+use super::layout::mix;
 
 /// Markings of one block. Fewer in tests, here and below, so that small nets come to everything.
 const BLOCK: usize = if cfg!(test) { 8 } else { 1 << 14 };
@@ -33,7 +35,9 @@ const PIECE: usize = if cfg!(test) { 2 } else { 1 << 10 };
 /// Slots from which on several threads together move a table.
 const MOVED_TOGETHER: usize = if cfg!(test) { 16 } else { 1 << 16 };
 
-/// An empty slot of the table. No number has all bits set: the table is never full.
+/// An empty slot. No number has all bits set: the table is never full. What a slot holds stands there with
+/// all bits turned over, so that an empty table is zeros, which the kernel makes page by page for whichever
+/// thread comes to them first.
 const EMPTY: u32 = u32::MAX;
 
 /// The longest table, and the most markings of one store.
@@ -125,11 +129,14 @@ impl Share {
 }
 
 fn zeros(words: usize) -> Box<[AtomicU64]> {
-    (0..words).map(|_| AtomicU64::new(0)).collect()
+    vec![0; words].into_iter().map(AtomicU64::new).collect()
 }
 
 fn empty(slots: usize) -> Vec<AtomicU32> {
-    (0..slots).map(|_| AtomicU32::new(EMPTY)).collect()
+    vec![!EMPTY; slots]
+        .into_iter()
+        .map(AtomicU32::new)
+        .collect()
 }
 
 impl Store {
@@ -218,7 +225,7 @@ impl Store {
     }
 
     fn held(&self, slot: usize) -> u32 {
-        self.table[slot].load(Ordering::Acquire)
+        !self.table[slot].load(Ordering::Acquire)
     }
 
     /// From `slot` on, the first slot that is empty or may hold a marking with this hash.
@@ -289,9 +296,14 @@ impl Store {
             let taken = &self.table[at];
             // Released is the marking: who acquires the slot sees its words.
             if alone {
-                taken.store(tag | number, Ordering::Release);
+                taken.store(!(tag | number), Ordering::Release);
             } else if taken
-                .compare_exchange(EMPTY, tag | number, Ordering::Release, Ordering::Relaxed)
+                .compare_exchange(
+                    !EMPTY,
+                    !(tag | number),
+                    Ordering::Release,
+                    Ordering::Relaxed,
+                )
                 .is_err()
             {
                 // Another thread was first; perhaps with this very marking.
@@ -476,115 +488,6 @@ impl Store {
         }
         share.add(first..end as u32);
         true
-    }
-
-    /// A table of twice the length, filled by so many threads. Some numbers, in order, are not given yet.
-    fn grow(&mut self, threads: usize, free: &[Range<u32>]) {
-        let size = self.table.len() * 2;
-        self.peak = self.peak.max(self.bytes() + size * 4);
-        self.table = empty(size);
-        self.bits += 1;
-        self.mask = size - 1;
-        let ends = free.iter().map(|range| range.end);
-        let starts = free.iter().map(|range| range.start);
-        let ends = std::iter::once(0).chain(ends);
-        let given = ends.zip(starts.chain([self.numbers() as u32]));
-        let parts = given.flat_map(|(start, end)| {
-            let starts = (start..end).step_by(BLOCK);
-            starts.map(move |start| start..end.min(start.saturating_add(BLOCK as u32)))
-        });
-        let parts: Vec<Range<u32>> = parts.collect();
-        let count = if size < MOVED_TOGETHER {
-            1
-        } else {
-            threads.max(1)
-        };
-        let (store, each) = (&*self, parts.len().div_ceil(count).max(1));
-        let mut parts = parts.chunks(each);
-        let first = parts.next().unwrap_or_default();
-        let fill = |parts: &[Range<u32>]| {
-            let mut looks = Vec::with_capacity(BATCH);
-            for part in parts.iter().flat_map(|part| {
-                part.clone()
-                    .step_by(BATCH)
-                    .map(move |start| start..part.end.min(start.saturating_add(BATCH as u32)))
-            }) {
-                store.fill(part, count == 1, &mut looks);
-            }
-        };
-        std::thread::scope(|scope| {
-            for part in parts {
-                scope.spawn(move || fill(part));
-            }
-            fill(first);
-        });
-    }
-
-    /// Puts numbers that are not in the table where they belong. All of them are looked at first, so that the
-    /// waiting for memory overlaps.
-    fn fill(&self, numbers: Range<u32>, alone: bool, looks: &mut Vec<Look>) {
-        looks.clear();
-        looks.extend(numbers.map(|number| {
-            let words = self.at(number).iter();
-            let hash = mix(linear_of(words.map(|word| word.load(Ordering::Relaxed))));
-            let slot = hash as usize & self.mask;
-            Look {
-                slot,
-                held: self.table[slot].load(Ordering::Relaxed),
-                tag: self.tag(hash) | number,
-                word: 0,
-            }
-        }));
-        for look in looks {
-            self.settle(look.slot, look.tag, alone);
-        }
-    }
-
-    /// From `slot` on, puts what is not in the table where it belongs.
-    fn settle(&self, mut slot: usize, held: u32, alone: bool) {
-        loop {
-            let place = &self.table[slot];
-            if place.load(Ordering::Relaxed) == EMPTY {
-                // Nobody looks before all are done, and then through whoever waited for that.
-                if alone {
-                    place.store(held, Ordering::Relaxed);
-                    return;
-                }
-                let order = Ordering::Relaxed;
-                if place.compare_exchange(EMPTY, held, order, order).is_ok() {
-                    return;
-                }
-            }
-            slot = (slot + 1) & self.mask;
-        }
-    }
-
-    /// The same markings under the same numbers in another layout.
-    pub(super) fn repacked(&self, old: &Layout, new: &Layout) -> Self {
-        let mut store = Self::new(new.words);
-        store.table = empty(self.table.len());
-        (store.mask, store.bits) = (self.mask, self.bits);
-        store.make_blocks(self.numbers());
-        store.next = AtomicU32::new(self.next.load(Ordering::Relaxed));
-        store.peak = self.peak.max(self.bytes() + store.bytes());
-        let (mut words, mut marking, mut packed) = (Vec::new(), Vec::new(), Vec::new());
-        for slot in &self.table {
-            let held = slot.load(Ordering::Relaxed);
-            if held == EMPTY {
-                continue;
-            }
-            let number = held & self.mask as u32;
-            self.read(number, &mut words);
-            old.unpack(&words, &mut marking);
-            new.pack(&marking, &mut packed);
-            for (place, word) in store.at(number).iter().zip(&packed) {
-                place.store(*word, Ordering::Relaxed);
-            }
-            let hash = mix(linear(&packed));
-            let slot = hash as usize & self.mask;
-            store.settle(slot, store.tag(hash) | number, true);
-        }
-        store
     }
 }
 

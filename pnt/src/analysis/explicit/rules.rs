@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::super::{
-    compare::{Compare, Marked, Sum, enabling},
+    compare::{Bits, Compare, Marked, Sum, enabling, room},
     layout::{Layout, Packed},
     model::{Model, PlaceNumber, TransitionNumber},
 };
@@ -15,6 +15,8 @@ pub struct Rules {
     /// What enables each transition, ordered by the place of its needs that is the one to look at first;
     /// last those that need nothing.
     conditions: Vec<Condition>,
+    /// The same where for every transition it is enough to look at some bits of one word.
+    bits: Option<Vec<(TransitionNumber, Bits)>>,
     /// Per place, which of them it is looked at for; and for those that need nothing.
     by_place: Vec<Range<usize>>,
     free: Range<usize>,
@@ -26,6 +28,8 @@ pub struct Rules {
     ///
     /// [`linear`]: crate::analysis::layout::linear
     pub(in crate::analysis) steps: Option<Vec<(u64, u64)>>,
+    /// Per transition, what holds where its gains fit.
+    room: Vec<Vec<Compare>>,
     /// Group and priority of each transition.
     priorities: Vec<(u32, Option<u32>)>,
     pub(in crate::analysis) has_priorities: bool,
@@ -49,6 +53,11 @@ struct Condition {
 }
 
 impl Condition {
+    fn bits(&self) -> Option<(TransitionNumber, Bits)> {
+        let bits = self.others.is_empty().then(|| self.first.bits());
+        Some((self.transition, bits.flatten()?))
+    }
+
     #[inline]
     fn holds(&self, packed: &[u64]) -> bool {
         self.first.holds(packed) && self.others.iter().all(|compare| compare.holds(packed))
@@ -94,6 +103,7 @@ impl Rules {
             by_place.push(start..conditions.len());
         }
         let free = by_place.pop().unwrap_or_default();
+        let bits = conditions.iter().map(Condition::bits).collect();
         let marked = (conditions.len() > ALL)
             .then(|| Marked::new(&layout, firsts.iter().copied().flatten()));
         let plain = layout.words == 1 && packed.iter().all(|t| t.resets.is_empty());
@@ -110,6 +120,7 @@ impl Rules {
         let groups = model.transitions.iter().map(|t| t.group as usize + 1);
         Self {
             conditions,
+            bits,
             by_place,
             free,
             marked,
@@ -126,6 +137,7 @@ impl Rules {
             whens,
             groups: groups.max().unwrap_or(0),
             inhibiting,
+            room: packed.iter().map(|t| room(&layout, &t.gains)).collect(),
             packed,
             layout,
         }
@@ -137,12 +149,12 @@ impl Rules {
     pub(in crate::analysis) fn enabled(&self, packed: &[u64], scratch: &mut Scratch) {
         scratch.enabled.clear();
         match &self.marked {
-            None => try_all(&self.conditions, packed, &mut scratch.enabled),
+            None => self.try_all(0..self.conditions.len(), packed, &mut scratch.enabled),
             Some(marked) => {
                 let places = marked.of(packed);
                 let tried = places.map(|place| self.by_place[place as usize].clone());
                 for range in tried.chain([self.free.clone()]) {
-                    try_all(&self.conditions[range], packed, &mut scratch.enabled);
+                    self.try_all(range, packed, &mut scratch.enabled);
                 }
             }
         }
@@ -153,6 +165,24 @@ impl Rules {
             scratch.sure.clear();
             self.find_sure(scratch);
         }
+    }
+
+    /// Adds those of some transitions that are enabled.
+    fn try_all(&self, range: Range<usize>, packed: &[u64], enabled: &mut Vec<TransitionNumber>) {
+        match &self.bits {
+            Some(bits) => add_all(&bits[range], enabled, |(number, bits)| {
+                (*number, bits.holds(packed))
+            }),
+            None => add_all(&self.conditions[range], enabled, |condition| {
+                (condition.transition, condition.holds(packed))
+            }),
+        }
+    }
+
+    /// Whether what a transition puts fits; it empties nothing.
+    pub(in crate::analysis) fn has_room(&self, number: TransitionNumber, packed: &[u64]) -> bool {
+        let mut room = self.room[number as usize].iter();
+        room.all(|compare| compare.holds(packed))
     }
 
     /// Whether none of the transitions that were found enabled is sure.
@@ -227,12 +257,17 @@ fn firsts(model: &Model, packed: &[Packed]) -> Vec<Option<PlaceNumber>> {
 }
 
 /// Adds those that are enabled. Which they are cannot be foreseen, so nothing is jumped over.
-fn try_all(conditions: &[Condition], packed: &[u64], enabled: &mut Vec<TransitionNumber>) {
+fn add_all<T>(
+    conditions: &[T],
+    enabled: &mut Vec<TransitionNumber>,
+    holds: impl Fn(&T) -> (TransitionNumber, bool),
+) {
     let mut count = enabled.len();
     enabled.resize(count + conditions.len(), 0);
     for condition in conditions {
-        enabled[count] = condition.transition;
-        count += usize::from(condition.holds(packed));
+        let (number, holds) = holds(condition);
+        enabled[count] = number;
+        count += usize::from(holds);
     }
     enabled.truncate(count);
 }

@@ -388,6 +388,9 @@ impl Worker {
         let tight = |number: &&TransitionNumber| self.tight[**number as usize];
         for number in self.scratch.enabled.iter().filter(tight) {
             let transition = &rules.packed[*number as usize];
+            if transition.resets.is_empty() && rules.has_room(*number, &self.from) {
+                continue;
+            }
             let gained = transition.gains.iter().map(|(place, gain)| {
                 let held = rules.layout.fields[*place as usize].get(&self.from);
                 (*place, held.saturating_add(*gain))
