@@ -50,6 +50,7 @@ impl<S: 'static> Engine<S> {
         }
         self.tell_data(&cx);
         self.store_changes();
+        self.let_neighbours_go_on();
     }
 
     fn choose(self: &Rc<Self>) -> Option<TransitionId> {

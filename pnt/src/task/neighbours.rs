@@ -1,7 +1,8 @@
 //! Tokens for a net on the same processor: put there at once, without a message. The two nets are parts of one
-//! thread, so that nothing can be lost on the way, and what the receiver has it need not acknowledge; it goes
-//! on with its firings in a turn of its own, as after a message. Transfers are counted as if they had been sent, so
-//! that those which are messages follow without a gap.
+//! thread, so that nothing can be lost on the way, and what the receiver has it need not acknowledge. It goes
+//! on with its firings in the turn of a child of its own, which the sender lets it have as soon as it has nothing
+//! left to fire itself, or which comes like any other (see [`Context::give_turn`]). Transfers are counted as if
+//! they had been sent, so that those which are messages follow without a gap.
 //!
 //! A transfer goes as a message all the same where one of the nets is durable, where earlier ones are on their way,
 //! while something is recorded (a record is to show who sent what to whom), and where the receiver does not
@@ -12,10 +13,13 @@ use std::{
     future::poll_fn,
     rc::{Rc, Weak},
     sync::Arc,
-    task::{Poll, Waker},
+    task::Poll,
 };
 
-use ctos::{task::Context, time::Instant};
+use ctos::{
+    task::{Child, Context},
+    time::Instant,
+};
 
 use super::{engine::Engine, messages::Transfer};
 
@@ -36,6 +40,9 @@ pub(super) struct Comes<'a> {
 pub(super) trait Neighbour {
     /// Takes a transfer, or leaves everything as it is.
     fn takes(self: Rc<Self>, comes: &Comes<'_>) -> bool;
+
+    /// Goes on with what it has taken, within the turn of who asks for it if that may be.
+    fn goes_on_within(&self, cx: &Context);
 }
 
 /// How nets find each other on their processor.
@@ -50,8 +57,9 @@ fn key(net: &str) -> String {
 pub(super) struct Coming {
     /// The trace of the latest of what the child has not seen yet.
     news: Option<u64>,
-    child: Option<Waker>,
-    is_spawned: bool,
+    child: Option<Rc<Child>>,
+    /// Whether the child has its turn: it looks for news once more before that ends.
+    at_work: bool,
 }
 
 /// The net that another name belongs to, where it is on this processor.
@@ -104,9 +112,11 @@ impl<S: 'static> Engine<S> {
             };
             (neighbour, comes)
         };
-        let taken = neighbour.takes(&comes);
+        let taken = Rc::clone(&neighbour).takes(&comes);
         if taken {
-            self.core.borrow_mut().transfers.passed(net, comes.number);
+            let core = &mut *self.core.borrow_mut();
+            core.transfers.passed(net, comes.number);
+            core.carrying.goes_on(neighbour);
         }
         taken
     }
@@ -114,18 +124,20 @@ impl<S: 'static> Engine<S> {
     /// Sees to it that a child goes on with what has come.
     fn go_on(self: &Rc<Self>) {
         let coming = &mut self.core.borrow_mut().coming;
+        if coming.at_work {
+            return;
+        }
         if let Some(child) = &coming.child {
-            return child.wake_by_ref();
+            return child.wake();
         }
-        if !std::mem::replace(&mut coming.is_spawned, true) {
-            let engine = Rc::clone(self);
-            self.cx.spawn(async move { engine.goes_on().await });
-        }
+        let engine = Rc::clone(self);
+        let child = self.cx.spawn_child(async move { engine.goes_on().await });
+        coming.child = Some(Rc::new(child));
     }
 
     async fn goes_on(self: Rc<Self>) {
         loop {
-            let trace = poll_fn(|task| self.news(task.waker())).await;
+            let trace = poll_fn(|_| self.news()).await;
             let cx = match trace {
                 0 => self.cx.new_trace(),
                 trace => self.cx.within(trace),
@@ -134,16 +146,21 @@ impl<S: 'static> Engine<S> {
         }
     }
 
-    fn news(&self, waker: &Waker) -> Poll<u64> {
+    /// What has come; who puts something here wakes the child that waits for it.
+    fn news(&self) -> Poll<u64> {
         let coming = &mut self.core.borrow_mut().coming;
-        if let Some(trace) = coming.news.take() {
-            return Poll::Ready(trace);
+        let news = coming.news.take();
+        coming.at_work = news.is_some();
+        news.map_or(Poll::Pending, Poll::Ready)
+    }
+
+    /// The nets that something was put into go on, those first that were the first to get something.
+    pub(super) fn let_neighbours_go_on(&self) {
+        loop {
+            let next = self.core.borrow_mut().carrying.next_to_go_on();
+            let Some(neighbour) = next else { return };
+            neighbour.goes_on_within(&self.cx);
         }
-        match &mut coming.child {
-            Some(child) => child.clone_from(waker),
-            None => coming.child = Some(waker.clone()),
-        }
-        Poll::Pending
     }
 }
 
@@ -175,5 +192,12 @@ impl<S: 'static> Neighbour for Engine<S> {
         }
         self.go_on();
         true
+    }
+
+    fn goes_on_within(&self, cx: &Context) {
+        let child = self.core.borrow().coming.child.clone();
+        if let Some(child) = child {
+            cx.give_turn(&child);
+        }
     }
 }
