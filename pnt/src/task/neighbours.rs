@@ -1,8 +1,9 @@
 //! Tokens for a net on the same processor: put there at once, without a message. The two nets are parts of one
 //! thread, so that nothing can be lost on the way, and what the receiver has it need not acknowledge. It goes
 //! on with its firings in the turn of a child of its own, which the sender lets it have as soon as it has nothing
-//! left to fire itself, or which comes like any other (see [`Context::give_turn`]). Transfers are counted as if
-//! they had been sent, so that those which are messages follow without a gap.
+//! left to fire itself, or which comes like any other (see [`Context::give_turn`]). What comes back meanwhile the
+//! sender goes on with itself, so that tokens that go to and fro need no turns within turns within turns. Transfers
+//! are counted as if they had been sent, so that those which are messages follow without a gap.
 //!
 //! A transfer goes as a message all the same where one of the nets is durable, where earlier ones are on their way,
 //! while something is recorded (a record is to show who sent what to whom), and where the receiver does not
@@ -10,6 +11,7 @@
 //! with some seed is the same when it is run again to be recorded.
 
 use std::{
+    cell::Cell,
     future::poll_fn,
     rc::{Rc, Weak},
     sync::Arc,
@@ -55,11 +57,21 @@ fn key(net: &str) -> String {
 /// What has come from nets beside this one, and the child that goes on with it.
 #[derive(Default)]
 pub(super) struct Coming {
-    /// The trace of the latest of what the child has not seen yet.
+    /// The trace of the latest of what nobody has gone on with yet.
     news: Option<u64>,
     child: Option<Rc<Child>>,
-    /// Whether the child has its turn: it looks for news once more before that ends.
-    at_work: bool,
+}
+
+/// While this is there, the net is at work and looks for news before it ends.
+pub(super) struct AtWork<'e> {
+    now: &'e Cell<bool>,
+    before: bool,
+}
+
+impl Drop for AtWork<'_> {
+    fn drop(&mut self) {
+        self.now.set(self.before);
+    }
 }
 
 /// The net that another name belongs to, where it is on this processor.
@@ -121,12 +133,19 @@ impl<S: 'static> Engine<S> {
         taken
     }
 
-    /// Sees to it that a child goes on with what has come.
+    /// Until the guard is dropped, nobody is woken for what comes.
+    pub(super) fn at_work(&self) -> AtWork<'_> {
+        let now = &self.at_work;
+        let before = now.replace(true);
+        AtWork { now, before }
+    }
+
+    /// Sees to it that somebody goes on with what has come: who is at work, or a child.
     fn go_on(self: &Rc<Self>) {
-        let coming = &mut self.core.borrow_mut().coming;
-        if coming.at_work {
+        if self.at_work.get() {
             return;
         }
+        let coming = &mut self.core.borrow_mut().coming;
         if let Some(child) = &coming.child {
             return child.wake();
         }
@@ -137,21 +156,18 @@ impl<S: 'static> Engine<S> {
 
     async fn goes_on(self: Rc<Self>) {
         loop {
-            let trace = poll_fn(|_| self.news()).await;
-            let cx = match trace {
-                0 => self.cx.new_trace(),
-                trace => self.cx.within(trace),
-            };
+            let cx = poll_fn(|_| self.news().map_or(Poll::Pending, Poll::Ready)).await;
             self.advance(&cx);
         }
     }
 
-    /// What has come; who puts something here wakes the child that waits for it.
-    fn news(&self) -> Poll<u64> {
-        let coming = &mut self.core.borrow_mut().coming;
-        let news = coming.news.take();
-        coming.at_work = news.is_some();
-        news.map_or(Poll::Pending, Poll::Ready)
+    /// Where what has come belongs to, if there is anything that nobody has gone on with.
+    pub(super) fn news(&self) -> Option<Context> {
+        let news = self.core.borrow_mut().coming.news.take();
+        news.map(|trace| match trace {
+            0 => self.cx.new_trace(),
+            trace => self.cx.within(trace),
+        })
     }
 
     /// The nets that something was put into go on, those first that were the first to get something.
@@ -195,6 +211,9 @@ impl<S: 'static> Neighbour for Engine<S> {
     }
 
     fn goes_on_within(&self, cx: &Context) {
+        if self.at_work.get() {
+            return;
+        }
         let child = self.core.borrow().coming.child.clone();
         if let Some(child) = child {
             cx.give_turn(&child);
