@@ -81,7 +81,6 @@ impl Processor {
     }
 
     /// The same for a future that was woken, if its turn would be the next one.
-    #[inline]
     pub(crate) fn hand_over_next(&self, to: FutureId, meter: &TaskMeter) -> bool {
         if !self.may_hand_over() {
             return false;
@@ -94,7 +93,7 @@ impl Processor {
     }
 
     /// A turn within the present one.
-    #[inline]
+    #[inline(always)]
     fn turn_within(&self, to: FutureId, running: Box<Running>, meter: &TaskMeter) {
         let Handovers {
             made,
