@@ -1,5 +1,5 @@
 //! A chassis without a boot, for benchmarks: tasks on processors of this process, and work that runs
-//! among them. Not part of the interface.
+//! among them; and what tests of other crates need of a processor. Not part of the interface.
 
 use std::{future::Future, sync::Arc, sync::mpsc};
 
@@ -120,6 +120,12 @@ impl Bench {
         handle.inject(job);
         Ok(())
     }
+}
+
+/// From now on the turns on the processor of `cx` are taken to be brief, whatever its clock says, as they are
+/// elsewhere only while they are: calls and children have their turns within others, even in virtual time.
+pub fn take_turns_to_be_brief(cx: &Context) {
+    cx.processor().take_turns_to_be_brief();
 }
 
 impl Drop for Bench {

@@ -1,9 +1,25 @@
 //! What the tasks of one processor show each other without messages: values that never leave their thread, and
-//! so need no lock. It knows nothing of what they mean.
+//! so need no lock. It knows nothing of what they mean. Who has changed something of another task wakes a child
+//! of that, which may have its turn at once.
 
-use std::{any::Any, cell::RefCell, collections::BTreeMap};
+use std::{any::Any, cell::RefCell, collections::BTreeMap, future::Future, rc::Rc};
 
 use super::Context;
+use crate::processor::{FutureId, Processor};
+
+/// A child of a task, in the hands of those on its processor.
+pub struct Child {
+    processor: Rc<Processor>,
+    id: FutureId,
+}
+
+impl Child {
+    /// It is polled again, unless it has ended.
+    #[inline]
+    pub fn wake(&self) {
+        self.processor.wake(self.id);
+    }
+}
 
 /// What was shown on one processor, by key.
 #[derive(Default)]
@@ -43,5 +59,25 @@ impl Context {
     #[must_use]
     pub fn beside<T: Clone + 'static>(&self, key: &str) -> Option<T> {
         self.inner.processor.beside.shown(key)
+    }
+
+    /// [`Self::spawn`] of a child that is woken by hand.
+    pub fn spawn_child(&self, future: impl Future<Output = ()> + 'static) -> Child {
+        Child {
+            processor: self.inner.processor.clone(),
+            id: self.begin_child(future),
+        }
+    }
+
+    /// Gives a child that was woken, of any task on this processor, its turn at once, within that of the task
+    /// that asks for it: as a call does with who is called, and as rarely. Only where its turn would be the
+    /// next one; else it has that in the usual way, and this is false. Never in virtual time.
+    ///
+    /// Whatever is borrowed here is borrowed while the child has its turn.
+    #[inline]
+    pub fn give_turn(&self, child: &Child) -> bool {
+        let processor = &self.inner.processor;
+        let meter = &self.inner.record.statistics.activity().meter;
+        Rc::ptr_eq(processor, &child.processor) && processor.hand_over_next(child.id, meter)
     }
 }

@@ -252,6 +252,20 @@ impl Processor {
         futures.entry(id)?.running.take()
     }
 
+    /// Takes a future out of its entry, if it is the next one that is to be polled, and not being polled.
+    #[inline]
+    pub(super) fn take_next(&self, id: FutureId) -> Option<Box<Running>> {
+        let mut futures = self.futures.borrow_mut();
+        if futures.ready.front() != Some(&id) {
+            return None;
+        }
+        let entry = futures.entry(id)?;
+        let running = entry.running.take()?;
+        entry.ready = false;
+        futures.ready.pop_front();
+        Some(running)
+    }
+
     #[inline]
     fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Box<Running>>)> {
         let mut futures = self.futures.borrow_mut();

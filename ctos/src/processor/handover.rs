@@ -3,16 +3,19 @@
 //! waited.
 //!
 //! The receiver would have been the next to have its turn, so the order of messages is the same as without.
+//! The same is done for a child that was woken by another task, where that asks for it and the child would have had
+//! the next turn.
+//!
 //! What is different is when the rest of the caller's turn comes: after the receiver's. So that nobody
 //! else waits longer for that, it is done only while the code of tasks is brief, for a few calls of a turn, and not
 //! where synchronous functions have their deadlines. Never in virtual time, nor while something is recorded.
 
 use std::{cell::Cell, sync::atomic::Ordering, time::Duration};
 
-use super::{FutureId, Processor};
+use super::{FutureId, Processor, futures::Running};
 use crate::{time::Instant, watch::TaskMeter};
 
-/// So many calls of one turn are made so at most. Then everything else is looked at.
+/// So many turns are given within one turn at most. Then everything else is looked at.
 const MOST: u32 = 64;
 
 /// None of them is made once the turn is known to have lasted for so long.
@@ -35,7 +38,6 @@ pub(super) struct Handovers {
     /// Whether the future that has the present turn was cancelled by whom it called.
     cancelled: Cell<bool>,
     /// Whether turns are taken to be brief.
-    #[cfg(test)]
     always: Cell<bool>,
 }
 
@@ -74,6 +76,25 @@ impl Processor {
         let Some(running) = self.take_idle(to) else {
             return false;
         };
+        self.turn_within(to, running, meter);
+        true
+    }
+
+    /// The same for a future that was woken, if its turn would be the next one.
+    pub(crate) fn hand_over_next(&self, to: FutureId, meter: &TaskMeter) -> bool {
+        if !self.may_hand_over() {
+            return false;
+        }
+        let Some(running) = self.take_next(to) else {
+            return false;
+        };
+        self.turn_within(to, running, meter);
+        true
+    }
+
+    /// A turn within the present one.
+    #[inline(always)]
+    fn turn_within(&self, to: FutureId, running: Box<Running>, meter: &TaskMeter) {
         let Handovers {
             made,
             depth,
@@ -97,7 +118,6 @@ impl Processor {
         self.current.set(caller);
         depth.set(depth.get().saturating_sub(1));
         self.leave();
-        true
     }
 
     /// Whether nothing else is to be done before the turn of whoever is called now.
@@ -119,15 +139,10 @@ impl Processor {
     /// Whether the turns of tasks were brief of late. Never in virtual time.
     #[inline]
     pub(crate) fn turns_are_brief(&self) -> bool {
-        #[cfg(test)]
-        if self.handovers.always.get() {
-            return true;
-        }
-        self.stopwatch.is_brief()
+        self.stopwatch.is_brief() || self.handovers.always.get()
     }
 
-    /// From now on turns are taken to be brief, whatever the clock says.
-    #[cfg(test)]
+    /// From now on turns are taken to be brief, whatever the clock says: for tests.
     pub(crate) fn take_turns_to_be_brief(&self) {
         self.handovers.always.set(true);
     }

@@ -35,6 +35,8 @@ const COME_BACK: Duration = Duration::from_secs(5);
 pub(super) struct Carrying {
     /// In the order of their first transfers; they are few.
     partners: Vec<(Arc<str>, Partner)>,
+    /// Nets beside this one that have something to go on with.
+    going_on: VecDeque<Rc<dyn Neighbour>>,
 }
 
 /// One of them.
@@ -74,6 +76,19 @@ impl Carrying {
     /// A net that is on the processor of `cx`.
     pub(super) fn neighbour(&mut self, cx: &Context, net: &str) -> Option<Rc<dyn Neighbour>> {
         self.partner(net).beside.find(cx, net)
+    }
+
+    /// A net beside this one has got something.
+    pub(super) fn goes_on(&mut self, neighbour: Rc<dyn Neighbour>) {
+        let is_latest = |latest| Rc::ptr_eq(latest, &neighbour);
+        if !self.going_on.back().is_some_and(is_latest) {
+            self.going_on.push_back(neighbour);
+        }
+    }
+
+    /// The first of those that have got something.
+    pub(super) fn next_to_go_on(&mut self) -> Option<Rc<dyn Neighbour>> {
+        self.going_on.pop_front()
     }
 }
 

@@ -54,6 +54,8 @@ pub(super) struct Engine<S> {
     /// Whether tokens are put into nets on this processor without messages. Not in virtual time, where a run
     /// with some seed must be the same whether it is recorded or not.
     pub(super) puts_beside: Cell<bool>,
+    /// Whether it is firing, or waits for those beside it to do so.
+    pub(super) at_work: Cell<bool>,
 }
 
 /// Who waits for the answer to a command.
@@ -144,6 +146,7 @@ impl<S: 'static> Engine<S> {
         Self {
             view,
             puts_beside: Cell::new(cx.chassis().clock().origin_ns().is_some()),
+            at_work: Cell::new(false),
             core: RefCell::new(Core {
                 conflicts,
                 journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),

@@ -24,9 +24,19 @@ const MOST_AT_ONCE: u32 = 100_000;
 impl<S: 'static> Engine<S> {
     /// Fires until nothing is enabled but what waits for actions, tokens or commands. All of it belongs
     /// to the trace of `cx`: of the message that made it possible; what a command on the tape begins, to
-    /// that command's.
+    /// that command's. Then the nets that got tokens do the same, and this one again with what comes back from
+    /// them, as long as their turns may be within this one.
     pub(super) fn advance(self: &Rc<Self>, cx: &Context) {
-        let mut cx = cx.clone();
+        let mut next = Some(cx.clone());
+        let _at_work = self.at_work();
+        while let Some(cx) = next {
+            self.fire_enabled(cx);
+            self.let_neighbours_go_on();
+            next = self.news();
+        }
+    }
+
+    fn fire_enabled(self: &Rc<Self>, mut cx: Context) {
         let mut at_once = 0;
         loop {
             self.replace_if_safe(&cx);

@@ -1,7 +1,9 @@
 //! Tokens for a net on the same processor: put there at once, without a message. The two nets are parts of one
-//! thread, so that nothing can be lost on the way, and what the receiver has it need not acknowledge; it goes
-//! on with its firings in a turn of its own, as after a message. Transfers are counted as if they had been sent, so
-//! that those which are messages follow without a gap.
+//! thread, so that nothing can be lost on the way, and what the receiver has it need not acknowledge. It goes
+//! on with its firings in the turn of a child of its own, which the sender lets it have as soon as it has nothing
+//! left to fire itself, or which comes like any other (see [`Context::give_turn`]). What comes back meanwhile the
+//! sender goes on with itself, so that tokens that go to and fro need no turns within turns within turns. Transfers
+//! are counted as if they had been sent, so that those which are messages follow without a gap.
 //!
 //! A transfer goes as a message all the same where one of the nets is durable, where earlier ones are on their way,
 //! while something is recorded (a record is to show who sent what to whom), and where the receiver does not
@@ -9,13 +11,17 @@
 //! with some seed is the same when it is run again to be recorded.
 
 use std::{
+    cell::Cell,
     future::poll_fn,
     rc::{Rc, Weak},
     sync::Arc,
-    task::{Poll, Waker},
+    task::Poll,
 };
 
-use ctos::{task::Context, time::Instant};
+use ctos::{
+    task::{Child, Context},
+    time::Instant,
+};
 
 use super::{engine::Engine, messages::Transfer};
 
@@ -36,6 +42,9 @@ pub(super) struct Comes<'a> {
 pub(super) trait Neighbour {
     /// Takes a transfer, or leaves everything as it is.
     fn takes(self: Rc<Self>, comes: &Comes<'_>) -> bool;
+
+    /// Goes on with what it has taken, within the turn of who asks for it if that may be.
+    fn goes_on_within(&self, cx: &Context);
 }
 
 /// How nets find each other on their processor.
@@ -48,10 +57,21 @@ fn key(net: &str) -> String {
 /// What has come from nets beside this one, and the child that goes on with it.
 #[derive(Default)]
 pub(super) struct Coming {
-    /// The trace of the latest of what the child has not seen yet.
+    /// The trace of the latest of what nobody has gone on with yet.
     news: Option<u64>,
-    child: Option<Waker>,
-    is_spawned: bool,
+    child: Option<Rc<Child>>,
+}
+
+/// While this is there, the net is at work and looks for news before it ends.
+pub(super) struct AtWork<'e> {
+    now: &'e Cell<bool>,
+    before: bool,
+}
+
+impl Drop for AtWork<'_> {
+    fn drop(&mut self) {
+        self.now.set(self.before);
+    }
 }
 
 /// The net that another name belongs to, where it is on this processor.
@@ -104,46 +124,59 @@ impl<S: 'static> Engine<S> {
             };
             (neighbour, comes)
         };
-        let taken = neighbour.takes(&comes);
+        let taken = Rc::clone(&neighbour).takes(&comes);
         if taken {
-            self.core.borrow_mut().transfers.passed(net, comes.number);
+            let core = &mut *self.core.borrow_mut();
+            core.transfers.passed(net, comes.number);
+            core.carrying.goes_on(neighbour);
         }
         taken
     }
 
-    /// Sees to it that a child goes on with what has come.
+    /// Until the guard is dropped, nobody is woken for what comes.
+    pub(super) fn at_work(&self) -> AtWork<'_> {
+        let now = &self.at_work;
+        let before = now.replace(true);
+        AtWork { now, before }
+    }
+
+    /// Sees to it that somebody goes on with what has come: who is at work, or a child.
     fn go_on(self: &Rc<Self>) {
+        if self.at_work.get() {
+            return;
+        }
         let coming = &mut self.core.borrow_mut().coming;
         if let Some(child) = &coming.child {
-            return child.wake_by_ref();
+            return child.wake();
         }
-        if !std::mem::replace(&mut coming.is_spawned, true) {
-            let engine = Rc::clone(self);
-            self.cx.spawn(async move { engine.goes_on().await });
-        }
+        let engine = Rc::clone(self);
+        let child = self.cx.spawn_child(async move { engine.goes_on().await });
+        coming.child = Some(Rc::new(child));
     }
 
     async fn goes_on(self: Rc<Self>) {
         loop {
-            let trace = poll_fn(|task| self.news(task.waker())).await;
-            let cx = match trace {
-                0 => self.cx.new_trace(),
-                trace => self.cx.within(trace),
-            };
+            let cx = poll_fn(|_| self.news().map_or(Poll::Pending, Poll::Ready)).await;
             self.advance(&cx);
         }
     }
 
-    fn news(&self, waker: &Waker) -> Poll<u64> {
-        let coming = &mut self.core.borrow_mut().coming;
-        if let Some(trace) = coming.news.take() {
-            return Poll::Ready(trace);
+    /// Where what has come belongs to, if there is anything that nobody has gone on with.
+    pub(super) fn news(&self) -> Option<Context> {
+        let news = self.core.borrow_mut().coming.news.take();
+        news.map(|trace| match trace {
+            0 => self.cx.new_trace(),
+            trace => self.cx.within(trace),
+        })
+    }
+
+    /// The nets that something was put into go on, those first that were the first to get something.
+    pub(super) fn let_neighbours_go_on(&self) {
+        loop {
+            let next = self.core.borrow_mut().carrying.next_to_go_on();
+            let Some(neighbour) = next else { return };
+            neighbour.goes_on_within(&self.cx);
         }
-        match &mut coming.child {
-            Some(child) => child.clone_from(waker),
-            None => coming.child = Some(waker.clone()),
-        }
-        Poll::Pending
     }
 }
 
@@ -175,5 +208,15 @@ impl<S: 'static> Neighbour for Engine<S> {
         }
         self.go_on();
         true
+    }
+
+    fn goes_on_within(&self, cx: &Context) {
+        if self.at_work.get() {
+            return;
+        }
+        let child = self.core.borrow().coming.child.clone();
+        if let Some(child) = child {
+            cx.give_turn(&child);
+        }
     }
 }

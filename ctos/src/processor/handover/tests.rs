@@ -537,3 +537,5 @@ proptest! {
         prop_assert_eq!(&seen[0], &seen[1]);
     }
 }
+
+mod next;
