@@ -13,6 +13,14 @@ struct State<T> {
     closed: bool,
 }
 
+/// Why an item was not brought.
+pub(crate) enum Refused<T> {
+    /// It may not be brought now.
+    NotNow(T),
+    /// The reader is gone.
+    Closed(T),
+}
+
 /// A queue with many writers and one reader. Away from all that its reader alone writes to: a line of the
 /// cache that both cores want is what a message costs most.
 #[repr(align(128))]
@@ -41,9 +49,23 @@ impl<T> Inbox<T> {
     /// # Errors
     /// The item, when the reader is gone.
     pub(crate) fn push(&self, item: T) -> Result<bool, T> {
+        self.push_if(item, || true)
+            .map_err(|(Refused::NotNow(item) | Refused::Closed(item))| item)
+    }
+
+    /// [`Self::push`] if `may` says so, which runs while nobody else brings or takes anything: what it counts
+    /// needs no atomic addition.
+    ///
+    /// # Errors
+    /// The item, when it was not brought.
+    #[inline]
+    pub(crate) fn push_if(&self, item: T, may: impl FnOnce() -> bool) -> Result<bool, Refused<T>> {
         let mut state = self.lock();
         if state.closed {
-            return Err(item);
+            return Err(Refused::Closed(item));
+        }
+        if !may() {
+            return Err(Refused::NotNow(item));
         }
         state.items.push(item);
         if !self.filled.load(Ordering::Relaxed) {
@@ -82,7 +104,7 @@ impl<T> Inbox<T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, State<T>> {
-        // Nothing that can panic runs under the lock, except for the allocation of the buffer.
+        // Nothing that can panic runs under the lock, except for the allocation of memory.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

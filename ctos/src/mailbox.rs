@@ -7,8 +7,7 @@
 //!
 //! The queue itself ([`TaskQueue`]) belongs to the task's processor and needs no lock. What everybody
 //! else sees of it is the [`Mailbox`]: how much room there is, and the processor to bring messages to.
-//! A sender on another thread claims its place before it brings the message; senders of several
-//! threads at the same moment may together claim a few places more than there are, never fewer.
+//! A sender on another thread claims its place as it brings the message, while nobody else does.
 
 mod gate;
 mod queue;
@@ -21,6 +20,7 @@ use std::sync::{
 pub(crate) use self::{gate::Order, queue::TaskQueue};
 use crate::{
     call::{Fault, ReplySlot},
+    inbox::Refused,
     message::{Data, Flags, Message, SYSTEM_COMMANDS},
     processor::{Processor, ProcessorHandle},
     room::Room,
@@ -171,19 +171,20 @@ impl Mailbox {
             return Offered::Closed(message);
         }
         let (urgent, system) = is_urgent(&message);
+        let room = self.room(urgent);
         let place = if system {
             Place::Always
-        } else if self.room(urgent).claim(self.capacity) {
+        } else if room.looks_free(self.capacity) {
             Place::Claimed
         } else {
             return Offered::NoRoom(message);
         };
-        match self
-            .home
-            .bring_message(self.slot, Delivery { message, place })
-        {
+        let delivery = Delivery { message, place };
+        let may = || system || room.claim(self.capacity);
+        match self.home.bring_message(self.slot, delivery, may) {
             Ok(()) => Offered::Taken,
-            Err(delivery) => Offered::Closed(delivery.message),
+            Err(Refused::NotNow(delivery)) => Offered::NoRoom(delivery.message),
+            Err(Refused::Closed(delivery)) => Offered::Closed(delivery.message),
         }
     }
 
@@ -209,9 +210,13 @@ impl Mailbox {
         };
         let local = Processor::here_if(&self.home);
         match local.and_then(|here| here.queue(self.slot).map(|queue| (here, queue))) {
-            Some((processor, queue)) => queue.take_in(&processor, delivery),
+            Some((processor, queue)) => {
+                queue.take_in(&processor, delivery);
+                queue.end_batch();
+            }
             None => {
-                if let Err(delivery) = self.home.bring_message(self.slot, delivery) {
+                let brought = self.home.bring_message(self.slot, delivery, || true);
+                if let Err(Refused::NotNow(delivery) | Refused::Closed(delivery)) = brought {
                     delivery.refuse();
                 }
             }

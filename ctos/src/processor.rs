@@ -162,6 +162,25 @@ impl Processor {
         self.recent.get()
     }
 
+    /// Reads the clock where no code of a task has run since the last look: how long tasks are at work is not to
+    /// be learnt from that.
+    fn look_without_turn(&self) -> Instant {
+        let now = self.clock.now();
+        self.recent.set(now);
+        self.fresh.set(true);
+        now
+    }
+
+    /// Runs what may take long and is no turn of any task.
+    pub(crate) fn beside_turns(&self, code: impl FnOnce()) {
+        let fresh = self.fresh.get();
+        self.look_at_clock();
+        code();
+        self.look_without_turn();
+        // A task whose turn this is in goes on.
+        self.fresh.set(fresh);
+    }
+
     /// The present moment by `clock`, which is that of the chassis that this thread belongs to. If the thread
     /// runs a processor, it has looked at its clock then.
     #[inline]
@@ -431,7 +450,10 @@ impl Processor {
             self.handle.parker.had_work();
         }
         // What came over a link has led to a look already.
-        let now = self.moment();
+        if !self.is_exact() {
+            self.look_without_turn();
+        }
+        let now = self.recent.get();
         if let Some(tick) = tick {
             self.schedule.woke(tick, now);
         }
@@ -456,13 +478,13 @@ impl Processor {
         loop {
             for _ in 0..LOOKS {
                 if handle.inbox.is_filled() || brings(Glance::AtMemory) {
-                    self.look_at_clock();
+                    self.look_without_turn();
                     return true;
                 }
                 std::hint::spin_loop();
             }
             let brought = brings(Glance::Everywhere);
-            let now = self.look_at_clock();
+            let now = self.look_without_turn();
             if brought || deadline <= now {
                 return true;
             }

@@ -1,5 +1,5 @@
 //! How full one lane of a queue is, for senders on other threads than its owner's: they claim a place
-//! before they bring a message. It knows nothing of messages.
+//! as they bring a message, one after the other. It knows nothing of messages.
 //!
 //! Senders count the places that they claim, the owner those whose messages have come, and neither writes
 //! where the other one does: a counter that both wrote to would go to and fro between their cores for each
@@ -53,10 +53,10 @@ impl Stock {
     }
 
     /// How many places are taken when `claimed` were ever claimed. Less than none when messages came whose
-    /// places were claimed later: then they are counted among those in the queue.
-    fn taken(self, claimed: u32) -> i64 {
+    /// places were claimed after that was read: then they are counted among those in the queue.
+    fn taken(self, claimed: Option<u32>) -> i64 {
         // As a difference of counters that have gone round it is right with its sign.
-        let coming = claimed.wrapping_sub(self.arrived) as i32;
+        let coming = claimed.map_or(0, |claimed| claimed.wrapping_sub(self.arrived) as i32);
         i64::from(coming) + i64::from(self.held)
     }
 }
@@ -67,22 +67,42 @@ pub(crate) fn most_waiting(capacity: usize) -> usize {
 }
 
 impl Room {
-    /// Claims a place for a message that will be brought. Claims of several threads at the same
-    /// moment may fail together; more than `capacity` never succeed: the last one of those that do has
-    /// counted all others, those that come to nothing included.
+    /// Whether there seems to be a place. Who is about to claim one asks here first: then the line that the owner
+    /// writes to has come over before all others wait for the end of the claim.
+    #[inline]
+    pub(crate) fn looks_free(&self, capacity: usize) -> bool {
+        self.has_place(self.claimed(), capacity)
+    }
+
+    /// Claims a place for a message that is brought before anybody else claims one: the lock of the inbox that it
+    /// is brought to is held, so that to count needs no atomic addition.
+    #[inline]
     pub(crate) fn claim(&self, capacity: usize) -> bool {
+        let claimed = &self.claimed.get_or_init(Box::default).0;
+        let before = claimed.load(Ordering::Relaxed);
+        let is_free = self.has_place(Some(before), capacity);
+        if is_free {
+            claimed.store(before.wrapping_add(1), Ordering::Relaxed);
+        }
+        is_free
+    }
+
+    /// Whether there is a place where so many were ever claimed.
+    #[inline]
+    fn has_place(&self, claimed: Option<u32>, capacity: usize) -> bool {
         // Nobody overtakes those who wait: one of them may be the same sender's.
         if self.waiting.load(Ordering::Acquire) > 0 || self.shut.load(Ordering::Acquire) {
             return false;
         }
-        let claimed = &self.claimed.get_or_init(Box::default).0;
-        let before = claimed.fetch_add(1, Ordering::AcqRel);
-        let taken = self.stock(Ordering::Acquire).taken(before);
-        let is_free = i64::try_from(capacity).is_ok_and(|capacity| taken < capacity);
-        if !is_free {
-            claimed.fetch_sub(1, Ordering::AcqRel);
-        }
-        is_free
+        let taken = self.stock(Ordering::Acquire).taken(claimed);
+        i64::try_from(capacity).is_ok_and(|capacity| taken < capacity)
+    }
+
+    /// How many places were ever claimed, if any was.
+    #[inline]
+    fn claimed(&self) -> Option<u32> {
+        let claimed = self.claimed.get()?;
+        Some(claimed.0.load(Ordering::Relaxed))
     }
 
     #[inline]
@@ -150,12 +170,7 @@ impl Room {
 
     /// Messages in the queue, on their way to it and in the line.
     pub(crate) fn len(&self) -> usize {
-        let claimed = self.claimed.get();
-        let stock = self.stock(Ordering::Relaxed);
-        let taken = match claimed {
-            Some(claimed) => stock.taken(claimed.0.load(Ordering::Relaxed)),
-            None => i64::from(stock.held),
-        };
+        let taken = self.stock(Ordering::Relaxed).taken(self.claimed());
         usize::try_from(taken).unwrap_or(0) + self.waiting()
     }
 

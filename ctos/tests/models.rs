@@ -73,6 +73,31 @@ fn a_processor_that_goes_to_sleep_is_woken_for_whatever_comes() {
 }
 
 #[test]
+fn what_may_be_brought_is_counted_without_atomic_additions() {
+    loom::model(|| {
+        const MOST: u32 = 1;
+        let inbox = Arc::new(Inbox::default());
+        let count = Arc::new(concurrent::AtomicU32::new(0));
+        let bring = |number: u32| {
+            let (inbox, count) = (inbox.clone(), count.clone());
+            thread::spawn(move || {
+                let may = || {
+                    let before = count.load(concurrent::Ordering::Relaxed);
+                    count.store(before + 1, concurrent::Ordering::Relaxed);
+                    before < MOST
+                };
+                inbox.push_if(number, may).is_ok()
+            })
+        };
+        let senders = [bring(1), bring(2)];
+        let brought = senders.map(|sender| sender.join().unwrap());
+        assert_eq!(count.load(concurrent::Ordering::Relaxed), 2);
+        assert_eq!(brought.into_iter().filter(|brought| *brought).count(), 1);
+        assert_eq!(take(&inbox, 1).len(), 1);
+    });
+}
+
+#[test]
 fn what_one_thread_brings_is_taken_in_its_order_and_nothing_after_the_end() {
     loom::model(|| {
         let inbox = Arc::new(Inbox::default());
@@ -116,8 +141,10 @@ fn no_more_places_are_claimed_than_there_are() {
         let send = || {
             let (room, brought) = (room.clone(), brought.clone());
             thread::spawn(move || {
+                // As with the inbox: claimed and brought in one step.
+                let mut brought = brought.lock().unwrap();
                 if room.claim(CAPACITY) {
-                    *brought.lock().unwrap() += 1;
+                    *brought += 1;
                 }
             })
         };
@@ -162,11 +189,11 @@ fn nobody_claims_a_place_while_its_own_message_waits() {
             owner.leave_line();
             owner.set_held(1);
         });
-        assert!(!room.claim(1));
+        assert!(!room.looks_free(1) && !room.claim(1));
         owner.join().unwrap();
-        assert!(!room.claim(1));
+        assert!(!room.looks_free(1) && !room.claim(1));
         room.set_held(0);
-        assert!(room.claim(1));
+        assert!(room.looks_free(1) && room.claim(1));
     });
 }
 

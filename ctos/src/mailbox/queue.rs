@@ -40,11 +40,21 @@ struct Admitted {
 }
 
 impl Admitted {
-    /// Where no cell is borrowed: what is dropped and told here may run code of others.
+    /// Where no cell is borrowed: what is dropped and told here may run code of others. To wake threads takes
+    /// longer than many brief handlers, and is no turn of any task.
     fn tell(self) {
-        drop(self.given_up);
-        for acceptance in self.admitted {
-            acceptance.tell(Ok(()));
+        if self.admitted.is_empty() && self.given_up.is_empty() {
+            return;
+        }
+        let tell = || {
+            drop(self.given_up);
+            for acceptance in self.admitted {
+                acceptance.tell(Ok(()));
+            }
+        };
+        match Processor::here() {
+            Some(here) => here.beside_turns(tell),
+            None => tell(),
         }
     }
 }
@@ -104,6 +114,9 @@ pub(super) struct Lanes {
     /// Nothing more is taken into the queues: the task is about to leave, or has left.
     pub(super) held: bool,
     pub(super) gate: Option<Box<Gate>>,
+    /// Have waited for room, and are told at the end of the batch that their messages are in the queue: whoever goes
+    /// on before the others have left the line finds that it must not overtake them, and waits again.
+    told_later: Vec<Acceptance>,
 }
 
 impl Lanes {
@@ -111,7 +124,11 @@ impl Lanes {
     fn are_unused(&self) -> bool {
         let is_empty =
             |lane: &Lane| lane.queue.is_empty() && lane.waiting.is_empty() && lane.arrived == 0;
-        !self.held && self.gate.is_none() && is_empty(&self.urgent) && is_empty(&self.normal)
+        !self.held
+            && self.gate.is_none()
+            && self.told_later.is_empty()
+            && is_empty(&self.urgent)
+            && is_empty(&self.normal)
     }
 
     pub(super) fn lane(&mut self, urgent: bool) -> &mut Lane {
@@ -305,7 +322,7 @@ impl TaskQueue {
         Ok(command)
     }
 
-    /// Takes in a message from another thread, or one that waits for room.
+    /// Takes in a message from another thread, or one that waits for room. [`Self::end_batch`] must follow.
     pub(crate) fn take_in(self: &Rc<Self>, processor: &Processor, delivery: Delivery) {
         if self.mailbox.is_closed() {
             return delivery.refuse();
@@ -348,9 +365,11 @@ impl TaskQueue {
             Place::Waits(acceptance) => {
                 // Out of the line before it is in the queue, and no claim comes between.
                 lane.push(message, room);
-                drop(lanes);
                 room.leave_line();
-                acceptance.tell(Ok(()));
+                if let told @ Acceptance::Told(_) = *acceptance {
+                    lanes.told_later.push(told);
+                }
+                drop(lanes);
                 self.has_come(processor, command);
             }
             Place::Always => {
@@ -373,6 +392,12 @@ impl TaskQueue {
         for urgent in [true, false] {
             lanes.lane(urgent).tell_arrived(self.mailbox.room(urgent));
         }
+        let admitted = Admitted {
+            admitted: std::mem::take(&mut lanes.told_later),
+            given_up: Vec::new(),
+        };
+        drop(lanes);
+        admitted.tell();
     }
 
     /// Something is there that the loop of the task looks for, though not in the queue.
@@ -552,8 +577,12 @@ impl TaskQueue {
             urgent,
             normal,
             gate,
+            told_later,
             ..
         } = lanes.unwrap_or_default();
+        for acceptance in told_later {
+            acceptance.tell(Ok(()));
+        }
         for (message, acceptance) in gate.into_iter().flat_map(|gate| gate.held) {
             refuse(message, acceptance, &Fault::Stopping);
         }

@@ -1,12 +1,20 @@
 //! Each test runs with senders on the task's own processor and with senders on another one.
 
-use std::{cell::Cell, future::poll_fn, rc::Rc, task::Poll, time::Duration};
+use std::{
+    cell::Cell,
+    future::{Future, poll_fn},
+    pin::Pin,
+    rc::Rc,
+    sync::atomic::AtomicU64,
+    task::{Poll, Wake, Waker},
+    time::Duration,
+};
 
 use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    call::Answer,
+    call::{Answer, Promise, Waiting},
     exchange::{CallKey, Looked},
     message::{Command, Tid},
     system::StopTask,
@@ -163,6 +171,51 @@ fn senders_wait_for_room_and_are_told_in_order() {
         assert_eq!(bench.take_all(), [2, 3]);
         assert!(waiters[1].answer().is_some_and(|answer| answer.is_ok()));
     }
+}
+
+/// Notes, when it is woken, how many senders are in line.
+struct NotesWaiting {
+    mailbox: Arc<Mailbox>,
+    waiting: AtomicU64,
+}
+
+impl Wake for NotesWaiting {
+    fn wake(self: Arc<Self>) {
+        let waiting = self.mailbox.lengths().waiting;
+        self.waiting.store(waiting, Ordering::SeqCst);
+    }
+}
+
+#[test]
+fn who_is_told_that_there_was_room_finds_nobody_in_line_that_came_with_it() {
+    let bench = Bench::new(4, Senders::Afar);
+    for number in 0..4 {
+        bench.send(message(number, Flags::NONE));
+    }
+    bench.settle();
+    let waiters: Vec<_> = (4..7)
+        .map(|number| {
+            let promise = Arc::new(Promise::default());
+            let told = Acceptance::Told(ReplySlot::local(promise.clone()));
+            bench.mailbox.put(message(number, Flags::NONE), told);
+            let notes = Arc::new(NotesWaiting {
+                mailbox: bench.mailbox.clone(),
+                waiting: AtomicU64::new(u64::MAX),
+            });
+            let mut waiting = Waiting::here(promise);
+            let waker = Waker::from(notes.clone());
+            let cx = &mut std::task::Context::from_waker(&waker);
+            assert!(Pin::new(&mut waiting).poll(cx).is_pending());
+            (waiting, notes)
+        })
+        .collect();
+    // What waits comes in where everything before it has been taken.
+    assert!((0..4).all(|_| bench.queue.take().is_some()));
+    bench.settle();
+    for (_, notes) in &waiters {
+        assert_eq!(notes.waiting.load(Ordering::SeqCst), 0);
+    }
+    assert_eq!(bench.take_all(), [4, 5, 6]);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::{
 use super::{FutureId, Processor};
 use crate::{
     exchange::{Brought, CallKey, Ticket},
-    inbox::Inbox,
+    inbox::{Inbox, Refused},
     link::lookout::Parker,
     mailbox::{Delivery, Order},
 };
@@ -93,14 +93,26 @@ impl ProcessorHandle {
         self.shares_core.store(shares, Ordering::Relaxed);
     }
 
-    /// Brings a message for the task in `slot`.
+    /// Brings a message for the task in `slot` if `may` says so, which runs while nobody else brings anything.
     ///
     /// # Errors
-    /// The message, when the processor is gone.
-    pub(crate) fn bring_message(&self, slot: u16, delivery: Delivery) -> Result<(), Delivery> {
-        match self.bring(Item::Message(slot, delivery)) {
-            Err(Item::Message(_, delivery)) => Err(delivery),
-            _ => Ok(()),
+    /// The message, when it was not brought.
+    #[inline]
+    pub(crate) fn bring_message(
+        &self,
+        slot: u16,
+        delivery: Delivery,
+        may: impl FnOnce() -> bool,
+    ) -> Result<(), Refused<Delivery>> {
+        match self.inbox.push_if(Item::Message(slot, delivery), may) {
+            Err(Refused::NotNow(Item::Message(_, delivery))) => Err(Refused::NotNow(delivery)),
+            Err(Refused::Closed(Item::Message(_, delivery))) => Err(Refused::Closed(delivery)),
+            // What was refused is what was to be brought.
+            Ok(false) | Err(_) => Ok(()),
+            Ok(true) => {
+                self.parker.unpark();
+                Ok(())
+            }
         }
     }
 
