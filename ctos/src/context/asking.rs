@@ -444,8 +444,15 @@ impl Ask {
             return;
         }
         // An answer of the same processor was there before the last look.
-        let beside = answer.is_ok() && chassis.is_on(asked.to(), processor);
-        let at = if beside { processor.seen_at() } else { None };
+        let to = asked.to();
+        let beside = to.chassis() == chassis.index() && chassis.is_on(to, processor);
+        let at = if answer.is_ok() && beside {
+            processor.seen_at()
+        } else {
+            let now = processor.look_within();
+            processor.leave();
+            now
+        };
         if self.waited {
             chassis.tap.answered(*recorded, asked, at, answer);
         } else {
