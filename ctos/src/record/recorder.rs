@@ -35,6 +35,8 @@ const LOOK: Duration = Duration::from_millis(100);
 struct Lane {
     batch: Batch,
     dropped: u64,
+    /// Whether the writer's thread has been called to empty it.
+    called: bool,
 }
 
 /// The writer, and the buffers that it has emptied: they go back to the lanes in turn.
@@ -192,8 +194,9 @@ impl Recorder {
             return false;
         }
         let grown = lane.batch.len() >= WAKE;
+        let called = std::mem::replace(&mut lane.called, grown && self.threaded);
         drop(lane);
-        if grown {
+        if grown && !called {
             self.call_writer();
         }
         true
@@ -227,6 +230,7 @@ impl Recorder {
             let mut lane = lock(lane);
             std::mem::swap(&mut lane.batch, batch);
             dropped += std::mem::take(&mut lane.dropped);
+            lane.called = false;
         }
         let now = self.now();
         writer.write(now, batches, dropped);
