@@ -35,8 +35,6 @@ const LOOK: Duration = Duration::from_millis(100);
 struct Lane {
     batch: Batch,
     dropped: u64,
-    /// Whether the writer's thread has been called to empty it.
-    called: bool,
 }
 
 /// The writer, and the buffers that it has emptied: they go back to the lanes in turn.
@@ -194,9 +192,8 @@ impl Recorder {
             return false;
         }
         let grown = lane.batch.len() >= WAKE;
-        let called = std::mem::replace(&mut lane.called, grown && self.threaded);
         drop(lane);
-        if grown && !called {
+        if grown {
             self.call_writer();
         }
         true
@@ -230,7 +227,6 @@ impl Recorder {
             let mut lane = lock(lane);
             std::mem::swap(&mut lane.batch, batch);
             dropped += std::mem::take(&mut lane.dropped);
-            lane.called = false;
         }
         let now = self.now();
         writer.write(now, batches, dropped);
