@@ -191,6 +191,20 @@ impl Processor {
         }
     }
 
+    /// The present moment, in the midst of the code of a task, for what is noted of it. What the runtime begins
+    /// before that code goes on ([`Self::leave`]) begins then. None by a virtual clock, which need not be that of
+    /// the record.
+    #[inline]
+    pub(crate) fn look_within(&self) -> Option<Instant> {
+        self.stopwatch.is_real().then(|| self.look_at_clock())
+    }
+
+    /// The moment of the last look, for what is noted of something that was over by then. None by a virtual clock.
+    #[inline]
+    pub(crate) fn seen_at(&self) -> Option<Instant> {
+        self.stopwatch.is_real().then(|| self.recent.get())
+    }
+
     /// Looks at the clock; what the last of the turns since the look before took, ns.
     #[inline]
     fn measure(&self) -> u64 {
@@ -223,9 +237,8 @@ impl Processor {
     pub(crate) fn time_since(&self, began: Instant, exact: bool) -> u64 {
         // One that has waited for others began before the last look.
         let at_once = began == self.recent.get();
-        if exact {
-            self.stopwatch.begin_anew();
-        } else if at_once && self.stopwatch.skips() {
+        self.stopwatch.set_exact(exact);
+        if at_once && self.stopwatch.skips() {
             self.fresh.set(true);
             return self.stopwatch.estimate();
         }

@@ -85,11 +85,14 @@ impl Chassis {
         let asked = self.address(Some(processor), &mut message);
         let to = message.header().to;
         let here = to.chassis() == self.index;
-        let beside = here && !self.tap.is_on() && self.is_on(to, processor);
-        // What stays on the processor is told when the caller gives up once that is known there.
-        let mut now = None;
-        if !beside {
-            let moment = processor.now();
+        let seen = self.tap.is_on();
+        let beside = here && self.is_on(to, processor) && !(seen && self.tap.replay().is_some());
+        // What stays on the processor is told when the caller gives up once that is known there, and who looks
+        // on is told at once.
+        let (mut now, mut seen_at) = (None, None);
+        if seen || !beside {
+            seen_at = if seen { processor.look_within() } else { None };
+            let moment = seen_at.unwrap_or_else(|| processor.now());
             message.letter.deadline = Some(moment + limit);
             now = Some(moment);
         }
@@ -102,11 +105,12 @@ impl Chassis {
             processor.time_call(key);
             return Called::Waits(key, None);
         }
-        let recorded = self.tap.sent(&message, Some(WaitFor::Reply));
+        let recorded = self.tap.sent(&message, Some(WaitFor::Reply), seen_at);
         if !here {
             processor.note_call(key, false, || note(asked, recorded));
             let outbound = self.post(message, WaitFor::Reply, Some(slot), now);
             processor.time_call(key);
+            processor.leave();
             return Called::Waits(key, outbound);
         }
         finish(&mut message, Flags::REPLY_WAIT, recorded, Some(slot));
@@ -121,6 +125,11 @@ impl Chassis {
         match offer {
             Offer::Done(Offered::Taken) if beside && spared => {
                 if let Some(letter) = processor.take_answered(key) {
+                    if seen {
+                        let at = processor.seen_at();
+                        self.tap
+                            .answered_at_once(recorded, &asked, at, Ok(&letter.data));
+                    }
                     return Called::Answered(letter);
                 }
             }
@@ -133,8 +142,9 @@ impl Chassis {
             Offer::Nobody(message) => message.refuse(Fault::UnknownTask),
         }
         // Answers of other threads are taken in after the present turn.
-        processor.note_call(key, beside && spared, || note(asked, recorded));
+        processor.note_call(key, beside && spared && !seen, || note(asked, recorded));
         processor.time_call(key);
+        processor.leave();
         Called::Waits(key, None)
     }
 
@@ -149,9 +159,13 @@ impl Chassis {
         let asked = self.address(Some(processor), &mut message);
         let to = message.header().to;
         let here = to.chassis() == self.index;
-        let mut now = None;
-        if !here || self.tap.is_on() {
-            let moment = processor.now();
+        let seen = self.tap.is_on();
+        let (mut now, mut seen_at) = (None, None);
+        if !here || seen {
+            seen_at = if seen { processor.look_within() } else { None };
+            // What follows is the task's.
+            processor.leave();
+            let moment = seen_at.unwrap_or_else(|| processor.now());
             message.letter.deadline = Some(moment + limit);
             now = Some(moment);
         }
@@ -165,7 +179,7 @@ impl Chassis {
             replay.dispatch(&message, WaitFor::Acceptance, self.clock.now(), slot);
             return Sent::Waits(question);
         }
-        let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance));
+        let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance), seen_at);
         if !here {
             let (mut question, slot) = wait();
             question.recorded = recorded;
@@ -190,9 +204,12 @@ impl Chassis {
         match &result {
             Ok(()) => {
                 let nothing = Data::Bytes(Vec::new());
-                self.tap.answered(recorded, &asked, Ok(&nothing));
+                self.tap
+                    .answered_at_once(recorded, &asked, seen_at, Ok(&nothing));
             }
-            Err(fault) => self.tap.answered(recorded, &asked, Err(fault)),
+            Err(fault) => self
+                .tap
+                .answered_at_once(recorded, &asked, seen_at, Err(fault)),
         }
         Sent::Ended(result)
     }
@@ -212,7 +229,13 @@ impl Chassis {
         if let Some(replay) = self.tap.replay() {
             return replay.try_dispatch(&message, self.clock.now());
         }
-        let recorded = self.tap.sent(&message, None);
+        let seen_at = if self.tap.is_on() {
+            processor.look_within()
+        } else {
+            None
+        };
+        processor.leave();
+        let recorded = self.tap.sent(&message, None, seen_at);
         finish(&mut message, Flags::NONE, recorded, None);
         let put = match self.offer(processor, to, message) {
             Offer::Done(Offered::Taken) => Ok(()),
@@ -223,7 +246,8 @@ impl Chassis {
             Offer::Nobody(_) => Err(Fault::UnknownTask),
         };
         if let Err(fault) = &put {
-            self.tap.answered(recorded, &asked, Err(fault));
+            self.tap
+                .answered_at_once(recorded, &asked, seen_at, Err(fault));
         }
         put
     }
@@ -237,7 +261,7 @@ impl Chassis {
             replay.dispatch(&message, wait, self.clock.now(), slot);
             return Waiting::here(promise);
         }
-        let recorded = self.tap.sent(&message, Some(wait));
+        let recorded = self.tap.sent(&message, Some(wait), None);
         if message.header().to.chassis() != self.index {
             let outbound = self.post(message, wait, Some(slot), None);
             return Waiting::for_call(promise, self, outbound);
@@ -268,7 +292,7 @@ impl Chassis {
             let now = self.clock.now();
             return replay.dispatch(&message, WaitFor::Acceptance, now, slot);
         }
-        let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance));
+        let recorded = self.tap.sent(&message, Some(WaitFor::Acceptance), None);
         if to.chassis() != self.index {
             self.post(message, WaitFor::Acceptance, None, None);
         } else if let Some(task) = self.task(to) {
@@ -296,7 +320,7 @@ impl Chassis {
 
     /// Whether task `to` of this chassis runs on `processor`.
     #[inline]
-    pub(super) fn is_on(&self, to: Tid, processor: &Processor) -> bool {
+    pub(crate) fn is_on(&self, to: Tid, processor: &Processor) -> bool {
         self.processors
             .get(usize::from(to.processor()))
             .is_some_and(|(_, handle)| Arc::ptr_eq(handle, &processor.handle))

@@ -19,7 +19,7 @@ use crate::{
     chassis::{Called, Outbound, Question, Sent},
     circle,
     exchange::{Brought, CallKey, Looked},
-    message::{Command, Flags, Letter, Message, PayloadError, Tid},
+    message::{Command, Data, Flags, Letter, Message, PayloadError, Tid},
     record::Asked,
     time::Instant,
 };
@@ -225,6 +225,8 @@ pub(super) struct Ask {
     /// Whom it asks.
     named: Tid,
     state: AskState,
+    /// Whether it has been looked for in vain.
+    waited: bool,
     /// Set once the call has waited long.
     circle: Option<Box<Circle>>,
 }
@@ -262,6 +264,7 @@ impl Ask {
             asker,
             named: Tid::default(),
             state: AskState::New(message),
+            waited: false,
             circle: None,
         }
     }
@@ -397,8 +400,7 @@ impl Ask {
         let fault = match self.asker.processor.poll_call(*key, &mut note, poll) {
             Looked::Ended(Brought::Data(letter)) => {
                 if let Some(note) = &note {
-                    let tap = &self.asker.chassis.tap;
-                    tap.answered(note.recorded, &note.asked, Ok(&letter.data));
+                    self.tell(note, Ok(&letter.data));
                 }
                 self.state = AskState::Ended;
                 match open(letter) {
@@ -407,12 +409,14 @@ impl Ask {
                 }
             }
             Looked::Waiting => {
+                self.waited = true;
                 if let Some(circle) = &mut self.circle {
                     circle.poll(poll);
                 }
                 return Poll::Pending;
             }
             Looked::Long(to) => {
+                self.waited = true;
                 self.look_for_circle(to, poll);
                 return Poll::Pending;
             }
@@ -425,6 +429,35 @@ impl Ask {
         };
         let error = call_error(&self.asker, &to, command, fault);
         Poll::Ready(Err(Box::new(error)))
+    }
+
+    /// Tells whoever records what came of it.
+    #[inline]
+    fn tell(&self, note: &Note, answer: Result<&Data, &Fault>) {
+        let Inner {
+            chassis, processor, ..
+        } = &*self.asker;
+        let Note {
+            asked, recorded, ..
+        } = note;
+        if !chassis.tap.is_on() {
+            return;
+        }
+        // An answer of the same processor was there before the last look.
+        let to = asked.to();
+        let beside = to.chassis() == chassis.index() && chassis.is_on(to, processor);
+        let at = if answer.is_ok() && beside {
+            processor.seen_at()
+        } else {
+            let now = processor.look_within();
+            processor.leave();
+            now
+        };
+        if self.waited {
+            chassis.tap.answered(*recorded, asked, at, answer);
+        } else {
+            chassis.tap.answered_at_once(*recorded, asked, at, answer);
+        }
     }
 
     #[cold]
@@ -452,8 +485,7 @@ impl Ask {
     fn failed(&mut self, note: Option<&Note>, fault: Fault) -> Fault {
         let state = std::mem::replace(&mut self.state, AskState::Ended);
         if let Some(note) = note {
-            let tap = &self.asker.chassis.tap;
-            tap.answered(note.recorded, &note.asked, Err(&fault));
+            self.tell(note, Err(&fault));
         }
         if let (AskState::Asked(_, Some(outbound)), Fault::Deadline { .. } | Fault::Circle { .. }) =
             (state, &fault)

@@ -8,7 +8,8 @@
 //!
 //! What is different is when the rest of the caller's turn comes: after the receiver's. So that nobody
 //! else waits longer for that, it is done only while the code of tasks is brief, for a few calls of a turn, and not
-//! where synchronous functions have their deadlines. Never in virtual time, nor while something is recorded.
+//! where synchronous functions have their deadlines. Never in virtual time. While something is recorded the caller
+//! has looked at the clock when it called, and the receiver's handler begins at that moment.
 
 use std::{cell::Cell, sync::atomic::Ordering, time::Duration};
 

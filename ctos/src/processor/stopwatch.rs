@@ -4,9 +4,8 @@
 //! within [`BRIEF`], only every few of them are measured together, or more while all of these are taken to
 //! have been over within that, and each is taken to have lasted as long as the last that were. What turns
 //! out to have been long is charged to the turn after which that was seen, which may be some turns late, and
-//! everything is measured again. A virtual clock, which
-//! costs nothing and stands still while code runs, is always looked at; so is any clock while something
-//! is recorded.
+//! everything is measured again. A virtual clock, which costs nothing and stands still while code runs, is
+//! always looked at; so is any clock as long as it must be exact, because something is recorded.
 
 use std::{cell::Cell, time::Duration};
 
@@ -26,6 +25,8 @@ const MOST_SKIPPED: u32 = 22;
 /// Counts turns and looks.
 pub(super) struct Stopwatch {
     real: bool,
+    /// Whether no look may be left out.
+    exact: Cell<bool>,
     /// Turns since the last look.
     skipped: Cell<u32>,
     /// Looks in a row that found brief turns.
@@ -41,6 +42,7 @@ impl Stopwatch {
     pub(super) fn new(real: bool) -> Self {
         Self {
             real,
+            exact: Cell::new(false),
             skipped: Cell::new(0),
             brief: Cell::new(0),
             each_ns: Cell::new(0),
@@ -56,7 +58,8 @@ impl Stopwatch {
             let taken = Duration::from_nanos(u64::from(skipped) * self.each_ns.get());
             skipped < MOST_SKIPPED && taken < BRIEF
         };
-        let skips = self.is_brief() && (skipped < SKIPPED || is_soon());
+        let may = !self.exact.get() && self.is_brief();
+        let skips = may && (skipped < SKIPPED || is_soon());
         if skips {
             self.skipped.set(skipped + 1);
         }
@@ -69,9 +72,16 @@ impl Stopwatch {
         self.brief.get() >= BRIEF_LOOKS && self.real
     }
 
-    /// Every turn is measured until many have been brief again.
-    pub(super) fn begin_anew(&self) {
-        self.brief.set(0);
+    /// From now on every turn is measured, or brief ones need not be.
+    #[inline]
+    pub(super) fn set_exact(&self, exact: bool) {
+        self.exact.set(exact);
+    }
+
+    /// Whether it is for a real clock.
+    #[inline]
+    pub(super) fn is_real(&self) -> bool {
+        self.real
     }
 
     /// Whether turns have ended since the last look.
@@ -152,6 +162,17 @@ mod tests {
         let stopwatch = Stopwatch::new(false);
         brief(&stopwatch);
         assert!(!stopwatch.skips());
+    }
+
+    #[test]
+    fn every_turn_is_measured_while_that_must_be_exact_and_turns_are_brief_all_the_same() {
+        let stopwatch = Stopwatch::new(true);
+        brief(&stopwatch);
+        stopwatch.set_exact(true);
+        assert!(!stopwatch.skips());
+        assert!(stopwatch.is_brief());
+        stopwatch.set_exact(false);
+        assert!(stopwatch.skips());
     }
 
     proptest! {

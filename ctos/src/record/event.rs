@@ -68,7 +68,12 @@ pub(crate) enum Step {
     Ended { began: u64, ending: Ending },
     /// Its sender has what it waited for: the reply, whose data follows, the acceptance of a one-way
     /// message, or a fault.
-    Answered { side: Side, fault: Option<Fault> },
+    Answered {
+        side: Side,
+        /// Whether its sender had it in the turn in which it sent, and did not wait.
+        at_once: bool,
+        fault: Option<Fault>,
+    },
 }
 
 /// Something that happened to a message, with its moment and the chassis on which it happened.

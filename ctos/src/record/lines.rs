@@ -182,6 +182,9 @@ pub(crate) struct ReplyLine {
     pub(crate) trace: Number,
     /// Where it was noted: `here`, or between chassis at the `sender` or the `receiver` of the request.
     pub(crate) noted: String,
+    /// Whether its sender had it in the turn in which it sent. Not told by older records.
+    #[serde(default)]
+    pub(crate) at_once: bool,
     /// `ok` or what went wrong.
     pub(crate) result: String,
     /// The fault again, for replay: base64 of its postcard bytes; empty when there is none.
@@ -309,7 +312,11 @@ pub(crate) fn traffic(
                 tid: key.task.bits(),
             })
         }
-        Step::Answered { side, fault } => {
+        Step::Answered {
+            side,
+            at_once,
+            fault,
+        } => {
             let line = ReplyLine {
                 id: named.id,
                 by: named.task.to_string(),
@@ -318,6 +325,7 @@ pub(crate) fn traffic(
                 code: key.command,
                 trace: named.trace,
                 noted: side.word().to_owned(),
+                at_once: *at_once,
                 result: fault
                     .as_ref()
                     .map_or_else(|| "ok".to_owned(), |fault| format!("{fault:?}")),

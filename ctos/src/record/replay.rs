@@ -186,7 +186,7 @@ pub fn replay(
         let task = task.to_owned();
         return Err(ReplayError::NoTask { task, known });
     };
-    let script = Script::of(record, task)?;
+    let mut script = Script::of(record, task)?;
     let mut app = app;
     app.time = TimeMode::Virtual;
     app.record = None;
@@ -202,7 +202,7 @@ pub fn replay(
         Arc::new(registry),
         clock.clone(),
     );
-    let desk = Arc::new(Desk::new(script.tid, script.outputs, script.refused, names));
+    let desk = Arc::new(Desk::new(clock.clone(), names, &mut script));
     chassis.tap.replay_at(desk.clone());
     // The configuration may have fewer processors now than it had then.
     let last = chassis.processors.len().saturating_sub(1);

@@ -203,14 +203,14 @@ impl Tap {
     fn traffic(
         &self,
         place: Tid,
-        at: Option<u64>,
+        at: Option<Instant>,
         key: Key,
         step: Step,
         data: impl Fn(&mut Vec<u8>) -> bool,
     ) -> bool {
         let first = self.first();
         let event = |recorder: &Recorder| Traffic {
-            at: at.unwrap_or_else(|| recorder.now()),
+            at: at.map_or_else(|| recorder.now(), Instant::as_nanos),
             chassis: self.index,
             key,
             step,
@@ -249,18 +249,23 @@ impl Tap {
         }
     }
 
-    /// A task sends a message. The number stands for it in the record; 0 when it is not in it.
+    /// A task sends a message, at `at`, or now. The number stands for it in the record; 0 when it is not in it.
     #[inline]
-    pub(crate) fn sent(&self, message: &Message, wait: Option<WaitFor>) -> u64 {
+    pub(crate) fn sent(
+        &self,
+        message: &Message,
+        wait: Option<WaitFor>,
+        at: Option<Instant>,
+    ) -> u64 {
         if self.is_recording() {
-            self.note_sent(message, wait)
+            self.note_sent(message, wait, at)
         } else {
             0
         }
     }
 
     #[cold]
-    fn note_sent(&self, message: &Message, wait: Option<WaitFor>) -> u64 {
+    fn note_sent(&self, message: &Message, wait: Option<WaitFor>, at: Option<Instant>) -> u64 {
         let header = message.header();
         let flag = match wait {
             Some(WaitFor::Reply) => Flags::REPLY_WAIT,
@@ -278,7 +283,7 @@ impl Tap {
             },
         };
         let data = |buffer: &mut Vec<u8>| message.letter.data.append_to(buffer).is_ok();
-        let noted = self.traffic(header.from, None, key, step, data);
+        let noted = self.traffic(header.from, at, key, step, data);
         if noted { key.id } else { 0 }
     }
 
@@ -321,7 +326,8 @@ impl Tap {
     pub(crate) fn began(&self, at_hand: &AtHand) {
         if self.is_recording() {
             let AtHand { key, began } = *at_hand;
-            self.traffic(key.task, Some(began), key, Step::Began, |_| true);
+            let at = Some(Instant::from_nanos(began));
+            self.traffic(key.task, at, key, Step::Began, |_| true);
         }
     }
 
@@ -337,18 +343,46 @@ impl Tap {
         }
         let ending = ending();
         let step = Step::Ended { began, ending };
-        self.traffic(key.task, Some(now.as_nanos()), key, step, |_| true);
+        self.traffic(key.task, Some(now), key, step, |_| true);
     }
 
-    /// A sender has what it waited for.
+    /// A sender has what it waited for, since `at`, or now.
     #[inline]
-    pub(crate) fn answered(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>) {
-        let side = if asked.to.chassis() == self.index {
+    pub(crate) fn answered(
+        &self,
+        id: u64,
+        asked: &Asked,
+        at: Option<Instant>,
+        answer: Result<&Data, &Fault>,
+    ) {
+        if self.is_recording() {
+            let side = self.side_of(asked);
+            self.note_answer(id, asked, side, false, at, answer);
+        }
+    }
+
+    /// A sender has what it would have waited for in the turn in which it sent.
+    #[inline]
+    pub(crate) fn answered_at_once(
+        &self,
+        id: u64,
+        asked: &Asked,
+        at: Option<Instant>,
+        answer: Result<&Data, &Fault>,
+    ) {
+        if self.is_recording() {
+            let side = self.side_of(asked);
+            self.note_answer(id, asked, side, true, at, answer);
+        }
+    }
+
+    /// Where a sender is, seen from whom it asked.
+    fn side_of(&self, asked: &Asked) -> Side {
+        if asked.to.chassis() == self.index {
             Side::Here
         } else {
             Side::Sender
-        };
-        self.note_answer(id, asked, side, answer);
+        }
     }
 
     /// A task of this chassis answers a message from another one.
@@ -365,18 +399,21 @@ impl Tap {
             command: request.command,
             trace,
         };
-        self.note_answer(id, &asked, Side::Receiver, answer);
-    }
-
-    #[inline]
-    fn note_answer(&self, id: u64, asked: &Asked, side: Side, answer: Result<&Data, &Fault>) {
         if self.is_recording() {
-            self.do_note_answer(id, asked, side, answer);
+            self.note_answer(id, &asked, Side::Receiver, false, None, answer);
         }
     }
 
     #[cold]
-    fn do_note_answer(&self, id: u64, asked: &Asked, side: Side, answer: Result<&Data, &Fault>) {
+    fn note_answer(
+        &self,
+        id: u64,
+        asked: &Asked,
+        side: Side,
+        at_once: bool,
+        at: Option<Instant>,
+        answer: Result<&Data, &Fault>,
+    ) {
         let key = Key {
             id,
             task: asked.to,
@@ -385,14 +422,18 @@ impl Tap {
             trace: asked.trace,
         };
         let fault = answer.err().cloned();
-        let step = Step::Answered { side, fault };
+        let step = Step::Answered {
+            side,
+            at_once,
+            fault,
+        };
         // Noted where it happened: at the one who answers, or at the one who asked.
         let place = if side == Side::Receiver {
             asked.to
         } else {
             asked.by
         };
-        self.traffic(place, None, key, step, |buffer| {
+        self.traffic(place, at, key, step, |buffer| {
             answer.is_ok_and(|data| data.append_to(buffer).is_ok())
         });
     }

@@ -23,6 +23,8 @@ const KINDS: usize = 4;
 const DEADLINE: u8 = 1 << 4;
 /// In the first byte: not `Done`, or a fault; which one follows.
 const SPECIAL: u8 = 1 << 5;
+/// In the first byte: answered at once.
+const AT_ONCE: u8 = 1 << 6;
 
 /// In the second byte: what differs from the last event of the kind.
 const ID: u8 = 1;
@@ -202,10 +204,14 @@ fn first_byte(step: &Step) -> (usize, u8) {
         ),
         Step::Began => (BEGAN, 0, 0),
         Step::Ended { ending, .. } => (ENDED, 0, if *ending == Ending::Done { 0 } else { SPECIAL }),
-        Step::Answered { side, fault } => (
+        Step::Answered {
+            side,
+            at_once,
+            fault,
+        } => (
             ANSWERED,
             side_bits(*side),
-            if fault.is_some() { SPECIAL } else { 0 },
+            if fault.is_some() { SPECIAL } else { 0 } | if *at_once { AT_ONCE } else { 0 },
         ),
     };
     (kind, kind as u8 | side << 2 | more)
@@ -354,7 +360,11 @@ impl<'a> Events<'a> {
                 } else {
                     data = bytes.sized()?;
                 }
-                Step::Answered { side, fault }
+                Step::Answered {
+                    side,
+                    at_once: first & AT_ONCE != 0,
+                    fault,
+                }
             }
         };
         let traffic = Traffic {
@@ -475,7 +485,11 @@ mod tests {
             }),
             Just(Step::Began),
             (any::<u64>(), ending).prop_map(|(began, ending)| Step::Ended { began, ending }),
-            (side(), fault).prop_map(|(side, fault)| Step::Answered { side, fault }),
+            (side(), any::<bool>(), fault).prop_map(|(side, at_once, fault)| Step::Answered {
+                side,
+                at_once,
+                fault
+            }),
         ]
     }
 
@@ -579,6 +593,7 @@ mod tests {
             key,
             step: Step::Answered {
                 side: Side::Here,
+                at_once: true,
                 fault: None,
             },
         };

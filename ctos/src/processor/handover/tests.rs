@@ -1,9 +1,12 @@
 //! Turns within turns, by a virtual clock and therefore the same every time: whether the code of tasks is
 //! brief is not measured but taken to be so.
 
+mod recorded;
+
 use std::{
     cell::RefCell,
     future::poll_fn,
+    path::Path,
     pin::pin,
     rc::Rc,
     sync::{
@@ -22,10 +25,11 @@ use super::*;
 use crate::{
     call::{CallError, Fault, lock},
     chassis::{Chassis, TaskRecord},
-    config::load_texts,
+    config::{App, load_texts},
     context::{Context, TaskRef},
     mailbox::{Mailbox, Offered, TaskQueue},
     message::{Command, Message, Tid},
+    record::{Recording, start},
     registry::Registry,
     runner::{TaskSpec, record, start_task},
     task::{EventHandler, Handled},
@@ -180,31 +184,51 @@ struct Bench {
     tasks: Arc<Vec<TaskRef>>,
     records: Vec<Arc<TaskRecord>>,
     log: Log,
+    recording: Option<Recording>,
 }
 
 /// As many tasks.
 const TASKS: u16 = 6;
 
+fn all_tasks() -> Arc<Vec<TaskRef>> {
+    let task = |slot| TaskRef::new(format!("t{slot}"), Tid::new(1, 1, slot));
+    Arc::new((0..TASKS).map(task).collect())
+}
+
+fn registry(tasks: &Arc<Vec<TaskRef>>, log: &Log) -> Registry {
+    let mut registry = Registry::new();
+    let (all, noted) = (tasks.clone(), log.clone());
+    registry.handler("worker", &[Do::INFO, Note::INFO], move |_| {
+        Ok(Worker {
+            tasks: all.clone(),
+            log: noted.clone(),
+            sent: 0,
+        })
+    });
+    registry
+}
+
+/// An app of these tasks, with this before them in its text.
+fn app(folder: &Path, begin: &str) -> App {
+    let mut text = format!("{begin}[chassis.cell]\n");
+    for slot in 0..TASKS {
+        text += &format!("[task.t{slot}]\nhandler = \"worker\"\non = \"cell\"\n");
+    }
+    let file = folder.join("app.toml").display().to_string();
+    load_texts(&[(&file, &text)], &[], &[]).unwrap()
+}
+
 impl Bench {
     fn new(hands_over: bool) -> Self {
-        let text = "[chassis.cell]\n[task.t]\nhandler = \"worker\"\non = \"cell\"\n";
-        let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
-        let tid = |slot| Tid::new(1, 1, slot);
-        let tasks: Vec<_> = (0..TASKS)
-            .map(|slot| TaskRef::new(format!("t{slot}"), tid(slot)))
-            .collect();
-        let (tasks, log) = (Arc::new(tasks), Log::default());
-        let mut registry = Registry::new();
-        let (all, noted) = (tasks.clone(), log.clone());
-        registry.handler("worker", &[Do::INFO, Note::INFO], move |_| {
-            Ok(Worker {
-                tasks: all.clone(),
-                log: noted.clone(),
-                sent: 0,
-            })
-        });
+        Self::of(app(Path::new(""), ""), hands_over)
+    }
+
+    fn of(app: App, hands_over: bool) -> Self {
+        let (tasks, log) = (all_tasks(), Log::default());
+        let registry = registry(&tasks, &log);
         let clock = Clock::virtual_clock();
         let chassis = Chassis::new(1, Arc::new(app), Arc::new(registry), clock.clone());
+        let recording = start(std::slice::from_ref(&chassis)).unwrap();
         let processor = chassis.processor(1).unwrap();
         processor.handovers.always.set(hands_over);
         processor.enter();
@@ -228,6 +252,7 @@ impl Bench {
             tasks,
             records,
             log,
+            recording,
             chassis,
         };
         // A task that has never had a message has no loop yet that could be given a turn.
@@ -292,6 +317,9 @@ impl Bench {
 
 impl Drop for Bench {
     fn drop(&mut self) {
+        if let Some(recording) = self.recording.take() {
+            recording.finish();
+        }
         self.processor.clear();
         self.chassis.close();
     }

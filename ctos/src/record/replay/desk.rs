@@ -13,14 +13,14 @@ use super::{
         names::Names,
     },
     ReplayReport,
-    script::{Output, Recorded},
+    script::{Output, Recorded, Script},
 };
 use crate::{
     call::{Answer, Fault, ReplySlot, lock},
     chassis::WaitFor,
     message::{Command, Data, Flags, Message, Tid, ToJson},
     system::{self, QueryTid},
-    time::Instant,
+    time::{Clock, Instant},
 };
 
 /// Text of data in a difference is cut here, letters.
@@ -51,25 +51,27 @@ pub(crate) struct Desk {
     outputs: Vec<Output>,
     /// Messages whose sender does not wait, and that were not taken.
     refused: BTreeMap<Number, Fault>,
+    /// What whoever sent it was told in the same turn, and when.
+    at_once: BTreeMap<Number, (Instant, Recorded)>,
+    clock: Clock,
     names: Arc<Names>,
     state: Mutex<State>,
 }
 
 impl Desk {
-    pub(super) fn new(
-        task: Tid,
-        outputs: Vec<Output>,
-        refused: BTreeMap<Number, Fault>,
-        names: Arc<Names>,
-    ) -> Self {
+    /// In place of the tasks that `script` knows besides its own.
+    pub(super) fn new(clock: Clock, names: Arc<Names>, script: &mut Script) -> Self {
+        let outputs = std::mem::take(&mut script.outputs);
         let state = State {
             fates: vec![Fate::Expected; outputs.len()],
             ..State::default()
         };
         Self {
-            task,
+            task: script.tid,
             outputs,
-            refused,
+            refused: std::mem::take(&mut script.refused),
+            at_once: std::mem::take(&mut script.at_once),
+            clock,
             names,
             state: Mutex::new(state),
         }
@@ -83,9 +85,16 @@ impl Desk {
             return slot.answer(accepted());
         }
         match self.output(message, now) {
-            Some(id) => {
-                lock(&self.state).promises.insert(id, slot);
-            }
+            Some(id) => match self.at_once.get(&id) {
+                // Before whatever else the task does in this turn, as it was.
+                Some((at, answer)) => {
+                    self.clock.advance_to(*at);
+                    slot.answer(answer.clone().into_answer());
+                }
+                None => {
+                    lock(&self.state).promises.insert(id, slot);
+                }
+            },
             None => match self.name_of_another(message) {
                 Some(answer) => slot.answer(answer),
                 None if wait == WaitFor::Acceptance => slot.answer(accepted()),

@@ -91,6 +91,8 @@ pub(super) struct Script {
     pub(super) outputs: Vec<Output>,
     /// Messages whose sender did not wait, and that were not taken.
     pub(super) refused: BTreeMap<Number, Fault>,
+    /// What was answered in the turn in which it was sent, when, and how.
+    pub(super) at_once: BTreeMap<Number, (Instant, Recorded)>,
 }
 
 impl Script {
@@ -108,6 +110,7 @@ impl Script {
             steps: Vec::new(),
             outputs: Vec::new(),
             refused: BTreeMap::new(),
+            at_once: BTreeMap::new(),
         };
         // A message may be noted after it was begun, by another processor: all of them first.
         for entry in &record.entries {
@@ -136,6 +139,7 @@ impl Script {
             steps: reader.steps,
             outputs: reader.outputs,
             refused: reader.refused,
+            at_once: reader.at_once,
         })
     }
 }
@@ -170,6 +174,7 @@ struct Reader<'a> {
     steps: Vec<Step>,
     outputs: Vec<Output>,
     refused: BTreeMap<Number, Fault>,
+    at_once: BTreeMap<Number, (Instant, Recorded)>,
 }
 
 impl Reader<'_> {
@@ -288,6 +293,9 @@ impl Reader<'_> {
             match (self.own.get(&id), &answer.0) {
                 (Some(true), _) => {
                     self.segment += 1;
+                    if line.at_once {
+                        self.at_once.insert(id, (entry.at, answer.clone()));
+                    }
                     self.push(entry.at, trace, What::Answer { id, answer });
                 }
                 (Some(false), Err(fault)) => {
