@@ -320,7 +320,9 @@ impl Session {
                 core.writer = None;
                 core.outgoing.set_lend(None);
             }
-            State::Waiting | State::Up | State::Draining | State::Closing => {}
+            // However it ends from here on, this end wanted it.
+            State::Closing => _ = core.reason.get_or_insert(reason),
+            State::Waiting | State::Up | State::Draining => {}
         }
         true
     }

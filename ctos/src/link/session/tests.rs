@@ -232,6 +232,23 @@ fn a_peer_whose_process_has_ended_is_read_to_its_end_and_then_down_at_once() {
 }
 
 #[test]
+fn a_peer_that_is_gone_before_it_has_the_last_words_was_let_go() {
+    let clock = Clock::virtual_clock();
+    let ends: [fn(&Session, u64); 2] = [
+        |session, _| session.event(Event::PeerEnded, DownReason::Ended),
+        |session, stream| session.lost(stream),
+    ];
+    for end in ends {
+        let (session, told) = session(&clock);
+        let stream = session.attach(frozen(), 0).unwrap();
+        session.close();
+        assert_eq!(session.state(), State::Closing);
+        end(&session, stream);
+        assert_eq!(lock(&told).downs, [DownReason::Closed]);
+    }
+}
+
+#[test]
 fn rubbish_ends_the_session_and_says_what_it_was() {
     let clock = Clock::virtual_clock();
     let (session, told) = session(&clock);
