@@ -1,6 +1,6 @@
 //! The boot's end of the control socket: who is let in, and that all hear how the app ended.
 
-use std::{io, os::unix::fs::PermissionsExt, path::PathBuf, sync::Arc, time::Duration};
+use std::{io, path::PathBuf, sync::Arc, time::Duration};
 
 use tokio::{
     net::UnixListener,
@@ -17,7 +17,7 @@ use crate::{
         gate, place,
         protocol::EndView,
     },
-    link::transport::Listener,
+    link::transport::{Listener, listen_at},
     security::Role,
 };
 
@@ -109,10 +109,8 @@ impl Server {
         // Removes those of apps that were killed.
         place::sockets(&folder);
         let socket = place::socket(&folder, &chassis.app.name, std::process::id());
-        // One of a process of the same number, before the last start of the machine.
-        let _ = std::fs::remove_file(&socket.path);
-        let listener = UnixListener::bind(&socket.path)?;
-        std::fs::set_permissions(&socket.path, std::fs::Permissions::from_mode(0o600))?;
+        // In the place of one of a process of the same number, before the last start of the machine.
+        let listener = listen_at(&socket.path)?;
         Ok((listener, socket.path))
     }
 

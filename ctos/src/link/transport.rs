@@ -335,13 +335,8 @@ impl Listener {
         let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
         let short: String = name.chars().take(16).collect();
         let path = folder.join(format!("{short}-{noise}.sock"));
-        // Bound under another name until it listens: a socket to which nobody listens is stale.
-        let begun = path.with_extension("new");
-        let listener = UnixListener::bind(&begun)?;
-        let file = SocketFile { path };
-        std::fs::set_permissions(&begun, std::fs::Permissions::from_mode(0o600))?;
-        std::fs::rename(&begun, &file.path)?;
-        Ok(Self::Unix(listener, file))
+        let listener = listen_at(&path)?;
+        Ok(Self::Unix(listener, SocketFile { path }))
     }
 
     /// Where others reach it.
@@ -373,6 +368,21 @@ impl Listener {
             Self::Zenoh(listener, keys) => Ok(Call::Zenoh(listener.accept().await?, keys.clone())),
         }
     }
+}
+
+/// Listens at a socket that is this user's alone, in place of whatever has its name. It is bound under another
+/// name until it listens: a socket to which nobody listens is stale, and whoever finds it removes it.
+///
+/// # Errors
+/// What the system says.
+pub(crate) fn listen_at(path: &Path) -> io::Result<UnixListener> {
+    let begun = path.with_extension("new");
+    // One of a process of the same number that was killed.
+    let _ = std::fs::remove_file(&begun);
+    let listener = UnixListener::bind(&begun)?;
+    std::fs::set_permissions(&begun, std::fs::Permissions::from_mode(0o600))?;
+    std::fs::rename(&begun, path)?;
+    Ok(listener)
 }
 
 /// A socket's file, removed when nobody listens any more.
@@ -500,5 +510,24 @@ mod tests {
         let _listener = std::os::unix::net::UnixListener::bind(&live).unwrap();
         remove_stale(folder.path());
         assert!(!stale.exists() && live.exists());
+    }
+
+    #[tokio::test]
+    async fn whoever_finds_a_socket_finds_somebody_who_listens() {
+        let folder = tempfile::tempdir().unwrap();
+        for number in 0..200 {
+            let path = folder.path().join(format!("app-{number}.sock"));
+            let found = || loop {
+                match std::os::unix::net::UnixStream::connect(&path) {
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                    found => return found.map(drop),
+                }
+            };
+            std::thread::scope(|scope| {
+                let found = scope.spawn(found);
+                let _listener = listen_at(&path).unwrap();
+                found.join().unwrap().unwrap();
+            });
+        }
     }
 }
