@@ -2,7 +2,7 @@
 //! one any more.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, btree_map::Entry},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -71,6 +71,22 @@ impl Inbound {
 
     fn abandon(&self) {
         self.abandoned.store(true, Ordering::Release);
+    }
+}
+
+impl Links {
+    /// `request` is no longer under way: whether it still was. A chassis that comes back counts its calls from
+    /// the beginning again, so a request of its new life may have the number of one of an earlier life, whose
+    /// answer nobody waits for.
+    fn close_inbound(&mut self, peer: u8, request: &Inbound) -> bool {
+        let Entry::Occupied(entry) = self.inbound.entry((peer, request.call)) else {
+            return false;
+        };
+        let is_it = std::ptr::eq(Arc::as_ptr(entry.get()), request);
+        if is_it {
+            entry.remove();
+        }
+        is_it
     }
 }
 
@@ -183,7 +199,7 @@ impl Chassis {
         let peer = request.from.chassis();
         let link = {
             let mut links = lock(&self.links);
-            if links.inbound.remove(&(peer, *call)).is_none() {
+            if !links.close_inbound(peer, inbound) {
                 return;
             }
             links.up.get(&peer).cloned()
@@ -419,15 +435,72 @@ fn body_of(data: Data) -> Result<Body, Fault> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use super::*;
-    use crate::{config::load_texts, registry::Registry, time::Clock};
+    use crate::{config::load_texts, message::Tid, registry::Registry, time::Clock};
+
+    /// A link that keeps what is sent.
+    #[derive(Default)]
+    struct Kept(Mutex<Vec<Frame>>);
+
+    impl Link for Kept {
+        fn post(&self, frame: Frame) -> Result<(), Full> {
+            lock(&self.0).push(frame);
+            Ok(())
+        }
+    }
+
+    fn cell() -> Arc<Chassis> {
+        let text = "[chassis.cell]\n[task.arm]\nhandler = \"arm\"\non = \"cell\"\n";
+        let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
+        Chassis::new(1, Arc::new(app), Arc::new(Registry::new()), Clock::real())
+    }
+
+    /// Call `call` of a task of chassis 2, which waits for an answer.
+    fn asked(chassis: &Chassis, call: u64) -> Arc<Inbound> {
+        let request = Arc::new(Inbound {
+            header: Header {
+                to: Tid::new(1, 0, 5),
+                from: Tid::new(2, 0, 5),
+                command: 1,
+                flags: Flags::REPLY_WAIT,
+                size: 0,
+            },
+            call,
+            trace: 1,
+            recorded: 0,
+            abandoned: AtomicBool::new(false),
+        });
+        lock(&chassis.links)
+            .inbound
+            .insert((2, call), request.clone());
+        request
+    }
+
+    #[test]
+    fn an_answer_to_an_earlier_life_of_a_chassis_is_none_to_its_call_of_the_same_number() {
+        let chassis = cell();
+        let [first, second] = [(); 2].map(|()| Arc::new(Kept::default()));
+        chassis.link_up(2, first.clone());
+        let early = asked(&chassis, 7);
+        chassis.link_down(2);
+        assert!(early.is_abandoned());
+        chassis.link_up(2, second.clone());
+        let late = asked(&chassis, 7);
+        let answer = |byte| Ok(Data::Bytes(vec![byte]));
+        chassis.post_reply(&early, answer(1));
+        chassis.post_reply(&late, answer(2));
+        chassis.post_reply(&late, answer(3));
+        assert!(lock(&first.0).is_empty());
+        let sent = std::mem::take(&mut *lock(&second.0));
+        let bodies = sent.into_iter().map(|frame| frame.body.into_vec());
+        assert_eq!(bodies.collect::<Vec<_>>(), [[2]]);
+    }
 
     #[test]
     fn tasks_are_told_that_a_chassis_is_gone_until_their_own_was_told_to_end() {
-        let text = "[chassis.cell]\n[task.arm]\nhandler = \"arm\"\non = \"cell\"\n";
-        let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
-        let registry = Arc::new(Registry::new());
-        let chassis = Chassis::new(1, Arc::new(app), registry, Clock::real());
+        let chassis = cell();
         let told = || [0, 2].map(|peer| chassis.tells_of(peer));
         assert_eq!(told(), [true, true]);
         chassis.set_stopping();
