@@ -85,8 +85,14 @@ impl TidServer {
             return Err("nobody moves it".to_owned());
         }
         let linked = |chassis: u8| chassis == here.index() || here.is_linked(chassis);
-        if state.forbidden.contains(&new) || !linked(new.chassis()) {
-            return Err("the new place was given up".to_owned());
+        let (there, here_before) = (here.name_of(new.chassis()), here.name_of(old.chassis()));
+        if !linked(new.chassis()) {
+            return Err(format!("chassis `{there}` is gone"));
+        }
+        if state.forbidden.contains(&new) {
+            return Err(format!(
+                "chassis `{there}` gave its new place up: it lost chassis `{here_before}`, or heard nothing from it for too long"
+            ));
         }
         let everybody = here.others().chain([here.index()]);
         let (slow, gone): (Vec<u8>, Vec<u8>) = everybody.partition(|chassis| linked(*chassis));
