@@ -2,7 +2,10 @@
 
 use std::{
     os::fd::{AsFd, BorrowedFd, OwnedFd},
-    sync::{Mutex, atomic::AtomicU32},
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, AtomicU32},
+    },
     task::{Poll, Waker},
 };
 
@@ -84,8 +87,13 @@ fn a_schedule_that_takes_all_the_time_does_not_starve_the_tasks() {
     };
     let schedule = Schedule::new(settings, clock.clone());
     let processor = Processor::with_schedule(handle.clone(), clock.clone(), schedule);
-    let busy = move |tick: &Tick| while clock.now() < tick.due + Duration::from_micros(99) {};
-    let busy = processor
+    let began = Arc::new(AtomicBool::new(false));
+    let begins = began.clone();
+    let busy = move |tick: &Tick| {
+        begins.store(true, Ordering::Release);
+        while clock.now() < tick.due + Duration::from_micros(99) {}
+    };
+    let _busy = processor
         .schedule
         .add(Synchronous::new("busy", busy))
         .unwrap();
@@ -93,7 +101,10 @@ fn a_schedule_that_takes_all_the_time_does_not_starve_the_tasks() {
     let turns = left.clone();
     processor.spawn(
         std::future::poll_fn(move |cx| {
-            turns.set(turns.get() - 1);
+            // Those before the first tick say nothing.
+            if began.load(Ordering::Acquire) {
+                turns.set(turns.get() - 1);
+            }
             if turns.get() == 0 {
                 handle.stop();
                 return Poll::Ready(());
@@ -105,7 +116,6 @@ fn a_schedule_that_takes_all_the_time_does_not_starve_the_tasks() {
     );
     processor.run();
     assert_eq!(left.get(), 0);
-    assert!(busy.statistics().runs() > 0);
 }
 
 #[test]
