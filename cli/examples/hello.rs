@@ -58,11 +58,16 @@ fn library() -> Library<()> {
     Library::new(()).action("greet_all", greet_all)
 }
 
-fn main() -> ExitCode {
-    // All of `ctos`, here for the operator that gives the net its command, and these:
-    let mut registry: Registry = cli::program::registry();
+/// What a configuration can name.
+pub fn register(registry: &mut Registry) {
     registry.function("hello.greeter", greet);
     registry.handler("hello.counter", &Counter::COMMANDS, |_| Ok(Counter(0)));
-    pnt::task::register(&mut registry, "hello.net", library);
+    pnt::task::register(registry, "hello.net", library);
+}
+
+fn main() -> ExitCode {
+    // All of `ctos`, here for the operator that gives the net its command, and these:
+    let mut registry = cli::program::registry();
+    register(&mut registry);
     cli::commands::main(registry)
 }

@@ -6,11 +6,9 @@
     reason = "a test ends where it finds something wrong"
 )]
 
-mod common;
-
 use std::{
     path::{Path, PathBuf},
-    process::Output,
+    process::{Command, Output},
 };
 
 /// The workspace's folder.
@@ -18,19 +16,20 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Runs `sim` with these arguments from the workspace's folder.
+/// Runs `ctos sim` with these arguments from the workspace's folder.
 fn sim(arguments: &[&str]) -> Output {
     sim_in(arguments, &[])
 }
 
 fn sim_in(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
-    common::example("hello")
+    Command::new(env!("CARGO_BIN_EXE_ctos"))
+        .current_dir(root())
         .arg("sim")
         .args(arguments)
         .env("NO_COLOR", "1")
         .envs(environment.iter().copied())
         .output()
-        .expect("the example runs")
+        .expect("it runs")
 }
 
 fn text(bytes: &[u8]) -> String {
