@@ -49,6 +49,8 @@ struct Args {
     calls: Option<String>,
     enough: u32,
     panics_at: Option<u32>,
+    /// How long the last phase takes besides, µs.
+    runs_late_us: u64,
 }
 
 struct Actor {
@@ -76,6 +78,9 @@ impl EventHandler for Actor {
             Count::CODE => {
                 let (Count {}, reply) = message.open::<Count>()?;
                 self.count += 1;
+                if Some(self.count) == self.args.panics_at {
+                    self.saw(cx, "breaks");
+                }
                 assert_ne!(Some(self.count), self.args.panics_at, "enough is enough");
                 reply.ok(self.count)
             }
@@ -101,6 +106,10 @@ impl EventHandler for Actor {
             std::future::pending::<()>().await;
         }
         cx.sleep(Duration::from_millis(5)).await;
+        if phase == Phase::Run {
+            cx.sleep(Duration::from_micros(self.args.runs_late_us))
+                .await;
+        }
         self.saw(cx, format!("entered {phase}"));
         if phase == Phase::Run && self.args.calls.is_some() {
             cx.spawn(play(cx.clone(), self.args.clone()));
@@ -423,6 +432,74 @@ fn a_task_that_fails_takes_its_chassis_with_it_where_the_configuration_says_so()
         4
     );
     assert_eq!(run.times("clerk", "greets cage"), 3);
+}
+
+/// `arm` breaks at so many calls, and takes its chassis with it.
+fn breaks_at(count: u32) -> Vec<String> {
+    vec![
+        format!("task.arm.args.panics_at={count}"),
+        "task.caller.args.enough=1000".to_owned(),
+        "chassis.cage.on_task_failure=\"restart-chassis\"".to_owned(),
+    ]
+}
+
+fn run_breaking(sets: &[String], mishaps: &[Mishap]) -> Run {
+    let sets: Vec<&str> = sets.iter().map(String::as_str).collect();
+    run(&sets, mishaps)
+}
+
+#[test]
+fn a_chassis_that_dies_while_one_of_its_tasks_fails_is_restarted_all_the_same() {
+    let sets = breaks_at(10);
+    let calm = run_breaking(&sets, &[]);
+    let broke = calm.trace.iter().find(|entry| entry.3 == "breaks");
+    let broke = broke.expect("it breaks").0;
+    for late_us in (0..400).step_by(10) {
+        let kill = Mishap::Kill {
+            chassis: "cage".to_owned(),
+            at: Instant::from_nanos(broke) + Duration::from_micros(late_us),
+        };
+        let run = run_breaking(&sets, &[kill]);
+        assert!(
+            matches!(&run.outcome.end, End::GivenUp { chassis, .. } if chassis == "cage"),
+            "{late_us} us: {:?}",
+            run.outcome.end
+        );
+    }
+}
+
+#[test]
+fn no_app_is_said_to_be_up_once_one_of_its_tasks_has_failed() {
+    let (mut failed, mut contained) = (0, 0);
+    for (seed, late_us) in (0..400).zip((10_000..11_000).step_by(10).cycle()) {
+        let mut sets = breaks_at(1);
+        sets.push(format!("app.seed={seed}"));
+        sets.push(format!("task.hand.args.runs_late_us={late_us}"));
+        let run = run_breaking(&sets, &[]);
+        let is_up = |event: &BootEvent| {
+            matches!(
+                event,
+                BootEvent::PhaseDone {
+                    phase: Phase::Run,
+                    ..
+                }
+            )
+        };
+        let was_up = run.events.iter().any(is_up);
+        match &run.outcome.end {
+            End::TaskFailed { task, .. } => {
+                assert_eq!(task, "arm");
+                assert!(!was_up, "{late_us} us: {:#?}", run.events);
+                failed += 1;
+            }
+            End::GivenUp { .. } => {
+                assert!(was_up, "{late_us} us: {:#?}", run.events);
+                contained += 1;
+            }
+            other => panic!("{late_us} us: {other:?}"),
+        }
+    }
+    assert!(failed > 0 && contained > 0, "{failed}, {contained}");
 }
 
 #[test]

@@ -144,6 +144,12 @@ impl Board {
         self.state.get() == BootState::Up
     }
 
+    /// Whether a task's failure ends the app, which has not been acted on yet.
+    pub(super) fn has_failed(&self) -> bool {
+        let ends = self.ends.borrow();
+        ends.iter().any(|end| matches!(end, End::TaskFailed { .. }))
+    }
+
     pub(super) fn end(&self, end: End) {
         self.ends.borrow_mut().push_back(end);
         self.ended.raise();
@@ -326,11 +332,9 @@ impl Board {
     /// A task of chassis `index` failed for good: the failure of the app or, if the configuration says
     /// so and the app has been up, of that chassis alone.
     pub(super) fn task_failed(&self, index: u8, task: String, reason: String) {
-        let contained = self.with(index, |member| {
-            member.policy.on_task_failure == OnTaskFailure::RestartChassis
-                && (member.incarnation > 1 || member.state == ChassisState::Up)
-        });
-        if contained == Some(true) {
+        let policy = self.with(index, |member| member.policy.on_task_failure);
+        let contained = self.is_up() && policy == Some(OnTaskFailure::RestartChassis);
+        if contained {
             self.tell(index, Event::TaskFailed { task, reason });
         } else {
             self.end(End::TaskFailed { task, reason });

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, rc::Rc};
 
-use futures_util::future::{Either, select};
+use futures_util::future::{Either, pending, select};
 
 use crate::{
     bootstrap::{
@@ -44,6 +44,10 @@ impl Sequence {
             self.board.aim_at(phase);
             let reached = self.board.all_reach(phase).await;
             reached.map_err(|failures| End::PhaseFailed { phase, failures })?;
+            if self.board.has_failed() {
+                // That ends the app, and it came before the last acknowledgement was seen.
+                return pending().await;
+            }
             self.board.step(BootStep::Acknowledged);
             self.board.event(&BootEvent::PhaseDone {
                 phase,
