@@ -329,9 +329,14 @@ async fn create_one(
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
     let spec = TaskSpec {
-        record: record(&config.name, tid, Some(config), &processor),
+        record: record(
+            &config.name,
+            tid,
+            Some(config),
+            kind.commands_shared(),
+            &processor,
+        ),
         config: Some(config.clone()),
-        commands: kind.commands_shared(),
         build: kind.builder(),
     };
     let (built, building) = oneshot::channel();

@@ -54,12 +54,12 @@ impl Bench {
             let result = (first..first + count).map(|slot| {
                 let registered = home.registry.kind(&kind).ok_or("no such kind of handler")?;
                 let tid = Tid::new(home.index(), processor, slot);
-                let record = record(&kind, tid, None, &here.handle);
+                let commands = registered.commands_shared();
+                let record = record(&kind, tid, None, commands, &here.handle);
                 let task = TaskRef::new(record.name.clone(), tid);
                 let spec = TaskSpec {
                     record,
                     config: None,
-                    commands: registered.commands_shared(),
                     build: registered.builder(),
                 };
                 start_task(&home, here, spec).map(|()| task)
@@ -99,8 +99,8 @@ impl Bench {
         let home = self.chassis.clone();
         self.inject(processor, move |here| {
             let tid = Tid::new(home.index(), processor, WORK);
-            let record = record("work", tid, None, &here.handle);
-            let cx = Context::new(record, home, here.clone(), None, Arc::default());
+            let record = record("work", tid, None, Arc::default(), &here.handle);
+            let cx = Context::new(record, home, here.clone(), None);
             let work = work(cx);
             let result = async move {
                 let _ = sender.send(work.await);

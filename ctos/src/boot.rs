@@ -254,9 +254,8 @@ fn start<H: EventHandler>(
         return;
     };
     let spec = TaskSpec {
-        record: record(name, tid, None, processor),
+        record: record(name, tid, None, commands.into(), processor),
         config: None,
-        commands: commands.into(),
         build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
     let record = spec.record.clone();

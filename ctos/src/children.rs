@@ -126,9 +126,14 @@ impl Context {
         config.restart = Policy::default();
         config.args = args;
         let spec = TaskSpec {
-            record: record(task, tid, Some(&config), &self.inner.processor.handle),
+            record: record(
+                task,
+                tid,
+                Some(&config),
+                kind.commands_shared(),
+                &self.inner.processor.handle,
+            ),
             config: Some(config),
-            commands: kind.commands_shared(),
             build: kind.builder(),
         };
         Ok((spec, tid))

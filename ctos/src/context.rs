@@ -111,9 +111,7 @@ impl Context {
         chassis: Arc<Chassis>,
         processor: Rc<Processor>,
         config: Option<TaskConfig>,
-        commands: Arc<[CommandInfo]>,
     ) -> Self {
-        record.statistics.takes(commands);
         Self {
             inner: Rc::new(Inner {
                 record,

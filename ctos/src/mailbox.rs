@@ -90,7 +90,8 @@ impl Delivery {
 
 /// The queue of one task, for everybody.
 pub(crate) struct Mailbox {
-    capacity: usize,
+    /// Of each priority.
+    capacity: u32,
     home: Arc<ProcessorHandle>,
     slot: u16,
     closed: AtomicBool,
@@ -108,15 +109,22 @@ fn is_urgent(message: &Message) -> (bool, bool) {
 impl Mailbox {
     /// The queue of the task in `slot` of the processor `home`, with room for `capacity` messages of
     /// each priority.
-    pub(crate) fn new(capacity: usize, home: Arc<ProcessorHandle>, slot: u16) -> Arc<Self> {
-        Arc::new(Self {
-            capacity: capacity.max(1),
+    pub(crate) fn new(capacity: usize, home: Arc<ProcessorHandle>, slot: u16) -> Self {
+        Self {
+            // More messages than that have no memory to be in.
+            capacity: u32::try_from(capacity.max(1)).unwrap_or(u32::MAX),
             home,
             slot,
             closed: AtomicBool::new(false),
             urgent: Room::default(),
             normal: Room::default(),
-        })
+        }
+    }
+
+    /// How many messages of each priority it has room for.
+    #[inline]
+    fn capacity(&self) -> usize {
+        self.capacity as usize
     }
 
     /// Whether the task takes nothing more.
@@ -137,20 +145,20 @@ impl Mailbox {
             urgent: length(&self.urgent),
             normal: length(&self.normal),
             waiting: (self.urgent.waiting() + self.normal.waiting()) as u64,
-            capacity: self.capacity as u64,
+            capacity: self.capacity() as u64,
         }
     }
 
     /// How many messages are in it, on their way to it or wait for room, and how many of each priority
     /// it holds.
     pub(crate) fn depth(&self) -> (usize, usize) {
-        (self.urgent.len() + self.normal.len(), self.capacity)
+        (self.urgent.len() + self.normal.len(), self.capacity())
     }
 
     /// Why a message finds no place.
     pub(crate) fn full(&self) -> Fault {
         Fault::Full {
-            capacity: self.capacity,
+            capacity: self.capacity(),
         }
     }
 
@@ -174,13 +182,13 @@ impl Mailbox {
         let room = self.room(urgent);
         let place = if system {
             Place::Always
-        } else if room.looks_free(self.capacity) {
+        } else if room.looks_free(self.capacity()) {
             Place::Claimed
         } else {
             return Offered::NoRoom(message);
         };
         let delivery = Delivery { message, place };
-        let may = || system || room.claim(self.capacity);
+        let may = || system || room.claim(self.capacity());
         match self.home.bring_message(self.slot, delivery, may) {
             Ok(()) => Offered::Taken,
             Err(Refused::NotNow(delivery)) => Offered::NoRoom(delivery.message),
@@ -201,7 +209,7 @@ impl Mailbox {
     /// Lets a message for which there was no room wait for some.
     pub(crate) fn line_up(&self, message: Message, acceptance: Acceptance) {
         let (urgent, _) = is_urgent(&message);
-        if !self.room(urgent).line_up(self.capacity) {
+        if !self.room(urgent).line_up(self.capacity()) {
             return refuse(message, acceptance, &self.full());
         }
         let delivery = Delivery {

@@ -294,9 +294,10 @@ impl Processor {
     /// allocator of a thread may go to the system for each page (that of glibc does), which takes about as long
     /// as starting the tasks that are in it.
     pub(crate) fn prepare_start(&self) {
-        /// So many tasks at once, and what they take in all, bytes.
-        const STARTS: u32 = 64;
-        const MEMORY: usize = 40 << 10;
+        /// So many tasks at once, and what they take in all, bytes: less than what an allocator makes a mapping
+        /// of its own for, which would be gone when it is given back.
+        const STARTS: u32 = 256;
+        const MEMORY: usize = 112 << 10;
         let starts = self.starts.get().wrapping_add(1);
         self.starts.set(starts);
         if starts.is_multiple_of(STARTS) {

@@ -44,6 +44,7 @@ pub(crate) fn record(
     name: &str,
     tid: Tid,
     config: Option<&TaskConfig>,
+    commands: Arc<[CommandInfo]>,
     processor: &Arc<ProcessorHandle>,
 ) -> Arc<TaskRecord> {
     let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
@@ -51,7 +52,7 @@ pub(crate) fn record(
         name: name.into(),
         tid,
         mailbox: Mailbox::new(capacity, processor.clone(), tid.slot()),
-        statistics: TaskStatistics::default(),
+        statistics: TaskStatistics::of(commands),
     })
 }
 
@@ -59,7 +60,6 @@ pub(crate) fn record(
 pub(crate) struct TaskSpec {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) config: Option<TaskConfig>,
-    pub(crate) commands: Arc<[CommandInfo]>,
     pub(crate) build: Build,
 }
 
@@ -130,18 +130,17 @@ pub(crate) fn start_at(
         chassis.clone(),
         processor.clone(),
         spec.config,
-        spec.commands,
     );
     let handler = build_contained(&spec.build, &cx)?;
-    let record = spec.record;
+    let (record, tid) = (spec.record, cx.tid());
     let gates = match &origin {
         Origin::Boot | Origin::StartedBy(_) => BTreeSet::new(),
         Origin::Moved(_) => chassis.others().chain([chassis.index()]).collect(),
     };
-    let queue = TaskQueue::gated(record.mailbox.clone(), gates);
-    processor.add_queue(record.tid.slot(), queue.clone());
-    chassis.add_task(record.clone());
-    chassis.tap.built(record.tid, &record.name, cx.commands());
+    let queue = TaskQueue::gated(record.clone(), gates);
+    processor.add_queue(tid.slot(), queue.clone());
+    chassis.add_task(record);
+    chassis.tap.built(tid, &cx.inner.record.name, cx.commands());
     let (parent, arrival) = match origin {
         Origin::Boot => (None, None),
         Origin::StartedBy(parent) => (Some(parent), None),

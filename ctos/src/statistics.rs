@@ -23,7 +23,7 @@ use crate::{
 /// What is known of one task: nothing, until it has something to do.
 #[derive(Debug, Default)]
 pub(crate) struct TaskStatistics {
-    commands: OnceLock<Arc<[CommandInfo]>>,
+    commands: Arc<[CommandInfo]>,
     /// Made when there is something to count: of very many tasks most may be idle.
     activity: OnceLock<Arc<Activity>>,
 }
@@ -77,20 +77,22 @@ pub struct TaskCounters {
 }
 
 impl TaskStatistics {
-    /// The task takes these commands, which are counted one by one.
-    pub(crate) fn takes(&self, commands: Arc<[CommandInfo]>) {
-        // Once: a task takes the same commands as long as it lives.
-        let _ = self.commands.set(commands);
+    /// Of a task that takes these commands, which are counted one by one.
+    pub(crate) fn of(commands: Arc<[CommandInfo]>) -> Self {
+        Self {
+            commands,
+            activity: OnceLock::new(),
+        }
     }
 
     /// The commands that the task takes.
     pub(crate) fn commands(&self) -> &[CommandInfo] {
-        self.commands.get().map_or(&[], |commands| commands)
+        &self.commands
     }
 
     fn blank(&self) -> Activity {
         Activity {
-            meter: TaskMeter::of(self.commands.get().cloned().unwrap_or_default()),
+            meter: TaskMeter::of(self.commands.clone()),
             ..Activity::default()
         }
     }

@@ -335,9 +335,8 @@ impl Chassis {
                 None => Offer::Nobody(message),
             };
         }
-        let find = || self.task(to).map(|task| task.mailbox.clone());
-        match processor.route(to, find) {
-            Some(mailbox) => Offer::Done(mailbox.offer_from_afar(message)),
+        match processor.route(to, || self.task(to)) {
+            Some(task) => Offer::Done(task.mailbox.offer_from_afar(message)),
             None => Offer::Nobody(message),
         }
     }

@@ -8,8 +8,25 @@ use crate::{mailbox::Mailbox, message::Tid, statistics::TaskStatistics};
 pub(crate) struct TaskRecord {
     pub(crate) name: Arc<str>,
     pub(crate) tid: Tid,
-    pub(crate) mailbox: Arc<Mailbox>,
+    pub(crate) mailbox: Mailbox,
     pub(crate) statistics: TaskStatistics,
+}
+
+#[cfg(test)]
+impl TaskRecord {
+    /// One with room for `capacity` messages, in `slot` of the processor `home`.
+    pub(crate) fn with_room(
+        capacity: usize,
+        home: Arc<crate::processor::ProcessorHandle>,
+        slot: u16,
+    ) -> Arc<Self> {
+        Arc::new(Self {
+            name: "t".into(),
+            tid: Tid::new(1, 1, slot),
+            mailbox: Mailbox::new(capacity, home, slot),
+            statistics: TaskStatistics::default(),
+        })
+    }
 }
 
 /// Tasks by processor and slot.

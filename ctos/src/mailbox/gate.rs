@@ -75,13 +75,13 @@ impl TaskQueue {
         let interrupting = interrupting.filter(|command| interrupts(*command));
         self.interruptions
             .set(u32::try_from(interrupting.count()).unwrap_or(u32::MAX));
-        self.mailbox.urgent.set_held(lanes.urgent.queue.len());
-        self.mailbox.normal.set_held(lanes.normal.queue.len());
+        self.task.mailbox.urgent.set_held(lanes.urgent.queue.len());
+        self.task.mailbox.normal.set_held(lanes.normal.queue.len());
     }
 
     /// From now on messages of tasks wait and are not taken; those of the runtime are.
     pub(crate) fn hold(&self) {
-        self.mailbox.shut(true);
+        self.task.mailbox.shut(true);
         self.lanes().held = true;
     }
 
@@ -96,9 +96,9 @@ impl TaskQueue {
         let mut admitted = Vec::new();
         let mut given_up = Vec::new();
         for urgent in [true, false] {
-            let room = self.mailbox.room(urgent);
+            let room = self.task.mailbox.room(urgent);
             let lane = lanes.lane(urgent);
-            while lane.queue.len() < self.mailbox.capacity
+            while lane.queue.len() < self.task.mailbox.capacity()
                 && let Some((message, acceptance)) = lane.waiting.pop_front()
             {
                 room.leave_line();
@@ -112,7 +112,7 @@ impl TaskQueue {
         }
         self.recount(&lanes);
         drop(lanes);
-        self.mailbox.shut(false);
+        self.task.mailbox.shut(false);
         drop(given_up);
         for acceptance in admitted {
             acceptance.tell(Ok(()));
@@ -136,13 +136,13 @@ impl TaskQueue {
     /// task, and awaited by nobody else.
     pub(crate) async fn next_held(&self) -> Option<Vec<(Message, Acceptance)>> {
         poll_fn(|_| {
-            if self.mailbox.is_closed() {
+            if self.task.mailbox.is_closed() {
                 return Poll::Ready(None);
             }
             let mut lanes = self.lanes();
             let mut all = Vec::new();
             for urgent in [true, false] {
-                let room = self.mailbox.room(urgent);
+                let room = self.task.mailbox.room(urgent);
                 let lane = lanes.lane(urgent);
                 let queued = lane.queue.drain(..);
                 all.extend(queued.map(|message| (message, Acceptance::Silent)));
@@ -194,11 +194,11 @@ impl TaskQueue {
             let (urgent, _) = is_urgent(&message);
             let lane = lanes.lane(urgent);
             // Those beyond the room wait. They are bounded already: the gate holds no more than may wait.
-            if !lane.is_full(self.mailbox.capacity) {
+            if !lane.is_full(self.task.mailbox.capacity()) {
                 lane.queue.push_back(message);
                 admitted.push(acceptance);
             } else {
-                self.mailbox.room(urgent).join_line();
+                self.task.mailbox.room(urgent).join_line();
                 lane.waiting.push_back((message, acceptance));
             }
         }
@@ -206,7 +206,7 @@ impl TaskQueue {
         let held = lanes.held;
         drop(lanes);
         if all_open && !held {
-            self.mailbox.shut(false);
+            self.task.mailbox.shut(false);
         }
         drop(given_up);
         for acceptance in admitted {

@@ -9,9 +9,10 @@ use std::{
     task::Poll,
 };
 
-use super::{Acceptance, Delivery, Mailbox, Offered, Place, gate::Gate, is_urgent, refuse};
+use super::{Acceptance, Delivery, Offered, Place, gate::Gate, is_urgent, refuse};
 use crate::{
     call::Fault,
+    chassis::TaskRecord,
     message::{Command, Message, SYSTEM_COMMANDS},
     processor::{FutureId, Processor},
     room::{Room, most_waiting},
@@ -146,7 +147,8 @@ pub(crate) struct TaskQueue {
     lanes: RefCell<Option<Box<Lanes>>>,
     /// The message that an idle task has its turn for at once, from before that until it takes it.
     handed: Cell<Option<Message>>,
-    pub(super) mailbox: Arc<Mailbox>,
+    /// Whose it is.
+    pub(super) task: Arc<TaskRecord>,
     /// The future that is the task's loop; none while the task rests.
     runner: Cell<Option<FutureId>>,
     /// What is left of the task while it rests. Here and not behind a pointer: a chassis may have very many tasks.
@@ -161,15 +163,15 @@ pub(crate) struct TaskQueue {
 }
 
 impl TaskQueue {
-    /// The queue behind `mailbox`.
+    /// The queue behind the mailbox of `task`.
     #[cfg(test)]
-    pub(crate) fn new(mailbox: Arc<Mailbox>) -> Rc<Self> {
-        Self::gated(mailbox, BTreeSet::new())
+    pub(crate) fn new(task: Arc<TaskRecord>) -> Rc<Self> {
+        Self::gated(task, BTreeSet::new())
     }
 
-    /// The queue behind `mailbox`, which keeps what comes straight from the chassis `closed` until their gates
+    /// The queue behind the mailbox of `task`, which keeps what comes straight from the chassis `closed` until their gates
     /// are opened.
-    pub(crate) fn gated(mailbox: Arc<Mailbox>, closed: BTreeSet<u8>) -> Rc<Self> {
+    pub(crate) fn gated(task: Arc<TaskRecord>, closed: BTreeSet<u8>) -> Rc<Self> {
         let gated = (!closed.is_empty()).then(|| {
             let gate = Gate {
                 closed,
@@ -183,7 +185,7 @@ impl TaskQueue {
         Rc::new(Self {
             lanes: RefCell::new(gated),
             handed: Cell::new(None),
-            mailbox,
+            task,
             runner: Cell::new(None),
             resting: Cell::new(None),
             waits_for: Cell::new(WaitsFor::Nothing),
@@ -279,7 +281,7 @@ impl TaskQueue {
         message: Message,
         meter: &TaskMeter,
     ) -> Result<(), Message> {
-        let idle = self.waits_for.get() == WaitsFor::Message && !self.mailbox.is_closed();
+        let idle = self.waits_for.get() == WaitsFor::Message && !self.task.mailbox.is_closed();
         let Some(runner) = self.runner.get().filter(|_| idle && self.is_unused()) else {
             return Err(message);
         };
@@ -305,17 +307,17 @@ impl TaskQueue {
     /// Puts a message in if there is room now; its command.
     #[inline]
     fn put_in(&self, message: Message) -> Result<u16, Offered> {
-        if self.mailbox.is_closed() {
+        if self.task.mailbox.is_closed() {
             return Err(Offered::Closed(message));
         }
         let (urgent, system) = is_urgent(&message);
-        let room = self.mailbox.room(urgent);
+        let room = self.task.mailbox.room(urgent);
         let command = message.command();
         let mut lanes = self.lanes();
         let gated = lanes.gate.as_ref().is_some_and(|gate| gate.keeps(&message));
         let kept = gated || (lanes.held && !system);
         let lane = lanes.lane(urgent);
-        if kept || (!system && lane.is_full(self.mailbox.capacity)) {
+        if kept || (!system && lane.is_full(self.task.mailbox.capacity())) {
             return Err(Offered::NoRoom(message));
         }
         lane.push(message, room);
@@ -324,13 +326,13 @@ impl TaskQueue {
 
     /// Takes in a message from another thread, or one that waits for room. [`Self::end_batch`] must follow.
     pub(crate) fn take_in(self: &Rc<Self>, processor: &Processor, delivery: Delivery) {
-        if self.mailbox.is_closed() {
+        if self.task.mailbox.is_closed() {
             return delivery.refuse();
         }
         let Delivery { message, place } = delivery;
         message.letter.glance();
         let (urgent, _) = is_urgent(&message);
-        let room = self.mailbox.room(urgent);
+        let room = self.task.mailbox.room(urgent);
         let command = message.command();
         let mut lanes = self.lanes();
         let Lanes { held, gate, .. } = &mut *lanes;
@@ -347,15 +349,15 @@ impl TaskQueue {
                     *acceptance
                 }
             };
-            if gate.held.len() < most_waiting(self.mailbox.capacity) {
+            if gate.held.len() < most_waiting(self.task.mailbox.capacity()) {
                 return gate.held.push((message, acceptance));
             }
             drop(lanes);
-            return refuse(message, acceptance, &self.mailbox.full());
+            return refuse(message, acceptance, &self.task.mailbox.full());
         }
         let lane = lanes.lane(urgent);
         match place {
-            Place::Waits(acceptance) if held || lane.is_full(self.mailbox.capacity) => {
+            Place::Waits(acceptance) if held || lane.is_full(self.task.mailbox.capacity()) => {
                 lane.waiting.push_back((message, *acceptance));
                 drop(lanes);
                 if held {
@@ -390,7 +392,9 @@ impl TaskQueue {
     pub(crate) fn end_batch(&self) {
         let mut lanes = self.lanes();
         for urgent in [true, false] {
-            lanes.lane(urgent).tell_arrived(self.mailbox.room(urgent));
+            lanes
+                .lane(urgent)
+                .tell_arrived(self.task.mailbox.room(urgent));
         }
         let admitted = Admitted {
             admitted: std::mem::take(&mut lanes.told_later),
@@ -453,13 +457,13 @@ impl TaskQueue {
         let mut all = self.lanes.borrow_mut();
         let lanes = all.as_deref_mut()?;
         let urgent = !lanes.urgent.queue.is_empty();
-        let room = self.mailbox.room(urgent);
+        let room = self.task.mailbox.room(urgent);
         let lane = lanes.lane(urgent);
         let message = lane.queue.pop_front()?;
         let others_wait = !lane.waiting.is_empty();
         if !others_wait {
             let left = lane.queue.len().saturating_sub(lane.arrived);
-            room.took(left, self.mailbox.capacity);
+            room.took(left, self.task.mailbox.capacity());
         }
         drop(all);
         if interrupts(message.command()) {
@@ -479,7 +483,7 @@ impl TaskQueue {
         let lets_wait = {
             let lanes = self.lanes();
             let Lanes { urgent, normal, .. } = &*lanes;
-            let capacity = self.mailbox.capacity;
+            let capacity = self.task.mailbox.capacity();
             let is_nearly_full = |lane: &Lane| {
                 let free = capacity.saturating_sub(lane.queue.len());
                 lane.waiting.is_empty() || free < capacity / 16
@@ -499,10 +503,10 @@ impl TaskQueue {
         let mut lanes = self.lanes();
         let may = !lanes.held;
         for urgent in [true, false] {
-            let room = self.mailbox.room(urgent);
+            let room = self.task.mailbox.room(urgent);
             let lane = lanes.lane(urgent);
             if may {
-                lane.admit(self.mailbox.capacity, room, &mut admitted);
+                lane.admit(self.task.mailbox.capacity(), room, &mut admitted);
             }
             room.set_held(lane.queue.len().saturating_sub(lane.arrived));
         }
@@ -514,7 +518,7 @@ impl TaskQueue {
     /// of the task, which is woken when there is one, and polled by nobody else.
     #[inline(always)]
     pub(crate) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
-        if self.mailbox.is_closed() {
+        if self.task.mailbox.is_closed() {
             return Poll::Ready(());
         }
         *next = self.take();
@@ -529,7 +533,7 @@ impl TaskQueue {
     /// there is none, the task's loop is woken when there is one of those. `Err` when the queue is closed.
     #[inline]
     fn look_for(&self, wanted: fn(u16) -> bool) -> Result<Option<u16>, ()> {
-        if self.mailbox.is_closed() {
+        if self.task.mailbox.is_closed() {
             return Err(());
         }
         if self.interruptions.get() > 0 {
@@ -571,7 +575,7 @@ impl TaskQueue {
 
     /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
     pub(crate) fn close(self: &Rc<Self>, processor: &Processor) {
-        self.mailbox.closed.store(true, Ordering::Release);
+        self.task.mailbox.closed.store(true, Ordering::Release);
         let lanes = self.lanes.take().map(|lanes| *lanes);
         let Lanes {
             urgent,

@@ -15,6 +15,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::{
     call::{Answer, Promise, Waiting},
+    chassis::TaskRecord,
     exchange::{CallKey, Looked},
     message::{Command, Tid},
     system::StopTask,
@@ -41,7 +42,7 @@ struct Bench {
     processor: Rc<Processor>,
     /// The senders'.
     caller: Rc<Processor>,
-    mailbox: Arc<Mailbox>,
+    task: Arc<TaskRecord>,
     queue: Rc<TaskQueue>,
 }
 
@@ -70,14 +71,14 @@ impl Bench {
             Senders::Here => processor.clone(),
             Senders::Afar => Processor::new(Arc::default(), clock),
         };
-        let mailbox = Mailbox::new(capacity, processor.handle.clone(), 0);
-        let queue = TaskQueue::new(mailbox.clone());
+        let task = TaskRecord::with_room(capacity, processor.handle.clone(), 0);
+        let queue = TaskQueue::new(task.clone());
         processor.add_queue(0, queue.clone());
         caller.enter();
         Self {
             processor,
             caller,
-            mailbox,
+            task,
             queue,
         }
     }
@@ -90,22 +91,22 @@ impl Bench {
     }
 
     fn send(&self, message: Message) {
-        self.mailbox.put(message, Acceptance::Silent);
+        self.task.mailbox.put(message, Acceptance::Silent);
     }
 
     fn waiting_send(&self, message: Message) -> Waiter {
         let ticket = self.caller.begin_call(Duration::from_secs(1));
         let key = ticket.key();
         let told = Acceptance::Told(ReplySlot::call(ticket));
-        self.mailbox.put(message, told);
+        self.task.mailbox.put(message, told);
         let caller = self.caller.clone();
         Waiter { caller, key }
     }
 
     fn try_send(&self, message: Message) -> Result<(), Fault> {
-        match self.mailbox.offer(message) {
+        match self.task.mailbox.offer(message) {
             Offered::Taken => Ok(()),
-            Offered::NoRoom(_) => Err(self.mailbox.full()),
+            Offered::NoRoom(_) => Err(self.task.mailbox.full()),
             Offered::Closed(_) => Err(Fault::Stopping),
         }
     }
@@ -175,13 +176,13 @@ fn senders_wait_for_room_and_are_told_in_order() {
 
 /// Notes, when it is woken, how many senders are in line.
 struct NotesWaiting {
-    mailbox: Arc<Mailbox>,
+    task: Arc<TaskRecord>,
     waiting: AtomicU64,
 }
 
 impl Wake for NotesWaiting {
     fn wake(self: Arc<Self>) {
-        let waiting = self.mailbox.lengths().waiting;
+        let waiting = self.task.mailbox.lengths().waiting;
         self.waiting.store(waiting, Ordering::SeqCst);
     }
 }
@@ -197,9 +198,9 @@ fn who_is_told_that_there_was_room_finds_nobody_in_line_that_came_with_it() {
         .map(|number| {
             let promise = Arc::new(Promise::default());
             let told = Acceptance::Told(ReplySlot::local(promise.clone()));
-            bench.mailbox.put(message(number, Flags::NONE), told);
+            bench.task.mailbox.put(message(number, Flags::NONE), told);
             let notes = Arc::new(NotesWaiting {
-                mailbox: bench.mailbox.clone(),
+                task: bench.task.clone(),
                 waiting: AtomicU64::new(u64::MAX),
             });
             let mut waiting = Waiting::here(promise);
@@ -261,7 +262,7 @@ fn whatever_waits_when_the_task_ends_is_answered() {
         let mut question = message(3, Flags::HIGH_PRIORITY);
         question.letter.reply = Some(ReplySlot::call(call));
         bench.send(question);
-        bench.mailbox.close();
+        bench.task.mailbox.close();
         bench.settle();
         bench.settle();
         assert_eq!(waiter.answer().unwrap().unwrap_err(), Fault::Stopping);
@@ -468,6 +469,6 @@ proptest! {
             .count();
         prop_assert!(received.windows(2).all(|pair| pair[0] < pair[1]));
         prop_assert_eq!(received.len() + refused, count as usize);
-        prop_assert_eq!(bench.mailbox.depth().0, 0);
+        prop_assert_eq!(bench.task.mailbox.depth().0, 0);
     }
 }

@@ -132,12 +132,17 @@ fn make_place(
     let new = Tid::new(chassis.index(), request.processor, slot);
     chassis.name().clone_into(&mut config.chassis);
     name.clone_into(&mut config.processor);
-    let record = record(&request.name, new, Some(&config), processor);
+    let record = record(
+        &request.name,
+        new,
+        Some(&config),
+        kind.commands_shared(),
+        processor,
+    );
     record.mailbox.close_gates();
     let spec = TaskSpec {
         record,
         config: Some(config),
-        commands: kind.commands_shared(),
         build: kind.builder(),
     };
     let (ready, readied) = oneshot::channel();

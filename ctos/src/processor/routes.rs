@@ -3,14 +3,14 @@
 //! count owners in memory that other cores count in, too.
 
 use std::{
-    cell::{Ref, RefCell},
+    cell::{Cell, Ref, RefCell},
     sync::Arc,
 };
 
 use super::{Processor, ProcessorHandle, handle::Item};
 use crate::{
+    chassis::TaskRecord,
     exchange::{Brought, Ticket},
-    mailbox::Mailbox,
     message::Tid,
 };
 
@@ -19,7 +19,11 @@ type ByTask<T> = RefCell<Vec<Vec<Option<T>>>>;
 
 #[derive(Default)]
 pub(super) struct Routes {
-    queues: ByTask<Arc<Mailbox>>,
+    tasks: ByTask<Arc<TaskRecord>>,
+    /// How many tasks were noted since those that had ended were forgotten, those that were left included, and
+    /// at how many that is done again.
+    noted: Cell<usize>,
+    forget_at: Cell<usize>,
     names: ByTask<Arc<str>>,
     /// The processors that were given answers.
     homes: RefCell<Vec<Arc<ProcessorHandle>>>,
@@ -27,9 +31,35 @@ pub(super) struct Routes {
 
 impl Routes {
     pub(super) fn clear(&self) {
-        self.queues.borrow_mut().clear();
+        self.tasks.borrow_mut().clear();
         self.names.borrow_mut().clear();
         self.homes.borrow_mut().clear();
+    }
+
+    /// Notes a task, if there is one.
+    #[cold]
+    fn note_task(&self, of: Tid, task: Option<Arc<TaskRecord>>) {
+        if self.noted.get() >= self.forget_at.get() {
+            self.forget_ended();
+        }
+        note(&self.tasks, of, task);
+        self.noted.set(self.noted.get() + 1);
+    }
+
+    /// Lets go of the tasks that have ended, most of which nobody asks for again.
+    fn forget_ended(&self) {
+        /// As few as these are left where they are.
+        const FEW: usize = 64;
+        let mut ended = Vec::new();
+        let mut left = 0;
+        for place in self.tasks.borrow_mut().iter_mut().flatten() {
+            match place.take_if(|task| task.mailbox.is_closed()) {
+                Some(task) => ended.push(task),
+                None => left += usize::from(place.is_some()),
+            }
+        }
+        self.noted.set(left);
+        self.forget_at.set(2 * left + FEW);
     }
 }
 
@@ -63,24 +93,24 @@ fn note<T>(all: &ByTask<T>, of: Tid, what: Option<T>) {
 }
 
 impl Processor {
-    /// The open queue of `to`, a task of another processor of this chassis; `find` is asked when it
+    /// `to`, if its queue is open: a task of another processor of this chassis; `find` is asked when it
     /// is not known here.
     #[inline]
     pub(crate) fn route(
         &self,
         to: Tid,
-        find: impl FnOnce() -> Option<Arc<Mailbox>>,
-    ) -> Option<Ref<'_, Arc<Mailbox>>> {
-        let queues = &self.routes.queues;
-        let open = |queue: &&Arc<Mailbox>| !queue.is_closed();
-        let known = Ref::filter_map(queues.borrow(), |all| noted(all, to).filter(open));
+        find: impl FnOnce() -> Option<Arc<TaskRecord>>,
+    ) -> Option<Ref<'_, Arc<TaskRecord>>> {
+        let tasks = &self.routes.tasks;
+        let open = |task: &&Arc<TaskRecord>| !task.mailbox.is_closed();
+        let known = Ref::filter_map(tasks.borrow(), |all| noted(all, to).filter(open));
         match known {
             Ok(known) => return Some(known),
             // Not known, or closed; the cell is free again.
             Err(all) => drop(all),
         }
-        note(queues, to, find());
-        Ref::filter_map(queues.borrow(), |all| noted(all, to)).ok()
+        self.routes.note_task(to, find());
+        Ref::filter_map(tasks.borrow(), |all| noted(all, to)).ok()
     }
 
     /// Brings the answer to a call of another processor.
@@ -116,5 +146,36 @@ impl Processor {
     /// The name that [`Self::knows_far_name`] was told of.
     pub(crate) fn far_name(&self, of: Tid) -> Option<Arc<str>> {
         noted(&self.routes.names.borrow(), of).cloned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::rc::Rc;
+
+    use super::*;
+    use crate::time::Clock;
+
+    #[test]
+    fn of_tasks_that_were_sent_to_and_have_ended_few_are_kept() {
+        let clock = Clock::virtual_clock();
+        let here: Rc<Processor> = Processor::new(Arc::default(), clock);
+        let home: Arc<ProcessorHandle> = Arc::new(ProcessorHandle::new(1));
+        let mut ended = Vec::new();
+        for slot in 0..1000 {
+            let task = TaskRecord::with_room(1, home.clone(), slot);
+            assert!(here.route(task.tid, || Some(task.clone())).is_some());
+            let lives_on = slot % 100 == 0;
+            if !lives_on {
+                task.mailbox.close();
+                ended.push(Arc::downgrade(&task));
+            }
+        }
+        let kept = ended.iter().filter(|task| task.strong_count() > 0);
+        assert!(kept.count() < 100);
+        for slot in (0..1000).step_by(100) {
+            let nobody = || panic!("it is known");
+            assert!(here.route(Tid::new(1, 1, slot), nobody).is_some());
+        }
     }
 }

@@ -25,7 +25,7 @@ use crate::{
     mailbox::Acceptance,
     message::{Data, Flags, Message},
     processor::Processor,
-    registry::Registry,
+    registry::{HandlerKind, Registry},
     runner::{TaskSpec, record as task_record, start_task},
     time::{Clock, Instant},
 };
@@ -212,8 +212,12 @@ pub fn replay(
         .ok_or_else(|| ReplayError::Incomplete {
             reason: "its chassis has no processor".to_owned(),
         })?;
+    // Without a kind it is not built.
+    let kind = chassis.registry.kind(&config.handler);
+    let commands = kind.map_or_else(Arc::default, HandlerKind::commands_shared);
+    let handle = &processor.handle;
     let stage = Stage {
-        task: task_record(task, script.tid, Some(&config), &processor.handle),
+        task: task_record(task, script.tid, Some(&config), commands, handle),
         config,
         chassis,
         processor,
@@ -287,7 +291,6 @@ impl Stage {
         let spec = TaskSpec {
             record: self.task.clone(),
             config: Some(self.config.clone()),
-            commands: kind.commands_shared(),
             build: kind.builder(),
         };
         start_task(&self.chassis, &self.processor, spec)

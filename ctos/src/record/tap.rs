@@ -459,13 +459,13 @@ impl Tap {
 
     /// A task of this chassis was built, which takes `commands`.
     pub(crate) fn built(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
-        let recorders = self.recorders();
-        for recorder in &recorders {
+        if !self.is_recording() {
+            return;
+        }
+        for recorder in self.recorders() {
             recorder.named(task, name, commands);
         }
-        if !recorders.is_empty() {
-            self.phase(task, None);
-        }
+        self.phase(task, None);
     }
 
     /// A task used something that no message brings it, so that no record holds it.

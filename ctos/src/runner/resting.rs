@@ -15,10 +15,30 @@ use crate::{
 
 /// What is kept of a task that rests: its handler, and how to go on.
 pub(crate) struct Resting {
-    inner: Rc<Inner>,
+    place: Place,
     build: Build,
     handler: Box<dyn DynHandler>,
     rare: Option<Box<Rare>>,
+}
+
+/// What the context of a task stands for.
+enum Place {
+    /// Nobody has a context: in place, which is less memory than a piece of its own.
+    InPlace(Inner),
+    Shared(Rc<Inner>),
+}
+
+impl Place {
+    fn of(inner: Rc<Inner>) -> Self {
+        Rc::try_unwrap(inner).map_or_else(Self::Shared, Self::InPlace)
+    }
+
+    fn shared(self) -> Rc<Inner> {
+        match self {
+            Self::InPlace(inner) => Rc::new(inner),
+            Self::Shared(inner) => inner,
+        }
+    }
 }
 
 /// What few tasks have.
@@ -42,7 +62,7 @@ impl Resting {
             parent: Some(parent),
         });
         Self {
-            inner: cx.inner,
+            place: Place::of(cx.inner),
             build,
             handler,
             rare: rare.map(Box::new),
@@ -52,11 +72,12 @@ impl Resting {
     /// Begins the loop of the task, which takes its messages out of `queue`.
     pub(crate) fn begin(self, queue: &Rc<TaskQueue>, arrival: Option<Box<Arrival>>) -> FutureId {
         let Self {
-            inner,
+            place,
             build,
             handler,
             rare,
         } = self;
+        let inner = place.shared();
         let phase = inner.phase.get();
         let cx = Context::of(inner);
         let record = cx.inner.record.clone();
@@ -114,7 +135,7 @@ impl Runner {
         let is_rare = rare.restarts.is_some() || rare.kept.is_some() || rare.parent.is_some();
         self.cx.inner.phase.set(self.phase);
         self.queue.rest(Resting {
-            inner: self.cx.inner.clone(),
+            place: Place::Shared(self.cx.inner.clone()),
             build: self.build.clone(),
             handler,
             rare: is_rare.then(|| Box::new(rare)),

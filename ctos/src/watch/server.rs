@@ -65,8 +65,8 @@ pub(crate) async fn serve(
     let home = chassis.clone();
     if let Some((_, processor)) = chassis.processors.first() {
         processor.inject(move |processor| {
-            let asker = record("metrics", ASKER, None, &processor.handle);
-            let cx = Context::new(asker, home, processor.clone(), None, Arc::default());
+            let asker = record("metrics", ASKER, None, Arc::default(), &processor.handle);
+            let cx = Context::new(asker, home, processor.clone(), None);
             processor.spawn(answer(cx, asked), None);
         });
     }

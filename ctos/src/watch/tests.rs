@@ -157,12 +157,12 @@ mod real {
             "arm",
             Tid::new(1, 1, 0),
             Some(&config),
+            Arc::new([Block::INFO]),
             &chassis.processors[1].1,
         );
         let spec = TaskSpec {
             record: task.clone(),
             config: Some(config),
-            commands: Arc::new([Block::INFO]),
             build,
         };
         let home = chassis.clone();

@@ -97,7 +97,7 @@ async fn take_all(queue: Rc<TaskQueue>, seed: u64, taken: Arc<Mutex<Vec<Label>>>
 }
 
 /// Sends all messages of one sender in all ways; what became of each.
-async fn send_all(here: Rc<Processor>, mailbox: Arc<Mailbox>, sender: u32, seed: u64) -> Outcomes {
+async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed: u64) -> Outcomes {
     let mut rng = ChaCha8Rng::seed_from_u64(seed * 1000 + u64::from(sender));
     let mut outcomes = Outcomes::new();
     let mut under_way = VecDeque::new();
@@ -106,9 +106,9 @@ async fn send_all(here: Rc<Processor>, mailbox: Arc<Mailbox>, sender: u32, seed:
         let mut message = labelled(label);
         let way = [Way::Try, Way::Send, Way::Call][rng.random_range(0..3)];
         if way == Way::Try {
-            let result = match mailbox.offer(message) {
+            let result = match task.mailbox.offer(message) {
                 Offered::Taken => Ok(()),
-                Offered::NoRoom(_) => Err(mailbox.full()),
+                Offered::NoRoom(_) => Err(task.mailbox.full()),
                 Offered::Closed(_) => Err(Fault::Stopping),
             };
             outcomes.insert(label, (way, result));
@@ -119,9 +119,9 @@ async fn send_all(here: Rc<Processor>, mailbox: Arc<Mailbox>, sender: u32, seed:
         let slot = ReplySlot::call(ticket);
         if way == Way::Call {
             message.letter.reply = Some(slot);
-            mailbox.put(message, Acceptance::Silent);
+            task.mailbox.put(message, Acceptance::Silent);
         } else {
-            mailbox.put(message, Acceptance::Told(slot));
+            task.mailbox.put(message, Acceptance::Told(slot));
         }
         under_way.push_back((label, way, key));
         if under_way.len() > rng.random_range(0..6) {
@@ -140,10 +140,10 @@ async fn send_all(here: Rc<Processor>, mailbox: Arc<Mailbox>, sender: u32, seed:
 /// `dies_after`, or when all is sent.
 fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, Outcomes) {
     let home = Arc::new(ProcessorHandle::new(0));
-    let mailbox = Mailbox::new(capacity, home.clone(), 0);
+    let task = TaskRecord::with_room(capacity, home.clone(), 0);
     let taken: Arc<Mutex<Vec<Label>>> = Arc::default();
     let outcomes: Arc<Mutex<Outcomes>> = Arc::default();
-    let (at_work, log, its) = (home.clone(), taken.clone(), mailbox.clone());
+    let (at_work, log, its) = (home.clone(), taken.clone(), task.clone());
     let receiver = std::thread::spawn(move || {
         let processor = Processor::new(at_work, Clock::real());
         let queue = TaskQueue::new(its);
@@ -154,13 +154,13 @@ fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, 
     });
     let left = Arc::new(AtomicUsize::new(SENDERS as usize));
     let senders = (0..SENDERS).map(|sender| {
-        let (mailbox, outcomes, left) = (mailbox.clone(), outcomes.clone(), left.clone());
+        let (task, outcomes, left) = (task.clone(), outcomes.clone(), left.clone());
         std::thread::spawn(move || {
             let handle = Arc::new(ProcessorHandle::new(1));
             let processor = Processor::new(handle.clone(), Clock::real());
             let here = processor.clone();
             let work = async move {
-                let all = send_all(here, mailbox, sender, seed).await;
+                let all = send_all(here, task, sender, seed).await;
                 lock(&outcomes).extend(all);
                 left.fetch_sub(1, Ordering::AcqRel);
                 handle.stop();
@@ -174,20 +174,20 @@ fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, 
         while lock(&taken).len() < dies_after && left.load(Ordering::Acquire) > 0 {
             std::thread::yield_now();
         }
-        mailbox.close();
+        task.mailbox.close();
     }
     for sender in senders {
         sender.join().unwrap();
     }
     // What was taken and is not waited for is in the queue at the latest now.
     let (empty, done) = std::sync::mpsc::channel::<()>();
-    let all_taken = mailbox.clone();
+    let all_taken = task.clone();
     home.inject(move |_| drop(empty));
     assert!(done.recv().is_err());
-    while dies_after.is_none() && all_taken.depth().0 > 0 {
+    while dies_after.is_none() && all_taken.mailbox.depth().0 > 0 {
         std::thread::yield_now();
     }
-    mailbox.close();
+    task.mailbox.close();
     home.stop();
     receiver.join().unwrap();
     let taken = std::mem::take(&mut *lock(&taken));

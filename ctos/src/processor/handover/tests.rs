@@ -27,7 +27,7 @@ use crate::{
     chassis::{Chassis, TaskRecord},
     config::{App, load_texts},
     context::{Context, TaskRef},
-    mailbox::{Mailbox, Offered, TaskQueue},
+    mailbox::{Offered, TaskQueue},
     message::{Command, Message, Tid},
     record::{Recording, start},
     registry::Registry,
@@ -235,13 +235,15 @@ impl Bench {
         let kind = chassis.registry.kind("worker").unwrap();
         let records: Vec<_> = tasks
             .iter()
-            .map(|task| record(task.name(), task.tid(), None, &processor.handle))
+            .map(|task| {
+                let commands = kind.commands_shared();
+                record(task.name(), task.tid(), None, commands, &processor.handle)
+            })
             .collect();
         for record in &records {
             let spec = TaskSpec {
                 record: record.clone(),
                 config: None,
-                commands: kind.commands_shared(),
                 build: kind.builder(),
             };
             start_task(&chassis, &processor, spec).unwrap();
@@ -281,9 +283,9 @@ impl Bench {
     /// A context that calls from outside of the tasks.
     fn caller(&self, slot: u16) -> Context {
         let tid = Tid::new(1, 1, slot);
-        let record = record("caller", tid, None, &self.processor.handle);
+        let record = record("caller", tid, None, Arc::default(), &self.processor.handle);
         let (chassis, processor) = (self.chassis.clone(), self.processor.clone());
-        Context::new(record, chassis, processor, None, Arc::default())
+        Context::new(record, chassis, processor, None)
     }
 
     /// Begins a call of each of the tasks; the answers come in here.
@@ -491,7 +493,7 @@ fn the_time_of_a_call_that_was_handed_over_runs_as_that_of_any_other() {
 #[test]
 fn what_a_task_does_not_take_in_the_turn_that_it_is_given_waits_in_its_queue() {
     let bench = Bench::new(true);
-    let queue = TaskQueue::new(Mailbox::new(4, bench.processor.handle.clone(), 50));
+    let queue = TaskQueue::new(TaskRecord::with_room(4, bench.processor.handle.clone(), 50));
     let (own, polls) = (queue.clone(), Rc::new(RefCell::new(0)));
     let counted = polls.clone();
     let runner = poll_fn(move |_| {
