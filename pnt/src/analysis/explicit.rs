@@ -37,6 +37,9 @@ const CHUNK_OF_SEVERAL: usize = if cfg!(test) { 4 } else { 1 << 17 };
 const PARALLEL_FROM: usize = if cfg!(test) { 4 } else { 1 << 15 };
 const PARALLEL_LEVEL: usize = if cfg!(test) { 2 } else { 1 << 12 };
 
+/// Markings from which on it pays to look conditions up.
+const LOOKED_UP_FROM: usize = if cfg!(test) { 4 } else { 1 << 10 };
+
 /// Numbers that a thread gets at most beyond those that it waits for.
 const MORE: usize = 1 << 10;
 
@@ -219,6 +222,9 @@ impl<'a> Search<'a> {
                 return Some(Stopped::Growth);
             }
             self.level += 1;
+            if self.markings() >= LOOKED_UP_FROM {
+                self.rules.look_up();
+            }
             let threads = self.limits.threads;
             if self.workers.len() < threads && self.markings() >= PARALLEL_FROM {
                 let more = (self.workers.len()..threads).map(|n| Worker::new(n, &self.rules));

@@ -11,7 +11,7 @@ use std::{
 use super::{
     super::{
         compare::{Compare, at_most},
-        layout::{linear, mix},
+        layout::linear,
         model::{PlaceNumber, TransitionNumber},
         store::{BATCH, Share, Store},
     },
@@ -112,6 +112,8 @@ pub(super) struct Tally {
     worst_dead: Option<Reached>,
     pub(super) dead_count: u64,
     pub(super) seen: Vec<bool>,
+    /// Conditions, by bits, all of whose transitions are noted as seen.
+    seen_bits: u64,
     pub(super) most_tokens: u64,
 }
 
@@ -133,12 +135,26 @@ impl Tally {
         }
         self.dead.append(&mut other.dead);
         other.worst_dead = None;
+        other.seen_bits = 0;
     }
 
     /// Leaves out dead markings that are too many.
     pub(super) fn cut_dead(&mut self) {
         self.dead.sort_unstable();
         self.dead.truncate(DEAD_KEPT);
+    }
+
+    /// Notes what is enabled at a marking.
+    fn note_enabled(&mut self, scratch: &Scratch) {
+        self.edges += scratch.enabled.len() as u64;
+        let bits = scratch.bits.unwrap_or(u64::MAX);
+        if bits & !self.seen_bits == 0 && scratch.bits.is_some() {
+            return;
+        }
+        self.seen_bits |= scratch.bits.unwrap_or(0);
+        for number in &scratch.enabled {
+            self.seen[*number as usize] = true;
+        }
     }
 
     /// Notes a dead marking.
@@ -203,6 +219,11 @@ struct Recent {
     words: Vec<u64>,
 }
 
+/// Where a marking with this [`linear`] sum, a product whose upper bits all others take part in, stands.
+fn recent_place(sum: u64) -> usize {
+    (sum >> (64 - RECENT.ilog2())) as usize % RECENT
+}
+
 impl Recent {
     fn begin(&mut self) {
         if self.words.is_empty() {
@@ -215,11 +236,34 @@ impl Recent {
         let ([word], false) = (marking, self.words.is_empty()) else {
             return false;
         };
-        let at = (mix(sum) >> 20) as usize % RECENT;
+        let at = recent_place(sum);
         let there = self.words[at] == *word && *word != u64::MAX;
         self.words[at] = *word;
         there
     }
+}
+
+/// Adds those of some markings of one word, with their sums, that were not found a moment ago. Which they are
+/// cannot be foreseen, so nothing is jumped over.
+fn push_new(
+    markings: impl ExactSizeIterator<Item = (u64, u64)>,
+    recent: &mut [u64; RECENT],
+    successors: &mut Vec<u64>,
+    sums: &mut Vec<u64>,
+) {
+    let start = successors.len();
+    let most = start + markings.len();
+    successors.resize(most, 0);
+    sums.resize(most, 0);
+    let mut count = start;
+    for (word, sum) in markings {
+        successors[count] = word;
+        sums[count] = sum;
+        let before = mem::replace(&mut recent[recent_place(sum)], word);
+        count += usize::from(before != word || word == u64::MAX);
+    }
+    successors.truncate(count);
+    sums.truncate(count);
 }
 
 impl Worker {
@@ -330,10 +374,7 @@ impl Worker {
             rules.layout.unpack(&self.from, &mut self.scratch.marking);
             self.tally.note_dead(round.level, &self.scratch.marking);
         }
-        self.tally.edges += self.scratch.enabled.len() as u64;
-        for number in &self.scratch.enabled {
-            self.tally.seen[*number as usize] = true;
-        }
+        self.tally.note_enabled(&self.scratch);
         self.fire(rules);
         Ok(())
     }
@@ -359,12 +400,15 @@ impl Worker {
         let sum = linear(&self.from);
         let (from, recent) = (self.from.as_slice(), &mut self.recent);
         if let ([word], Some(steps)) = (from, &rules.steps) {
-            for number in &self.scratch.enabled {
+            let each = self.scratch.enabled.iter().map(|number| {
                 let (add, more) = steps[*number as usize];
-                let (to, sum) = (word.wrapping_add(add), sum.wrapping_add(more));
-                if !recent.has(&[to], sum) {
-                    self.successors.push(to);
-                    self.sums.push(sum);
+                (word.wrapping_add(add), sum.wrapping_add(more))
+            });
+            match recent.words.as_mut_slice().try_into() {
+                Ok(recent) => push_new(each, recent, &mut self.successors, &mut self.sums),
+                Err(_) => {
+                    self.successors.extend(each.clone().map(|(to, _)| to));
+                    self.sums.extend(each.map(|(_, sum)| sum));
                 }
             }
             return;
@@ -382,7 +426,7 @@ impl Worker {
     }
 
     fn check_room(&self, rules: &Rules) -> Result<(), TooWide> {
-        if !self.any_tight {
+        if !self.any_tight || rules.all_have_room(&self.from, &self.scratch) {
             return Ok(());
         }
         let tight = |number: &&TransitionNumber| self.tight[**number as usize];
