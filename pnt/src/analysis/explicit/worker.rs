@@ -205,12 +205,13 @@ pub(super) struct Worker {
     any_tight: bool,
 }
 
-/// Markings from which on it pays to know what was found a moment ago. Fewer in tests, so that small nets
-/// come to it.
-const RECENT_FROM: usize = if cfg!(test) { 8 } else { 1 << 15 };
-
-/// Words of the table of what was found a moment ago: as many as a processor keeps near.
-const RECENT: usize = if cfg!(test) { 16 } else { 1 << 16 };
+/// From so many markings on it pays to know what was found a moment ago, in a table of so many words: as many
+/// as a processor keeps near. Fewer in tests, so that small nets come to it.
+const RECENT: [(usize, usize); 2] = if cfg!(test) {
+    [(8, 16), (64, 64)]
+} else {
+    [(1 << 12, 1 << 13), (1 << 15, 1 << 16)]
+};
 
 /// Markings of one word that were found a moment ago. Most successors have just been found from another
 /// marking; for those the table need not be asked.
@@ -219,15 +220,20 @@ struct Recent {
     words: Vec<u64>,
 }
 
-/// Where a marking with this [`linear`] sum, a product whose upper bits all others take part in, stands.
-fn recent_place(sum: u64) -> usize {
-    (sum >> (64 - RECENT.ilog2())) as usize % RECENT
+/// Where in a table of so many words, a power of two, a marking with this [`linear`] sum stands: in a product
+/// the lower bits take part in all upper ones.
+fn recent_place(sum: u64, words: usize) -> usize {
+    (sum >> 48) as usize & (words - 1)
 }
 
 impl Recent {
-    fn begin(&mut self) {
-        if self.words.is_empty() {
-            self.words.resize(RECENT, u64::MAX);
+    /// So many markings are found.
+    fn at(&mut self, found: usize) {
+        let pays = RECENT.iter().rev().find(|(from, _)| found >= *from);
+        let words = pays.map_or(0, |(_, words)| *words);
+        if self.words.len() < words {
+            self.words.clear();
+            self.words.resize(words, u64::MAX);
         }
     }
 
@@ -236,7 +242,7 @@ impl Recent {
         let ([word], false) = (marking, self.words.is_empty()) else {
             return false;
         };
-        let at = recent_place(sum);
+        let at = recent_place(sum, self.words.len());
         let there = self.words[at] == *word && *word != u64::MAX;
         self.words[at] = *word;
         there
@@ -247,11 +253,11 @@ impl Recent {
 /// cannot be foreseen, so nothing is jumped over.
 fn push_new(
     markings: impl ExactSizeIterator<Item = (u64, u64)>,
-    recent: &mut [u64; RECENT],
+    recent: &mut [u64],
     successors: &mut Vec<u64>,
     sums: &mut Vec<u64>,
 ) {
-    let start = successors.len();
+    let (start, words) = (successors.len(), recent.len());
     let most = start + markings.len();
     successors.resize(most, 0);
     sums.resize(most, 0);
@@ -259,7 +265,7 @@ fn push_new(
     for (word, sum) in markings {
         successors[count] = word;
         sums[count] = sum;
-        let before = mem::replace(&mut recent[recent_place(sum)], word);
+        let before = mem::replace(&mut recent[recent_place(sum, words)], word);
         count += usize::from(before != word || word == u64::MAX);
     }
     successors.truncate(count);
@@ -343,9 +349,7 @@ impl Worker {
         if found > round.most {
             round.stop.store(true, Ordering::Relaxed);
         }
-        if found >= RECENT_FROM {
-            self.recent.begin();
-        }
+        self.recent.at(found);
     }
 
     /// Puts the successors into the store, where there are numbers for them. Markings found then.
@@ -404,12 +408,16 @@ impl Worker {
                 let (add, more) = steps[*number as usize];
                 (word.wrapping_add(add), sum.wrapping_add(more))
             });
-            match recent.words.as_mut_slice().try_into() {
-                Ok(recent) => push_new(each, recent, &mut self.successors, &mut self.sums),
-                Err(_) => {
-                    self.successors.extend(each.clone().map(|(to, _)| to));
-                    self.sums.extend(each.map(|(_, sum)| sum));
-                }
+            if recent.words.is_empty() {
+                self.successors.extend(each.clone().map(|(to, _)| to));
+                self.sums.extend(each.map(|(_, sum)| sum));
+            } else {
+                push_new(
+                    each,
+                    &mut recent.words,
+                    &mut self.successors,
+                    &mut self.sums,
+                );
             }
             return;
         }
