@@ -26,7 +26,7 @@ use super::{
 pub use growth::Growth;
 use levels::Levels;
 pub(super) use rules::{Rules, Scratch};
-use worker::{Queue, Record, Round, Tally, TooWide, Worker};
+use worker::{Padded, Queue, Record, Round, Tally, TooWide, Worker};
 
 /// Markings that a thread expands between two looks at the limits, when it is alone and when it is not.
 /// Fewer in tests, here and below, so that small nets come to everything.
@@ -161,7 +161,7 @@ struct Search<'a> {
     levels: Levels,
     level: usize,
     /// Markings found, those of the next level included.
-    found: AtomicUsize,
+    found: Padded<AtomicUsize>,
     /// What the levels tell that are done.
     tally: Tally,
     bounds: Vec<u32>,
@@ -186,7 +186,7 @@ impl<'a> Search<'a> {
             workers: vec![worker],
             levels: Levels::default(),
             level: 0,
-            found: AtomicUsize::new(1),
+            found: Padded(AtomicUsize::new(1)),
             tally: Tally::new(model.transitions.len()),
             bounds: model.initial(),
             growth: None,
@@ -235,7 +235,7 @@ impl<'a> Search<'a> {
     }
 
     fn markings(&self) -> usize {
-        self.found.load(Ordering::Relaxed)
+        self.found.0.load(Ordering::Relaxed)
     }
 
     fn bytes(&self) -> usize {
@@ -341,10 +341,10 @@ impl<'a> Search<'a> {
             level: self.level,
             chunk: if alone { CHUNK } else { CHUNK_OF_SEVERAL },
             alone,
-            found: &self.found,
+            found: &self.found.0,
             most: self.limits.markings,
             most_numbers,
-            stop: AtomicBool::new(false),
+            stop: Padded(AtomicBool::new(false)),
         };
         let (first, others) = match self.workers.split_first_mut() {
             Some((first, others)) if !alone => (first, others),
@@ -374,7 +374,7 @@ impl<'a> Search<'a> {
         });
         self.store.reserve(&mut waiting.collect::<Vec<_>>(), 1);
         for worker in &mut self.workers {
-            worker.settle(&self.store, &self.found, true);
+            worker.settle(&self.store, &self.found.0, true);
         }
         let mut bits = self.rules.layout.bits();
         if let Some(bits) = bits.get_mut(wide.place as usize) {

@@ -32,6 +32,11 @@ const PART: u32 = if cfg!(test) { 1 } else { 128 };
 /// A place, and how many bits its tokens need.
 pub(super) type Record = (PlaceNumber, u32);
 
+/// A counter on a line of memory of its own, and on the one that is fetched with it: who writes to it takes no
+/// other's line away.
+#[repr(align(128))]
+pub(super) struct Padded<T>(pub(super) T);
+
 /// What is left of a level: for each thread those parts that it found itself, and are best in its cache.
 #[derive(Default)]
 pub(super) struct Queue {
@@ -40,7 +45,7 @@ pub(super) struct Queue {
 
 struct List {
     parts: Vec<Range<u32>>,
-    taken: AtomicUsize,
+    taken: Padded<AtomicUsize>,
 }
 
 impl Queue {
@@ -53,7 +58,7 @@ impl Queue {
         };
         let list = |found: &Vec<Range<u32>>| List {
             parts: found.iter().flat_map(cut).collect(),
-            taken: AtomicUsize::new(0),
+            taken: Padded(AtomicUsize::new(0)),
         };
         Self {
             lists: level.iter().map(list).collect(),
@@ -64,10 +69,10 @@ impl Queue {
     fn take(&self, own: usize) -> Option<Range<u32>> {
         let (before, from) = self.lists.split_at_checked(own)?;
         from.iter().chain(before).find_map(|list| {
-            if list.taken.load(Ordering::Relaxed) >= list.parts.len() {
+            if list.taken.0.load(Ordering::Relaxed) >= list.parts.len() {
                 return None;
             }
-            let at = list.taken.fetch_add(1, Ordering::Relaxed);
+            let at = list.taken.0.fetch_add(1, Ordering::Relaxed);
             list.parts.get(at).cloned()
         })
     }
@@ -76,7 +81,7 @@ impl Queue {
     pub(super) fn left(&self) -> usize {
         let lists = self.lists.iter();
         lists
-            .flat_map(|list| list.parts.iter().skip(list.taken.load(Ordering::Relaxed)))
+            .flat_map(|list| list.parts.iter().skip(list.taken.0.load(Ordering::Relaxed)))
             .map(|part| part.len())
             .sum()
     }
@@ -99,7 +104,7 @@ pub(super) struct Round<'a> {
     pub(super) most_numbers: usize,
     /// All stop as soon as they can: a thread has no numbers left, or there are too many markings. None reads
     /// by this what another wrote.
-    pub(super) stop: AtomicBool,
+    pub(super) stop: Padded<AtomicBool>,
 }
 
 /// What the markings of a level, or of several, tell.
@@ -312,7 +317,7 @@ impl Worker {
             if self.sums.len() >= BATCH {
                 self.keep(round);
             }
-            if round.stop.load(Ordering::Relaxed) {
+            if round.stop.0.load(Ordering::Relaxed) {
                 return Ok(());
             }
             if self.part.is_empty() {
@@ -342,12 +347,12 @@ impl Worker {
         if share.left() < needed
             && (round.alone || !round.store.take(share, needed, round.most_numbers))
         {
-            round.stop.store(true, Ordering::Relaxed);
+            round.stop.0.store(true, Ordering::Relaxed);
             return;
         }
         let found = self.settle(round.store, round.found, round.alone);
         if found > round.most {
-            round.stop.store(true, Ordering::Relaxed);
+            round.stop.0.store(true, Ordering::Relaxed);
         }
         self.recent.at(found);
     }
