@@ -20,6 +20,7 @@ mod store;
 pub mod structure;
 pub mod stubborn;
 pub mod symbolic;
+mod tables;
 pub mod verdict;
 
 #[cfg(test)]

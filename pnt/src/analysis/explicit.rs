@@ -26,7 +26,7 @@ use super::{
 pub use growth::Growth;
 use levels::Levels;
 pub(super) use rules::{Rules, Scratch};
-use worker::{Queue, Record, Round, Tally, TooWide, Worker};
+use worker::{Padded, Queue, Record, Round, Tally, TooWide, Worker};
 
 /// Markings that a thread expands between two looks at the limits, when it is alone and when it is not.
 /// Fewer in tests, here and below, so that small nets come to everything.
@@ -36,6 +36,9 @@ const CHUNK_OF_SEVERAL: usize = if cfg!(test) { 4 } else { 1 << 17 };
 /// Below so many markings, and in smaller levels, further threads cost more than they bring.
 const PARALLEL_FROM: usize = if cfg!(test) { 4 } else { 1 << 15 };
 const PARALLEL_LEVEL: usize = if cfg!(test) { 2 } else { 1 << 12 };
+
+/// Markings from which on it pays to look conditions up.
+const LOOKED_UP_FROM: usize = if cfg!(test) { 4 } else { 1 << 10 };
 
 /// Numbers that a thread gets at most beyond those that it waits for.
 const MORE: usize = 1 << 10;
@@ -158,7 +161,7 @@ struct Search<'a> {
     levels: Levels,
     level: usize,
     /// Markings found, those of the next level included.
-    found: AtomicUsize,
+    found: Padded<AtomicUsize>,
     /// What the levels tell that are done.
     tally: Tally,
     bounds: Vec<u32>,
@@ -183,7 +186,7 @@ impl<'a> Search<'a> {
             workers: vec![worker],
             levels: Levels::default(),
             level: 0,
-            found: AtomicUsize::new(1),
+            found: Padded(AtomicUsize::new(1)),
             tally: Tally::new(model.transitions.len()),
             bounds: model.initial(),
             growth: None,
@@ -219,6 +222,9 @@ impl<'a> Search<'a> {
                 return Some(Stopped::Growth);
             }
             self.level += 1;
+            if self.markings() >= LOOKED_UP_FROM {
+                self.rules.look_up();
+            }
             let threads = self.limits.threads;
             if self.workers.len() < threads && self.markings() >= PARALLEL_FROM {
                 let more = (self.workers.len()..threads).map(|n| Worker::new(n, &self.rules));
@@ -229,7 +235,7 @@ impl<'a> Search<'a> {
     }
 
     fn markings(&self) -> usize {
-        self.found.load(Ordering::Relaxed)
+        self.found.0.load(Ordering::Relaxed)
     }
 
     fn bytes(&self) -> usize {
@@ -335,10 +341,10 @@ impl<'a> Search<'a> {
             level: self.level,
             chunk: if alone { CHUNK } else { CHUNK_OF_SEVERAL },
             alone,
-            found: &self.found,
+            found: &self.found.0,
             most: self.limits.markings,
             most_numbers,
-            stop: AtomicBool::new(false),
+            stop: Padded(AtomicBool::new(false)),
         };
         let (first, others) = match self.workers.split_first_mut() {
             Some((first, others)) if !alone => (first, others),
@@ -368,7 +374,7 @@ impl<'a> Search<'a> {
         });
         self.store.reserve(&mut waiting.collect::<Vec<_>>(), 1);
         for worker in &mut self.workers {
-            worker.settle(&self.store, &self.found, true);
+            worker.settle(&self.store, &self.found.0, true);
         }
         let mut bits = self.rules.layout.bits();
         if let Some(bits) = bits.get_mut(wide.place as usize) {

@@ -1,11 +1,12 @@
 //! Which transitions may fire at a marking.
 
-use std::ops::Range;
+use std::{mem, ops::Range};
 
 use super::super::{
     compare::{Bits, Compare, Marked, Sum, enabling, room},
     layout::{Layout, Packed},
     model::{Model, PlaceNumber, TransitionNumber},
+    tables::{self, CONDITIONS, Tables},
 };
 
 /// The transitions against a layout, and where to look for enabled ones.
@@ -22,6 +23,10 @@ pub struct Rules {
     free: Range<usize>,
     /// Finds the places that are looked at first, where it does not pay to try all transitions.
     marked: Option<Marked>,
+    /// The conditions looked up, once that pays.
+    tables: Option<Looked>,
+    /// Whether it was tried.
+    looks_up: bool,
     pub(in crate::analysis) sum: Sum,
     /// What each transition adds to a packed marking and to its [`linear`] sum, where markings are one word
     /// and nothing is emptied.
@@ -44,6 +49,12 @@ pub struct Rules {
 
 /// Transitions up to which all are tried at every marking.
 const ALL: usize = 64;
+
+/// By bits, in the order of the conditions: which transitions are enabled, and whose gains fit.
+struct Looked {
+    enabling: Tables,
+    room: Tables,
+}
 
 /// What enables a transition. Nearly always one comparison is all.
 struct Condition {
@@ -72,6 +83,8 @@ pub struct Scratch {
     /// Per enabled transition, whether nothing can keep it from firing; empty where there are no enabling
     /// functions, so that all are sure.
     pub(in crate::analysis) sure: Vec<bool>,
+    /// The same as `enabled`, a bit for each condition, where conditions are looked up.
+    pub(in crate::analysis) bits: Option<u64>,
     most: Vec<u32>,
     /// Per enabling function, the highest priority at which it, and its negation, is asked.
     sides: Vec<[Option<u32>; 2]>,
@@ -137,10 +150,40 @@ impl Rules {
             whens,
             groups: groups.max().unwrap_or(0),
             inhibiting,
-            room: packed.iter().map(|t| room(&layout, &t.gains)).collect(),
+            room: packed
+                .iter()
+                .map(|t| enabling(&layout, &[], &room(&layout, &t.gains)))
+                .collect(),
+            tables: None,
+            looks_up: false,
             packed,
             layout,
         }
+    }
+
+    /// Looks the conditions up from here on, where that is possible. To get ready for it takes as long as some
+    /// hundred markings.
+    pub(super) fn look_up(&mut self) {
+        if mem::replace(&mut self.looks_up, true) || self.conditions.len() > CONDITIONS {
+            return;
+        }
+        let each = self.conditions.iter();
+        let each = each.map(|condition| &self.packed[condition.transition as usize]);
+        let enabling = each.clone().map(|t| {
+            Some(tables::Condition {
+                at_least: t.needs.clone(),
+                below: t.forbids.clone(),
+            })
+        });
+        let room = each.map(|t| {
+            t.resets.is_empty().then(|| tables::Condition {
+                at_least: Vec::new(),
+                below: room(&self.layout, &t.gains),
+            })
+        });
+        let new = |conditions: Vec<_>| Tables::new(&self.layout, &conditions);
+        let both = new(enabling.collect()).zip(new(room.collect()));
+        self.tables = both.map(|(enabling, room)| Looked { enabling, room });
     }
 
     /// The transitions that may fire at a packed marking, and whether each is sure to stay possible: one
@@ -148,9 +191,15 @@ impl Rules {
     /// two must be allowed.
     pub(in crate::analysis) fn enabled(&self, packed: &[u64], scratch: &mut Scratch) {
         scratch.enabled.clear();
-        match &self.marked {
-            None => self.try_all(0..self.conditions.len(), packed, &mut scratch.enabled),
-            Some(marked) => {
+        scratch.bits = None;
+        match (&self.tables, &self.marked) {
+            (Some(tables), _) => {
+                let met = tables.enabling.met(packed);
+                scratch.enabled.extend(self.of_bits(met));
+                scratch.bits = (!self.has_priorities).then_some(met);
+            }
+            (None, None) => self.try_all(0..self.conditions.len(), packed, &mut scratch.enabled),
+            (None, Some(marked)) => {
                 let places = marked.of(packed);
                 let tried = places.map(|place| self.by_place[place as usize].clone());
                 for range in tried.chain([self.free.clone()]) {
@@ -165,6 +214,16 @@ impl Rules {
             scratch.sure.clear();
             self.find_sure(scratch);
         }
+    }
+
+    /// The transitions of some bits, in order.
+    #[inline]
+    fn of_bits(&self, mut bits: u64) -> impl ExactSizeIterator<Item = TransitionNumber> {
+        (0..bits.count_ones()).map(move |_| {
+            let bit = bits.trailing_zeros();
+            bits &= bits - 1;
+            self.conditions[bit as usize].transition
+        })
     }
 
     /// Adds those of some transitions that are enabled.
@@ -183,6 +242,12 @@ impl Rules {
     pub(in crate::analysis) fn has_room(&self, number: TransitionNumber, packed: &[u64]) -> bool {
         let mut room = self.room[number as usize].iter();
         room.all(|compare| compare.holds(packed))
+    }
+
+    /// Whether what each of the enabled transitions puts fits, as far as that can be looked up.
+    pub(in crate::analysis) fn all_have_room(&self, packed: &[u64], scratch: &Scratch) -> bool {
+        let tables = self.tables.as_ref().zip(scratch.bits);
+        tables.is_some_and(|(tables, enabled)| enabled & !tables.room.met(packed) == 0)
     }
 
     /// Whether none of the transitions that were found enabled is sure.

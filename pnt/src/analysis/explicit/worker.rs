@@ -11,7 +11,7 @@ use std::{
 use super::{
     super::{
         compare::{Compare, at_most},
-        layout::{linear, mix},
+        layout::linear,
         model::{PlaceNumber, TransitionNumber},
         store::{BATCH, Share, Store},
     },
@@ -32,6 +32,11 @@ const PART: u32 = if cfg!(test) { 1 } else { 128 };
 /// A place, and how many bits its tokens need.
 pub(super) type Record = (PlaceNumber, u32);
 
+/// A counter on a line of memory of its own, and on the one that is fetched with it: who writes to it takes no
+/// other's line away.
+#[repr(align(128))]
+pub(super) struct Padded<T>(pub(super) T);
+
 /// What is left of a level: for each thread those parts that it found itself, and are best in its cache.
 #[derive(Default)]
 pub(super) struct Queue {
@@ -40,7 +45,7 @@ pub(super) struct Queue {
 
 struct List {
     parts: Vec<Range<u32>>,
-    taken: AtomicUsize,
+    taken: Padded<AtomicUsize>,
 }
 
 impl Queue {
@@ -53,7 +58,7 @@ impl Queue {
         };
         let list = |found: &Vec<Range<u32>>| List {
             parts: found.iter().flat_map(cut).collect(),
-            taken: AtomicUsize::new(0),
+            taken: Padded(AtomicUsize::new(0)),
         };
         Self {
             lists: level.iter().map(list).collect(),
@@ -64,10 +69,10 @@ impl Queue {
     fn take(&self, own: usize) -> Option<Range<u32>> {
         let (before, from) = self.lists.split_at_checked(own)?;
         from.iter().chain(before).find_map(|list| {
-            if list.taken.load(Ordering::Relaxed) >= list.parts.len() {
+            if list.taken.0.load(Ordering::Relaxed) >= list.parts.len() {
                 return None;
             }
-            let at = list.taken.fetch_add(1, Ordering::Relaxed);
+            let at = list.taken.0.fetch_add(1, Ordering::Relaxed);
             list.parts.get(at).cloned()
         })
     }
@@ -76,7 +81,7 @@ impl Queue {
     pub(super) fn left(&self) -> usize {
         let lists = self.lists.iter();
         lists
-            .flat_map(|list| list.parts.iter().skip(list.taken.load(Ordering::Relaxed)))
+            .flat_map(|list| list.parts.iter().skip(list.taken.0.load(Ordering::Relaxed)))
             .map(|part| part.len())
             .sum()
     }
@@ -99,7 +104,7 @@ pub(super) struct Round<'a> {
     pub(super) most_numbers: usize,
     /// All stop as soon as they can: a thread has no numbers left, or there are too many markings. None reads
     /// by this what another wrote.
-    pub(super) stop: AtomicBool,
+    pub(super) stop: Padded<AtomicBool>,
 }
 
 /// What the markings of a level, or of several, tell.
@@ -112,6 +117,8 @@ pub(super) struct Tally {
     worst_dead: Option<Reached>,
     pub(super) dead_count: u64,
     pub(super) seen: Vec<bool>,
+    /// Conditions, by bits, all of whose transitions are noted as seen.
+    seen_bits: u64,
     pub(super) most_tokens: u64,
 }
 
@@ -133,12 +140,26 @@ impl Tally {
         }
         self.dead.append(&mut other.dead);
         other.worst_dead = None;
+        other.seen_bits = 0;
     }
 
     /// Leaves out dead markings that are too many.
     pub(super) fn cut_dead(&mut self) {
         self.dead.sort_unstable();
         self.dead.truncate(DEAD_KEPT);
+    }
+
+    /// Notes what is enabled at a marking.
+    fn note_enabled(&mut self, scratch: &Scratch) {
+        self.edges += scratch.enabled.len() as u64;
+        let bits = scratch.bits.unwrap_or(u64::MAX);
+        if bits & !self.seen_bits == 0 && scratch.bits.is_some() {
+            return;
+        }
+        self.seen_bits |= scratch.bits.unwrap_or(0);
+        for number in &scratch.enabled {
+            self.seen[*number as usize] = true;
+        }
     }
 
     /// Notes a dead marking.
@@ -189,12 +210,13 @@ pub(super) struct Worker {
     any_tight: bool,
 }
 
-/// Markings from which on it pays to know what was found a moment ago. Fewer in tests, so that small nets
-/// come to it.
-const RECENT_FROM: usize = if cfg!(test) { 8 } else { 1 << 15 };
-
-/// Words of the table of what was found a moment ago: as many as a processor keeps near.
-const RECENT: usize = if cfg!(test) { 16 } else { 1 << 16 };
+/// From so many markings on it pays to know what was found a moment ago, in a table of so many words: as many
+/// as a processor keeps near. Fewer in tests, so that small nets come to it.
+const RECENT: [(usize, usize); 2] = if cfg!(test) {
+    [(8, 16), (64, 64)]
+} else {
+    [(1 << 12, 1 << 13), (1 << 15, 1 << 16)]
+};
 
 /// Markings of one word that were found a moment ago. Most successors have just been found from another
 /// marking; for those the table need not be asked.
@@ -203,10 +225,20 @@ struct Recent {
     words: Vec<u64>,
 }
 
+/// Where in a table of so many words, a power of two, a marking with this [`linear`] sum stands: in a product
+/// the lower bits take part in all upper ones.
+fn recent_place(sum: u64, words: usize) -> usize {
+    (sum >> 48) as usize & (words - 1)
+}
+
 impl Recent {
-    fn begin(&mut self) {
-        if self.words.is_empty() {
-            self.words.resize(RECENT, u64::MAX);
+    /// So many markings are found.
+    fn at(&mut self, found: usize) {
+        let pays = RECENT.iter().rev().find(|(from, _)| found >= *from);
+        let words = pays.map_or(0, |(_, words)| *words);
+        if self.words.len() < words {
+            self.words.clear();
+            self.words.resize(words, u64::MAX);
         }
     }
 
@@ -215,11 +247,34 @@ impl Recent {
         let ([word], false) = (marking, self.words.is_empty()) else {
             return false;
         };
-        let at = (mix(sum) >> 20) as usize % RECENT;
+        let at = recent_place(sum, self.words.len());
         let there = self.words[at] == *word && *word != u64::MAX;
         self.words[at] = *word;
         there
     }
+}
+
+/// Adds those of some markings of one word, with their sums, that were not found a moment ago. Which they are
+/// cannot be foreseen, so nothing is jumped over.
+fn push_new(
+    markings: impl ExactSizeIterator<Item = (u64, u64)>,
+    recent: &mut [u64],
+    successors: &mut Vec<u64>,
+    sums: &mut Vec<u64>,
+) {
+    let (start, words) = (successors.len(), recent.len());
+    let most = start + markings.len();
+    successors.resize(most, 0);
+    sums.resize(most, 0);
+    let mut count = start;
+    for (word, sum) in markings {
+        successors[count] = word;
+        sums[count] = sum;
+        let before = mem::replace(&mut recent[recent_place(sum, words)], word);
+        count += usize::from(before != word || word == u64::MAX);
+    }
+    successors.truncate(count);
+    sums.truncate(count);
 }
 
 impl Worker {
@@ -262,7 +317,7 @@ impl Worker {
             if self.sums.len() >= BATCH {
                 self.keep(round);
             }
-            if round.stop.load(Ordering::Relaxed) {
+            if round.stop.0.load(Ordering::Relaxed) {
                 return Ok(());
             }
             if self.part.is_empty() {
@@ -292,16 +347,14 @@ impl Worker {
         if share.left() < needed
             && (round.alone || !round.store.take(share, needed, round.most_numbers))
         {
-            round.stop.store(true, Ordering::Relaxed);
+            round.stop.0.store(true, Ordering::Relaxed);
             return;
         }
         let found = self.settle(round.store, round.found, round.alone);
         if found > round.most {
-            round.stop.store(true, Ordering::Relaxed);
+            round.stop.0.store(true, Ordering::Relaxed);
         }
-        if found >= RECENT_FROM {
-            self.recent.begin();
-        }
+        self.recent.at(found);
     }
 
     /// Puts the successors into the store, where there are numbers for them. Markings found then.
@@ -330,10 +383,7 @@ impl Worker {
             rules.layout.unpack(&self.from, &mut self.scratch.marking);
             self.tally.note_dead(round.level, &self.scratch.marking);
         }
-        self.tally.edges += self.scratch.enabled.len() as u64;
-        for number in &self.scratch.enabled {
-            self.tally.seen[*number as usize] = true;
-        }
+        self.tally.note_enabled(&self.scratch);
         self.fire(rules);
         Ok(())
     }
@@ -359,13 +409,20 @@ impl Worker {
         let sum = linear(&self.from);
         let (from, recent) = (self.from.as_slice(), &mut self.recent);
         if let ([word], Some(steps)) = (from, &rules.steps) {
-            for number in &self.scratch.enabled {
+            let each = self.scratch.enabled.iter().map(|number| {
                 let (add, more) = steps[*number as usize];
-                let (to, sum) = (word.wrapping_add(add), sum.wrapping_add(more));
-                if !recent.has(&[to], sum) {
-                    self.successors.push(to);
-                    self.sums.push(sum);
-                }
+                (word.wrapping_add(add), sum.wrapping_add(more))
+            });
+            if recent.words.is_empty() {
+                self.successors.extend(each.clone().map(|(to, _)| to));
+                self.sums.extend(each.map(|(_, sum)| sum));
+            } else {
+                push_new(
+                    each,
+                    &mut recent.words,
+                    &mut self.successors,
+                    &mut self.sums,
+                );
             }
             return;
         }
@@ -382,7 +439,7 @@ impl Worker {
     }
 
     fn check_room(&self, rules: &Rules) -> Result<(), TooWide> {
-        if !self.any_tight {
+        if !self.any_tight || rules.all_have_room(&self.from, &self.scratch) {
             return Ok(());
         }
         let tight = |number: &&TransitionNumber| self.tight[**number as usize];

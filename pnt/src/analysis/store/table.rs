@@ -11,6 +11,9 @@ use super::{
     BATCH, EMPTY, MOVED_TOGETHER, Store, empty,
 };
 
+/// Slots on a page of memory, or fewer.
+const PAGE_SLOTS: usize = 1 << 10;
+
 impl Store {
     /// A table of twice the length, filled by so many threads. Some numbers, in order, are not given yet.
     pub(super) fn grow(&mut self, threads: usize, free: &[Range<u32>]) {
@@ -52,6 +55,11 @@ impl Store {
     /// left: where to look on, and what is to be held there.
     fn fill(&self, slots: Range<usize>, given: &[Range<u32>]) -> Vec<(usize, u32)> {
         let mut left = Vec::new();
+        // A page that is read first is the kernel's page of zeros, and is replaced at the first write, for
+        // which the other cores are interrupted. So each is written first.
+        for slot in self.table[slots.clone()].iter().step_by(PAGE_SLOTS) {
+            slot.store(!EMPTY, Ordering::Relaxed);
+        }
         let mut looks = [(0, 0, 0); BATCH];
         for range in given {
             for start in range.clone().step_by(BATCH) {
