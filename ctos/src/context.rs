@@ -54,8 +54,6 @@ pub(crate) struct Inner {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) chassis: Arc<Chassis>,
     pub(crate) processor: Rc<Processor>,
-    /// How long a call waits if it does not say.
-    limit: Duration,
     /// Boxed, because it is large and tasks of the runtime have none.
     config: Option<Box<TaskConfig>>,
     /// Made for the first of it: most tasks have none.
@@ -77,6 +75,14 @@ pub(crate) struct Family {
 }
 
 impl Inner {
+    /// How long a call waits if it does not say.
+    #[inline]
+    fn limit(&self) -> Duration {
+        let config = self.config.as_ref();
+        let limit = config.and_then(|config| config.call_deadline);
+        limit.unwrap_or(DEFAULT_DEADLINE)
+    }
+
     /// What belongs to the task.
     pub(crate) fn family(&self) -> RefMut<'_, Family> {
         RefMut::map(self.family.borrow_mut(), |family| {
@@ -108,13 +114,11 @@ impl Context {
         commands: Arc<[CommandInfo]>,
     ) -> Self {
         record.statistics.takes(commands);
-        let limit = config.as_ref().and_then(|config| config.call_deadline);
         Self {
             inner: Rc::new(Inner {
                 record,
                 chassis,
                 processor,
-                limit: limit.unwrap_or(DEFAULT_DEADLINE),
                 config: config.map(Box::new),
                 family: RefCell::default(),
                 incarnation: Cell::new(0),
@@ -219,7 +223,7 @@ impl Context {
         let mut message = Message::request(to.tid, from, C::CODE, request).in_trace(self.trace);
         message
             .letter
-            .for_sender(self.inner.name_to_keep(to), self.inner.limit);
+            .for_sender(self.inner.name_to_keep(to), self.inner.limit());
         Call {
             asker: self.inner.clone(),
             message,
