@@ -36,7 +36,7 @@ use crate::{
 };
 
 pub(crate) use self::{
-    delivery::{Called, Question, Sent, WaitFor},
+    delivery::{Called, CalledBeside, Question, Sent, WaitFor},
     links::{Inbound, Outbound},
     tasks::TaskRecord,
 };
@@ -338,6 +338,7 @@ impl Chassis {
     }
 
     /// `task` begins to handle `message`.
+    #[inline]
     pub(crate) fn delivered(&self, task: &TaskRecord, message: &Message) {
         if let Some(on_delivery) = self.on_delivery.get() {
             on_delivery(task, message);

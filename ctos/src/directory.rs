@@ -29,9 +29,15 @@ pub(crate) struct TaskDirectory {
 }
 
 impl TaskDirectory {
+    /// Whether no id was ever replaced: then each is the present one.
+    #[inline]
+    pub(crate) fn is_as_begun(&self) -> bool {
+        !self.any.load(Ordering::Acquire)
+    }
+
     /// The id that a message to `tid` goes to.
     pub(crate) fn current(&self, tid: Tid) -> Tid {
-        if !self.any.load(Ordering::Acquire) {
+        if self.is_as_begun() {
             return tid;
         }
         let rebound = self.rebound.read().unwrap_or_else(PoisonError::into_inner);

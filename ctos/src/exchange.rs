@@ -44,7 +44,7 @@ pub(crate) struct Ticket {
 
 impl Ticket {
     /// Gives the answer. When the caller waits no longer, nothing comes of it.
-    #[inline]
+    #[inline(never)]
     pub(crate) fn answer(self, answer: Brought) {
         match Processor::here_if(&self.shared.home) {
             Some(processor) => processor.take_answer(self, answer),
@@ -58,7 +58,16 @@ impl Ticket {
         }
     }
 
+    /// [`Self::answer`] with what is in a letter.
+    #[inline]
+    pub(crate) fn answer_with(self, letter: Box<Letter>) {
+        if let Some((ticket, letter)) = Processor::answer_here(self, letter) {
+            ticket.answer(Brought::Data(letter));
+        }
+    }
+
     /// Whether the caller waits no longer.
+    #[inline]
     pub(crate) fn is_abandoned(&self) -> bool {
         self.generation <= self.shared.gone.load(Ordering::Acquire)
     }
@@ -113,12 +122,11 @@ pub(crate) struct CallKey {
     generation: u64,
 }
 
-#[derive(Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
-    #[default]
     Free,
-    Waiting(Option<LocalWake>),
-    Answered(Brought),
+    Waiting,
+    Answered,
     /// The deadline has passed.
     Late,
 }
@@ -127,6 +135,10 @@ struct Slot {
     shared: Arc<Shared>,
     generation: u64,
     state: State,
+    /// Who is woken, while it waits.
+    wake: Option<LocalWake>,
+    /// There from when it comes until it is taken.
+    answer: Option<Brought>,
     /// Whether the ticket of the last call has come home. Then its next one needs no new owner.
     ticket: Option<Ticket>,
     limit: Duration,
@@ -138,6 +150,20 @@ struct Slot {
     note: Option<Note>,
     /// Its caller is told that it has waited long.
     long: Long,
+}
+
+impl Slot {
+    /// The right to answer the call that has just begun, when that to answer the last one is not there: whoever
+    /// may have it learns that the call is over.
+    #[cold]
+    fn another_ticket(&self) -> Ticket {
+        let before = self.generation - 1;
+        self.shared.gone.store(before, Ordering::Release);
+        Ticket {
+            shared: self.shared.clone(),
+            generation: self.generation,
+        }
+    }
 }
 
 /// A call with less time than this has its timer from the beginning. Most of the others end before
@@ -214,51 +240,53 @@ impl Calls {
     /// A new call, which may take `limit` from the moment that [`Self::arm`] is told.
     #[inline]
     pub(crate) fn begin(&mut self, home: &Arc<ProcessorHandle>, limit: Duration) -> Ticket {
-        let index = self.free.pop().unwrap_or_else(|| {
-            let index = self.slots.len() as u32;
-            self.slots.push(Slot {
-                shared: Arc::new(Shared {
-                    home: home.clone(),
-                    slot: index,
-                    gone: AtomicU64::new(NOBODY),
-                }),
-                generation: NOBODY,
-                state: State::Free,
-                ticket: None,
-                limit,
-                since: None,
-                listed: false,
-                timer: None,
-                note: None,
-                long: Long::NotYet,
-            });
-            index
-        });
+        let index = self.free.pop().unwrap_or_else(|| self.add_slot(home));
         // The index was free or has just been made.
         #[allow(clippy::indexing_slicing, reason = "see above")]
         let slot = &mut self.slots[index as usize];
         slot.generation += 1;
-        slot.state = State::Waiting(None);
+        slot.state = State::Waiting;
         slot.limit = limit;
         slot.since = None;
         slot.long = Long::NotYet;
-        let mut ticket = slot.ticket.take().unwrap_or_else(|| {
-            // Whoever may have that of the last call learns that it is over.
-            let before = slot.generation - 1;
-            slot.shared.gone.store(before, Ordering::Release);
-            Ticket {
-                shared: slot.shared.clone(),
-                generation: NOBODY,
+        match slot.ticket.take() {
+            Some(mut ticket) => {
+                ticket.generation = slot.generation;
+                ticket
             }
+            None => slot.another_ticket(),
+        }
+    }
+
+    /// One more slot, which is free.
+    #[cold]
+    fn add_slot(&mut self, home: &Arc<ProcessorHandle>) -> u32 {
+        let index = self.slots.len() as u32;
+        self.slots.push(Slot {
+            shared: Arc::new(Shared {
+                home: home.clone(),
+                slot: index,
+                gone: AtomicU64::new(NOBODY),
+            }),
+            generation: NOBODY,
+            state: State::Free,
+            wake: None,
+            answer: None,
+            ticket: None,
+            limit: Duration::ZERO,
+            since: None,
+            listed: false,
+            timer: None,
+            note: None,
+            long: Long::NotYet,
         });
-        ticket.generation = slot.generation;
-        ticket
+        index
     }
 
     #[inline]
     fn slot(&mut self, key: CallKey) -> Option<&mut Slot> {
         let slot = self.slots.get_mut(key.slot as usize)?;
-        let is_it = slot.generation == key.generation && !matches!(slot.state, State::Free);
+        let is_it = slot.generation == key.generation && slot.state != State::Free;
         is_it.then_some(slot)
     }
 
@@ -268,7 +296,7 @@ impl Calls {
         let Some(slot) = self.slot(key) else {
             return Started::Done;
         };
-        if slot.since.is_some() || !matches!(slot.state, State::Waiting(_)) {
+        if slot.since.is_some() || slot.state != State::Waiting {
             return Started::Done;
         }
         slot.since = Some(now);
@@ -297,7 +325,7 @@ impl Calls {
     /// [`Self::settle`] for one call.
     pub(crate) fn settle_call(&mut self, key: CallKey) -> Option<(CallKey, Instant)> {
         let slot = self.slot(key)?;
-        let (State::Waiting(_), Some(since)) = (&slot.state, slot.since) else {
+        let (State::Waiting, Some(since)) = (slot.state, slot.since) else {
             return None;
         };
         if let Some(note) = &mut slot.note {
@@ -314,7 +342,7 @@ impl Calls {
         if let Some(slot) = self.slot(key)
             && slot.note.is_none()
             // All that it has come to is told without a note.
-            && !(spared && matches!(slot.state, State::Answered(Brought::Data(_))))
+            && !(spared && matches!(slot.answer, Some(Brought::Data(_))))
         {
             slot.note = Some(note());
         }
@@ -355,16 +383,42 @@ impl Calls {
             }
             ticket => ticket,
         };
-        if !matches!(slot.state, State::Waiting(_) | State::Late) {
+        if !matches!(slot.state, State::Waiting | State::Late) {
             return Given::Unwanted {
                 _ticket: spare,
                 _answer: answer,
             };
         }
-        match std::mem::replace(&mut slot.state, State::Answered(answer)) {
-            State::Waiting(wake) => Given::Taken(wake),
-            State::Free | State::Answered(_) | State::Late => Given::Taken(None),
-        }
+        slot.state = State::Answered;
+        slot.answer = Some(answer);
+        Given::Taken(slot.wake.take())
+    }
+
+    /// [`Self::answer`] to a call that nobody has looked at: then nobody is woken, and nothing is dropped.
+    ///
+    /// # Errors
+    /// What was brought, when it is to be given in the usual way.
+    #[inline]
+    pub(crate) fn answer_unseen(
+        &mut self,
+        ticket: Ticket,
+        letter: Box<Letter>,
+    ) -> Result<(), (Ticket, Box<Letter>)> {
+        let slot = self.slots.get_mut(ticket.shared.slot as usize);
+        let is_unseen = |slot: &&mut Slot| {
+            slot.generation == ticket.generation
+                && slot.state == State::Waiting
+                && slot.wake.is_none()
+                && slot.ticket.is_none()
+                && slot.answer.is_none()
+        };
+        let Some(slot) = slot.filter(is_unseen) else {
+            return Err((ticket, letter));
+        };
+        slot.ticket = Some(ticket);
+        slot.state = State::Answered;
+        slot.answer = Some(Brought::Data(letter));
+        Ok(())
     }
 
     /// The timer of a call fires: it has waited long, or its deadline has passed, and whoever has not
@@ -377,10 +431,10 @@ impl Calls {
         let Some(slot) = self.slot(key) else {
             return fired;
         };
-        let State::Waiting(wake) = &mut slot.state else {
+        if slot.state != State::Waiting {
             return fired;
-        };
-        fired.wake = wake.take();
+        }
+        fired.wake = slot.wake.take();
         slot.timer = None;
         if slot.long == Long::NotYet && slot.limit > circle::LONG {
             slot.long = Long::ToBeTold;
@@ -408,8 +462,8 @@ impl Calls {
             let nothing = Err(Fault::NoReply).into();
             return (Looked::Ended(nothing), None);
         };
-        if let State::Waiting(before) = &mut slot.state {
-            let before = before.replace(waits());
+        if slot.state == State::Waiting {
+            let before = slot.wake.replace(waits());
             if slot.long == Long::ToBeTold {
                 slot.long = Long::Told;
                 let to = slot.note.as_ref().map_or(Tid::default(), Note::to);
@@ -422,9 +476,10 @@ impl Calls {
         }
         let limit = slot.limit;
         *note = slot.note.take();
-        let looked = match std::mem::take(&mut slot.state) {
-            State::Answered(answer) => Looked::Ended(answer),
-            State::Late | State::Free | State::Waiting(_) => Looked::Late(limit),
+        slot.state = State::Free;
+        let looked = match slot.answer.take() {
+            Some(answer) => Looked::Ended(answer),
+            None => Looked::Late(limit),
         };
         self.free.push(key.slot);
         (looked, None)
@@ -438,13 +493,14 @@ impl Calls {
         if slot.generation != key.generation || !is_bare {
             return None;
         }
-        match std::mem::take(&mut slot.state) {
-            State::Answered(Brought::Data(letter)) => {
+        match slot.answer.take() {
+            Some(Brought::Data(letter)) => {
+                slot.state = State::Free;
                 self.free.push(key.slot);
                 Some(letter)
             }
             other => {
-                slot.state = other;
+                slot.answer = other;
                 None
             }
         }
@@ -459,131 +515,13 @@ impl Calls {
         slot.shared.gone.store(slot.generation, Ordering::Release);
         rest.timer = slot.timer.take();
         rest._note = slot.note.take();
-        match std::mem::take(&mut slot.state) {
-            State::Answered(answer) => rest._answer = Some(answer),
-            State::Waiting(wake) => rest._wake = wake,
-            State::Late | State::Free => {}
-        }
+        rest._answer = slot.answer.take();
+        rest._wake = slot.wake.take();
+        slot.state = State::Free;
         self.free.push(key.slot);
         rest
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use std::task::Waker;
-
-    use super::*;
-    use crate::{message::Data, time::Clock};
-
-    const LIMIT: Duration = Duration::from_secs(5);
-
-    fn look(calls: &mut Calls, key: CallKey) -> Looked {
-        let mut timers = Timers::<()>::default();
-        let waits = || LocalWake::Waker(Waker::noop().clone());
-        calls.look(key, &mut None, &mut timers, waits).0
-    }
-
-    fn number(looked: Looked) -> Option<u8> {
-        match looked {
-            Looked::Ended(Brought::Data(letter)) => letter.take().ok(),
-            _ => None,
-        }
-    }
-
-    fn answer(number: u8) -> Brought {
-        Ok(Data::of(number)).into()
-    }
-
-    fn at(millis: u64) -> Instant {
-        Instant::START + Duration::from_millis(millis)
-    }
-
-    #[test]
-    fn one_slot_serves_call_after_call_and_keeps_late_answers_from_the_next() {
-        let (mut calls, home) = (Calls::default(), Arc::default());
-        let first = calls.begin(&home, LIMIT);
-        let (gone, copy) = (first.key(), first.shared.clone());
-        drop(calls.give_up(gone));
-        assert!(first.is_abandoned());
-        let second = calls.begin(&home, LIMIT);
-        let key = second.key();
-        assert!(
-            Arc::ptr_eq(&copy, &second.shared),
-            "a free slot was not used"
-        );
-        let late = calls.answer(gone, Some(first), answer(1));
-        assert!(matches!(late, Given::Unwanted { .. }));
-        drop(late);
-        assert!(matches!(look(&mut calls, key), Looked::Waiting));
-        let given = calls.answer(key, Some(second), answer(2));
-        assert!(matches!(given, Given::Taken(Some(_))));
-        assert_eq!(number(look(&mut calls, key)), Some(2));
-        // The ticket came home with its answer, and is used again.
-        assert_eq!(Arc::strong_count(&copy), 3);
-    }
-
-    #[test]
-    fn a_call_that_ends_soon_never_needs_a_timer_and_one_that_lasts_gets_one() {
-        let (mut calls, home) = (Calls::default(), Arc::default());
-        let ticket = calls.begin(&home, LIMIT);
-        let key = ticket.key();
-        let Started::List(slot) = calls.start(key, at(1)) else {
-            panic!("nobody would look after it");
-        };
-        // Its answer comes, and its slot waits again, before anybody has looked.
-        drop(calls.answer(key, Some(ticket), answer(1)));
-        assert_eq!(number(look(&mut calls, key)), Some(1));
-        assert_eq!(calls.settle(slot), None);
-        let ticket = calls.begin(&home, LIMIT);
-        assert!(matches!(calls.start(ticket.key(), at(7)), Started::List(_)));
-        assert!(matches!(calls.start(ticket.key(), at(8)), Started::Done));
-        let due = at(7) + circle::LONG;
-        assert_eq!(calls.settle(slot), Some((ticket.key(), due)));
-        drop(calls.answer(ticket.key(), Some(ticket), answer(1)));
-    }
-
-    #[test]
-    fn a_call_with_little_time_has_its_timer_at_once() {
-        let (mut calls, home) = (Calls::default(), Arc::default());
-        let ticket = calls.begin(&home, SOON / 2);
-        let key = ticket.key();
-        assert!(matches!(calls.start(key, at(1)), Started::Urgent));
-        assert_eq!(calls.settle_call(key), Some((key, at(1) + SOON / 2)));
-        assert_eq!(calls.deadline(key), Some(at(1) + SOON / 2));
-        drop(calls.fired(key));
-        assert!(ticket.is_abandoned());
-        assert!(matches!(look(&mut calls, key), Looked::Late(limit) if limit == SOON / 2));
-    }
-
-    #[test]
-    fn a_long_wait_is_told_once_before_the_deadline() {
-        let (mut calls, home) = (Calls::default(), Arc::default());
-        let ticket = calls.begin(&home, LIMIT);
-        let key = ticket.key();
-        let _ = calls.start(key, at(0));
-        let fired = calls.fired(key);
-        assert_eq!(fired.again, Some(at(0) + LIMIT));
-        assert!(matches!(look(&mut calls, key), Looked::Long(_)));
-        assert!(matches!(look(&mut calls, key), Looked::Waiting));
-        assert!(!ticket.is_abandoned());
-        assert_eq!(calls.fired(key).again, None);
-        assert!(matches!(look(&mut calls, key), Looked::Late(LIMIT)));
-        let late = calls.answer(key, Some(ticket), answer(1));
-        assert!(matches!(late, Given::Taken(None) | Given::Unwanted { .. }));
-    }
-
-    #[test]
-    fn calls_made_while_a_processor_is_busy_are_looked_after_within_a_millisecond() {
-        let clock = Clock::virtual_clock();
-        let processor = Processor::new(Arc::default(), clock.clone());
-        let ticket = processor.begin_call(LIMIT);
-        processor.spawn(async {}, None);
-        assert!(processor.poll_ready(0));
-        assert_eq!(
-            processor.next_deadline(),
-            Some(Instant::START + circle::LONG)
-        );
-        processor.take_answer(ticket, answer(1));
-    }
-}
+mod tests;

@@ -75,6 +75,7 @@ impl<T> Inbox<T> {
     }
 
     /// Whether there is something to take.
+    #[inline]
     pub(crate) fn is_filled(&self) -> bool {
         self.filled.load(Ordering::Acquire)
     }

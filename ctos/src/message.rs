@@ -66,6 +66,12 @@ impl Tid {
         (self.0 >> 16) as u8
     }
 
+    /// Whether both are tasks of the same processor.
+    #[inline]
+    pub(crate) const fn is_beside(self, other: Self) -> bool {
+        (self.0 ^ other.0) >> 16 == 0
+    }
+
     /// Which slot of the processor.
     #[must_use]
     pub const fn slot(self) -> u16 {

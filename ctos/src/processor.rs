@@ -40,9 +40,10 @@ use self::{
 use crate::{
     call::ReplySlot,
     context::Beside,
-    exchange::{CallKey, Calls},
+    exchange::{CallKey, Calls, Ticket},
     link::lookout::Glance,
     mailbox::TaskQueue,
+    message::Letter,
     sync::Schedule,
     time::{Clock, Instant},
     timers::Timers,
@@ -51,6 +52,7 @@ use crate::{
 pub(crate) use self::{
     futures::{FutureId, LocalWake},
     handle::ProcessorHandle,
+    handover::Turn,
 };
 
 /// One processor, seen from its own thread.
@@ -283,6 +285,28 @@ impl Processor {
         here.ok().flatten()
     }
 
+    /// Gives the answer to a call of the processor that this thread runs, if nobody has looked at the call. What
+    /// was brought, when it is to be given in the usual way.
+    #[inline]
+    pub(crate) fn answer_here(
+        ticket: Ticket,
+        letter: Box<Letter>,
+    ) -> Option<(Ticket, Box<Letter>)> {
+        let mut brought = Some((ticket, letter));
+        // It fails where the thread ends.
+        let _ = HERE.try_with(|here| {
+            if let Ok(here) = here.try_borrow()
+                && let Some(here) = here.as_ref()
+                && let Ok(mut calls) = here.calls.try_borrow_mut()
+                && let Some((ticket, letter)) =
+                    brought.take_if(|(ticket, _)| Arc::ptr_eq(&here.handle, ticket.home()))
+            {
+                brought = calls.answer_unseen(ticket, letter).err();
+            }
+        });
+        brought
+    }
+
     /// The processor that this thread runs.
     pub(crate) fn here() -> Option<Rc<Self>> {
         HERE.try_with(|here| here.borrow().clone()).ok().flatten()
@@ -319,7 +343,7 @@ impl Processor {
     }
 
     /// The queue of the task in `slot`.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn queue(&self, slot: u16) -> Option<Rc<TaskQueue>> {
         self.queues.borrow().get(usize::from(slot))?.clone()
     }

@@ -15,7 +15,7 @@ use std::{
 use crate::{
     call::{Fault, lock},
     chassis::{Chassis, Inbound, Outbound},
-    exchange::{Brought, CallKey, Ticket},
+    exchange::{CallKey, Ticket},
     message::{Data, Letter},
     processor::Processor,
     time::Instant,
@@ -121,6 +121,12 @@ enum ReplyTo {
 }
 
 impl ReplyTo {
+    /// [`Self::answer`] with what is in a letter.
+    #[inline(never)]
+    fn answer_from(self, letter: Box<Letter>) {
+        self.answer(Ok(letter.open().0));
+    }
+
     fn answer(self, answer: Answer) {
         match self {
             Self::Local(ticket) => ticket.answer(answer.into()),
@@ -174,6 +180,14 @@ impl ReplySlot {
     pub(crate) fn is_abandoned(&self) -> bool {
         match &self.to {
             Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
+            to => Self::is_abandoned_elsewhere(to.as_ref()),
+        }
+    }
+
+    #[inline(never)]
+    fn is_abandoned_elsewhere(to: Option<&ReplyTo>) -> bool {
+        match to {
+            Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
             Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
             Some(ReplyTo::Remote(_, request)) => request.is_abandoned(),
             None => true,
@@ -200,8 +214,16 @@ impl ReplySlot {
         }
     }
 
-    /// What is enough to answer in place of whoever has the slot.
+    /// [`Self::key`] of a call of this chassis: its processor, and which it is.
     #[inline]
+    pub(crate) fn local_key(&self) -> Option<(u8, CallKey)> {
+        match &self.to {
+            Some(ReplyTo::Local(ticket)) => Some((ticket.home().index(), ticket.key())),
+            _ => None,
+        }
+    }
+
+    /// What is enough to answer in place of whoever has the slot.
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
             ReplyTo::Local(ticket) => ReplyKey::Local(ticket.home().index(), ticket.key()),
@@ -216,9 +238,9 @@ impl Letter {
     /// chassis is not moved: so it passes here and not [`ReplySlot::answer`].
     #[inline]
     pub(crate) fn go_home(mut self: Box<Self>) {
-        match self.reply.as_mut().and_then(|slot| slot.to.take()) {
-            Some(ReplyTo::Local(ticket)) => ticket.answer(Brought::Data(self)),
-            Some(to) => to.answer(Ok(self.open().0)),
+        match self.take_reply().and_then(|mut slot| slot.to.take()) {
+            Some(ReplyTo::Local(ticket)) => ticket.answer_with(self),
+            Some(to) => to.answer_from(self),
             None => {}
         }
     }

@@ -50,6 +50,7 @@ pub(crate) struct Activity {
 }
 
 /// Adds to a counter that has one writer, the loop of its task: no other addition can come between.
+#[inline]
 pub(crate) fn add(counter: &AtomicU64, more: u64) {
     let before = counter.load(Ordering::Relaxed);
     counter.store(before.wrapping_add(more), Ordering::Relaxed);

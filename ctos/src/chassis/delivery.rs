@@ -33,6 +33,16 @@ pub(crate) enum Called {
     Waits(CallKey, Option<Outbound>),
 }
 
+/// What became of a call of a task of the same processor.
+pub(crate) enum CalledBeside {
+    /// It has been answered.
+    Answered(Box<Letter>),
+    /// The task has begun with it, and the call waits at the processor.
+    Begun(CallKey, Asked),
+    /// Nothing: it is to be made in the usual way.
+    Unmade(Message),
+}
+
 /// What became of a one-way message.
 pub(crate) enum Sent {
     /// The receiver's queue has taken it, or never will.
@@ -69,6 +79,55 @@ enum Offer {
 }
 
 impl Chassis {
+    /// [`Self::call`] where a note would be spared, of a task of `processor` that has its turn at once, and while
+    /// nobody looks on. It is what most calls are, so that it is all that they need and no more.
+    #[inline(always)]
+    pub(crate) fn call_beside(
+        &self,
+        processor: &Processor,
+        mut message: Message,
+        limit: Duration,
+        meter: &TaskMeter,
+    ) -> CalledBeside {
+        let letter = &mut *message.letter;
+        let to = letter.header.to;
+        let is_usual = to.chassis() == self.index
+            && self.is_on(to, processor)
+            && !self.tap.is_on()
+            && self.directory.is_as_begun()
+            && letter.header.command != system::Fence::CODE;
+        let queue = if is_usual {
+            processor.queue(to.slot())
+        } else {
+            None
+        };
+        let turn = queue
+            .as_ref()
+            .and_then(|queue| Some((queue, queue.turn_at_once(processor)?)));
+        let Some((queue, turn)) = turn else {
+            return CalledBeside::Unmade(message);
+        };
+        if letter.trace == 0 {
+            letter.trace = processor.fresh_trace(|count| self.fresh_traces(count));
+        }
+        let asked = Asked::of(&message);
+        let ticket = processor.begin_untimed(limit);
+        let key = ticket.key();
+        finish(
+            &mut message,
+            Flags::REPLY_WAIT,
+            0,
+            Some(ReplySlot::call(ticket)),
+        );
+        if let Some(message) = queue.hand_over(processor, turn, message, meter) {
+            self.offered(to, Offer::Done(queue.offer(processor, message)));
+        }
+        match processor.take_answered(key) {
+            Some(letter) => CalledBeside::Answered(letter),
+            None => CalledBeside::Begun(key, asked),
+        }
+    }
+
     /// Asks for a reply within `limit`; the call waits at `processor`, and its end is found there, with
     /// what `note` makes of it and of the message's number in the record. It may have ended already: then
     /// `meter`, its caller's, has stood still meanwhile, and a note that is `spared` is not made.
@@ -133,6 +192,18 @@ impl Chassis {
                     return Called::Answered(letter);
                 }
             }
+            offer => self.offered(to, offer),
+        }
+        // Answers of other threads are taken in after the present turn.
+        processor.note_call(key, beside && spared && !seen, || note(asked, recorded));
+        processor.time_call(key);
+        processor.leave();
+        Called::Waits(key, None)
+    }
+
+    /// What comes of an offer to task `to` of this chassis, whose sender waits for the answer.
+    fn offered(&self, to: Tid, offer: Offer) {
+        match offer {
             Offer::Done(Offered::Taken) => {}
             Offer::Done(Offered::NoRoom(message)) => match self.task(to) {
                 Some(task) => task.mailbox.line_up(message, Acceptance::Silent),
@@ -141,11 +212,6 @@ impl Chassis {
             Offer::Done(Offered::Closed(message)) => message.refuse(Fault::Stopping),
             Offer::Nobody(message) => message.refuse(Fault::UnknownTask),
         }
-        // Answers of other threads are taken in after the present turn.
-        processor.note_call(key, beside && spared && !seen, || note(asked, recorded));
-        processor.time_call(key);
-        processor.leave();
-        Called::Waits(key, None)
     }
 
     /// Sends a message that needs no reply, and waits for room at `processor`, at most for `limit`, if

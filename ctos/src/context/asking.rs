@@ -16,7 +16,7 @@ use futures_util::future::LocalBoxFuture;
 use super::{Context, Inner, TaskRef};
 use crate::{
     call::{CallError, Fault},
-    chassis::{Called, Outbound, Question, Sent},
+    chassis::{Called, CalledBeside, Outbound, Question, Sent},
     circle,
     exchange::{Brought, CallKey, Looked},
     message::{Command, Data, Flags, Letter, Message, PayloadError, Tid},
@@ -76,10 +76,22 @@ impl<C: Command> Future for Calling<C> {
     #[inline]
     fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
         let Self { ask, .. } = self.get_mut();
-        if let Some(letter) = ask.begin(C::NAME).map_err(|error| *error)? {
-            let reply = letter.take::<C::Reply>();
-            return Poll::Ready(reply.map_err(|error| ask.misread(C::NAME, &error)));
+        match ask.begin(C::NAME) {
+            // One arm for each end: what is passed on in one piece is moved, however little of it there is.
+            Ok(Some(letter)) => match letter.take::<C::Reply>() {
+                Ok(reply) => Poll::Ready(Ok(reply)),
+                Err(error) => Poll::Ready(Err(ask.misread(C::NAME, &error))),
+            },
+            Ok(None) => Self::look(ask, poll),
+            Err(error) => Poll::Ready(Err(*error)),
         }
+    }
+}
+
+impl<C: Command> Calling<C> {
+    /// Looks for the answer.
+    #[inline(never)]
+    fn look(ask: &mut Ask, poll: &mut PollContext<'_>) -> Poll<<Self as Future>::Output> {
         let mut reply = None;
         let mut open = |letter: Box<Letter>| {
             let taken = letter.take::<C::Reply>();
@@ -167,15 +179,21 @@ pub(crate) struct Note {
 impl Inner {
     /// The name of a task that is about to be asked, for the error that may come, unless the processor knows
     /// it: those of tasks of its chassis it keeps, so that a call needs no share of the name.
-    #[inline]
+    #[inline(always)]
     pub(super) fn name_to_keep(&self, to: &TaskRef) -> Option<Arc<str>> {
+        if self.record.tid.is_beside(to.tid) && self.processor.knows_name(to.tid.slot(), &to.name) {
+            None
+        } else {
+            self.far_name_to_keep(to)
+        }
+    }
+
+    #[inline(never)]
+    fn far_name_to_keep(&self, to: &TaskRef) -> Option<Arc<str>> {
         let (own, tid) = (self.record.tid, to.tid);
         let known = own.chassis() == tid.chassis()
-            && if own.processor() == tid.processor() {
-                self.processor.knows_name(tid.slot(), &to.name)
-            } else {
-                self.processor.knows_far_name(tid, &to.name)
-            };
+            && !own.is_beside(tid)
+            && self.processor.knows_far_name(tid, &to.name);
         if known { None } else { Some(to.name.clone()) }
     }
 
@@ -224,11 +242,12 @@ pub(super) struct Ask {
     asker: Rc<Inner>,
     /// Whom it asks.
     named: Tid,
-    state: AskState,
+    /// The message, until it is sent.
+    message: Option<Message>,
+    /// The question, from then until there is an answer.
+    waits: Option<Waits>,
     /// Whether it has been looked for in vain.
     waited: bool,
-    /// Set once the call has waited long.
-    circle: Option<Box<Circle>>,
 }
 
 /// The search for a circle of tasks that wait for one another; see `circle.rs`.
@@ -237,12 +256,23 @@ enum Circle {
     Found(Option<String>),
 }
 
-enum AskState {
-    /// The message, which has not been sent yet.
-    New(Message),
-    /// The call, and the way to take it back when it went over a link.
-    Asked(CallKey, Option<Outbound>),
-    Ended,
+/// A question under way.
+struct Waits {
+    key: CallKey,
+    /// The way to take it back when it went over a link.
+    outbound: Option<Outbound>,
+    /// Set once it has waited long.
+    circle: Option<Box<Circle>>,
+}
+
+impl Waits {
+    fn new(key: CallKey, outbound: Option<Outbound>) -> Self {
+        Self {
+            key,
+            outbound,
+            circle: None,
+        }
+    }
 }
 
 impl Circle {
@@ -263,21 +293,9 @@ impl Ask {
         Self {
             asker,
             named: Tid::default(),
-            state: AskState::New(message),
+            message: Some(message),
+            waits: None,
             waited: false,
-            circle: None,
-        }
-    }
-
-    /// The message, if it has not been sent yet.
-    #[inline]
-    fn take_new(&mut self) -> Option<Message> {
-        if !matches!(self.state, AskState::New(_)) {
-            return None;
-        }
-        match std::mem::replace(&mut self.state, AskState::Ended) {
-            AskState::New(message) => Some(message),
-            AskState::Asked(..) | AskState::Ended => None,
         }
     }
 
@@ -289,9 +307,54 @@ impl Ask {
         &mut self,
         command: &'static str,
     ) -> Result<Option<Box<Letter>>, Box<CallError>> {
-        let Some(mut message) = self.take_new() else {
+        let Some(message) = self.message.take() else {
             return Ok(None);
         };
+        let limit = message.letter.limit;
+        // Otherwise the processor does not know the name, or there is no time.
+        if message.letter.to.is_some() || limit.is_zero() {
+            return self.begin_in_turn(command, message);
+        }
+        self.named = message.header().to;
+        let asker = &*self.asker;
+        let meter = &asker.record.statistics.activity().meter;
+        let (chassis, processor) = (&asker.chassis, &asker.processor);
+        match chassis.call_beside(processor, message, limit, meter) {
+            CalledBeside::Answered(letter) => Ok(Some(letter)),
+            CalledBeside::Begun(key, asked) => {
+                self.wait(command, key, asked);
+                Ok(None)
+            }
+            CalledBeside::Unmade(message) => self.begin_in_turn(command, message),
+        }
+    }
+
+    /// The call has been begun with, and waits.
+    #[inline(never)]
+    fn wait(&mut self, command: &'static str, key: CallKey, asked: Asked) {
+        let Self { asker, named, .. } = self;
+        let processor = &asker.processor;
+        processor.note_call(key, true, || Note {
+            asker: asker.clone(),
+            to: None,
+            named: *named,
+            command,
+            asked,
+            recorded: 0,
+            place: None,
+        });
+        processor.time_call(key);
+        processor.leave();
+        self.waits = Some(Waits::new(key, None));
+    }
+
+    /// [`Self::begin`] when it takes more than a turn of a task beside.
+    #[inline(never)]
+    fn begin_in_turn(
+        &mut self,
+        command: &'static str,
+        mut message: Message,
+    ) -> Result<Option<Box<Letter>>, Box<CallError>> {
         let asker = &self.asker;
         let to = message.letter.take_to();
         let (named, limit) = (message.header().to, message.letter.limit);
@@ -319,7 +382,7 @@ impl Ask {
         match called {
             Called::Answered(letter) => Ok(Some(letter)),
             Called::Waits(key, outbound) => {
-                self.state = AskState::Asked(key, outbound);
+                self.waits = Some(Waits::new(key, outbound));
                 Ok(None)
             }
         }
@@ -349,7 +412,7 @@ impl Ask {
 
     /// Sends the message, if that has not been done yet. Pending when its end is still to come.
     fn begin_send(&mut self, command: &'static str) -> Poll<Result<(), Box<CallError>>> {
-        let Some(mut message) = self.take_new() else {
+        let Some(mut message) = self.message.take() else {
             return Poll::Pending;
         };
         let asker = &self.asker;
@@ -378,7 +441,7 @@ impl Ask {
                     recorded,
                     place: None,
                 });
-                self.state = AskState::Asked(key, outbound);
+                self.waits = Some(Waits::new(key, outbound));
                 Poll::Pending
             }
         }
@@ -392,17 +455,17 @@ impl Ask {
         command: &'static str,
         open: &mut dyn FnMut(Box<Letter>) -> Result<(), Fault>,
     ) -> Poll<Result<(), Box<CallError>>> {
-        let AskState::Asked(key, _) = &self.state else {
+        let Some(waits) = &mut self.waits else {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
         let mut note = None;
-        let fault = match self.asker.processor.poll_call(*key, &mut note, poll) {
+        let fault = match self.asker.processor.poll_call(waits.key, &mut note, poll) {
             Looked::Ended(Brought::Data(letter)) => {
                 if let Some(note) = &note {
                     self.tell(note, Ok(&letter.data));
                 }
-                self.state = AskState::Ended;
+                self.waits = None;
                 match open(letter) {
                     Ok(()) => return Poll::Ready(Ok(())),
                     Err(fault) => fault,
@@ -410,7 +473,7 @@ impl Ask {
             }
             Looked::Waiting => {
                 self.waited = true;
-                if let Some(circle) = &mut self.circle {
+                if let Some(circle) = &mut waits.circle {
                     circle.poll(poll);
                 }
                 return Poll::Pending;
@@ -468,27 +531,42 @@ impl Ask {
         };
         let mut circle = Circle::LookedFor(Box::pin(circle::look(cx, to)));
         circle.poll(poll);
-        self.circle = Some(Box::new(circle));
+        if let Some(waits) = &mut self.waits {
+            waits.circle = Some(Box::new(circle));
+        }
     }
 
     #[cold]
     fn late(&mut self, note: Option<&Note>, after: Duration) -> Fault {
-        let fault = match self.circle.take().map(|circle| *circle) {
+        let circle = self.waits.as_mut().and_then(|waits| waits.circle.take());
+        let fault = match circle.map(|circle| *circle) {
             Some(Circle::Found(Some(circle))) => Fault::Circle { after, circle },
             _ => Fault::Deadline { after },
         };
         self.failed(note, fault)
     }
 
+    /// Nobody waits for the answer any more.
+    #[cold]
+    fn give_up(&mut self) {
+        if let Some(waits) = self.waits.take() {
+            self.asker.processor.give_up_call(waits.key);
+            if let Some(outbound) = waits.outbound {
+                self.asker.chassis.abandon(outbound);
+            }
+        }
+    }
+
     /// It came to nothing.
     #[cold]
     fn failed(&mut self, note: Option<&Note>, fault: Fault) -> Fault {
-        let state = std::mem::replace(&mut self.state, AskState::Ended);
+        let waits = self.waits.take();
         if let Some(note) = note {
             self.tell(note, Err(&fault));
         }
-        if let (AskState::Asked(_, Some(outbound)), Fault::Deadline { .. } | Fault::Circle { .. }) =
-            (state, &fault)
+        if let Some(waits) = waits
+            && let Some(outbound) = waits.outbound
+            && matches!(fault, Fault::Deadline { .. } | Fault::Circle { .. })
         {
             self.asker.chassis.abandon(outbound);
         }
@@ -517,15 +595,8 @@ fn call_error(asker: &Inner, to: &str, command: &str, fault: Fault) -> CallError
 impl Drop for Ask {
     #[inline]
     fn drop(&mut self) {
-        if !matches!(self.state, AskState::Asked(..)) {
-            return;
-        }
-        if let AskState::Asked(key, outbound) = std::mem::replace(&mut self.state, AskState::Ended)
-        {
-            self.asker.processor.give_up_call(key);
-            if let Some(outbound) = outbound {
-                self.asker.chassis.abandon(outbound);
-            }
+        if self.waits.is_some() {
+            self.give_up();
         }
     }
 }

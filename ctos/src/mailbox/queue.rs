@@ -14,7 +14,7 @@ use crate::{
     call::Fault,
     chassis::TaskRecord,
     message::{Command, Message, SYSTEM_COMMANDS},
-    processor::{FutureId, Processor},
+    processor::{FutureId, Processor, Turn},
     room::{Room, most_waiting},
     runner::Resting,
     system::{Broke, StopTask, interrupts},
@@ -123,13 +123,10 @@ pub(super) struct Lanes {
 impl Lanes {
     /// Whether there is nothing in them that is to be kept.
     fn are_unused(&self) -> bool {
-        let is_empty =
-            |lane: &Lane| lane.queue.is_empty() && lane.waiting.is_empty() && lane.arrived == 0;
-        !self.held
-            && self.gate.is_none()
-            && self.told_later.is_empty()
-            && is_empty(&self.urgent)
-            && is_empty(&self.normal)
+        // As one number, because it is asked for each call.
+        let in_lane = |lane: &Lane| lane.queue.len() | lane.waiting.len() | lane.arrived;
+        let kept = in_lane(&self.urgent) | in_lane(&self.normal) | self.told_later.len();
+        kept == 0 && !self.held && self.gate.is_none()
     }
 
     pub(super) fn lane(&mut self, urgent: bool) -> &mut Lane {
@@ -264,37 +261,38 @@ impl TaskQueue {
         message: Message,
         meter: &TaskMeter,
     ) -> Offered {
-        match self.hand_over(processor, message, meter) {
-            Ok(()) => Offered::Taken,
-            Err(message) => self.offer(processor, message),
+        let left = match self.turn_at_once(processor) {
+            Some(turn) => self.hand_over(processor, turn, message, meter),
+            None => Some(message),
+        };
+        match left {
+            None => Offered::Taken,
+            Some(message) => self.offer(processor, message),
         }
     }
 
-    /// Gives a message to the loop of an idle task, which has its turn at once.
-    ///
-    /// # Errors
-    /// The message, when the task is to have it in the usual way.
+    /// The turn that the loop of the task may have at once, if it is idle.
     #[inline]
-    fn hand_over(
+    pub(crate) fn turn_at_once(&self, processor: &Processor) -> Option<Turn> {
+        let idle = self.waits_for.get() == WaitsFor::Message && !self.task.mailbox.is_closed();
+        let runner = self.runner.get().filter(|_| idle && self.is_unused())?;
+        processor.turn_at_once(runner)
+    }
+
+    /// Gives a message to the loop of the task, which has its turn at once. The message, when the loop had to end
+    /// in it: the task is to have it in the usual way.
+    #[inline]
+    pub(crate) fn hand_over(
         &self,
         processor: &Processor,
+        turn: Turn,
         message: Message,
         meter: &TaskMeter,
-    ) -> Result<(), Message> {
-        let idle = self.waits_for.get() == WaitsFor::Message && !self.task.mailbox.is_closed();
-        let Some(runner) = self.runner.get().filter(|_| idle && self.is_unused()) else {
-            return Err(message);
-        };
+    ) -> Option<Message> {
         self.waits_for.set(WaitsFor::Nothing);
         self.handed.set(Some(message));
-        if !processor.hand_over(runner, meter) {
-            self.waits_for.set(WaitsFor::Message);
-        }
-        // It is there still when there was no turn, or when the loop had to end in it.
-        match self.handed.take() {
-            Some(message) => Err(message),
-            None => Ok(()),
-        }
+        processor.hand_over(turn, meter);
+        self.handed.take()
     }
 
     /// Whether nothing is in it, and nothing would be kept from its task.

@@ -141,7 +141,7 @@ impl Letter {
 
     /// Who waits for the answer; from now on nobody does.
     #[inline]
-    fn take_reply(&mut self) -> Option<ReplySlot> {
+    pub(crate) fn take_reply(&mut self) -> Option<ReplySlot> {
         if self.reply.is_some() {
             self.reply.take()
         } else {
@@ -173,7 +173,7 @@ impl Letter {
     ///
     /// # Errors
     /// As [`Data::take`].
-    #[inline]
+    #[inline(always)]
     pub(crate) fn take<T: DeserializeOwned + 'static>(
         mut self: Box<Self>,
     ) -> Result<T, PayloadError> {
@@ -184,16 +184,21 @@ impl Letter {
     }
 
     /// Keeps a letter that is blank for another message.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn keep(self: Box<Self>) {
         // It fails where the thread ends: the letter is given back to the allocator.
         let _ = SPARE.try_with(|spare| {
             let mut spare = spare.borrow_mut();
             spare.push(self);
             if spare.len() >= 2 * BATCH {
-                STORE.give(&mut spare, BATCH);
+                Self::to_store(&mut spare);
             }
         });
+    }
+
+    #[cold]
+    fn to_store(spare: &mut Vec<Box<Self>>) {
+        STORE.give(spare, BATCH);
     }
 }
 
@@ -221,7 +226,7 @@ mod tests {
                 address,
                 "it was not used again"
             );
-            assert!(matches!(&next.data, Data::Bytes(bytes) if bytes.is_empty()));
+            assert!(next.data.to_bytes().unwrap().is_empty());
         }
     }
 

@@ -66,19 +66,29 @@ impl Handovers {
     }
 }
 
+/// The turn that a future may have at once: it is out of its entry, so that it must have it.
+#[must_use]
+pub(crate) struct Turn {
+    of: FutureId,
+    running: Box<Running>,
+}
+
 impl Processor {
-    /// Lets a future that has just got a message have its turn within the present one, which is its
-    /// caller's, whose `meter` stands still meanwhile. False when it is to have it in the usual way.
+    /// The turn that an idle future may have within the present one, if it need not have it in the usual way.
     #[inline]
-    pub(crate) fn hand_over(&self, to: FutureId, meter: &TaskMeter) -> bool {
+    pub(crate) fn turn_at_once(&self, of: FutureId) -> Option<Turn> {
         if !self.may_hand_over() {
-            return false;
+            return None;
         }
-        let Some(running) = self.take_idle(to) else {
-            return false;
-        };
-        self.turn_within(to, running, meter);
-        true
+        let running = self.take_idle(of)?;
+        Some(Turn { of, running })
+    }
+
+    /// Lets a future that has just got a message have its turn within the present one, which is its
+    /// caller's, whose `meter` stands still meanwhile.
+    #[inline]
+    pub(crate) fn hand_over(&self, turn: Turn, meter: &TaskMeter) {
+        self.turn_within(turn.of, turn.running, meter);
     }
 
     /// The same for a future that was woken, if its turn would be the next one.

@@ -14,6 +14,7 @@ use crate::{
     call::{Fault, ReplyKey},
     chassis::TaskRecord,
     context::Context,
+    exchange::CallKey,
     mailbox::TaskQueue,
     message::{Command, Message, SYSTEM_COMMANDS},
     processor::panic_text,
@@ -32,6 +33,44 @@ pub(crate) struct Serving {
     pub(super) queue: Rc<TaskQueue>,
     /// It was told to stop: nothing more is begun, or hardware at rest would move again.
     pub(super) stopped: Cell<bool>,
+}
+
+/// Waits for the end of a handler that an order to stop interrupts. As a type, and not a closure, because its code
+/// belongs into that of the loop, which is what a message takes.
+struct AtWork<'a, 'h, F> {
+    serving: &'a Serving,
+    at_hand: &'a AtHand,
+    handling: Pin<&'h mut Option<F>>,
+}
+
+impl<F: Future<Output = Handled>> Future for AtWork<'_, '_, F> {
+    type Output = Ended;
+
+    #[inline(always)]
+    fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Ended> {
+        let Self {
+            serving,
+            at_hand,
+            handling,
+        } = self.get_mut();
+        serving.poll(at_hand, handling.as_mut(), true, cx)
+    }
+}
+
+/// Waits for the next message, in the same way.
+struct Coming<'a> {
+    serving: &'a Serving,
+    next: &'a mut Option<Message>,
+}
+
+impl Future for Coming<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn poll(self: Pin<&mut Self>, _: &mut PollContext<'_>) -> Poll<()> {
+        let Self { serving, next } = self.get_mut();
+        serving.poll_next(next)
+    }
 }
 
 /// Why the handling of a task's messages was interrupted.
@@ -63,9 +102,31 @@ pub(super) struct AtHand {
     command: Cell<u16>,
     pub(super) serial: Cell<u64>,
     began: Cell<Instant>,
-    owed: Cell<Option<ReplyKey>>,
+    owed: Cell<Owed>,
+    /// To whom, when that is [`Owed::Elsewhere`].
+    owed_elsewhere: Cell<Option<ReplyKey>>,
     /// The message, for the record, if there is one.
     noted: Cell<Option<record::AtHand>>,
+}
+
+impl AtHand {
+    /// Whoever has this key is owed the answer.
+    #[inline(never)]
+    fn owes_elsewhere(&self, key: Option<ReplyKey>) {
+        self.owed.set(Owed::Elsewhere);
+        self.owed_elsewhere.set(key);
+    }
+}
+
+/// To whom the answer to a message is owed. What most are needs no destructor.
+#[derive(Clone, Copy, Default)]
+enum Owed {
+    #[default]
+    Nothing,
+    /// To a call of this processor of the chassis.
+    Here(u8, CallKey),
+    /// To somebody else.
+    Elsewhere,
 }
 
 #[cold]
@@ -133,11 +194,16 @@ impl Serving {
         at_hand.command.set(command);
         at_hand.serial.set(serial);
         at_hand.began.set(began);
-        let owed = message.letter.reply.as_mut().and_then(|slot| {
-            slot.set_serial(serial);
-            slot.key()
-        });
-        at_hand.owed.set(owed);
+        match &mut message.letter.reply {
+            None => at_hand.owed.set(Owed::Nothing),
+            Some(slot) => {
+                slot.set_serial(serial);
+                match slot.local_key() {
+                    Some((home, call)) => at_hand.owed.set(Owed::Here(home, call)),
+                    None => at_hand.owes_elsewhere(slot.key()),
+                }
+            }
+        }
         chassis.delivered(&self.record, message);
         let statistics = &self.activity;
         statistics.begin(command, began);
@@ -174,9 +240,12 @@ impl Serving {
                 tap.ended(&noted, now, ending);
             }
         }
-        let owed = at_hand.owed.take();
+        let owed = at_hand.owed.get();
         match ended {
             Ok(()) => {
+                if let Owed::Elsewhere = owed {
+                    at_hand.owes_elsewhere(None);
+                }
                 // A right to answer that it kept is still good; one that it dropped is not.
                 drop(processor.take_orphan(serial).map(|mut slot| {
                     slot.set_serial(0);
@@ -184,7 +253,14 @@ impl Serving {
                 }));
                 None
             }
-            Err(bad) => self.end_badly(command, serial, owed, *bad),
+            Err(bad) => {
+                let owed = match owed {
+                    Owed::Nothing => None,
+                    Owed::Here(home, call) => Some(ReplyKey::Local(home, call)),
+                    Owed::Elsewhere => at_hand.owed_elsewhere.take(),
+                };
+                self.end_badly(command, serial, owed, *bad)
+            }
         }
     }
 
@@ -224,7 +300,7 @@ impl Serving {
     }
 
     /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop.
-    #[inline]
+    #[inline(always)]
     pub(super) fn poll<F: Future<Output = Handled>>(
         &self,
         at_hand: &AtHand,
@@ -265,13 +341,22 @@ impl Serving {
             self.begin(&at_hand, &mut message);
             cx.set_trace(message.trace());
             let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
-            let ended = poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await;
+            let at_work = AtWork {
+                serving: self,
+                at_hand: &at_hand,
+                handling: handling.as_mut(),
+            };
+            let ended = at_work.await;
             let processor = self.cx.processor();
             processor.handling(at_hand.serial.get(), || handling.set(None));
             if let Some(panic) = self.end(&at_hand, ended) {
                 return Served::Panicked(panic);
             }
-            poll_fn(|_| self.poll_next(&mut next)).await;
+            let coming = Coming {
+                serving: self,
+                next: &mut next,
+            };
+            coming.await;
             if let Some(of_runtime) = next.take_if(|next| next.command() >= SYSTEM_COMMANDS) {
                 return Served::Next(of_runtime);
             }

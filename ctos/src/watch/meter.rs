@@ -17,9 +17,10 @@ pub(super) fn bound_s(bucket: usize) -> f64 {
     1e-6 * 4_f64.powi(i32::try_from(bucket).unwrap_or(i32::MAX))
 }
 
-/// How many messages ended well, and how many otherwise.
+/// How many messages of a command ended well, and how many otherwise.
 #[derive(Debug, Default)]
 struct Count {
+    command: u16,
     ok: AtomicU64,
     failed: AtomicU64,
 }
@@ -57,11 +58,20 @@ fn bucket_of(nanos: u64) -> usize {
     (u64::BITS - micros.leading_zeros()).div_ceil(2) as usize
 }
 
+impl Count {
+    fn of(command: u16) -> Self {
+        Self {
+            command,
+            ..Self::default()
+        }
+    }
+}
+
 impl TaskMeter {
     /// Counts these commands one by one.
     pub(crate) fn of(counted: Arc<[CommandInfo]>) -> Self {
         Self {
-            commands: counted.iter().map(|_| Count::default()).collect(),
+            commands: counted.iter().map(|info| Count::of(info.code)).collect(),
             counted,
             ..Self::default()
         }
@@ -74,9 +84,8 @@ impl TaskMeter {
         if let Some(bucket) = self.durations.get(bucket.min(BUCKETS)) {
             add(bucket, 1);
         }
-        let mut known = self.counted.iter().zip(&self.commands);
-        let known = known.find(|(info, _)| info.code == command);
-        let count = known.map_or(&self.other, |(_, count)| count);
+        let known = self.commands.iter().find(|count| count.command == command);
+        let count = known.unwrap_or(&self.other);
         add(if ok { &count.ok } else { &count.failed }, 1);
     }
 
@@ -106,6 +115,7 @@ impl TaskMeter {
     }
 
     /// Runs code of the handler: a turn that it has on its processor. The code does not panic.
+    #[inline(always)]
     pub(crate) fn in_turn<T>(&self, code: impl FnOnce() -> T) -> T {
         self.step();
         let result = code();
