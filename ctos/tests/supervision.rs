@@ -489,14 +489,14 @@ fn no_app_is_said_to_be_up_once_one_of_its_tasks_has_failed() {
         match &run.outcome.end {
             End::TaskFailed { task, .. } => {
                 assert_eq!(task, "arm");
-                assert!(!was_up, "{late_us} us: {:#?}", run.events);
+                assert!(!was_up, "seed {seed}, {late_us} us: {:#?}", run.events);
                 failed += 1;
             }
             End::GivenUp { .. } => {
-                assert!(was_up, "{late_us} us: {:#?}", run.events);
+                assert!(was_up, "seed {seed}, {late_us} us: {:#?}", run.events);
                 contained += 1;
             }
-            other => panic!("{late_us} us: {other:?}"),
+            other => panic!("seed {seed}, {late_us} us: {other:?}"),
         }
     }
     assert!(failed > 0 && contained > 0, "{failed}, {contained}");
