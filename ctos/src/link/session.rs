@@ -259,6 +259,7 @@ impl Session {
             }
             core.outgoing.restart(received)?;
             core.outgoing.set_lend(lend);
+            core.outgoing.cut_into(writer.piece());
             let core = &mut *core;
             core.line.advance(&mut core.outgoing, now);
             core.writer = Some(writer);

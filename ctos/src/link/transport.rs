@@ -101,6 +101,15 @@ pub(crate) enum Stream {
 }
 
 impl Stream {
+    /// Whether its other end is known to be a process of this host.
+    pub(crate) fn is_nearby(&self) -> bool {
+        match self {
+            Self::Tcp(stream) => stream.peer_addr().is_ok_and(|peer| peer.ip().is_loopback()),
+            Self::Unix(_) => true,
+            Self::Tls(_) | Self::Other(_) => false,
+        }
+    }
+
     /// The half that is read, and the half that is written.
     pub(crate) fn split(self) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
         match self {
@@ -458,6 +467,8 @@ fn remove_stale(folder: &Path) {
 mod tests {
     use super::*;
 
+    impl Bytes for tokio::io::DuplexStream {}
+
     #[test]
     fn addresses_survive_their_text() {
         for text in [
@@ -484,6 +495,18 @@ mod tests {
         ] {
             assert!(text.parse::<Address>().is_err(), "{text}");
         }
+    }
+
+    #[tokio::test]
+    async fn only_a_stream_whose_other_end_is_known_to_be_on_this_host_is_nearby() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let there = TcpStream::connect(listener.local_addr().unwrap());
+        assert!(Stream::Tcp(there.await.unwrap()).is_nearby());
+        let (here, _there) = UnixStream::pair().unwrap();
+        assert!(Stream::Unix(here).is_nearby());
+        // What is behind a router may be anywhere.
+        let (here, _there) = tokio::io::duplex(1);
+        assert!(!Stream::Other(Box::new(here)).is_nearby());
     }
 
     #[test]

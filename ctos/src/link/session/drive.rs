@@ -27,8 +27,7 @@ use super::{
 };
 use crate::link::{lookout::Lookout, session::DownReason, shm, transport::Stream};
 
-/// How much a Unix socket holds that has not been read, bytes, where its two ends run on two cores; TCP finds
-/// its own measure.
+/// How much a Unix socket holds that has not been read, bytes; TCP finds its own measure.
 const SEND_BUFFER: usize = 1 << 20;
 
 /// How many bytes are read at a time.
@@ -56,8 +55,12 @@ pub(crate) async fn drive(
         Stream::Tls(_) | Stream::Other(_) => stream,
         _ if session.is_injured() => stream,
         Stream::Tcp(_) | Stream::Unix(_) => {
-            return match fd_of(stream, lookout) {
-                Ok(fd) => drive_socket(session, fd, received, lookout).await,
+            let is_nearby = stream.is_nearby();
+            return match fd_of(stream) {
+                Ok(fd) => {
+                    let socket = Socket::new(fd, is_nearby, Arc::downgrade(lookout));
+                    drive_socket(session, socket, received, lookout).await
+                }
                 Err(error) => {
                     broke(&error);
                     Ok(())
@@ -97,16 +100,14 @@ pub(crate) async fn drive(
 }
 
 /// The file descriptor of a plain socket; it stays non-blocking.
-fn fd_of(stream: Stream, lookout: &Lookout) -> io::Result<OwnedFd> {
+fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
     match stream {
         Stream::Tcp(stream) => Ok(stream.into_std()?.into()),
         Stream::Unix(stream) => {
             let stream = stream.into_std()?;
-            // An image leaves at once, and its receiver is woken once. Not on one core: there a wake-up is
-            // cheap, and what is read soon after it was written is still in the core's cache. What the system
-            // refuses is no reason to do without the socket.
-            let two_cores = !lookout.spin_time().is_zero();
-            if two_cores && let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
+            // An image leaves at once, and its receiver is woken once. What the system refuses is no reason to do
+            // without the socket.
+            if let Err(error) = set_socket_send_buffer_size(&stream, SEND_BUFFER) {
                 tracing::debug!(error = %error, "a socket keeps its small buffer");
             }
             Ok(stream.into())
@@ -215,11 +216,11 @@ pub(crate) async fn drive_shared(
 /// Carries `session` over a plain socket that the lookout reads.
 async fn drive_socket(
     session: &Arc<Session>,
-    fd: OwnedFd,
+    socket: Socket,
     received: u64,
     lookout: &Arc<Lookout>,
 ) -> Result<(), AttachError> {
-    let socket = Arc::new(Socket::new(fd, Arc::downgrade(lookout)));
+    let socket = Arc::new(socket);
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
     let carrier = Carrier::Socket(socket.clone());
     let (stream, mut ended) =

@@ -17,6 +17,7 @@ use tokio::{
     net::{tcp, unix},
 };
 
+use super::window::{PIECE, PIECE_NEARBY};
 use crate::{
     link::{lookout::Lookout, shm},
     time::Instant,
@@ -60,6 +61,16 @@ impl Writer {
         }
     }
 
+    /// Into pieces of how many bytes large frames are cut.
+    pub(super) fn piece(&self) -> usize {
+        let is_nearby = match self {
+            Self::Socket(socket) => socket.is_nearby,
+            Self::Unix(_) | Self::Shared(_) => true,
+            Self::Tcp(_) | Self::Direct(_) | Self::Other(_) => false,
+        };
+        if is_nearby { PIECE_NEARBY } else { PIECE }
+    }
+
     /// Whether room that comes is told to the lookout, so that the driver need not ask for it.
     pub(super) fn is_watched(&self) -> bool {
         matches!(self, Self::Socket(_) | Self::Shared(_))
@@ -94,6 +105,8 @@ impl Writer {
 /// A plain socket that is read and written without a driver of its own, by whoever is at the links.
 pub(crate) struct Socket {
     fd: OwnedFd,
+    /// The other end is a process of this host.
+    is_nearby: bool,
     lookout: Weak<Lookout>,
     /// Its number at the lookout; 0 until it has one.
     id: AtomicU64,
@@ -108,9 +121,10 @@ const MUCH: usize = 16 * 1024;
 
 impl Socket {
     /// A socket that does not block.
-    pub(super) fn new(fd: OwnedFd, lookout: Weak<Lookout>) -> Self {
+    pub(super) fn new(fd: OwnedFd, is_nearby: bool, lookout: Weak<Lookout>) -> Self {
         Self {
             fd,
+            is_nearby,
             lookout,
             id: AtomicU64::new(0),
             // The lookout begins with it.
