@@ -1,9 +1,10 @@
 //! What recording costs: calls and one-way messages between two tasks, recorded and not, in turns.
 //!
 //! Two apps are booted, one of which is recorded to a file; rounds of both are interleaved, so that
-//! what else the machine does hits both. The handler of the message works for 0, 1, 10 or 100 us, since what
-//! recording costs of the rate depends on what a message is otherwise good for. Prints medians and the median
-//! ratio of the rates, and what the record lacks: a rate that is kept by dropping events is none.
+//! what else the machine does hits both. The two tasks share a processor, or have one each, or are two processes.
+//! The handler of the message works for 0, 1, 10 or 100 us, since what recording costs of the rate depends on
+//! what a message is otherwise good for. Prints medians and the median ratio of the rates, and what the record
+//! lacks: a rate that is kept by dropping events is none.
 
 #![allow(
     clippy::unwrap_used,
@@ -16,7 +17,6 @@ use std::{
     ffi::OsString,
     io::{Read, Write},
     net::{TcpListener, TcpStream},
-    path::Path,
     sync::Arc,
     thread::JoinHandle,
     time::Duration,
@@ -38,6 +38,12 @@ const WORK: [(u64, u32); 4] = [(0, 2000), (1, 2000), (10, 500), (100, 100)];
 /// Rounds of each, and after `--quick`.
 const ROUNDS: usize = 200;
 const QUICK: usize = 40;
+/// Where the other task is, and how the configuration says it.
+const PLACES: [(&str, &str); 3] = [
+    ("the same processor", "on = 'a/main'"),
+    ("another processor", "on = 'a/other'"),
+    ("another process", "on = 'b'"),
+];
 /// The first argument of a process that is a chassis and not the benchmark.
 const CHASSIS: &str = "bench-chassis";
 
@@ -134,15 +140,16 @@ fn registry() -> Registry {
     registry
 }
 
-fn app(file: &str, port: u16) -> App {
+fn app(file: &str, port: u16, place: &str) -> App {
     let record = if file == "none" {
         String::new()
     } else {
         format!("[record]\nfile = {file:?}\nbuffer_mb = 256\nmax_mb = 100_000\n")
     };
     let text = format!(
-        "{record}[app]\nuntil = \"near\"\n[chassis.a]\n[task.near]\nhandler = \"near\"\non = \"a\"\n\
-         args.port = {port}\n[task.far]\nhandler = \"far\"\non = \"a\"\n"
+        "{record}[app]\nuntil = \"near\"\n[chassis.a]\nprocessors = {{ main = {{}}, other = {{}} }}\n[chassis.b]\n\
+         [task.near]\nhandler = \"near\"\non = \"a/main\"\nargs.port = {port}\n\
+         [task.far]\nhandler = \"far\"\n{place}\n"
     );
     load_texts(&[("bench.toml", &text)], &[], &[]).unwrap()
 }
@@ -154,16 +161,16 @@ struct Booted {
 }
 
 impl Booted {
-    fn new(file: &str) -> Self {
+    fn new(file: &str, on: &str) -> Self {
         let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
         let port = listener.local_addr().unwrap().port();
         let launcher = Launcher {
             program: std::env::current_exe().unwrap(),
-            arguments: [CHASSIS, file, &port.to_string()]
+            arguments: [CHASSIS, file, &port.to_string(), on]
                 .map(OsString::from)
                 .to_vec(),
         };
-        let app = app(file, port);
+        let app = app(file, port, on);
         let boot = std::thread::spawn(move || {
             let observer: Observer = Arc::new(|_| ());
             boot(app, registry(), &launcher, &observer).unwrap();
@@ -194,21 +201,29 @@ fn median(values: &mut [f64]) -> f64 {
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    if let [first, file, port, _, name, _, address, _, origin] = arguments.as_slice()
+    if let [first, file, port, on, _, name, _, address, _, origin] = arguments.as_slice()
         && first == CHASSIS
     {
-        let app = app(file, port.parse().unwrap());
+        let app = app(file, port.parse().unwrap(), on);
         let (address, origin): (ctos::boot::Address, u64) =
             (address.parse().unwrap(), origin.parse().unwrap());
         run_chassis(app, registry(), name, &address, origin).unwrap();
         return;
     }
     let quick = arguments.iter().any(|argument| argument == "--quick");
+    for (place, on) in PLACES {
+        println!("the other task is on {place}");
+        compare(on, if quick { QUICK } else { ROUNDS });
+    }
+}
+
+/// Both apps in turns, with the other task at that place.
+fn compare(on: &str, rounds: usize) {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("run.mcap");
     let clock = Clock::real();
-    let mut plain = Booted::new("none");
-    let mut recorded = Booted::new(file.to_str().unwrap());
+    let mut plain = Booted::new("none", on);
+    let mut recorded = Booted::new(file.to_str().unwrap(), on);
     println!(
         "{:<10}{:>10}{:>12}{:>14}{:>12}",
         "ns each", "work, us", "plain", "recorded", "rate kept"
@@ -217,7 +232,7 @@ fn main() {
         let name = if order < 4 { "call" } else { "one-way" };
         let micros = WORK[usize::from(order % 4)].0;
         let (mut without, mut with, mut kept) = (Vec::new(), Vec::new(), Vec::new());
-        for _ in 0..if quick { QUICK } else { ROUNDS } {
+        for _ in 0..rounds {
             let plain = plain.round(&clock, order);
             let recorded = recorded.round(&clock, order);
             without.push(plain);
@@ -230,10 +245,13 @@ fn main() {
     }
     plain.end();
     recorded.end();
-    let run = scan(Path::new(&file.with_file_name("run.a.mcap")), |_| ()).unwrap();
-    println!(
-        "the record holds {} lines and lacks {}",
-        run.lines(),
-        run.lost
-    );
+    for chassis in ["a", "b"] {
+        let file = file.with_file_name(format!("run.{chassis}.mcap"));
+        let run = scan(&file, |_| ()).unwrap();
+        println!(
+            "the record of {chassis} holds {} lines and lacks {}",
+            run.lines(),
+            run.lost
+        );
+    }
 }

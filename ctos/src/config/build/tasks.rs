@@ -52,14 +52,14 @@ impl Builder<'_> {
         })
     }
 
-    /// Resolves `CHASSIS` or `CHASSIS/PROCESSOR`.
+    /// Resolves `CHASSIS` or `CHASSIS/PROCESSOR`; a colon will do, as for `ctos move`.
     fn find_processor(
         &mut self,
         on: &str,
         place: &Place,
         all: &[ChassisConfig],
     ) -> Option<(String, String)> {
-        let (name, processor) = match on.split_once('/') {
+        let (name, processor) = match on.split_once(['/', ':']) {
             Some((name, processor)) => (name, Some(processor)),
             None => (on, None),
         };

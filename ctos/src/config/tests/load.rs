@@ -54,6 +54,17 @@ fn default_then_include_then_file_then_set() {
 }
 
 #[test]
+fn a_processor_stands_behind_a_slash_or_a_colon() {
+    for on in ["w/fast", "w:fast"] {
+        let text = format!(
+            "[chassis.w]\nprocessors = {{ main = {{}}, fast = {{}} }}\n[task.a]\nhandler=\"h\"\non={on:?}\n"
+        );
+        let app = load_texts(&[("a.toml", &text)], &[], &[]).unwrap();
+        assert_eq!(app.tasks[0].processor, "fast");
+    }
+}
+
+#[test]
 fn an_array_is_replaced_as_a_whole() {
     let texts = [
         (
