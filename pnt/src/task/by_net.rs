@@ -24,6 +24,7 @@ impl<T> ByNet<T> {
         same.map_or_else(|| self.index_by_text(net), Ok)
     }
 
+    /// Apart from what is looked for first, which is short enough to be inlined without it.
     #[inline(never)]
     fn index_by_text(&self, net: &str) -> Result<usize, usize> {
         self.0.binary_search_by(|(name, _)| (**name).cmp(net))
@@ -61,6 +62,8 @@ impl<T: Default> ByNet<T> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
 
     #[test]
@@ -76,5 +79,14 @@ mod tests {
         assert_eq!(numbers.get(&"c".into()), Some(&100));
         assert_eq!(numbers.get(&"d".into()), None);
         assert!(numbers.iter().map(|(net, _)| &**net).eq(["a", "b", "c"]));
+    }
+
+    #[test]
+    fn it_is_stored_as_a_map_is() {
+        let map = BTreeMap::from([("b", 1_u32), ("a", 10)]);
+        let stored = postcard::to_stdvec(&map).unwrap();
+        let numbers: ByNet<u32> = postcard::from_bytes(&stored).unwrap();
+        assert_eq!(numbers.get(&"a".into()), Some(&10));
+        assert_eq!(postcard::to_stdvec(&numbers).unwrap(), stored);
     }
 }
