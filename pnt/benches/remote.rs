@@ -3,7 +3,8 @@
 //!
 //! A command is answered when two tokens have moved: to another net and back, or through two places of the
 //! same net. Half of the difference is what it costs that a token is remote. `--pin` keeps both processes on
-//! one core, `--pin2` gives each a core of its own.
+//! one core, `--pin2` gives each a core of its own; with `--beside` there is one row, of the net on the same
+//! processor.
 
 #![allow(
     clippy::panic,
@@ -81,10 +82,13 @@ fn pair(place: usize) -> [(String, String); 2] {
     ]
 }
 
-fn app(spin: &str) -> App {
+fn app(spin: &str, places: usize) -> App {
     let mut text = format!(
-        "[app]\nuntil = \"driver\"\n{spin}\n[chassis.a]\nprocessors.main = {{}}\nprocessors.other = {{}}\n[chassis.b]\nprocessors.main = {{}}\n"
+        "[app]\nuntil = \"driver\"\n{spin}\n[chassis.a]\nprocessors.main = {{}}\nprocessors.other = {{}}\n"
     );
+    if places == PLACES.len() {
+        text.push_str("[chassis.b]\nprocessors.main = {}\n");
+    }
     let mut task = |name: &str, handler: &str, (on, processor): (&str, &str)| {
         text.push_str(&format!(
             "[task.{name}]\nhandler = \"{handler}\"\non = \"{on}/{processor}\"\n"
@@ -93,7 +97,7 @@ fn app(spin: &str) -> App {
     let main = ("a", "main");
     task("driver", "driver", main);
     task("local", "local", main);
-    for (place, (_, on, processor)) in PLACES.iter().enumerate() {
+    for (place, (_, on, processor)) in PLACES.iter().enumerate().take(places) {
         task(&format!("here{place}"), &format!("here{place}"), main);
         let other = (*on, *processor);
         task(&format!("there{place}"), &format!("there{place}"), other);
@@ -102,9 +106,9 @@ fn app(spin: &str) -> App {
     load_texts(&[("remote.toml", text.as_str())], &[], &[]).unwrap()
 }
 
-fn registry() -> Registry {
+fn registry(places: usize) -> Registry {
     let mut registry = Registry::new();
-    let pairs = (0..PLACES.len()).flat_map(pair);
+    let pairs = (0..places).flat_map(pair);
     let local = ("local".to_owned(), LOCAL.to_owned());
     for (name, text) in pairs.chain([local]) {
         let net = compile::net(&Source::new("remote.net", text)).unwrap();
@@ -114,11 +118,13 @@ fn registry() -> Registry {
     }
     registry.function::<Ask, _, _>("ask", |_, Ask { data }| async move { Ok(data) });
     const NONE: [CommandInfo; 0] = [];
-    registry.handler("driver", &NONE, |_| Ok(Driver));
+    registry.handler("driver", &NONE, move |_| Ok(Driver { places }));
     registry
 }
 
-struct Driver;
+struct Driver {
+    places: usize,
+}
 
 impl EventHandler for Driver {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
@@ -127,9 +133,9 @@ impl EventHandler for Driver {
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
         if phase == Phase::Run {
-            let cx = cx.clone();
+            let (cx, places) = (cx.clone(), self.places);
             cx.clone().spawn(async move {
-                let lines = measure(&cx).await;
+                let lines = measure(&cx, places).await;
                 cx.finish(AppResult {
                     ok: true,
                     text: lines.join("\n"),
@@ -142,10 +148,10 @@ impl EventHandler for Driver {
 }
 
 /// A line for each place.
-async fn measure(cx: &Context) -> Vec<String> {
+async fn measure(cx: &Context, places: usize) -> Vec<String> {
     let mut lines = Vec::new();
     let local = cx.task("local").await.unwrap();
-    for (place, (name, ..)) in PLACES.iter().enumerate() {
+    for (place, (name, ..)) in PLACES.iter().enumerate().take(places) {
         let here = cx.task(&format!("here{place}")).await.unwrap();
         let ask = cx.task(&format!("ask{place}")).await.unwrap();
         let mut rounds = Vec::new();
@@ -221,11 +227,25 @@ fn pin(cpu: Option<usize>) {
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    if let ["remote-chassis", spin, pins, _, name, _, address, _, origin] = words[..] {
+    if let [
+        "remote-chassis",
+        spin,
+        pins,
+        places,
+        _,
+        name,
+        _,
+        address,
+        _,
+        origin,
+    ] = words[..]
+    {
         let mut pins = pins.split(',').map(|pin| pin.parse().ok());
         pin(pins.nth(usize::from(name == "b")).flatten());
         let boot = address.parse().unwrap();
-        run_chassis(app(spin), registry(), name, &boot, origin.parse().unwrap()).unwrap();
+        let places = places.parse().unwrap();
+        let (app, registry) = (app(spin, places), registry(places));
+        run_chassis(app, registry, name, &boot, origin.parse().unwrap()).unwrap();
         return;
     }
     // Without `--bench` this is a test that the benchmark is compiled in.
@@ -237,16 +257,23 @@ fn main() {
         () if words.contains(&"--pin2") => "0,1",
         () => "",
     };
+    let places = if words.contains(&"--beside") {
+        1
+    } else {
+        PLACES.len()
+    };
     for spin in ["spin_us = 0", "spin_us = 50"] {
         let launcher = Launcher {
             program: std::env::current_exe().unwrap(),
-            arguments: ["remote-chassis", spin, pins].map(OsString::from).to_vec(),
+            arguments: ["remote-chassis", spin, pins, &places.to_string()]
+                .map(OsString::from)
+                .to_vec(),
         };
         let said: Arc<Mutex<Vec<String>>> = Arc::default();
         let hears = said.clone();
         let observer: Observer =
             Arc::new(move |event| hears.lock().unwrap().push(format!("{event:?}")));
-        let outcome = boot(app(spin), registry(), &launcher, &observer).unwrap();
+        let outcome = boot(app(spin, places), registry(places), &launcher, &observer).unwrap();
         match outcome.end {
             End::Finished(result) => println!("{spin}, the other net on\n{}", result.text),
             other => panic!("{other:?}: {:#?}", said.lock().unwrap()),

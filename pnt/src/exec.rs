@@ -374,11 +374,12 @@ impl Execution {
     /// Empties the places that a transition's reset arcs name, once its inputs are taken; at once puts
     /// what it puts there if it fires in one step. Returns what was thrown away, if events are recorded.
     fn empty(&mut self, id: TransitionId, at_once: bool) -> Option<Box<[crate::net::Arc]>> {
-        let wiring = Arc::clone(&self.wiring);
-        let resets = wiring.resets(wiring.phases.get(id.index())?);
-        if resets.is_empty() {
+        let phases = self.wiring.phases.get(id.index())?;
+        if self.wiring.resets(phases).is_empty() {
             return None;
         }
+        let wiring = Arc::clone(&self.wiring);
+        let resets = wiring.resets(phases);
         let mut emptied = Vec::new();
         for reset in resets {
             let before = self.enabling.counter(reset.place.0);
@@ -410,8 +411,8 @@ impl Execution {
     }
 
     fn write(&mut self, id: TransitionId) -> Option<Written> {
+        let symbol = self.net[id].write.clone()?;
         let net = Arc::clone(&self.net);
-        let symbol = net[id].write.clone()?;
         let answers = |command: CommandId| net[command].answers.contains(&symbol);
         Some(match self.with_tape(|tape| tape.answer(answers)) {
             Some(command) => Written::Answer { command, symbol },

@@ -7,6 +7,7 @@
 mod action;
 mod ask;
 mod breaks;
+mod by_net;
 mod carry;
 mod control;
 mod durable;

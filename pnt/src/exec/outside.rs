@@ -21,6 +21,7 @@ impl Execution {
     }
 
     /// [`Self::put_all`].
+    #[inline]
     pub(crate) fn put_each(&mut self, tokens: &[(String, u32)]) -> Result<Tokens, FireError> {
         let added = self.added(tokens)?;
         for (place, count) in &added {
@@ -34,6 +35,7 @@ impl Execution {
     }
 
     /// What each place gets, once each.
+    #[inline]
     fn added(&self, tokens: &[(String, u32)]) -> Result<Tokens, FireError> {
         if let [(place, count)] = tokens {
             return Ok(smallvec![(self.place(place)?, *count)]);
@@ -104,6 +106,7 @@ impl Execution {
         Ok(number)
     }
 
+    #[inline]
     fn place(&self, name: &str) -> Result<PlaceId, FireError> {
         let id = self.wiring.place_names.get(name).copied();
         id.ok_or_else(|| FireError::UnknownPlace {
@@ -112,6 +115,7 @@ impl Execution {
         })
     }
 
+    #[inline]
     fn require_room_for(&self, place: PlaceId, more: u32) -> Result<(), FireError> {
         let name = || self.net[place].name.clone();
         let Some(Some(capped)) = self.wiring.capped.get(place.index()) else {
@@ -133,6 +137,7 @@ impl Execution {
     }
 
     /// Adds tokens to a place, modulo 2^32.
+    #[inline]
     fn change(&mut self, place: PlaceId, by: u32) {
         self.enabling.add(&self.wiring, place.0, by);
         if let Some(Some(capped)) = self.wiring.capped.get(place.index()) {

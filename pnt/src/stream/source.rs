@@ -1,11 +1,7 @@
 //! The end of the stream in the net's task: the latest events in a short form, and those who wait for the
 //! next ones. It knows no task and no timer; [`crate::task`] calls it and answers in its name.
 
-use std::{
-    collections::{BTreeMap, VecDeque},
-    sync::Arc,
-    time::Duration,
-};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use ctos::{message::Replier, record::Number, task::HandlerError, time::Instant};
 
@@ -25,6 +21,12 @@ const KEPT: usize = 4 * MOST_EVENTS;
 /// that what many displays cost together is bounded too.
 const INTERVAL: Duration = Duration::from_millis(4);
 const INTERVAL_EACH: Duration = Duration::from_millis(1);
+
+/// Where the event of a number is kept, in the place of the one that is too old by then.
+fn place(seq: u64) -> usize {
+    let place = seq.wrapping_sub(1) % KEPT as u64;
+    usize::try_from(place).unwrap_or(usize::MAX)
+}
 
 /// What is kept of an event: the net says the rest.
 #[derive(Debug, Clone)]
@@ -54,7 +56,7 @@ pub(crate) enum Happened {
 /// How far a stream had come when a commit began: what followers may see when it has ended.
 pub(crate) struct Reached {
     mark: Mark,
-    whole: Option<State>,
+    whole: Option<Box<State>>,
 }
 
 struct Follower {
@@ -68,7 +70,8 @@ pub(crate) struct Source {
     net: Arc<Net>,
     run: u64,
     seq: u64,
-    kept: VecDeque<Kept>,
+    /// The latest events, each at its [`place`].
+    kept: Vec<Kept>,
     since: BTreeMap<FiringId, u64>,
     ended: Vec<u64>,
     failed: Vec<u64>,
@@ -84,7 +87,7 @@ pub(crate) struct Source {
     /// what they tell.
     shown: u64,
     /// The net as it was after that event, where it was asked for.
-    whole: Option<State>,
+    whole: Option<Box<State>>,
     followers: Vec<Follower>,
     /// When followers were answered last.
     answered: Option<Instant>,
@@ -104,7 +107,7 @@ impl Source {
             net,
             run: now.as_nanos(),
             seq: 0,
-            kept: VecDeque::new(),
+            kept: Vec::new(),
             since: BTreeMap::new(),
             ended: vec![0; count],
             failed: vec![0; count],
@@ -144,8 +147,10 @@ impl Source {
     }
 
     /// When the latest event was; the beginning, if there was none.
+    #[inline]
     pub(crate) fn at(&self) -> Instant {
-        let latest = self.kept.back().map_or(self.run, |kept| kept.at_ns);
+        let latest = self.kept.get(place(self.seq));
+        let latest = latest.map_or(self.run, |kept| kept.at_ns);
         Instant::from_nanos(latest)
     }
 
@@ -170,20 +175,22 @@ impl Source {
             Happened::Net(EventPhase::Stopped, why) => self.stopped = Some(why.clone()),
             _ => {}
         }
-        if self.kept.len() == KEPT {
-            self.kept.pop_front();
-        }
-        self.seq += 1;
-        self.kept.push_back(Kept {
+        let event = Kept {
             at_ns,
             trace,
             what,
             unread,
             emptied,
-        });
+        };
+        self.seq += 1;
+        match self.kept.get_mut(place(self.seq)) {
+            Some(oldest) => *oldest = event,
+            None => self.kept.push(event),
+        }
     }
 
     /// What the reset arcs of a transition took.
+    #[inline]
     fn emptied(&mut self, what: &Happened, execution: &Execution) -> Tokens {
         if !self.resets {
             return Tokens::new();
@@ -238,8 +245,8 @@ impl Source {
     /// The kept events from the `index`th on.
     fn from(&self, index: usize) -> impl Iterator<Item = Event> {
         let first = self.seq + 1 - self.kept.len() as u64;
-        let kept = self.kept.iter().enumerate().skip(index);
-        kept.map(move |(index, kept)| self.event(first + index as u64, kept))
+        let seqs = first + index as u64..=self.seq;
+        seqs.filter_map(|seq| Some(self.event(seq, self.kept.get(place(seq))?)))
     }
 
     /// The net as it is now.
@@ -271,6 +278,7 @@ impl Source {
     // -- what followers may see ---------------------------------------------------------------
 
     /// All events so far may be seen.
+    #[inline]
     pub(crate) fn show_all(&mut self) {
         self.shown = self.seq;
         self.whole = None;
@@ -284,7 +292,7 @@ impl Source {
         };
         let mut followers = self.followers.iter();
         let wanted = followers.any(|one| self.behind(one, self.seq).is_err());
-        let whole = wanted.then(|| self.state(now, execution));
+        let whole = wanted.then(|| Box::new(self.state(now, execution)));
         Reached { mark, whole }
     }
 
@@ -393,7 +401,7 @@ impl Source {
         self.answered = Some(now);
         let here = self.mark();
         let mut shared: BTreeMap<usize, Batch> = BTreeMap::new();
-        let present = || self.state(now, execution);
+        let present = || Box::new(self.state(now, execution));
         let whole = self.whole.clone().or_else(|| settled.then(present));
         let hidden = self.seq - self.shown;
         for one in std::mem::take(&mut self.followers) {
@@ -413,7 +421,7 @@ impl Source {
                     .clone(),
                 (Err(skipped), Some(state)) => Batch {
                     mark: here,
-                    state: Some(state.clone()),
+                    state: Some(State::clone(state)),
                     skipped,
                     events: Arc::default(),
                 },

@@ -309,6 +309,23 @@ fn a_net_answers_so_often_and_no_oftener() {
 }
 
 #[test]
+fn the_latest_events_are_kept_in_order_however_many_came_before() {
+    let net = Arc::new(busy(1));
+    let execution = Execution::new(net.clone());
+    let mut source = Source::new(net, Instant::from_nanos(5));
+    for seq in 1..=10 * MOST_EVENTS as u64 {
+        let what = Happened::Net(EventPhase::Ordered, seq.to_string());
+        source.note(Instant::from_nanos(10 * seq), 0, what, &execution);
+        assert_eq!(source.at(), Instant::from_nanos(10 * seq));
+        let latest: Vec<(u64, String)> = source.latest(3).map(|e| (e.seq, e.text)).collect();
+        let expected = (1..=seq).skip(seq.saturating_sub(3) as usize);
+        let expected: Vec<(u64, String)> = expected.map(|seq| (seq, seq.to_string())).collect();
+        assert_eq!(latest, expected);
+    }
+    assert_eq!(source.latest(usize::MAX).count(), 4 * MOST_EVENTS);
+}
+
+#[test]
 fn an_event_twice_or_left_out_or_of_another_net_is_refused_and_changes_nothing() {
     let net = Arc::new(busy(1));
     let view = NetView::new(&net);

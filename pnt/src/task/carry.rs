@@ -15,6 +15,7 @@ use ctos::{
 };
 
 use super::{
+    by_net::ByNet,
     engine::Engine,
     messages::{Tokens, Transfer},
     neighbours::{Known, Neighbour},
@@ -30,11 +31,10 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 /// How long a net is waited for that is not there, before it is looked for again.
 const COME_BACK: Duration = Duration::from_secs(5);
 
-/// The nets to which something was carried, by name.
+/// The nets to which something was carried.
 #[derive(Default)]
 pub(super) struct Carrying {
-    /// In the order of their first transfers; they are few.
-    partners: Vec<(Arc<str>, Partner)>,
+    partners: ByNet<Partner>,
     /// Nets beside this one that have something to go on with.
     going_on: VecDeque<Rc<dyn Neighbour>>,
 }
@@ -64,21 +64,14 @@ enum Carrier {
 }
 
 impl Carrying {
-    fn partner(&mut self, net: &str) -> &mut Partner {
-        let known = self.partners.iter().position(|(name, _)| **name == *net);
-        let index = known.unwrap_or_else(|| {
-            self.partners.push((net.into(), Partner::default()));
-            self.partners.len() - 1
-        });
-        &mut self.partners[index].1
-    }
-
     /// A net that is on the processor of `cx`.
-    pub(super) fn neighbour(&mut self, cx: &Context, net: &str) -> Option<Rc<dyn Neighbour>> {
-        self.partner(net).beside.find(cx, net)
+    #[inline]
+    pub(super) fn neighbour(&mut self, cx: &Context, net: &Arc<str>) -> Option<Rc<dyn Neighbour>> {
+        self.partners.of(net).beside.find(cx, net)
     }
 
     /// A net beside this one has got something.
+    #[inline]
     pub(super) fn goes_on(&mut self, neighbour: Rc<dyn Neighbour>) {
         let is_latest = |latest| Rc::ptr_eq(latest, &neighbour);
         if !self.going_on.back().is_some_and(is_latest) {
@@ -87,6 +80,7 @@ impl Carrying {
     }
 
     /// The first of those that have got something.
+    #[inline]
     pub(super) fn next_to_go_on(&mut self) -> Option<Rc<dyn Neighbour>> {
         self.going_on.pop_front()
     }
@@ -118,7 +112,7 @@ impl<S: 'static> Engine<S> {
             let mut core = self.core.borrow_mut();
             let change = core.changes;
             let number = core.transfers.post(net, Arc::clone(transfer), change);
-            let partner = core.carrying.partner(net);
+            let partner = core.carrying.partners.of(net);
             partner.traces.push_back((number, cx.clone()));
         }
         let net = Arc::clone(net);
@@ -128,7 +122,7 @@ impl<S: 'static> Engine<S> {
     /// Sees to it that a child carries to a net.
     pub(super) fn carry_to(self: &Rc<Self>, net: &Arc<str>) {
         let mut core = self.core.borrow_mut();
-        let carrier = &mut core.carrying.partner(net).carrier;
+        let carrier = &mut core.carrying.partners.of(net).carrier;
         match std::mem::replace(carrier, Carrier::Busy) {
             Carrier::None => {
                 let (engine, net) = (Rc::clone(self), Arc::clone(net));
@@ -141,11 +135,11 @@ impl<S: 'static> Engine<S> {
 
     /// What can be sent to a net next, with the context that the first of it belongs to. Where there is
     /// nothing, [`Self::carry_to`] wakes who waits for it.
-    fn next_ready(&self, net: &str, waiting: &Waker) -> Poll<(Ready, Option<Context>)> {
+    fn next_ready(&self, net: &Arc<str>, waiting: &Waker) -> Poll<(Ready, Option<Context>)> {
         let stored = self.durable.stored();
         let mut core = self.core.borrow_mut();
         let ready = core.transfers.ready(net, stored);
-        let partner = core.carrying.partner(net);
+        let partner = core.carrying.partners.of(net);
         let Some(ready) = ready else {
             partner.carrier = Carrier::Waiting(waiting.clone());
             return Poll::Pending;
@@ -160,8 +154,8 @@ impl<S: 'static> Engine<S> {
     async fn carry(self: Rc<Self>, net: Arc<str>) {
         let mut pause = FIRST_PAUSE;
         let durable = {
-            let partner = &mut self.core.borrow_mut().carrying;
-            let durable = &mut partner.partner(&net).durable;
+            let partners = &mut self.core.borrow_mut().carrying.partners;
+            let durable = &mut partners.of(&net).durable;
             *durable.get_or_insert_with(|| is_durable(&self.cx, &net))
         };
         loop {
@@ -197,11 +191,11 @@ impl<S: 'static> Engine<S> {
     }
 
     /// The other net has all up to a number. What is not stored of that is told again, and known.
-    fn arrived(self: &Rc<Self>, net: &str, last: u64) -> bool {
+    fn arrived(self: &Rc<Self>, net: &Arc<str>, last: u64) -> bool {
         let news = {
             let mut core = self.core.borrow_mut();
             let news = core.transfers.arrived(net, last);
-            let traces = &mut core.carrying.partner(net).traces;
+            let traces = &mut core.carrying.partners.of(net).traces;
             while traces.front().is_some_and(|(number, _)| *number <= last) {
                 traces.pop_front();
             }

@@ -157,6 +157,7 @@ impl Manual {
     }
 
     /// Whether no firing may begin.
+    #[inline]
     pub(super) fn is_stopped(&self) -> bool {
         self.paused.is_some() && self.steps == 0
     }
@@ -194,6 +195,11 @@ impl Manual {
         Ok(())
     }
 
+    #[inline]
+    pub(super) fn has_breakpoints(&self) -> bool {
+        !self.breakpoints.is_empty()
+    }
+
     /// Holds the places against the breakpoints after a change.
     pub(super) fn watch_places(&mut self, execution: &Execution) {
         for breakpoint in &mut self.breakpoints {
@@ -221,6 +227,7 @@ impl Manual {
     }
 
     /// Whether a transition that was chosen may fire now.
+    #[inline]
     fn passes(&mut self, id: TransitionId) -> bool {
         let stood = self.stands_at.take() == Some(id);
         let mut breakpoints = self.breakpoints.iter();
@@ -261,8 +268,15 @@ impl<S: 'static> Engine<S> {
         passes
     }
 
-    /// Tells of a breakpoint that was met.
-    fn tell_met(self: &Rc<Self>, core: &mut Core) {
+    /// Tells of a breakpoint that was met, by a place with the last change or by what was chosen.
+    #[inline]
+    pub(super) fn tell_met(self: &Rc<Self>, core: &mut Core) {
+        if core.manual.met.is_some() {
+            self.tell_of_it(core);
+        }
+    }
+
+    fn tell_of_it(self: &Rc<Self>, core: &mut Core) {
         if let Some(why) = core.manual.met.take() {
             let net = std::sync::Arc::clone(core.execution.net());
             let paused = Happened::Net(EventPhase::Paused, why.clone());
@@ -276,11 +290,6 @@ impl<S: 'static> Engine<S> {
                 self.cx.end_at_breakpoint(&reason);
             }
         }
-    }
-
-    /// Whether a place has met its breakpoint with the last change.
-    pub(super) fn tell_met_places(self: &Rc<Self>) {
-        self.tell_met(&mut self.core.borrow_mut());
     }
 
     /// Carries an order out.

@@ -327,7 +327,7 @@ impl<S: 'static> Engine<S> {
     pub(super) fn take_up_firings(self: &Rc<Self>, cx: &Context) {
         let (nets, running): (Vec<Arc<str>>, Vec<(FiringId, TransitionId)>) = {
             let core = self.core.borrow();
-            let nets = core.transfers.waiting().map(|(net, _)| net.into());
+            let nets = core.transfers.waiting().map(|(net, _)| Arc::clone(net));
             (nets.collect(), core.execution.running().collect())
         };
         for net in nets {

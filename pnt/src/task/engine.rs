@@ -327,7 +327,12 @@ impl<S: 'static> Engine<S> {
             paused: core.manual.paused().map(str::to_owned),
             output: core.output.iter().cloned().collect(),
             sending: sending
-                .map(|(net, count)| (net.to_owned(), u32::try_from(count).unwrap_or(u32::MAX)))
+                .map(|(net, count)| {
+                    (
+                        net.as_ref().to_owned(),
+                        u32::try_from(count).unwrap_or(u32::MAX),
+                    )
+                })
                 .collect(),
             breakpoints: core.manual.breakpoints(),
         }
@@ -391,10 +396,15 @@ pub(super) fn objects_of(
 
 impl Core {
     /// Something has changed that must be stored before others see what follows from it.
+    #[inline]
     pub(super) fn changed(&mut self) {
         self.changes += 1;
-        self.note_validity();
-        self.manual.watch_places(&self.execution);
+        if !self.objects.is_empty() {
+            self.note_validity();
+        }
+        if self.manual.has_breakpoints() {
+            self.manual.watch_places(&self.execution);
+        }
     }
 
     /// Whether the tapes have room for a command that some transition may read one day.
@@ -491,6 +501,7 @@ impl Core {
     }
 
     /// Puts one transfer, all or nothing; the tokens, or nothing when a tape has no room for it.
+    #[inline]
     pub(super) fn take_in(
         &mut self,
         transfer: &Transfer,
@@ -542,9 +553,6 @@ impl Core {
     /// Notes data objects whose validity has changed. An object is valid while its place is marked,
     /// and while an action goes on that took the token.
     fn note_validity(&mut self) {
-        if self.objects.is_empty() {
-            return;
-        }
         let net = self.execution.net();
         let marking = self.execution.marking().iter();
         let mut valid: Vec<bool> = marking.map(|tokens| *tokens > 0).collect();

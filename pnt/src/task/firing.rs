@@ -40,7 +40,6 @@ impl<S: 'static> Engine<S> {
         let mut at_once = 0;
         loop {
             self.replace_if_safe(&cx);
-            self.tell_met_places();
             let Some(id) = self.choose() else { break };
             let acts = {
                 let core = self.core.borrow();
@@ -66,6 +65,7 @@ impl<S: 'static> Engine<S> {
         let mut unknown = None;
         let chosen = {
             let mut core = self.core.borrow_mut();
+            self.tell_met(&mut core);
             if !core.begun || core.halted.is_some() || core.manual.is_stopped() {
                 return None;
             }

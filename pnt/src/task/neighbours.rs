@@ -80,6 +80,7 @@ pub(super) struct Known(Option<Shown>);
 
 impl Known {
     /// The net, looked for anew when it has ended.
+    #[inline]
     pub(super) fn find(&mut self, cx: &Context, net: &str) -> Option<Rc<dyn Neighbour>> {
         let known = self.0.as_ref().and_then(Weak::upgrade);
         known.or_else(|| {
@@ -100,34 +101,27 @@ impl<S: 'static> Engine<S> {
     }
 
     /// Puts a transfer into a net on this processor; false when it must be a message.
-    pub(super) fn put_beside(&self, cx: &Context, net: &str, transfer: &Transfer) -> bool {
-        // A net that sends to itself is not called from within itself.
-        let is_own = net == self.cx.name();
-        if !self.puts_beside.get() || self.durable.is_kept() || cx.is_recording() || is_own {
+    pub(super) fn put_beside(&self, cx: &Context, net: &Arc<str>, transfer: &Transfer) -> bool {
+        if !self.puts_beside.get() || self.durable.is_kept() || cx.is_recording() {
             return false;
         }
-        let (neighbour, comes) = {
-            let mut core = self.core.borrow_mut();
-            let Some(neighbour) = core.carrying.neighbour(&self.cx, net) else {
-                return false;
-            };
-            let Some(number) = core.transfers.next(net) else {
-                return false;
-            };
-            let comes = Comes {
+        // Borrowed until the other net has it or not: a net that sends to itself does not take it so.
+        let core = &mut *self.core.borrow_mut();
+        let Some(neighbour) = core.carrying.neighbour(&self.cx, net) else {
+            return false;
+        };
+        let at = core.journal.stream.at();
+        let taken = core.transfers.pass(net, |stream, number| {
+            Rc::clone(&neighbour).takes(&Comes {
                 from: &self.name,
-                stream: core.transfers.stream(),
+                stream,
                 number,
                 transfer,
-                at: core.journal.stream.at(),
+                at,
                 trace: cx.trace(),
-            };
-            (neighbour, comes)
-        };
-        let taken = Rc::clone(&neighbour).takes(&comes);
+            })
+        });
         if taken {
-            let core = &mut *self.core.borrow_mut();
-            core.transfers.passed(net, comes.number);
             core.carrying.goes_on(neighbour);
         }
         taken

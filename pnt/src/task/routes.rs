@@ -26,9 +26,15 @@ pub(super) struct Routes(Vec<OfTransition>);
 
 impl Routes {
     pub(super) fn new(net: &Net) -> Self {
+        let mut names = BTreeMap::new();
+        let mut bundle = |outputs| bundle(outputs, &mut names);
         let of = net.transitions().iter().map(|transition| OfTransition {
             fired: bundle(&transition.outputs),
-            failed: transition.fail.as_ref().map(bundle).unwrap_or_default(),
+            failed: transition
+                .fail
+                .as_ref()
+                .map(&mut bundle)
+                .unwrap_or_default(),
         });
         Self(of.collect())
     }
@@ -41,14 +47,15 @@ impl Routes {
     }
 }
 
-fn bundle(outputs: &Outputs) -> Bundle {
+/// `names` are those of the nets so far, so that each has one only.
+fn bundle<'n>(outputs: &'n Outputs, names: &mut BTreeMap<&'n str, Arc<str>>) -> Bundle {
     let mut per_net: BTreeMap<&str, Transfer> = BTreeMap::new();
     for arc in &outputs.remote {
         let transfer = per_net.entry(&arc.net).or_default();
         transfer.tokens.push((arc.place.clone(), arc.weight));
     }
     let routes = per_net.into_iter().map(|(net, transfer)| Route {
-        net: net.into(),
+        net: Arc::clone(names.entry(net).or_insert_with(|| net.into())),
         transfer: Arc::new(transfer),
     });
     routes.collect()

@@ -10,14 +10,11 @@
 //!
 //! Data only: it sends nothing and knows no task.
 
-use std::{
-    collections::{BTreeMap, VecDeque},
-    sync::Arc,
-};
+use std::{collections::VecDeque, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 
-use super::messages::Transfer;
+use super::{by_net::ByNet, messages::Transfer};
 
 /// Transfers that go in one message at most.
 const MOST_IN_MESSAGE: usize = 256;
@@ -27,8 +24,8 @@ const MOST_IN_MESSAGE: usize = 256;
 pub(super) struct Transfers {
     /// The number of this net's streams: one for each of its lives.
     stream: u64,
-    out: BTreeMap<String, Outbox>,
-    received: BTreeMap<String, Received>,
+    out: ByNet<Outbox>,
+    received: ByNet<Received>,
 }
 
 /// To one net.
@@ -50,7 +47,7 @@ struct Kept {
 }
 
 /// From one net.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Received {
     stream: u64,
     /// Number of the last transfer that was taken.
@@ -70,7 +67,7 @@ pub(super) struct Ready {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("transfers {expected} to {} from net `{from}` are missing", .got - 1)]
 pub(super) struct Gap {
-    from: String,
+    from: Arc<str>,
     expected: u64,
     got: u64,
 }
@@ -90,11 +87,8 @@ impl Transfers {
     }
 
     /// Keeps a transfer for a net; it came to be with this change. Returns its number.
-    pub(super) fn post(&mut self, net: &str, transfer: Arc<Transfer>, change: u64) -> u64 {
-        let outbox = match self.out.get_mut(net) {
-            Some(outbox) => outbox,
-            None => self.out.entry(net.to_owned()).or_default(),
-        };
+    pub(super) fn post(&mut self, net: &Arc<str>, transfer: Arc<Transfer>, change: u64) -> u64 {
+        let outbox = self.out.of(net);
         outbox.last += 1;
         outbox.waiting.push_back(Kept {
             number: outbox.last,
@@ -104,31 +98,19 @@ impl Transfers {
         outbox.last
     }
 
-    /// The number of the next transfer to a net, if the net has all before it.
-    pub(super) fn next(&self, net: &str) -> Option<u64> {
-        match self.out.get(net) {
-            None => Some(1),
-            Some(outbox) => outbox.waiting.is_empty().then_some(outbox.last + 1),
+    /// Lets a net have the next transfer at once, which need not be kept then. `takes` is told its stream and
+    /// number, and not asked if the net lacks one before it. Returns whether the net has it.
+    pub(super) fn pass(&mut self, net: &Arc<str>, takes: impl FnOnce(u64, u64) -> bool) -> bool {
+        let outbox = self.out.of(net);
+        let passed = outbox.waiting.is_empty() && takes(self.stream, outbox.last + 1);
+        if passed {
+            outbox.last += 1;
         }
-    }
-
-    /// The transfer of this number, which was the next one, is there and need not be kept.
-    pub(super) fn passed(&mut self, net: &str, number: u64) {
-        match self.out.get_mut(net) {
-            Some(outbox) => outbox.last = number,
-            None => {
-                let waiting = VecDeque::new();
-                let outbox = Outbox {
-                    last: number,
-                    waiting,
-                };
-                self.out.insert(net.to_owned(), outbox);
-            }
-        }
+        passed
     }
 
     /// The oldest transfers to a net, as far as the changes that they came to be with are stored.
-    pub(super) fn ready(&self, net: &str, stored: u64) -> Option<Ready> {
+    pub(super) fn ready(&self, net: &Arc<str>, stored: u64) -> Option<Ready> {
         let waiting = &self.out.get(net)?.waiting;
         let first = waiting.front()?.number;
         let transfers: Vec<Arc<Transfer>> = waiting
@@ -145,11 +127,8 @@ impl Transfers {
     }
 
     /// A net has all transfers up to a number. Returns whether that was news.
-    pub(super) fn arrived(&mut self, net: &str, last: u64) -> bool {
-        let Some(outbox) = self.out.get_mut(net) else {
-            return false;
-        };
-        let waiting = &mut outbox.waiting;
+    pub(super) fn arrived(&mut self, net: &Arc<str>, last: u64) -> bool {
+        let waiting = &mut self.out.of(net).waiting;
         let before = waiting.len();
         while waiting.front().is_some_and(|kept| kept.number <= last) {
             waiting.pop_front();
@@ -158,24 +137,25 @@ impl Transfers {
     }
 
     /// The nets for which something waits, with how much.
-    pub(super) fn waiting(&self) -> impl Iterator<Item = (&str, usize)> {
+    pub(super) fn waiting(&self) -> impl Iterator<Item = (&Arc<str>, usize)> {
         let out = self.out.iter();
         out.filter(|(_, outbox)| !outbox.waiting.is_empty())
-            .map(|(net, outbox)| (net.as_str(), outbox.waiting.len()))
+            .map(|(net, outbox)| (net, outbox.waiting.len()))
     }
 
     /// How many transfers of a message, from its beginning, were taken before.
     ///
     /// # Errors
     /// [`Gap`].
-    pub(super) fn known(&self, from: &str, stream: u64, first: u64) -> Result<u64, Gap> {
+    #[inline]
+    pub(super) fn known(&self, from: &Arc<str>, stream: u64, first: u64) -> Result<u64, Gap> {
         let taken = match self.received.get(from) {
             Some(received) if received.stream == stream => received.last,
             _ => return Ok(0),
         };
         if first > taken + 1 {
             return Err(Gap {
-                from: from.to_owned(),
+                from: Arc::clone(from),
                 expected: taken + 1,
                 got: first,
             });
@@ -184,14 +164,9 @@ impl Transfers {
     }
 
     /// The transfers of a net up to a number were taken.
-    pub(super) fn take(&mut self, from: &str, stream: u64, last: u64) {
-        let now = Received { stream, last };
-        match self.received.get_mut(from) {
-            Some(received) => *received = now,
-            None => {
-                self.received.insert(from.to_owned(), now);
-            }
-        }
+    #[inline]
+    pub(super) fn take(&mut self, from: &Arc<str>, stream: u64, last: u64) {
+        *self.received.of(from) = Received { stream, last };
     }
 }
 
@@ -200,6 +175,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    fn net(name: &str) -> Arc<str> {
+        name.into()
+    }
 
     fn token(number: u32) -> Arc<Transfer> {
         Arc::new(Transfer {
@@ -220,7 +199,9 @@ mod tests {
         /// An old message comes once more, as after a retransmission.
         Repeat,
         /// A transfer is put where it is to go at once, if there is nothing before it.
-        Pass,
+        Pass {
+            takes: bool,
+        },
         /// The sender, or the receiver, goes on from what was stored.
         Restart,
     }
@@ -230,18 +211,20 @@ mod tests {
             3 => Just(Happens::Post),
             4 => (any::<bool>(), any::<bool>()).prop_map(|(arrives, answered)| Happens::Send { arrives, answered }),
             1 => Just(Happens::Repeat),
-            2 => Just(Happens::Pass),
+            2 => any::<bool>().prop_map(|takes| Happens::Pass { takes }),
             1 => Just(Happens::Restart),
         ]
     }
 
     /// Takes a message as a net does.
     fn receive(transfers: &mut Transfers, ready: &Ready, got: &mut Vec<Arc<Transfer>>) -> u64 {
-        let known = transfers.known("a", ready.stream, ready.first).unwrap();
+        let known = transfers
+            .known(&net("a"), ready.stream, ready.first)
+            .unwrap();
         got.extend(ready.transfers.iter().skip(known as usize).cloned());
         let last = ready.first + ready.transfers.len() as u64 - 1;
         if known < ready.transfers.len() as u64 {
-            transfers.take("a", ready.stream, last);
+            transfers.take(&net("a"), ready.stream, last);
         }
         last
     }
@@ -258,16 +241,16 @@ mod tests {
                 match step {
                     Happens::Post => {
                         let transfer = token(posted.len() as u32);
-                        sender.post("b", transfer.clone(), 0);
+                        sender.post(&net("b"), transfer.clone(), 0);
                         posted.push(transfer);
                     }
                     Happens::Send { arrives, answered } => {
-                        let Some(ready) = sender.ready("b", 0) else { continue };
+                        let Some(ready) = sender.ready(&net("b"), 0) else { continue };
                         if arrives {
                             let last = receive(&mut receiver, &ready, &mut got);
                             old = Some(ready);
                             if answered {
-                                sender.arrived("b", last);
+                                sender.arrived(&net("b"), last);
                             }
                         }
                     }
@@ -276,14 +259,19 @@ mod tests {
                             receive(&mut receiver, ready, &mut got);
                         }
                     }
-                    Happens::Pass => {
-                        let Some(number) = sender.next("b") else { continue };
-                        let transfer = token(posted.len() as u32);
-                        prop_assert_eq!(receiver.known("a", sender.stream(), number), Ok(0));
-                        receiver.take("a", sender.stream(), number);
-                        sender.passed("b", number);
-                        got.push(transfer.clone());
-                        posted.push(transfer);
+                    Happens::Pass { takes } => {
+                        let passed = sender.pass(&net("b"), |stream, number| {
+                            assert_eq!(receiver.known(&net("a"), stream, number), Ok(0));
+                            if takes {
+                                receiver.take(&net("a"), stream, number);
+                            }
+                            takes
+                        });
+                        if passed {
+                            let transfer = token(posted.len() as u32);
+                            got.push(transfer.clone());
+                            posted.push(transfer);
+                        }
                     }
                     Happens::Restart => {
                         let stored = postcard::to_stdvec(&(&sender, &receiver)).unwrap();
@@ -291,9 +279,9 @@ mod tests {
                     }
                 }
             }
-            while let Some(ready) = sender.ready("b", 0) {
+            while let Some(ready) = sender.ready(&net("b"), 0) {
                 let last = receive(&mut receiver, &ready, &mut got);
-                prop_assert!(sender.arrived("b", last));
+                prop_assert!(sender.arrived(&net("b"), last));
             }
             prop_assert_eq!(got, posted);
         }
@@ -302,20 +290,20 @@ mod tests {
     #[test]
     fn nothing_is_sent_before_the_change_that_it_came_with_is_stored() {
         let mut sender = Transfers::new(1);
-        sender.post("b", token(1), 3);
-        sender.post("b", token(2), 4);
-        assert_eq!(sender.ready("b", 2), None);
-        assert_eq!(sender.ready("b", 3).unwrap().transfers.len(), 1);
-        assert_eq!(sender.ready("b", 4).unwrap().transfers.len(), 2);
+        sender.post(&net("b"), token(1), 3);
+        sender.post(&net("b"), token(2), 4);
+        assert_eq!(sender.ready(&net("b"), 2), None);
+        assert_eq!(sender.ready(&net("b"), 3).unwrap().transfers.len(), 1);
+        assert_eq!(sender.ready(&net("b"), 4).unwrap().transfers.len(), 2);
     }
 
     #[test]
     fn a_new_life_of_the_sender_is_no_repetition_and_a_gap_is_told() {
         let mut receiver = Transfers::new(1);
-        receiver.take("a", 5, 9);
-        assert_eq!(receiver.known("a", 5, 8), Ok(2));
-        assert_eq!(receiver.known("a", 6, 1), Ok(0));
-        let gap = receiver.known("a", 5, 12).unwrap_err().to_string();
+        receiver.take(&net("a"), 5, 9);
+        assert_eq!(receiver.known(&net("a"), 5, 8), Ok(2));
+        assert_eq!(receiver.known(&net("a"), 6, 1), Ok(0));
+        let gap = receiver.known(&net("a"), 5, 12).unwrap_err().to_string();
         assert_eq!(gap, "transfers 10 to 11 from net `a` are missing");
     }
 }
