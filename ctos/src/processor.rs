@@ -320,16 +320,7 @@ impl Processor {
     /// allocator of a thread may go to the system for each page (that of glibc does), which takes about as long
     /// as starting the tasks that are in it.
     pub(crate) fn prepare_start(&self) {
-        /// So many tasks at once, and what they take in all, bytes: less than what an allocator makes a mapping
-        /// of its own for, which would be gone when it is given back.
-        const STARTS: u32 = 512;
-        const MEMORY: usize = 112 << 10;
-        let starts = self.starts.get().wrapping_add(1);
-        self.starts.set(starts);
-        if starts.is_multiple_of(STARTS) {
-            // What is given back is kept by the allocator.
-            drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
-        }
+        prepare(&self.starts, 512);
     }
 
     /// A trace id that no other message of the run has; `more` gives the first of as many new ones.
@@ -537,6 +528,18 @@ impl Processor {
         let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
         // Outside the borrow, as in `enter`.
         drop(here);
+    }
+}
+
+/// One more is made of what `made` counts. At every `together`th, memory for as many is asked for.
+fn prepare(made: &Cell<u32>, together: u32) {
+    /// What they take in all, bytes: less than what an allocator makes a mapping of its own for, which would be
+    /// gone when it is given back.
+    const MEMORY: usize = 112 << 10;
+    made.set(made.get().wrapping_add(1));
+    if made.get().is_multiple_of(together) {
+        // What is given back is kept by the allocator.
+        drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
     }
 }
 

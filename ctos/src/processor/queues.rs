@@ -1,12 +1,12 @@
 //! The queues of a processor's tasks, and those of its tasks that have none yet.
 
 use std::{
-    cell::RefCell,
+    cell::{Cell, RefCell},
     rc::{Rc, Weak},
     sync::Arc,
 };
 
-use super::{Processor, drop_contained};
+use super::{Processor, drop_contained, prepare};
 use crate::{
     chassis::{Chassis, TaskRecord},
     mailbox::TaskQueue,
@@ -22,6 +22,8 @@ pub(super) struct Queues {
     built: RefCell<Vec<Option<Built>>>,
     /// What their contexts are made of.
     home: RefCell<Option<Home>>,
+    /// How many queues were made for tasks that had none.
+    late: Cell<u32>,
 }
 
 /// Where the tasks of a processor are.
@@ -116,6 +118,8 @@ impl Processor {
             drop_contained(built);
             return None;
         };
+        // With the loop and what is counted some kilobytes.
+        prepare(&self.queues.late, 32);
         let queue = built.rest(task, home.chassis, processor).wait();
         self.add_queue(slot, queue.clone());
         Some(queue)
