@@ -329,15 +329,8 @@ async fn create_one(
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
     let spec = TaskSpec {
-        record: record(
-            &config.name,
-            tid,
-            Some(config),
-            kind.commands_shared(),
-            &processor,
-        ),
-        config: Some(config.clone()),
-        build: kind.builder(),
+        record: record(&config.name, tid, Some(config), kind.recipe(), &processor),
+        config: Some(Box::new(config.clone())),
     };
     let (built, building) = oneshot::channel();
     let home = chassis.clone();

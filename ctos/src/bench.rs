@@ -1,7 +1,7 @@
 //! A chassis without a boot, for benchmarks: tasks on processors of this process, and work that runs
 //! among them; and what tests of other crates need of a processor. Not part of the interface.
 
-use std::{future::Future, sync::Arc, sync::mpsc};
+use std::{future::Future, rc::Rc, sync::Arc, sync::mpsc};
 
 use crate::{
     boot::{ProcessorThread, start_processors},
@@ -9,6 +9,7 @@ use crate::{
     config::App,
     context::{Context, TaskRef},
     message::Tid,
+    processor::Processor,
     registry::Registry,
     runner::{TaskSpec, record, start_task},
     task::HandlerError,
@@ -51,20 +52,8 @@ impl Bench {
         let home = self.chassis.clone();
         let kind = kind.to_owned();
         self.inject(processor, move |here| {
-            let result = (first..first + count).map(|slot| {
-                let registered = home.registry.kind(&kind).ok_or("no such kind of handler")?;
-                let tid = Tid::new(home.index(), processor, slot);
-                let commands = registered.commands_shared();
-                let record = record(&kind, tid, None, commands, &here.handle);
-                let task = TaskRef::new(record.name.clone(), tid);
-                let spec = TaskSpec {
-                    record,
-                    config: None,
-                    build: registered.builder(),
-                };
-                start_task(&home, here, spec).map(|()| task)
-            });
-            let _ = sender.send(result.collect());
+            let first = Tid::new(home.index(), processor, first);
+            let _ = sender.send(start_row(&home, here, &kind, first, count));
         })?;
         started.recv()?
     }
@@ -113,13 +102,40 @@ impl Bench {
     fn inject(
         &self,
         processor: u8,
-        job: impl FnOnce(&std::rc::Rc<crate::processor::Processor>) + Send + 'static,
+        job: impl FnOnce(&Rc<Processor>) + Send + 'static,
     ) -> Result<(), HandlerError> {
         let found = self.chassis.processors.get(usize::from(processor));
         let (_, handle) = found.ok_or("no such processor")?;
         handle.inject(job);
         Ok(())
     }
+}
+
+/// Starts `count` tasks of a kind, in slots from that of `first` on.
+fn start_row(
+    chassis: &Arc<Chassis>,
+    processor: &Rc<Processor>,
+    kind: &str,
+    first: Tid,
+    count: u16,
+) -> Result<Vec<TaskRef>, HandlerError> {
+    let registered = chassis
+        .registry
+        .kind(kind)
+        .ok_or("no such kind of handler")?;
+    let recipe = registered.recipe();
+    let mut tasks = Vec::with_capacity(usize::from(count));
+    for slot in first.slot()..first.slot() + count {
+        let tid = Tid::new(first.chassis(), first.processor(), slot);
+        let record = record(kind, tid, None, recipe.clone(), &processor.handle);
+        tasks.push(TaskRef::new(record.name.clone(), tid));
+        let spec = TaskSpec {
+            record,
+            config: None,
+        };
+        start_task(chassis, processor, spec)?;
+    }
+    Ok(tasks)
 }
 
 /// From now on the turns on the processor of `cx` are taken to be brief, whatever its clock says, as they are

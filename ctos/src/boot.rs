@@ -27,7 +27,7 @@ use crate::{
     placement,
     processor::panic_text,
     realtime::{self, Grant},
-    registry::Registry,
+    registry::{Recipe, Registry},
     remote::HostError,
     runner::{TaskSpec, record, start_task},
     semaphore::{self, server::SemaphoreServer},
@@ -253,10 +253,13 @@ fn start<H: EventHandler>(
     let Some((_, processor)) = chassis.processors.first() else {
         return;
     };
+    let recipe = Recipe {
+        commands: commands.into(),
+        build: Box::new(move |cx| Ok(Box::new(build(cx)))),
+    };
     let spec = TaskSpec {
-        record: record(name, tid, None, commands.into(), processor),
+        record: record(name, tid, None, Arc::new(recipe), processor),
         config: None,
-        build: Arc::new(move |cx| Ok(Box::new(build(cx)))),
     };
     let record = spec.record.clone();
     let home = chassis.clone();

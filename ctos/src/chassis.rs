@@ -278,6 +278,17 @@ impl Chassis {
             .insert(task);
     }
 
+    /// [`Self::add_task`] of one whose handler was just built.
+    pub(crate) fn add_built(&self, task: Arc<TaskRecord>) {
+        let tid = task.tid;
+        self.add_task(task);
+        if self.tap.is_recording()
+            && let Some(task) = self.task(tid)
+        {
+            self.tap.built(tid, &task.name, task.statistics.commands());
+        }
+    }
+
     /// Takes a task out; what is in its mailbox is answered.
     pub(crate) fn remove_task(self: &Arc<Self>, tid: Tid) {
         self.blocking.task_ended(self, tid);

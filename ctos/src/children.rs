@@ -130,11 +130,10 @@ impl Context {
                 task,
                 tid,
                 Some(&config),
-                kind.commands_shared(),
+                kind.recipe(),
                 &self.inner.processor.handle,
             ),
-            config: Some(config),
-            build: kind.builder(),
+            config: Some(Box::new(config)),
         };
         Ok((spec, tid))
     }

@@ -55,7 +55,7 @@ pub(crate) struct Inner {
     pub(crate) chassis: Arc<Chassis>,
     pub(crate) processor: Rc<Processor>,
     /// Boxed, because it is large and tasks of the runtime have none.
-    config: Option<Box<TaskConfig>>,
+    pub(crate) config: Option<Box<TaskConfig>>,
     /// Made for the first of it: most tasks have none.
     family: RefCell<Option<Box<Family>>>,
     /// Counts the handlers that the task had.
@@ -75,6 +75,36 @@ pub(crate) struct Family {
 }
 
 impl Inner {
+    /// That of a task whose handler is not built yet.
+    pub(crate) fn new(
+        record: Arc<TaskRecord>,
+        chassis: Arc<Chassis>,
+        processor: Rc<Processor>,
+        config: Option<Box<TaskConfig>>,
+    ) -> Self {
+        Self {
+            record,
+            chassis,
+            processor,
+            config,
+            family: RefCell::default(),
+            incarnation: Cell::new(0),
+            phase: Cell::new(None),
+        }
+    }
+
+    /// One that is as it was made, and that nobody else has; else it comes back.
+    pub(crate) fn blank(this: Rc<Self>) -> Result<Self, Rc<Self>> {
+        let is_blank = this.family.borrow().is_none()
+            && this.incarnation.get() == 0
+            && this.phase.get().is_none();
+        if is_blank {
+            Rc::try_unwrap(this)
+        } else {
+            Err(this)
+        }
+    }
+
     /// How long a call waits if it does not say.
     #[inline]
     fn limit(&self) -> Duration {
@@ -110,20 +140,9 @@ impl Context {
         record: Arc<TaskRecord>,
         chassis: Arc<Chassis>,
         processor: Rc<Processor>,
-        config: Option<TaskConfig>,
+        config: Option<Box<TaskConfig>>,
     ) -> Self {
-        Self {
-            inner: Rc::new(Inner {
-                record,
-                chassis,
-                processor,
-                config: config.map(Box::new),
-                family: RefCell::default(),
-                incarnation: Cell::new(0),
-                phase: Cell::new(None),
-            }),
-            trace: 0,
-        }
+        Self::of(Rc::new(Inner::new(record, chassis, processor, config)))
     }
 
     /// The context of a task, outside of all messages.

@@ -17,6 +17,8 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
+use once_cell::race::OnceBox;
+
 pub(crate) use self::{gate::Order, queue::TaskQueue};
 use crate::{
     call::{Fault, ReplySlot},
@@ -95,6 +97,15 @@ pub(crate) struct Mailbox {
     home: Arc<ProcessorHandle>,
     slot: u16,
     closed: AtomicBool,
+    /// Made for the first message: of very many tasks most may be idle.
+    rooms: OnceBox<Rooms>,
+}
+
+/// Of each priority one. In a line of their own, because the owner writes to them for each message and whoever
+/// made them has other things beside them.
+#[derive(Default)]
+#[repr(align(64))]
+struct Rooms {
     urgent: Room,
     normal: Room,
 }
@@ -116,8 +127,7 @@ impl Mailbox {
             home,
             slot,
             closed: AtomicBool::new(false),
-            urgent: Room::default(),
-            normal: Room::default(),
+            rooms: OnceBox::new(),
         }
     }
 
@@ -135,24 +145,38 @@ impl Mailbox {
 
     #[inline]
     fn room(&self, urgent: bool) -> &Room {
-        if urgent { &self.urgent } else { &self.normal }
+        let rooms = self.rooms();
+        if urgent { &rooms.urgent } else { &rooms.normal }
+    }
+
+    #[inline]
+    fn rooms(&self) -> &Rooms {
+        self.rooms.get_or_init(Box::default)
     }
 
     /// How much is in it, as senders on other threads see it.
     pub(crate) fn lengths(&self) -> QueueReport {
+        let capacity = self.capacity() as u64;
         let length = |room: &Room| room.len().saturating_sub(room.waiting()) as u64;
-        QueueReport {
-            urgent: length(&self.urgent),
-            normal: length(&self.normal),
-            waiting: (self.urgent.waiting() + self.normal.waiting()) as u64,
-            capacity: self.capacity() as u64,
-        }
+        let report = |rooms: &Rooms| QueueReport {
+            urgent: length(&rooms.urgent),
+            normal: length(&rooms.normal),
+            waiting: (rooms.urgent.waiting() + rooms.normal.waiting()) as u64,
+            capacity,
+        };
+        let nothing = QueueReport {
+            capacity,
+            ..QueueReport::default()
+        };
+        self.rooms.get().map_or(nothing, report)
     }
 
     /// How many messages are in it, on their way to it or wait for room, and how many of each priority
     /// it holds.
     pub(crate) fn depth(&self) -> (usize, usize) {
-        (self.urgent.len() + self.normal.len(), self.capacity())
+        let rooms = self.rooms.get();
+        let depth = rooms.map_or(0, |rooms| rooms.urgent.len() + rooms.normal.len());
+        (depth, self.capacity())
     }
 
     /// Why a message finds no place.
@@ -232,8 +256,9 @@ impl Mailbox {
     }
 
     fn shut(&self, shut: bool) {
-        self.urgent.shut(shut);
-        self.normal.shut(shut);
+        let rooms = self.rooms();
+        rooms.urgent.shut(shut);
+        rooms.normal.shut(shut);
     }
 
     /// Its queue is about to be made, with gates that are closed.

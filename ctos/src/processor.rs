@@ -16,6 +16,7 @@ mod courtesy;
 mod futures;
 mod handle;
 mod handover;
+mod queues;
 mod routes;
 mod stopwatch;
 
@@ -34,6 +35,7 @@ use self::{
     futures::{Futures, WakerOf},
     handle::Item,
     handover::Handovers,
+    queues::Queues,
     routes::Routes,
     stopwatch::Stopwatch,
 };
@@ -79,7 +81,7 @@ pub(crate) struct Processor {
     young: RefCell<Vec<u32>>,
     /// When these are looked after at the latest, if nothing leads to it before.
     young_until: Cell<Instant>,
-    queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
+    queues: Queues,
     /// Tasks of the other processors of the chassis that messages went to.
     routes: Routes,
     batch: RefCell<Vec<Item>>,
@@ -131,7 +133,7 @@ impl Processor {
             begun: RefCell::default(),
             young: RefCell::default(),
             young_until: Cell::new(Instant::LAST),
-            queues: RefCell::default(),
+            queues: Queues::default(),
             routes: Routes::default(),
             batch: RefCell::default(),
             names: RefCell::default(),
@@ -318,46 +320,7 @@ impl Processor {
     /// allocator of a thread may go to the system for each page (that of glibc does), which takes about as long
     /// as starting the tasks that are in it.
     pub(crate) fn prepare_start(&self) {
-        /// So many tasks at once, and what they take in all, bytes: less than what an allocator makes a mapping
-        /// of its own for, which would be gone when it is given back.
-        const STARTS: u32 = 256;
-        const MEMORY: usize = 112 << 10;
-        let starts = self.starts.get().wrapping_add(1);
-        self.starts.set(starts);
-        if starts.is_multiple_of(STARTS) {
-            // What is given back is kept by the allocator.
-            drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
-        }
-    }
-
-    /// Makes the queue of the task in `slot` known.
-    pub(crate) fn add_queue(&self, slot: u16, queue: Rc<TaskQueue>) {
-        let mut queues = self.queues.borrow_mut();
-        let slot = usize::from(slot);
-        if queues.len() <= slot {
-            queues.resize_with(slot + 1, || None);
-        }
-        if let Some(place) = queues.get_mut(slot) {
-            *place = Some(queue);
-        }
-    }
-
-    /// The queue of the task in `slot`.
-    #[inline(always)]
-    pub(crate) fn queue(&self, slot: u16) -> Option<Rc<TaskQueue>> {
-        self.queues.borrow().get(usize::from(slot))?.clone()
-    }
-
-    /// Forgets the queue of the task in `slot` and refuses what is in it.
-    pub(crate) fn close_queue(&self, slot: u16) {
-        let queue = self
-            .queues
-            .borrow_mut()
-            .get_mut(usize::from(slot))
-            .and_then(Option::take);
-        if let Some(queue) = queue {
-            queue.close(self);
-        }
+        prepare(&self.starts, 512);
     }
 
     /// A trace id that no other message of the run has; `more` gives the first of as many new ones.
@@ -546,9 +509,9 @@ impl Processor {
         loop {
             let futures = std::mem::take(&mut *self.futures.borrow_mut());
             let cyclics = self.schedule.clear();
-            let queues = std::mem::take(&mut *self.queues.borrow_mut());
+            let queues = self.queues.clear();
             let timers = self.timers.borrow_mut().clear();
-            if futures.entries.is_empty() && !cyclics && queues.is_empty() {
+            if futures.entries.is_empty() && !cyclics && queues.is_none() {
                 break;
             }
             for entry in futures.entries {
@@ -565,6 +528,18 @@ impl Processor {
         let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
         // Outside the borrow, as in `enter`.
         drop(here);
+    }
+}
+
+/// One more is made of what `made` counts. At every `together`th, memory for as many is asked for.
+fn prepare(made: &Cell<u32>, together: u32) {
+    /// What they take in all, bytes: less than what an allocator makes a mapping of its own for, which would be
+    /// gone when it is given back.
+    const MEMORY: usize = 112 << 10;
+    made.set(made.get().wrapping_add(1));
+    if made.get().is_multiple_of(together) {
+        // What is given back is kept by the allocator.
+        drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
     }
 }
 

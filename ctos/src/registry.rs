@@ -19,7 +19,7 @@ use crate::{
     task::{Context, DynHandler, EventHandler, Handled, HandlerError, Handover, WithHandover},
 };
 
-type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
+type Build = Box<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
 type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
 type WaitsFor = Box<dyn Fn(&TaskConfig) -> Vec<String> + Send + Sync>;
 type Speaks = Box<dyn Fn(&TaskConfig) -> Vocabulary + Send + Sync>;
@@ -28,11 +28,26 @@ type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
 /// Names that the files of a task may use, by what they stand for.
 pub type Vocabulary = BTreeMap<&'static str, BTreeSet<String>>;
 
+/// What all tasks of a kind share: how to build their handlers, and which commands these take.
+pub(crate) struct Recipe {
+    pub(crate) commands: Arc<[CommandInfo]>,
+    pub(crate) build: Build,
+}
+
+impl Default for Recipe {
+    /// For what takes no messages and is not built.
+    fn default() -> Self {
+        Self {
+            commands: Arc::default(),
+            build: Box::new(|_| Err("it is not built".into())),
+        }
+    }
+}
+
 /// A kind of event handler: how to build one, which commands it takes, how to check its arguments.
 pub struct HandlerKind {
     name: String,
-    commands: Arc<[CommandInfo]>,
-    build: Build,
+    recipe: Arc<Recipe>,
     checks: Vec<CheckTask>,
     waits_for: Option<WaitsFor>,
     vocabulary: Option<Speaks>,
@@ -48,16 +63,14 @@ impl HandlerKind {
     /// The commands it takes.
     #[must_use]
     pub fn commands(&self) -> &[CommandInfo] {
-        &self.commands
+        &self.recipe.commands
     }
 
     /// The command called `name`.
     #[must_use]
     pub fn command(&self, name: &str) -> Option<CommandInfo> {
-        self.commands
-            .iter()
-            .copied()
-            .find(|command| command.name == name)
+        let mut commands = self.commands().iter().copied();
+        commands.find(|command| command.name == name)
     }
 
     /// Adds a check of a task's arguments that runs before anything starts.
@@ -93,11 +106,6 @@ impl HandlerKind {
         words.map_or_else(Vocabulary::new, |words| words(task))
     }
 
-    /// The same, to be kept.
-    pub(crate) fn commands_shared(&self) -> Arc<[CommandInfo]> {
-        self.commands.clone()
-    }
-
     /// Declares which other tasks a task of this kind waits for before it has finished its startup:
     /// those whose answers its `phase` awaits. Tasks that wait for each other in a circle are found
     /// before anything starts.
@@ -115,8 +123,8 @@ impl HandlerKind {
         names.unwrap_or_default()
     }
 
-    pub(crate) fn builder(&self) -> Build {
-        self.build.clone()
+    pub(crate) fn recipe(&self) -> Arc<Recipe> {
+        self.recipe.clone()
     }
 }
 
@@ -148,7 +156,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Arc::new(move |cx| {
+        let build: Build = Box::new(move |cx| {
             let handler: Box<dyn DynHandler> = Box::new(build(cx)?);
             Ok(handler)
         });
@@ -163,7 +171,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Arc::new(move |cx| {
+        let build: Build = Box::new(move |cx| {
             let handler: Box<dyn DynHandler> = Box::new(WithHandover(build(cx)?));
             Ok(handler)
         });
@@ -173,8 +181,10 @@ impl Registry {
     fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {
         let kind = HandlerKind {
             name: name.to_owned(),
-            commands: commands.into(),
-            build,
+            recipe: Arc::new(Recipe {
+                commands: commands.into(),
+                build,
+            }),
             checks: Vec::new(),
             waits_for: None,
             vocabulary: None,

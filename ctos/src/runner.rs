@@ -5,26 +5,25 @@ mod incarnation;
 mod resting;
 mod serving;
 
-use std::{
-    collections::BTreeSet, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc,
-};
+use std::{future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
 
 use futures_util::{FutureExt, future::LocalBoxFuture};
 
 use self::serving::AtHand;
 pub(crate) use self::{
-    resting::Resting,
+    resting::{Built, Resting},
     serving::{Served, Serving},
 };
 use crate::{
     call::Fault,
     chassis::{Chassis, TaskRecord},
     config::TaskConfig,
-    context::{Context, TaskRef},
+    context::{Context, Inner, TaskRef},
     mailbox::{Mailbox, TaskQueue},
-    message::{Command, CommandInfo, Message, SYSTEM_COMMANDS, Tid},
+    message::{Command, Message, SYSTEM_COMMANDS, Tid},
     moving::{self, Arrival, Departed},
     processor::{Processor, ProcessorHandle, panic_text},
+    registry::Recipe,
     statistics::TaskStatistics,
     supervise::{Ending, Event, Policy, Restarts, State},
     system::{
@@ -37,14 +36,12 @@ use crate::{
 /// How many messages the queue of a runtime task holds.
 const SYSTEM_QUEUE: usize = 1024;
 
-type Build = Arc<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
-
 /// What others see of a task of the configuration, or of the runtime itself.
 pub(crate) fn record(
     name: &str,
     tid: Tid,
     config: Option<&TaskConfig>,
-    commands: Arc<[CommandInfo]>,
+    recipe: Arc<Recipe>,
     processor: &Arc<ProcessorHandle>,
 ) -> Arc<TaskRecord> {
     let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
@@ -52,15 +49,14 @@ pub(crate) fn record(
         name: name.into(),
         tid,
         mailbox: Mailbox::new(capacity, processor.clone(), tid.slot()),
-        statistics: TaskStatistics::of(commands),
+        statistics: TaskStatistics::of(recipe),
     })
 }
 
 /// A task to start.
 pub(crate) struct TaskSpec {
     pub(crate) record: Arc<TaskRecord>,
-    pub(crate) config: Option<TaskConfig>,
-    pub(crate) build: Build,
+    pub(crate) config: Option<Box<TaskConfig>>,
 }
 
 /// Tells the task that started this one why it has failed.
@@ -88,7 +84,6 @@ pub(crate) struct Runner {
     pub(crate) record: Arc<TaskRecord>,
     pub(crate) queue: Rc<TaskQueue>,
     serving: Rc<Serving>,
-    build: Build,
     /// None between two incarnations.
     pub(crate) handler: Option<Box<dyn DynHandler>>,
     /// Made when there is something to judge: most tasks never end before their app.
@@ -125,37 +120,39 @@ pub(crate) fn start_at(
     origin: Origin,
 ) -> Result<(), HandlerError> {
     processor.prepare_start();
-    let cx = Context::new(
-        spec.record.clone(),
-        chassis.clone(),
-        processor.clone(),
-        spec.config,
-    );
-    let handler = build_contained(&spec.build, &cx)?;
-    let (record, tid) = (spec.record, cx.tid());
-    let gates = match &origin {
-        Origin::Boot | Origin::StartedBy(_) => BTreeSet::new(),
-        Origin::Moved(_) => chassis.others().chain([chassis.index()]).collect(),
+    let cx = Context::new(spec.record, chassis.clone(), processor.clone(), spec.config);
+    let handler = build_contained(&cx)?;
+    let (tid, inner) = (cx.tid(), cx.inner);
+    let resting = match origin {
+        Origin::Boot => match Inner::blank(inner) {
+            Ok(Inner { record, config, .. }) => {
+                processor.add_built(chassis, tid, Built { config, handler });
+                chassis.add_built(record);
+                return Ok(());
+            }
+            Err(inner) => Resting::new(inner, handler, None),
+        },
+        Origin::StartedBy(parent) => Resting::new(inner, handler, Some(parent)),
+        Origin::Moved(arrival) => {
+            let gates = chassis.others().chain([chassis.index()]).collect();
+            let queue = TaskQueue::gated(inner.record.clone(), gates);
+            processor.add_queue(tid.slot(), queue.clone());
+            chassis.add_built(inner.record.clone());
+            let resting = Resting::new(inner, handler, None);
+            queue.set_runner(resting.begin(&queue, Some(Box::new(arrival))));
+            return Ok(());
+        }
     };
-    let queue = TaskQueue::gated(record.clone(), gates);
-    processor.add_queue(tid.slot(), queue.clone());
-    chassis.add_task(record);
-    chassis.tap.built(tid, &cx.inner.record.name, cx.commands());
-    let (parent, arrival) = match origin {
-        Origin::Boot => (None, None),
-        Origin::StartedBy(parent) => (Some(parent), None),
-        Origin::Moved(arrival) => (None, Some(Box::new(arrival))),
-    };
-    let resting = Resting::new(cx, spec.build, handler, parent);
-    match arrival {
-        None => queue.rest(resting),
-        Some(arrival) => queue.set_runner(resting.begin(&queue, Some(arrival))),
-    }
+    let queue = resting.wait();
+    let record = queue.task().clone();
+    processor.add_queue(tid.slot(), queue);
+    chassis.add_built(record);
     Ok(())
 }
 
-fn build_contained(build: &Build, cx: &Context) -> Result<Box<dyn DynHandler>, HandlerError> {
-    std::panic::catch_unwind(AssertUnwindSafe(|| build(cx))).unwrap_or_else(|panic| {
+fn build_contained(cx: &Context) -> Result<Box<dyn DynHandler>, HandlerError> {
+    let recipe = cx.inner.record.statistics.recipe();
+    std::panic::catch_unwind(AssertUnwindSafe(|| (recipe.build)(cx))).unwrap_or_else(|panic| {
         Err(HandlerError::new(format!(
             "panicked while it was built: {}",
             panic_text(panic.as_ref())

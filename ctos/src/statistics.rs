@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     message::CommandInfo,
     recent::Recent,
+    registry::Recipe,
     task::Phase,
     time::Instant,
     waits::Waits,
@@ -21,9 +22,9 @@ use crate::{
 };
 
 /// What is known of one task: nothing, until it has something to do.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(crate) struct TaskStatistics {
-    commands: Arc<[CommandInfo]>,
+    recipe: Arc<Recipe>,
     /// Made when there is something to count: of very many tasks most may be idle.
     activity: OnceLock<Arc<Activity>>,
 }
@@ -78,22 +79,27 @@ pub struct TaskCounters {
 }
 
 impl TaskStatistics {
-    /// Of a task that takes these commands, which are counted one by one.
-    pub(crate) fn of(commands: Arc<[CommandInfo]>) -> Self {
+    /// Of a task that is built by `recipe`, whose commands are counted one by one.
+    pub(crate) fn of(recipe: Arc<Recipe>) -> Self {
         Self {
-            commands,
+            recipe,
             activity: OnceLock::new(),
         }
     }
 
+    /// How the handler of the task is built.
+    pub(crate) fn recipe(&self) -> &Recipe {
+        &self.recipe
+    }
+
     /// The commands that the task takes.
     pub(crate) fn commands(&self) -> &[CommandInfo] {
-        &self.commands
+        &self.recipe.commands
     }
 
     fn blank(&self) -> Activity {
         Activity {
-            meter: TaskMeter::of(self.commands.clone()),
+            meter: TaskMeter::of(self.recipe.commands.clone()),
             ..Activity::default()
         }
     }

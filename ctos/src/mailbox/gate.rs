@@ -75,8 +75,9 @@ impl TaskQueue {
         let interrupting = interrupting.filter(|command| interrupts(*command));
         self.interruptions
             .set(u32::try_from(interrupting.count()).unwrap_or(u32::MAX));
-        self.task.mailbox.urgent.set_held(lanes.urgent.queue.len());
-        self.task.mailbox.normal.set_held(lanes.normal.queue.len());
+        let rooms = self.task.mailbox.rooms();
+        rooms.urgent.set_held(lanes.urgent.queue.len());
+        rooms.normal.set_held(lanes.normal.queue.len());
     }
 
     /// From now on messages of tasks wait and are not taken; those of the runtime are.

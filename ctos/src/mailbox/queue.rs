@@ -160,27 +160,22 @@ pub(crate) struct TaskQueue {
 }
 
 impl TaskQueue {
-    /// The queue behind the mailbox of `task`.
-    #[cfg(test)]
-    pub(crate) fn new(task: Arc<TaskRecord>) -> Rc<Self> {
-        Self::gated(task, BTreeSet::new())
-    }
-
     /// The queue behind the mailbox of `task`, which keeps what comes straight from the chassis `closed` until their gates
     /// are opened.
     pub(crate) fn gated(task: Arc<TaskRecord>, closed: BTreeSet<u8>) -> Rc<Self> {
-        let gated = (!closed.is_empty()).then(|| {
-            let gate = Gate {
-                closed,
-                held: Vec::new(),
-            };
-            Box::new(Lanes {
-                gate: Some(Box::new(gate)),
-                ..Lanes::default()
-            })
-        });
+        let gate = Gate {
+            closed,
+            held: Vec::new(),
+        };
+        let queue = Self::open(task);
+        queue.lanes().gate = Some(Box::new(gate));
+        queue
+    }
+
+    /// The queue behind the mailbox of `task`, which takes in what comes.
+    pub(crate) fn open(task: Arc<TaskRecord>) -> Rc<Self> {
         Rc::new(Self {
-            lanes: RefCell::new(gated),
+            lanes: RefCell::default(),
             handed: Cell::new(None),
             task,
             runner: Cell::new(None),
@@ -196,6 +191,11 @@ impl TaskQueue {
         RefMut::map(self.lanes.borrow_mut(), |lanes| {
             &mut **lanes.get_or_insert_default()
         })
+    }
+
+    /// Whose it is.
+    pub(crate) fn task(&self) -> &Arc<TaskRecord> {
+        &self.task
     }
 
     /// Names the future that takes the messages: it is woken when there are some.

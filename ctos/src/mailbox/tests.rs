@@ -72,7 +72,7 @@ impl Bench {
             Senders::Afar => Processor::new(Arc::default(), clock),
         };
         let task = TaskRecord::with_room(capacity, processor.handle.clone(), 0);
-        let queue = TaskQueue::new(task.clone());
+        let queue = TaskQueue::open(task.clone());
         processor.add_queue(0, queue.clone());
         caller.enter();
         Self {

@@ -132,18 +132,11 @@ fn make_place(
     let new = Tid::new(chassis.index(), request.processor, slot);
     chassis.name().clone_into(&mut config.chassis);
     name.clone_into(&mut config.processor);
-    let record = record(
-        &request.name,
-        new,
-        Some(&config),
-        kind.commands_shared(),
-        processor,
-    );
+    let record = record(&request.name, new, Some(&config), kind.recipe(), processor);
     record.mailbox.close_gates();
     let spec = TaskSpec {
         record,
-        config: Some(config),
-        build: kind.builder(),
+        config: Some(Box::new(config)),
     };
     let (ready, readied) = oneshot::channel();
     let (built, building) = oneshot::channel();

@@ -214,10 +214,10 @@ pub fn replay(
         })?;
     // Without a kind it is not built.
     let kind = chassis.registry.kind(&config.handler);
-    let commands = kind.map_or_else(Arc::default, HandlerKind::commands_shared);
+    let recipe = kind.map_or_else(Arc::default, HandlerKind::recipe);
     let handle = &processor.handle;
     let stage = Stage {
-        task: task_record(task, script.tid, Some(&config), commands, handle),
+        task: task_record(task, script.tid, Some(&config), recipe, handle),
         config,
         chassis,
         processor,
@@ -281,17 +281,14 @@ impl Stage {
             task: self.config.name.clone(),
             reason,
         };
-        let kind = self.chassis.registry.kind(&self.config.handler);
-        let kind = kind.ok_or_else(|| {
-            failed(format!(
-                "nobody registered the event handler `{}`",
-                self.config.handler
-            ))
-        })?;
+        let handler = &self.config.handler;
+        if self.chassis.registry.kind(handler).is_none() {
+            let why = format!("nobody registered the event handler `{handler}`");
+            return Err(failed(why));
+        }
         let spec = TaskSpec {
             record: self.task.clone(),
-            config: Some(self.config.clone()),
-            build: kind.builder(),
+            config: Some(Box::new(self.config.clone())),
         };
         start_task(&self.chassis, &self.processor, spec)
             .map_err(|error| failed(error.to_string()))?;

@@ -241,7 +241,7 @@ impl Runner {
     /// Builds the handler anew and brings it to the phase that the old one had reached. Messages
     /// that wait in the queue stay there.
     async fn rebuild(&mut self) -> Handled {
-        let mut handler = build_contained(&self.build, &self.cx)?;
+        let mut handler = build_contained(&self.cx)?;
         if let Some(state) = &self.kept {
             handler.take_over(&self.cx, state)?;
         }

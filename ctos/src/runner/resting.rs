@@ -1,44 +1,44 @@
 //! A task for which there is nothing to do: what is kept of it then, which is little, and how its loop begins
 //! again. It takes no turn for that: a chassis may have very many such tasks.
 
-use std::{cell::Cell, rc::Rc};
+use std::{cell::Cell, rc::Rc, sync::Arc};
 
-use super::{Build, Runner, Serving, TellParent};
+use super::{Runner, Serving, TellParent};
 use crate::{
+    chassis::{Chassis, TaskRecord},
+    config::TaskConfig,
     context::{Context, Inner},
     mailbox::TaskQueue,
     moving::Arrival,
-    processor::FutureId,
+    processor::{FutureId, Processor},
     supervise::{Restarts, State},
     task::DynHandler,
 };
 
+/// What is kept of a task to which nothing has come yet, and whose context nobody has.
+pub(crate) struct Built {
+    pub(super) config: Option<Box<TaskConfig>>,
+    pub(super) handler: Box<dyn DynHandler>,
+}
+
+impl Built {
+    /// The same task, resting.
+    pub(crate) fn rest(
+        self,
+        record: Arc<TaskRecord>,
+        chassis: Arc<Chassis>,
+        processor: Rc<Processor>,
+    ) -> Resting {
+        let inner = Inner::new(record, chassis, processor, self.config);
+        Resting::new(Rc::new(inner), self.handler, None)
+    }
+}
+
 /// What is kept of a task that rests: its handler, and how to go on.
 pub(crate) struct Resting {
-    place: Place,
-    build: Build,
+    inner: Rc<Inner>,
     handler: Box<dyn DynHandler>,
     rare: Option<Box<Rare>>,
-}
-
-/// What the context of a task stands for.
-enum Place {
-    /// Nobody has a context: in place, which is less memory than a piece of its own.
-    InPlace(Inner),
-    Shared(Rc<Inner>),
-}
-
-impl Place {
-    fn of(inner: Rc<Inner>) -> Self {
-        Rc::try_unwrap(inner).map_or_else(Self::Shared, Self::InPlace)
-    }
-
-    fn shared(self) -> Rc<Inner> {
-        match self {
-            Self::InPlace(inner) => Rc::new(inner),
-            Self::Shared(inner) => inner,
-        }
-    }
 }
 
 /// What few tasks have.
@@ -51,8 +51,7 @@ struct Rare {
 impl Resting {
     /// A task that has just been built.
     pub(super) fn new(
-        cx: Context,
-        build: Build,
+        inner: Rc<Inner>,
         handler: Box<dyn DynHandler>,
         parent: Option<TellParent>,
     ) -> Self {
@@ -62,22 +61,26 @@ impl Resting {
             parent: Some(parent),
         });
         Self {
-            place: Place::of(cx.inner),
-            build,
+            inner,
             handler,
             rare: rare.map(Box::new),
         }
     }
 
+    /// The queue of the task, which waits for what comes to it.
+    pub(crate) fn wait(self) -> Rc<TaskQueue> {
+        let queue = TaskQueue::open(self.inner.record.clone());
+        queue.rest(self);
+        queue
+    }
+
     /// Begins the loop of the task, which takes its messages out of `queue`.
     pub(crate) fn begin(self, queue: &Rc<TaskQueue>, arrival: Option<Box<Arrival>>) -> FutureId {
         let Self {
-            place,
-            build,
+            inner,
             handler,
             rare,
         } = self;
-        let inner = place.shared();
         let phase = inner.phase.get();
         let cx = Context::of(inner);
         let record = cx.inner.record.clone();
@@ -96,7 +99,6 @@ impl Resting {
                 queue: queue.clone(),
                 stopped: Cell::new(false),
             }),
-            build,
             handler: Some(handler),
             restarts,
             state: State::Running,
@@ -135,8 +137,7 @@ impl Runner {
         let is_rare = rare.restarts.is_some() || rare.kept.is_some() || rare.parent.is_some();
         self.cx.inner.phase.set(self.phase);
         self.queue.rest(Resting {
-            place: Place::Shared(self.cx.inner.clone()),
-            build: self.build.clone(),
+            inner: self.cx.inner.clone(),
             handler,
             rare: is_rare.then(|| Box::new(rare)),
         });

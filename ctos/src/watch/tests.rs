@@ -150,20 +150,19 @@ mod real {
         let mut registry = Registry::new();
         let release = released.clone();
         registry.handler("stuck", &[Block::INFO], move |_| Ok(Stuck(release.clone())));
-        let build = registry.kind("stuck").unwrap().builder();
+        let recipe = registry.kind("stuck").unwrap().recipe();
         let chassis = Chassis::new(1, Arc::new(app), Arc::new(registry), Clock::real());
         let _threads = boot::start_processors(&chassis).unwrap();
         let task = record(
             "arm",
             Tid::new(1, 1, 0),
             Some(&config),
-            Arc::new([Block::INFO]),
+            recipe,
             &chassis.processors[1].1,
         );
         let spec = TaskSpec {
             record: task.clone(),
-            config: Some(config),
-            build,
+            config: Some(Box::new(config)),
         };
         let home = chassis.clone();
         chassis.processors[1].1.inject(move |processor| {

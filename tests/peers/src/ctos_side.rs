@@ -127,7 +127,7 @@ impl CtosOneWay {
 /// Idle tasks on two processors.
 pub struct CtosIdle {
     bench: Bench,
-    tasks: Vec<TaskRef>,
+    tasks: Vec<Vec<TaskRef>>,
 }
 
 impl CtosIdle {
@@ -142,15 +142,16 @@ impl CtosIdle {
         let half = u16::try_from(count / 2).expect("slots have 16 bits");
         for processor in [1, 2] {
             let tasks = self.bench.tasks("far", processor, 0, half);
-            self.tasks.extend(tasks.ok().expect("they start"));
+            self.tasks.push(tasks.ok().expect("they start"));
         }
     }
 
     pub fn ask_all(&mut self) {
-        let tasks = self.tasks.clone();
+        let tasks = self.tasks.iter().flatten().take(WINDOW);
+        let tasks: Vec<TaskRef> = tasks.cloned().collect();
         let work = move |cx: Context| async move {
             let data = Data::default();
-            for task in tasks.iter().take(WINDOW) {
+            for task in &tasks {
                 cx.call(task, Ask { data }).await.expect("an answer");
             }
         };

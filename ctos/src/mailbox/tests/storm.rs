@@ -146,7 +146,7 @@ fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, 
     let (at_work, log, its) = (home.clone(), taken.clone(), task.clone());
     let receiver = std::thread::spawn(move || {
         let processor = Processor::new(at_work, Clock::real());
-        let queue = TaskQueue::new(its);
+        let queue = TaskQueue::open(its);
         processor.add_queue(0, queue.clone());
         let runner = processor.spawn(take_all(queue.clone(), seed, log), None);
         queue.set_runner(runner);

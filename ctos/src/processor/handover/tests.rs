@@ -236,15 +236,19 @@ impl Bench {
         let records: Vec<_> = tasks
             .iter()
             .map(|task| {
-                let commands = kind.commands_shared();
-                record(task.name(), task.tid(), None, commands, &processor.handle)
+                record(
+                    task.name(),
+                    task.tid(),
+                    None,
+                    kind.recipe(),
+                    &processor.handle,
+                )
             })
             .collect();
         for record in &records {
             let spec = TaskSpec {
                 record: record.clone(),
                 config: None,
-                build: kind.builder(),
             };
             start_task(&chassis, &processor, spec).unwrap();
         }
@@ -493,7 +497,7 @@ fn the_time_of_a_call_that_was_handed_over_runs_as_that_of_any_other() {
 #[test]
 fn what_a_task_does_not_take_in_the_turn_that_it_is_given_waits_in_its_queue() {
     let bench = Bench::new(true);
-    let queue = TaskQueue::new(TaskRecord::with_room(4, bench.processor.handle.clone(), 50));
+    let queue = TaskQueue::open(TaskRecord::with_room(4, bench.processor.handle.clone(), 50));
     let (own, polls) = (queue.clone(), Rc::new(RefCell::new(0)));
     let counted = polls.clone();
     let runner = poll_fn(move |_| {

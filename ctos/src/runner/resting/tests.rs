@@ -17,7 +17,7 @@ use crate::{
     mailbox::Acceptance,
     message::{Command, CommandInfo, Data, Flags, Message, Tid},
     processor::Processor,
-    registry::Registry,
+    registry::{Recipe, Registry},
     runner::{TaskSpec, record, start_task},
     system::{Ping, Statistics},
     task::{EventHandler, Handled},
@@ -54,6 +54,32 @@ impl Drop for Counter {
     }
 }
 
+/// Keeps its context, and answers with its own id.
+struct Keeper(Context);
+
+impl EventHandler for Keeper {
+    async fn handle(&mut self, _: &Context, message: Message) -> Handled {
+        let (Count {}, reply) = message.open::<Count>()?;
+        reply.ok(u64::from(self.0.tid().bits()))
+    }
+}
+
+/// Starts the task in `slot`.
+fn start(
+    chassis: &Arc<Chassis>,
+    processor: &Rc<Processor>,
+    slot: u16,
+    recipe: Arc<Recipe>,
+) -> Arc<TaskRecord> {
+    let record = record("t", Tid::new(1, 1, slot), None, recipe, &processor.handle);
+    let spec = TaskSpec {
+        record: record.clone(),
+        config: None,
+    };
+    start_task(chassis, processor, spec).unwrap();
+    record
+}
+
 struct Bench {
     chassis: Arc<Chassis>,
     processor: Rc<Processor>,
@@ -74,21 +100,12 @@ impl Bench {
                 dropped: counted.clone(),
             })
         });
-        let (build, commands) = {
-            let kind = registry.kind("counter").unwrap();
-            (kind.builder(), kind.commands_shared())
-        };
+        let recipe = registry.kind("counter").unwrap().recipe();
         let registry = Arc::new(registry);
         let chassis = Chassis::new(1, Arc::new(app), registry, Clock::virtual_clock());
         let processor = chassis.processor(1).unwrap();
         processor.enter();
-        let record = record("t", Tid::new(1, 1, 0), None, commands, &processor.handle);
-        let spec = TaskSpec {
-            record: record.clone(),
-            config: None,
-            build,
-        };
-        start_task(&chassis, &processor, spec).unwrap();
+        let record = start(&chassis, &processor, 0, recipe);
         Self {
             chassis,
             processor,
@@ -156,8 +173,28 @@ fn a_task_rests_from_its_start_and_again_after_messages_of_the_runtime_and_keeps
 }
 
 #[test]
+fn a_task_to_which_nothing_has_come_has_no_queue() {
+    let bench = Bench::new();
+    assert!(!bench.processor.has_queue(0));
+    assert_eq!(bench.count(), 1);
+    assert!(bench.processor.has_queue(0));
+}
+
+#[test]
+fn a_task_to_which_nothing_has_come_ends_when_it_is_taken_out() {
+    let bench = Bench::new();
+    ends_when_it_is_taken_out(&bench);
+}
+
+#[test]
 fn a_task_that_rests_ends_when_it_is_taken_out() {
     let bench = Bench::new();
+    assert!(bench.ask(Ping::INFO).is_some_and(|answer| answer.is_ok()));
+    assert!(bench.rests());
+    ends_when_it_is_taken_out(&bench);
+}
+
+fn ends_when_it_is_taken_out(bench: &Bench) {
     let tid = bench.record.tid;
     bench.chassis.remove_task(tid);
     bench.settle();
@@ -170,19 +207,33 @@ fn a_task_that_rests_ends_when_it_is_taken_out() {
 
 #[test]
 fn a_processor_that_ends_drops_the_handlers_of_tasks_that_rest() {
-    let bench = Bench::new();
-    bench.processor.clear();
-    assert_eq!(bench.dropped(), 1);
+    for asked in [false, true] {
+        let bench = Bench::new();
+        assert!(!asked || bench.rests());
+        assert_eq!(bench.processor.has_queue(0), asked);
+        bench.processor.clear();
+        assert_eq!(bench.dropped(), 1);
+    }
 }
 
 #[test]
-fn what_is_kept_of_a_task_that_rests_is_small() {
+fn a_task_whose_context_is_kept_from_the_beginning_answers() {
+    let mut bench = Bench::new();
+    let mut registry = Registry::new();
+    registry.handler("keeper", &[Count::INFO], |cx| Ok(Keeper(cx.clone())));
+    let recipe = registry.kind("keeper").unwrap().recipe();
+    bench.record = start(&bench.chassis, &bench.processor, 1, recipe);
+    assert!(bench.processor.has_queue(1));
+    assert_eq!(bench.count(), u64::from(bench.record.tid.bits()));
+}
+
+#[test]
+fn what_is_kept_of_an_idle_task_is_small() {
     // Two counters of owners before each that is shared.
     let shared = 2 * size_of::<usize>();
-    let pieces = [
-        shared + size_of::<TaskRecord>(),
-        shared + size_of::<TaskQueue>(),
-    ];
-    let bytes: usize = pieces.iter().sum();
-    assert!(bytes <= 350, "{pieces:?}");
+    let record = shared + size_of::<TaskRecord>();
+    let queue = shared + size_of::<TaskQueue>();
+    let built = size_of::<Option<Built>>();
+    assert!(record + built <= 112, "{record} + {built}");
+    assert!(record + queue <= 192, "{record} + {queue}");
 }
