@@ -26,6 +26,8 @@ use crate::{
 /// One slot, as those who answer see it.
 struct Shared {
     home: Arc<ProcessorHandle>,
+    /// The number of the home on its chassis: here as well, because it is noted of each call that is handled.
+    processor: u8,
     slot: u32,
     /// The last generation whose caller went without its answer; [`NOBODY`] before there is one. Calls
     /// that end well leave it alone, so that those who answer them keep the cache line.
@@ -58,14 +60,6 @@ impl Ticket {
         }
     }
 
-    /// [`Self::answer`] with what is in a letter.
-    #[inline]
-    pub(crate) fn answer_with(self, letter: Box<Letter>) {
-        if let Some((ticket, letter)) = Processor::answer_here(self, letter) {
-            ticket.answer(Brought::Data(letter));
-        }
-    }
-
     /// Whether the caller waits no longer.
     #[inline]
     pub(crate) fn is_abandoned(&self) -> bool {
@@ -83,6 +77,11 @@ impl Ticket {
     /// The processor that waits for the answer.
     pub(crate) fn home(&self) -> &Arc<ProcessorHandle> {
         &self.shared.home
+    }
+
+    /// The number of that on its chassis.
+    pub(crate) fn processor(&self) -> u8 {
+        self.shared.processor
     }
 }
 
@@ -265,6 +264,7 @@ impl Calls {
         self.slots.push(Slot {
             shared: Arc::new(Shared {
                 home: home.clone(),
+                processor: home.index(),
                 slot: index,
                 gone: AtomicU64::new(NOBODY),
             }),
@@ -394,30 +394,38 @@ impl Calls {
         Given::Taken(slot.wake.take())
     }
 
-    /// [`Self::answer`] to a call that nobody has looked at: then nobody is woken, and nothing is dropped.
+    /// [`Self::answer`] to a call that nobody has looked at, with a letter that brings its ticket: then nobody is
+    /// woken, and nothing is dropped.
     ///
     /// # Errors
-    /// What was brought, when it is to be given in the usual way.
+    /// The letter, when it is to be given in the usual way, or is not for a call of `home`, whose calls these are.
     #[inline]
     pub(crate) fn answer_unseen(
         &mut self,
-        ticket: Ticket,
-        letter: Box<Letter>,
-    ) -> Result<(), (Ticket, Box<Letter>)> {
+        home: &Arc<ProcessorHandle>,
+        mut letter: Box<Letter>,
+    ) -> Result<(), Box<Letter>> {
+        let Some(ticket) = letter.ticket() else {
+            return Err(letter);
+        };
         let slot = self.slots.get_mut(ticket.shared.slot as usize);
         let is_unseen = |slot: &&mut Slot| {
             slot.generation == ticket.generation
+                && Arc::ptr_eq(ticket.home(), home)
                 && slot.state == State::Waiting
                 && slot.wake.is_none()
                 && slot.ticket.is_none()
                 && slot.answer.is_none()
         };
         let Some(slot) = slot.filter(is_unseen) else {
-            return Err((ticket, letter));
+            return Err(letter);
         };
-        slot.ticket = Some(ticket);
+        let ticket = letter.take_ticket();
+        // There is nothing to drop where these come, as was just seen.
+        std::mem::forget(std::mem::replace(&mut slot.ticket, ticket));
         slot.state = State::Answered;
-        slot.answer = Some(Brought::Data(letter));
+        let answer = Some(Brought::Data(letter));
+        std::mem::forget(std::mem::replace(&mut slot.answer, answer));
         Ok(())
     }
 

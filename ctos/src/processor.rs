@@ -42,7 +42,7 @@ use self::{
 use crate::{
     call::ReplySlot,
     context::Beside,
-    exchange::{CallKey, Calls, Ticket},
+    exchange::{CallKey, Calls},
     link::lookout::Glance,
     mailbox::TaskQueue,
     message::Letter,
@@ -287,26 +287,22 @@ impl Processor {
         here.ok().flatten()
     }
 
-    /// Gives the answer to a call of the processor that this thread runs, if nobody has looked at the call. What
-    /// was brought, when it is to be given in the usual way.
+    /// Gives the answer to a call of the processor that this thread runs, if nobody has looked at the call. The
+    /// letter, when it is to be given in the usual way.
     #[inline]
-    pub(crate) fn answer_here(
-        ticket: Ticket,
-        letter: Box<Letter>,
-    ) -> Option<(Ticket, Box<Letter>)> {
-        let mut brought = Some((ticket, letter));
+    pub(crate) fn answer_here(letter: Box<Letter>) -> Option<Box<Letter>> {
+        let mut left = Some(letter);
         // It fails where the thread ends.
         let _ = HERE.try_with(|here| {
             if let Ok(here) = here.try_borrow()
                 && let Some(here) = here.as_ref()
                 && let Ok(mut calls) = here.calls.try_borrow_mut()
-                && let Some((ticket, letter)) =
-                    brought.take_if(|(ticket, _)| Arc::ptr_eq(&here.handle, ticket.home()))
+                && let Some(letter) = left.take()
             {
-                brought = calls.answer_unseen(ticket, letter).err();
+                left = calls.answer_unseen(&here.handle, letter).err();
             }
         });
-        brought
+        left
     }
 
     /// The processor that this thread runs.

@@ -15,7 +15,7 @@ use std::{
 use crate::{
     call::{Fault, lock},
     chassis::{Chassis, Inbound, Outbound},
-    exchange::{CallKey, Ticket},
+    exchange::{Brought, CallKey, Ticket},
     message::{Data, Letter},
     processor::Processor,
     time::Instant,
@@ -121,12 +121,6 @@ enum ReplyTo {
 }
 
 impl ReplyTo {
-    /// [`Self::answer`] with what is in a letter.
-    #[inline(never)]
-    fn answer_from(self, letter: Box<Letter>) {
-        self.answer(Ok(letter.open().0));
-    }
-
     fn answer(self, answer: Answer) {
         match self {
             Self::Local(ticket) => ticket.answer(answer.into()),
@@ -206,10 +200,15 @@ impl ReplySlot {
 
     /// When the caller gives up, if it is a task of the processor that this thread runs.
     pub(crate) fn deadline_here(&self) -> Option<Instant> {
+        let ticket = self.ticket()?;
+        Processor::here_if(ticket.home())?.call_deadline(ticket.key())
+    }
+
+    /// The right to answer a call of this chassis, if it is one.
+    #[inline]
+    fn ticket(&self) -> Option<&Ticket> {
         match &self.to {
-            Some(ReplyTo::Local(ticket)) => {
-                Processor::here_if(ticket.home())?.call_deadline(ticket.key())
-            }
+            Some(ReplyTo::Local(ticket)) => Some(ticket),
             _ => None,
         }
     }
@@ -217,16 +216,14 @@ impl ReplySlot {
     /// [`Self::key`] of a call of this chassis: its processor, and which it is.
     #[inline]
     pub(crate) fn local_key(&self) -> Option<(u8, CallKey)> {
-        match &self.to {
-            Some(ReplyTo::Local(ticket)) => Some((ticket.home().index(), ticket.key())),
-            _ => None,
-        }
+        let ticket = self.ticket()?;
+        Some((ticket.processor(), ticket.key()))
     }
 
     /// What is enough to answer in place of whoever has the slot.
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
-            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.home().index(), ticket.key()),
+            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.processor(), ticket.key()),
             ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
             ReplyTo::Remote(_, request) => ReplyKey::Remote(request.clone()),
         })
@@ -237,11 +234,36 @@ impl Letter {
     /// Goes back, with the answer as its data, to whoever waits for it. What goes to a call of this
     /// chassis is not moved: so it passes here and not [`ReplySlot::answer`].
     #[inline]
-    pub(crate) fn go_home(mut self: Box<Self>) {
+    pub(crate) fn go_home(self: Box<Self>) {
+        if let Some(letter) = Processor::answer_here(self) {
+            letter.go_far_home();
+        }
+    }
+
+    /// [`Self::go_home`] where that takes more than to be laid down.
+    #[inline(never)]
+    fn go_far_home(mut self: Box<Self>) {
         match self.take_reply().and_then(|mut slot| slot.to.take()) {
-            Some(ReplyTo::Local(ticket)) => ticket.answer_with(self),
-            Some(to) => to.answer_from(self),
+            Some(ReplyTo::Local(ticket)) => ticket.answer(Brought::Data(self)),
+            Some(to) => to.answer(Ok(self.open().0)),
             None => {}
+        }
+    }
+
+    /// The right to answer the call of this chassis that the letter came with, if it came with one.
+    #[inline(always)]
+    pub(crate) fn ticket(&self) -> Option<&Ticket> {
+        self.reply.as_ref()?.ticket()
+    }
+
+    /// Takes out what [`Self::ticket`] is.
+    #[inline(always)]
+    pub(crate) fn take_ticket(&mut self) -> Option<Ticket> {
+        // Another right stays where it is.
+        self.ticket()?;
+        match self.take_reply().and_then(|mut slot| slot.to.take()) {
+            Some(ReplyTo::Local(ticket)) => Some(ticket),
+            _ => None,
         }
     }
 }

@@ -164,31 +164,21 @@ impl Runner {
     /// The loop. Boxed, both: what an asynchronous function is given stands twice in its future, and a chassis
     /// may have very many of them.
     async fn run(mut self: Box<Self>, arrival: Option<Box<Arrival>>) {
-        let settled = match arrival {
+        let mut lives = match arrival {
             Some(arrival) => moving::arrive(&mut self, *arrival).boxed_local().await,
             None => true,
         };
-        if settled && self.serve().await.is_none() && self.rest() {
-            return;
-        }
-        self.cx.cancel_children();
-        self.cx.end_all_started().boxed_local().await;
-        self.cx.chassis().remove_task(self.cx.tid());
-    }
-
-    /// Handles messages until the task ends, or until it could as well rest: then `None`.
-    async fn serve(&mut self) -> Option<()> {
         let serving = self.serving.clone();
         let mut next = None;
-        loop {
+        while lives {
             if next.is_none() && serving.poll_next(&mut next).is_pending() {
-                if self.may_rest() {
-                    return None;
+                if self.may_rest() && self.rest() {
+                    return;
                 }
                 next = serving.next().await;
             }
             let Some(message) = next.take() else {
-                return Some(());
+                break;
             };
             let of_tasks = message.command() < SYSTEM_COMMANDS;
             let then = match self.handler.as_deref_mut() {
@@ -197,7 +187,7 @@ impl Runner {
                         next = Some(message);
                         continue;
                     }
-                    Served::Closed => return Some(()),
+                    Served::Closed => break,
                     Served::Panicked(text) => {
                         let why = format!("its handler panicked: {text}");
                         self.supervise(Ending::Failure, why).boxed_local().await
@@ -207,14 +197,17 @@ impl Runner {
             };
             match then {
                 Next::Take => {}
-                Next::End => return Some(()),
+                Next::End => lives = false,
                 Next::Forward(departed) => {
                     let forwarding = moving::forward(&self.cx, &self.queue, departed);
                     forwarding.boxed_local().await;
-                    return Some(());
+                    lives = false;
                 }
             }
         }
+        self.cx.cancel_children();
+        self.cx.end_all_started().boxed_local().await;
+        self.cx.chassis().remove_task(self.cx.tid());
     }
 
     /// Moves along the table of `supervise.rs`.
@@ -275,12 +268,7 @@ impl Runner {
         let interruptible = !interrupts(message.command());
         let ended = {
             let mut handling = pin!(Some(self.call(&cx, message)));
-            let ended =
-                poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll));
-            let ended = ended.await;
-            let processor = serving.cx.processor();
-            processor.handling(at_hand.serial.get(), || handling.set(None));
-            ended
+            poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll)).await
         };
         match serving.end(&at_hand, ended) {
             Some(text) => {

@@ -26,6 +26,12 @@ pub type Handled = Result<(), HandlerError>;
 /// Why a handler could not do what it was asked. The caller gets the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HandlerError {
+    /// A pointer, so that what a handler returns costs nothing to pass on.
+    said: Box<Said>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Said {
     text: String,
 }
 
@@ -33,13 +39,16 @@ impl HandlerError {
     /// An error that says `text`.
     #[must_use]
     pub fn new(text: impl Into<String>) -> Self {
-        Self { text: text.into() }
+        let said = Said { text: text.into() };
+        Self {
+            said: Box::new(said),
+        }
     }
 }
 
 impl fmt::Display for HandlerError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
+        f.write_str(&self.said.text)
     }
 }
 
@@ -47,9 +56,7 @@ impl fmt::Display for HandlerError {
 impl<E: Into<Box<dyn std::error::Error>>> From<E> for HandlerError {
     fn from(error: E) -> Self {
         let error: Box<dyn std::error::Error> = error.into();
-        Self {
-            text: error.to_string(),
-        }
+        Self::new(error.to_string())
     }
 }
 

@@ -91,11 +91,8 @@ impl Chassis {
     ) -> CalledBeside {
         let letter = &mut *message.letter;
         let to = letter.header.to;
-        let is_usual = to.chassis() == self.index
-            && self.is_on(to, processor)
-            && !self.tap.is_on()
-            && self.directory.is_as_begun()
-            && letter.header.command != system::Fence::CODE;
+        let is_usual =
+            letter.header.from.is_beside(to) && !self.tap.is_on() && self.directory.is_as_begun();
         let queue = if is_usual {
             processor.queue(to.slot())
         } else {

@@ -2,6 +2,7 @@
 //! they are dropped.
 
 use std::{
+    cell::RefCell,
     future::{Future, IntoFuture},
     marker::PhantomData,
     pin::Pin,
@@ -261,8 +262,9 @@ struct Waits {
     key: CallKey,
     /// The way to take it back when it went over a link.
     outbound: Option<Outbound>,
-    /// Set once it has waited long.
-    circle: Option<Box<Circle>>,
+    /// Set once it has waited long. Shared with nobody: but what ends a shared value is no part of the code that
+    /// ends each call.
+    circle: Option<Rc<RefCell<Circle>>>,
 }
 
 impl Waits {
@@ -473,8 +475,8 @@ impl Ask {
             }
             Looked::Waiting => {
                 self.waited = true;
-                if let Some(circle) = &mut waits.circle {
-                    circle.poll(poll);
+                if let Some(circle) = &waits.circle {
+                    circle.borrow_mut().poll(poll);
                 }
                 return Poll::Pending;
             }
@@ -532,16 +534,20 @@ impl Ask {
         let mut circle = Circle::LookedFor(Box::pin(circle::look(cx, to)));
         circle.poll(poll);
         if let Some(waits) = &mut self.waits {
-            waits.circle = Some(Box::new(circle));
+            waits.circle = Some(Rc::new(RefCell::new(circle)));
         }
     }
 
     #[cold]
     fn late(&mut self, note: Option<&Note>, after: Duration) -> Fault {
         let circle = self.waits.as_mut().and_then(|waits| waits.circle.take());
-        let fault = match circle.map(|circle| *circle) {
-            Some(Circle::Found(Some(circle))) => Fault::Circle { after, circle },
-            _ => Fault::Deadline { after },
+        let found = match circle.map(|circle| circle.replace(Circle::Found(None))) {
+            Some(Circle::Found(found)) => found,
+            _ => None,
+        };
+        let fault = match found {
+            Some(circle) => Fault::Circle { after, circle },
+            None => Fault::Deadline { after },
         };
         self.failed(note, fault)
     }

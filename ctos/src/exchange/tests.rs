@@ -1,7 +1,7 @@
 use std::task::Waker;
 
 use super::*;
-use crate::{message::Data, time::Clock};
+use crate::{call::ReplySlot, message::Data, time::Clock};
 
 const LIMIT: Duration = Duration::from_secs(5);
 
@@ -22,9 +22,11 @@ fn answer(number: u8) -> Brought {
     Ok(Data::of(number)).into()
 }
 
-fn letter(number: u8) -> Box<Letter> {
+/// The answer to a call in a letter that brings its ticket.
+fn bringing(ticket: Ticket, number: u8) -> Box<Letter> {
     let mut letter = Letter::blank();
     letter.write(Data::of(number));
+    letter.set_reply(Some(ReplySlot::call(ticket)));
     letter
 }
 
@@ -126,7 +128,7 @@ fn an_answer_that_nobody_has_looked_for_is_there_at_once_and_wakes_nobody() {
     let ticket = calls.begin(&home, LIMIT);
     let key = ticket.key();
     assert!(calls.take_answered(key).is_none(), "it is not there yet");
-    assert!(calls.answer_unseen(ticket, letter(1)).is_ok());
+    assert!(calls.answer_unseen(&home, bringing(ticket, 1)).is_ok());
     let taken = calls.take_answered(key).unwrap();
     assert_eq!(taken.take::<u8>().unwrap(), 1);
     assert!(calls.take_answered(key).is_none(), "the call is over");
@@ -143,16 +145,19 @@ fn an_answer_that_somebody_waits_for_or_has_given_up_is_given_in_the_usual_way()
     let ticket = calls.begin(&home, LIMIT);
     let key = ticket.key();
     assert!(matches!(look(&mut calls, key), Looked::Waiting));
-    let (ticket, back) = calls.answer_unseen(ticket, letter(1)).unwrap_err();
-    let given = calls.answer(key, Some(ticket), Brought::Data(back));
+    let mut back = calls.answer_unseen(&home, bringing(ticket, 1)).unwrap_err();
+    let ticket = back.take_ticket();
+    let given = calls.answer(key, ticket, Brought::Data(back));
     assert!(matches!(given, Given::Taken(Some(_))), "it is not woken");
     assert_eq!(number(look(&mut calls, key)), Some(1));
     let ticket = calls.begin(&home, LIMIT);
     drop(calls.give_up(ticket.key()));
-    let (ticket, _) = calls.answer_unseen(ticket, letter(2)).unwrap_err();
-    assert!(ticket.is_abandoned());
+    let mut back = calls.answer_unseen(&home, bringing(ticket, 2)).unwrap_err();
+    assert!(back.ticket().is_some_and(Ticket::is_abandoned));
     // A late answer does not reach the next call, which has a ticket of its own.
     let next = calls.begin(&home, LIMIT);
-    assert!(calls.answer_unseen(ticket, letter(3)).is_err());
+    back.write(Data::of(3_u8));
+    let mut back = calls.answer_unseen(&home, back).unwrap_err();
+    assert!(back.take_ticket().is_some());
     assert!(matches!(look(&mut calls, next.key()), Looked::Waiting));
 }

@@ -123,9 +123,8 @@ pub(super) struct Lanes {
 impl Lanes {
     /// Whether there is nothing in them that is to be kept.
     fn are_unused(&self) -> bool {
-        // As one number, because it is asked for each call.
-        let in_lane = |lane: &Lane| lane.queue.len() | lane.waiting.len() | lane.arrived;
-        let kept = in_lane(&self.urgent) | in_lane(&self.normal) | self.told_later.len();
+        let in_lane = |lane: &Lane| lane.queue.len() + lane.waiting.len() + lane.arrived;
+        let kept = in_lane(&self.urgent) + in_lane(&self.normal) + self.told_later.len();
         kept == 0 && !self.held && self.gate.is_none()
     }
 
@@ -142,6 +141,8 @@ impl Lanes {
 pub(crate) struct TaskQueue {
     /// Made for the first message: of very many tasks most may be idle.
     lanes: RefCell<Option<Box<Lanes>>>,
+    /// Whether anything may be in them, or is kept by them: one word to look at in each call.
+    in_use: Cell<bool>,
     /// The message that an idle task has its turn for at once, from before that until it takes it.
     handed: Cell<Option<Message>>,
     /// Whose it is.
@@ -176,6 +177,7 @@ impl TaskQueue {
     pub(crate) fn open(task: Arc<TaskRecord>) -> Rc<Self> {
         Rc::new(Self {
             lanes: RefCell::default(),
+            in_use: Cell::new(false),
             handed: Cell::new(None),
             task,
             runner: Cell::new(None),
@@ -188,6 +190,7 @@ impl TaskQueue {
 
     #[inline]
     pub(super) fn lanes(&self) -> RefMut<'_, Lanes> {
+        self.in_use.set(true);
         RefMut::map(self.lanes.borrow_mut(), |lanes| {
             &mut **lanes.get_or_insert_default()
         })
@@ -298,8 +301,15 @@ impl TaskQueue {
     /// Whether nothing is in it, and nothing would be kept from its task.
     #[inline]
     fn is_unused(&self) -> bool {
+        !self.in_use.get() || self.is_unused_again()
+    }
+
+    #[inline(never)]
+    fn is_unused_again(&self) -> bool {
         let lanes = self.lanes.borrow();
-        lanes.as_deref().is_none_or(Lanes::are_unused)
+        let is_unused = lanes.as_deref().is_none_or(Lanes::are_unused);
+        self.in_use.set(!is_unused);
+        is_unused
     }
 
     /// Puts a message in if there is room now; its command.
@@ -449,8 +459,8 @@ impl TaskQueue {
     /// The next message, high priority first.
     #[inline(always)]
     pub(crate) fn take(&self) -> Option<Message> {
-        if let Some(handed) = self.handed.take() {
-            return Some(handed);
+        if !self.in_use.get() {
+            return None;
         }
         let mut all = self.lanes.borrow_mut();
         let lanes = all.as_deref_mut()?;
@@ -516,6 +526,11 @@ impl TaskQueue {
     /// of the task, which is woken when there is one, and polled by nobody else.
     #[inline(always)]
     pub(crate) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+        // That the mailbox is open was seen when it was handed over.
+        if let Some(handed) = self.handed.take() {
+            *next = Some(handed);
+            return Poll::Ready(());
+        }
         if self.task.mailbox.is_closed() {
             return Poll::Ready(());
         }

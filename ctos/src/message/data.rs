@@ -156,20 +156,26 @@ impl Data {
     ///
     /// # Errors
     /// As [`Self::take`].
-    #[inline]
+    #[inline(always)]
     pub(crate) fn take_out<T: DeserializeOwned + 'static>(&mut self) -> Result<T, PayloadError> {
+        if let Self::Typed(parcel) = self
+            && let Some(value) = parcel.take_out::<T>()
+        {
+            // A parcel of nothing: there is nothing to drop.
+            std::mem::forget(std::mem::replace(self, Self::NOTHING));
+            return Ok(value);
+        }
+        self.read_out()
+    }
+
+    /// [`Self::take_out`] of what must be read, or is not what was expected.
+    #[inline(never)]
+    fn read_out<T: DeserializeOwned + 'static>(&mut self) -> Result<T, PayloadError> {
         match self {
-            Self::Typed(parcel) => match parcel.take_out::<T>() {
-                Some(value) => {
-                    // A parcel of nothing: there is nothing to drop.
-                    std::mem::forget(std::mem::replace(self, Self::NOTHING));
-                    Ok(value)
-                }
-                None => Err(PayloadError {
-                    expected: std::any::type_name::<T>(),
-                    reason: "the sender passed another type".to_owned(),
-                }),
-            },
+            Self::Typed(_) => Err(PayloadError {
+                expected: std::any::type_name::<T>(),
+                reason: "the sender passed another type".to_owned(),
+            }),
             Self::Bytes(bytes) => blob::read_from(std::mem::take(bytes), decode::<T>),
             Self::Parts(body) => {
                 let body = std::mem::take(&mut **body);

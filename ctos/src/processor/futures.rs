@@ -73,8 +73,10 @@ impl WakerOf {
 /// Called with what a child future's panic said.
 pub(super) type PanicHook = Rc<dyn Fn(String)>;
 
-/// What is out of its entry while it is polled.
+/// What is out of its entry while it is polled. It says itself which future it is, so that it can be passed on as
+/// one pointer: what is moved right after it was written in small pieces is waited for.
 pub(super) struct Running {
+    id: FutureId,
     future: Pin<Box<dyn Future<Output = ()>>>,
     waker: Waker,
     on_panic: Option<PanicHook>,
@@ -139,6 +141,7 @@ impl Processor {
         entry.taken = true;
         entry.ready = true;
         entry.running = Some(Box::new(Running {
+            id,
             future: Box::pin(future),
             waker: Waker::from(shared.clone()),
             on_panic,
@@ -192,7 +195,7 @@ impl Processor {
 
     /// Polls the `index`-th ready future. False when there is none.
     pub(crate) fn poll_ready(self: &Rc<Self>, index: usize) -> bool {
-        let Some((id, running)) = self.take_ready(index) else {
+        let Some(running) = self.take_ready(index) else {
             return false;
         };
         let Some(running) = running else {
@@ -200,20 +203,23 @@ impl Processor {
         };
         self.enter();
         self.handovers.begin_anew(self.recent.get());
-        self.poll_running(id, running);
+        self.poll_running(running);
         true
     }
 
-    /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
-    pub(super) fn poll_running(&self, id: FutureId, mut running: Box<Running>) {
-        self.current.set(Some((id, WakerOf::the(&running.waker))));
+    /// Polls a future that was taken out of its entry, and puts it back unless it has ended. Another one may be
+    /// being polled, in the turn of which this is.
+    pub(super) fn poll_running(&self, mut running: Box<Running>) {
+        let id = running.id;
+        let current = (id, WakerOf::the(&running.waker));
+        let outer = self.current.replace(Some(current));
         let polled = {
             let Running { future, waker, .. } = &mut *running;
             let mut cx = PollContext::from_waker(waker);
             self.leave();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
         };
-        self.current.set(None);
+        self.current.set(outer);
         self.start_calls();
         if !matches!(polled, Ok(Poll::Pending)) {
             let Running {
@@ -267,7 +273,7 @@ impl Processor {
     }
 
     #[inline]
-    fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Box<Running>>)> {
+    fn take_ready(&self, index: usize) -> Option<Option<Box<Running>>> {
         let mut futures = self.futures.borrow_mut();
         let id = if index == 0 {
             futures.ready.pop_front()
@@ -278,6 +284,6 @@ impl Processor {
             entry.ready = false;
             entry.running.take()
         });
-        Some((id, running))
+        Some(running)
     }
 }

@@ -30,8 +30,8 @@ const DEEPEST: u32 = 4;
 pub(super) struct Handovers {
     /// Those in the present turn.
     made: Cell<u32>,
-    /// When the present turn began.
-    began: Cell<Instant>,
+    /// How long the present turn may have lasted.
+    until: Cell<Instant>,
     /// Counts the futures that were cancelled, of all turns.
     cancels: Cell<u32>,
     /// Those that have not ended.
@@ -47,7 +47,7 @@ impl Handovers {
     #[inline]
     pub(super) fn begin_anew(&self, now: Instant) {
         self.made.set(0);
-        self.began.set(now);
+        self.until.set(now + LONGEST);
         self.depth.set(0);
         self.cancelled.set(false);
     }
@@ -68,10 +68,7 @@ impl Handovers {
 
 /// The turn that a future may have at once: it is out of its entry, so that it must have it.
 #[must_use]
-pub(crate) struct Turn {
-    of: FutureId,
-    running: Box<Running>,
-}
+pub(crate) struct Turn(Box<Running>);
 
 impl Processor {
     /// The turn that an idle future may have within the present one, if it need not have it in the usual way.
@@ -80,15 +77,14 @@ impl Processor {
         if !self.may_hand_over() {
             return None;
         }
-        let running = self.take_idle(of)?;
-        Some(Turn { of, running })
+        self.take_idle(of).map(Turn)
     }
 
     /// Lets a future that has just got a message have its turn within the present one, which is its
     /// caller's, whose `meter` stands still meanwhile.
     #[inline]
     pub(crate) fn hand_over(&self, turn: Turn, meter: &TaskMeter) {
-        self.turn_within(turn.of, turn.running, meter);
+        self.turn_within(turn.0, meter);
     }
 
     /// The same for a future that was woken, if its turn would be the next one.
@@ -99,13 +95,13 @@ impl Processor {
         let Some(running) = self.take_next(to) else {
             return false;
         };
-        self.turn_within(to, running, meter);
+        self.turn_within(running, meter);
         true
     }
 
     /// A turn within the present one.
     #[inline(always)]
-    fn turn_within(&self, to: FutureId, running: Box<Running>, meter: &TaskMeter) {
+    fn turn_within(&self, running: Box<Running>, meter: &TaskMeter) {
         let Handovers {
             made,
             depth,
@@ -114,20 +110,20 @@ impl Processor {
             ..
         } = &self.handovers;
         made.set(made.get() + 1);
-        depth.set(depth.get() + 1);
+        let outer = depth.get();
+        depth.set(outer + 1);
         // Here a part of the caller's turn ends.
         self.start_calls();
-        let caller = self.current.take();
         let was_cancelled = cancelled.replace(false);
         let cancels_before = cancels.get();
         let handling = self.handling.replace(0);
-        meter.out_of_turn(|| self.poll_running(to, running));
+        meter.out_of_turn(|| self.poll_running(running));
         self.handling.set(handling);
         let is_there = |(id, _)| self.futures.borrow_mut().entry(id).is_some();
-        let all_are_there = cancels.get() == cancels_before;
-        cancelled.set(was_cancelled || !(all_are_there || caller.is_some_and(is_there)));
-        self.current.set(caller);
-        depth.set(depth.get().saturating_sub(1));
+        let caller_is_there =
+            || cancels.get() == cancels_before || self.current.get().is_some_and(is_there);
+        cancelled.set(was_cancelled || !caller_is_there());
+        depth.set(outer);
         self.leave();
     }
 
@@ -135,11 +131,11 @@ impl Processor {
     #[inline]
     fn may_hand_over(&self) -> bool {
         let Handovers {
-            made, depth, began, ..
+            made, depth, until, ..
         } = &self.handovers;
         self.turns_are_brief()
             && made.get() < MOST
-            && self.recent.get() <= began.get() + LONGEST
+            && self.recent.get() <= until.get()
             && depth.get() < DEEPEST
             && self.schedule.is_idle()
             && !self.handle.inbox.is_filled()

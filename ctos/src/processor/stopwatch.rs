@@ -29,6 +29,8 @@ pub(super) struct Stopwatch {
     exact: Cell<bool>,
     /// Turns since the last look.
     skipped: Cell<u32>,
+    /// So many may go without a look, unless it must be exact.
+    may_skip: Cell<u32>,
     /// Looks in a row that found brief turns.
     brief: Cell<u32>,
     /// What a turn took by the last look, ns.
@@ -44,6 +46,7 @@ impl Stopwatch {
             real,
             exact: Cell::new(false),
             skipped: Cell::new(0),
+            may_skip: Cell::new(0),
             brief: Cell::new(0),
             each_ns: Cell::new(0),
             excess_ns: Cell::new(0),
@@ -54,12 +57,7 @@ impl Stopwatch {
     #[inline]
     pub(super) fn skips(&self) -> bool {
         let skipped = self.skipped.get();
-        let is_soon = || {
-            let taken = Duration::from_nanos(u64::from(skipped) * self.each_ns.get());
-            skipped < MOST_SKIPPED && taken < BRIEF
-        };
-        let may = !self.exact.get() && self.is_brief();
-        let skips = may && (skipped < SKIPPED || is_soon());
+        let skips = skipped < self.may_skip.get() && !self.exact.get();
         if skips {
             self.skipped.set(skipped + 1);
         }
@@ -110,7 +108,18 @@ impl Stopwatch {
         } else {
             self.brief.set(0);
         }
+        self.may_skip.set(self.most_skipped());
         since_ns.saturating_sub(before)
+    }
+
+    /// How many turns may go without a look before the next one.
+    fn most_skipped(&self) -> u32 {
+        if !self.is_brief() {
+            return 0;
+        }
+        // So many are taken to be over within it.
+        let soon = (BRIEF.as_nanos() as u64).div_ceil(self.each_ns.get().max(1));
+        (soon.min(u64::from(MOST_SKIPPED)) as u32).max(SKIPPED)
     }
 }
 

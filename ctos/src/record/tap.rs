@@ -33,8 +33,10 @@ pub(crate) struct Tap {
     index: u8,
     /// What was there when the chassis began. Set once.
     first: OnceLock<Target>,
-    /// Whether there are guests: without any, a message costs one load for them.
+    /// Whether there are guests.
     visited: AtomicBool,
+    /// Whether anything looks on at all: without, a message costs one load for it.
+    watched: AtomicBool,
     /// Recorders that came while the chassis ran, and may go before it does.
     guests: RwLock<Vec<Arc<Recorder>>>,
     /// How many recorders have come so far.
@@ -106,6 +108,7 @@ impl Tap {
     pub(crate) fn record(&self, recorder: Arc<Recorder>) {
         self.came.fetch_add(1, Ordering::AcqRel);
         let _ = self.first.set(Target::Record(recorder));
+        self.watched.store(true, Ordering::Release);
     }
 
     /// From now on everything goes to `recorder` too.
@@ -113,7 +116,7 @@ impl Tap {
         self.came.fetch_add(1, Ordering::AcqRel);
         let mut guests = self.guests.write().unwrap_or_else(PoisonError::into_inner);
         guests.push(recorder);
-        self.visited.store(true, Ordering::Release);
+        self.visit(&guests);
     }
 
     /// How many recorders have come so far.
@@ -125,12 +128,21 @@ impl Tap {
     pub(super) fn dismiss(&self, recorder: &Arc<Recorder>) {
         let mut guests = self.guests.write().unwrap_or_else(PoisonError::into_inner);
         guests.retain(|guest| !Arc::ptr_eq(guest, recorder));
-        self.visited.store(!guests.is_empty(), Ordering::Release);
+        self.visit(&guests);
+    }
+
+    /// These are all guests.
+    fn visit(&self, guests: &[Arc<Recorder>]) {
+        let visited = !guests.is_empty();
+        self.visited.store(visited, Ordering::Release);
+        let watched = visited || self.first.get().is_some();
+        self.watched.store(watched, Ordering::Release);
     }
 
     /// From now on everything goes to a replay. The first call counts.
     pub(crate) fn replay_at(&self, desk: Arc<Desk>) {
         let _ = self.first.set(Target::Replay(desk));
+        self.watched.store(true, Ordering::Release);
     }
 
     /// The replay that answers in place of the other tasks, if there is one.
@@ -181,7 +193,7 @@ impl Tap {
     /// Whether anything looks on.
     #[inline]
     pub(crate) fn is_on(&self) -> bool {
-        self.first.get().is_some() || self.visited.load(Ordering::Relaxed)
+        self.watched.load(Ordering::Relaxed)
     }
 
     /// Whether anything is recorded.

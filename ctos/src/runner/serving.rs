@@ -129,11 +129,6 @@ enum Owed {
     Elsewhere,
 }
 
-#[cold]
-fn ended_badly(bad: Bad) -> Poll<Ended> {
-    Poll::Ready(Err(Box::new(bad)))
-}
-
 impl Serving {
     /// Puts the next message that is to be handled into `next`; none once the queue is closed.
     #[inline(always)]
@@ -299,36 +294,42 @@ impl Serving {
         panic
     }
 
-    /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop.
+    /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop. With any of these it is
+    /// dropped, while it is still at work: what it owes then is told apart from what others owe.
     #[inline(always)]
     pub(super) fn poll<F: Future<Output = Handled>>(
         &self,
         at_hand: &AtHand,
-        handling: Pin<&mut Option<F>>,
+        mut handling: Pin<&mut Option<F>>,
         interruptible: bool,
         cx: &mut PollContext<'_>,
     ) -> Poll<Ended> {
-        let Some(handling) = handling.as_pin_mut() else {
-            return Poll::Pending;
-        };
         let processor = self.cx.processor();
         processor.leave();
         let polled = self.activity.meter.in_turn(|| {
             catch_unwind(AssertUnwindSafe(|| {
-                processor.handling(at_hand.serial.get(), || handling.poll(cx))
+                processor.handling(at_hand.serial.get(), || {
+                    let polled = handling.as_mut().as_pin_mut()?.poll(cx);
+                    if polled.is_ready() {
+                        handling.set(None);
+                    }
+                    Some(polled)
+                })
             }))
         });
-        match polled {
-            Ok(Poll::Ready(Ok(()))) => Poll::Ready(Ok(())),
-            Ok(Poll::Ready(Err(error))) => ended_badly(Bad::Refused(error)),
-            Err(panic) => ended_badly(Bad::Panicked(panic_text(panic.as_ref()))),
+        let bad = match polled {
+            Ok(Some(Poll::Ready(Ok(())))) => return Poll::Ready(Ok(())),
+            Ok(Some(Poll::Ready(Err(error)))) => Bad::Refused(error),
+            Err(panic) => Bad::Panicked(panic_text(panic.as_ref())),
             // A handler that waits for others must not delay an orderly stop: it is dropped there.
-            Ok(Poll::Pending) if interruptible => match self.queue.interruption() {
-                Some(broke) => ended_badly(Bad::Interrupted(broke)),
-                None => Poll::Pending,
+            Ok(Some(Poll::Pending)) if interruptible => match self.queue.interruption() {
+                Some(broke) => Bad::Interrupted(broke),
+                None => return Poll::Pending,
             },
-            Ok(Poll::Pending) => Poll::Pending,
-        }
+            Ok(Some(Poll::Pending) | None) => return Poll::Pending,
+        };
+        processor.handling(at_hand.serial.get(), || handling.set(None));
+        Poll::Ready(Err(Box::new(bad)))
     }
 
     /// See [`DynHandler::serve`].
@@ -340,15 +341,13 @@ impl Serving {
         while let Some(mut message) = next.take() {
             self.begin(&at_hand, &mut message);
             cx.set_trace(message.trace());
-            let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
+            let handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
             let at_work = AtWork {
                 serving: self,
                 at_hand: &at_hand,
-                handling: handling.as_mut(),
+                handling,
             };
             let ended = at_work.await;
-            let processor = self.cx.processor();
-            processor.handling(at_hand.serial.get(), || handling.set(None));
             if let Some(panic) = self.end(&at_hand, ended) {
                 return Served::Panicked(panic);
             }
