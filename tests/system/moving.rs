@@ -62,6 +62,13 @@ pub fn ctos(scratch: &Scratch, arguments: &[&str]) -> Ended {
     scratch.start(MISBEHAVING, arguments, &[]).end()
 }
 
+/// The last move that the judge waits for is made, though the app may end before its answer is there.
+pub fn must_have_moved_at_last(moved: &Ended) {
+    let ends = ["the app is being stopped", "the app went away"];
+    let ends = ends.iter().any(|end| moved.stderr.contains(end));
+    assert!(moved.code == Some(0) || ends, "{}", moved.told);
+}
+
 /// The tasks of this name, as `ctos ps` shows them: name and place.
 fn places(scratch: &Scratch, name: &str) -> Vec<String> {
     let app: Value = ctos(scratch, &["ps", "--json"]).json();

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::{
     harness::{MISBEHAVING, Scratch},
-    moving::{APP, ctos, up},
+    moving::{APP, ctos, must_have_moved_at_last, up},
 };
 
 /// The lines of a record, by `ctos log cat`.
@@ -64,7 +64,7 @@ fn a_running_app_is_recorded_for_a_while_and_goes_on_undisturbed() {
     refused
         .must_say("it does not hold the beginning of `sink`")
         .must_say("ctos boot --record FILE");
-    assert_eq!(ctos(&scratch, &["move", "sink", "cage"]).code, Some(0));
+    must_have_moved_at_last(&ctos(&scratch, &["move", "sink", "cage"]));
     let result = run.end().must_exit(0).json();
     let text = result["text"].as_str().unwrap();
     assert!(text.contains("came once and in order"), "{text}");

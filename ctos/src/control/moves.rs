@@ -165,7 +165,10 @@ impl<'d> Moving<'d> {
                     self.task
                 ),
             ),
-            Fault::Stopping => (ErrorCode::Failed, "the app is being stopped".to_owned()),
+            // Who carries it out ends without a word only when the app does.
+            Fault::Stopping | Fault::NoReply => {
+                (ErrorCode::Failed, "the app is being stopped".to_owned())
+            }
             other => (ErrorCode::Failed, format!("{other:?}")),
         };
         error(code, message)
