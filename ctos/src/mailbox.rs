@@ -188,7 +188,7 @@ impl Mailbox {
 
     /// Puts a message in if there is room now.
     pub(crate) fn offer(&self, message: Message) -> Offered {
-        match Processor::here_if(&self.home) {
+        match Processor::at_hand(&self.home) {
             Some(processor) => match processor.queue(self.slot) {
                 Some(queue) => queue.offer(&processor, message),
                 None => Offered::Closed(message),
@@ -240,8 +240,9 @@ impl Mailbox {
             message,
             place: Place::Waits(Box::new(acceptance)),
         };
-        let local = Processor::here_if(&self.home);
-        match local.and_then(|here| here.queue(self.slot).map(|queue| (here, queue))) {
+        match Processor::at_hand(&self.home)
+            .and_then(|here| here.queue(self.slot).map(|queue| (here, queue)))
+        {
             Some((processor, queue)) => {
                 queue.take_in(&processor, delivery);
                 queue.end_batch();

@@ -287,6 +287,13 @@ impl Processor {
         here.ok().flatten()
     }
 
+    /// [`Self::here_if`], unless something is on the way to it from other threads, which comes before what is to be
+    /// given to it now: of two messages of one sender, the first may have been read from their link by another thread.
+    #[inline]
+    pub(crate) fn at_hand(handle: &Arc<ProcessorHandle>) -> Option<Rc<Self>> {
+        Self::here_if(handle).filter(|here| !here.handle.inbox.is_filled())
+    }
+
     /// Gives the answer to a call of the processor that this thread runs, if nobody has looked at the call. The
     /// letter, when it is to be given in the usual way.
     #[inline]
