@@ -73,6 +73,46 @@ pub enum Fault {
     },
 }
 
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownTask => f.write_str("no such task is running"),
+            Self::Full { capacity } => write!(f, "its queue is full ({capacity} messages)"),
+            Self::LinkFull { bytes } => {
+                write!(
+                    f,
+                    "the link to its chassis is full ({bytes} bytes under way)"
+                )
+            }
+            Self::Deadline { after } => {
+                write!(f, "no answer within {:.3} s", after.as_secs_f64())
+            }
+            Self::Circle { after, circle } => write!(
+                f,
+                "no answer within {:.3} s, because tasks wait for one another: {circle}",
+                after.as_secs_f64()
+            ),
+            Self::PeerDown { chassis } => write!(f, "chassis `{chassis}` is gone"),
+            Self::UnknownCommand { takes } => {
+                write!(
+                    f,
+                    "it takes no such command; it takes: {}",
+                    takes.join(", ")
+                )
+            }
+            Self::BadPayload { text } => write!(f, "the data cannot be read: {text}"),
+            Self::Refused { text } => write!(f, "refused: {text}"),
+            Self::NoReply => f.write_str("ended without an answer"),
+            Self::Panicked { text } => write!(f, "the handler panicked: {text}"),
+            Self::Stopping => f.write_str("it is being stopped"),
+            Self::Elsewhere { chassis } => write!(
+                f,
+                "it is on chassis `{chassis}`, so whether it has room cannot be seen from here"
+            ),
+        }
+    }
+}
+
 /// A call or a send that failed: who asked whom for what, and why it failed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CallError {

@@ -25,13 +25,16 @@ fn is_possible() -> bool {
     tried.is_ok_and(|tried| tried.status.success())
 }
 
-const BOOT: [&str; 8] = [
+const BOOT: [&str; 10] = [
     "boot",
     "app.toml",
     "--set",
     "record.file=\"disk/run.mcap\"",
     "--set",
     "record.flush_s=0.02",
+    // However many files are begun in vain, the first one stays.
+    "--set",
+    "record.keep=1000",
     "--set",
     "task.judge.args.moves=1",
 ];

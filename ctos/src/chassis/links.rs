@@ -296,7 +296,8 @@ impl Chassis {
     fn hand_in(&self, mut message: Message, acceptance: Acceptance) {
         let to = message.header().to;
         // Read by the processor of the task itself, it is put in without a detour, if there is room.
-        if let Some(here) = Processor::here().filter(|here| self.is_on(to, here))
+        if let Some((_, home)) = self.processors.get(usize::from(to.processor()))
+            && let Some(here) = Processor::at_hand(home)
             && let Some(queue) = here.queue(to.slot())
         {
             match queue.offer(&here, message) {
@@ -438,7 +439,10 @@ mod tests {
     use std::sync::Mutex;
 
     use super::*;
-    use crate::{config::load_texts, message::Tid, registry::Registry, time::Clock};
+    use crate::{
+        chassis::TaskRecord, config::load_texts, mailbox::TaskQueue, message::Tid,
+        registry::Registry, time::Clock,
+    };
 
     /// A link that keeps what is sent.
     #[derive(Default)]
@@ -476,6 +480,39 @@ mod tests {
             .inbound
             .insert((2, call), request.clone());
         request
+    }
+
+    #[test]
+    fn frames_of_a_link_come_in_their_order_whichever_threads_of_the_chassis_read_them() {
+        let chassis = cell();
+        let processor = chassis.processor(1).unwrap();
+        let task = TaskRecord::with_room(8, processor.handle.clone(), 0);
+        let queue = TaskQueue::open(task.clone());
+        processor.add_queue(0, queue.clone());
+        chassis.add_task(task.clone());
+        let come = |chassis: &Arc<Chassis>, call: u64| {
+            let mut frame = Frame::of_body(Vec::new());
+            frame.header.to = Tid::new(1, 1, 0);
+            frame.header.from = Tid::new(2, 1, 0);
+            frame.header.command = 1;
+            frame.header.flags = Flags::ACCEPT_WAIT;
+            (frame.call, frame.trace) = (call, call);
+            chassis.receive(2, frame, Instant::START);
+        };
+        // The last two are read by the receiver's own thread.
+        let elsewhere = chassis.clone();
+        let read = std::thread::spawn(move || [1, 2].map(|call| come(&elsewhere, call)));
+        read.join().unwrap();
+        processor.enter();
+        come(&chassis, 3);
+        processor.run_jobs();
+        come(&chassis, 4);
+        let mut next = None;
+        let traces = std::iter::from_fn(|| {
+            _ = queue.poll_next(&mut next);
+            next.take().map(|message| message.trace())
+        });
+        assert_eq!(traces.take(4).collect::<Vec<_>>(), [1, 2, 3, 4]);
     }
 
     #[test]

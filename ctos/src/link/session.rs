@@ -60,6 +60,10 @@ pub(crate) enum DownReason {
     Silence(Duration),
     /// The peer's process has ended.
     Ended,
+    /// Nobody listens where the peer did; what the system says.
+    Deserted(String),
+    /// Another chassis, or another life of this one, answers where the peer did.
+    Replaced,
     /// The peer said that it ends.
     Bye,
     /// The peer has given this chassis up.
@@ -81,6 +85,8 @@ impl fmt::Display for DownReason {
                 )
             }
             Self::Ended => f.write_str("its process has ended"),
+            Self::Deserted(why) => write!(f, "nobody listens there any more: {why}"),
+            Self::Replaced => f.write_str("another chassis answers there"),
             Self::Bye => f.write_str("it said goodbye"),
             Self::GivenUp => f.write_str("it has given this chassis up"),
             Self::Rubbish(what) => write!(f, "it sent what no peer may send: {what}"),

@@ -157,7 +157,7 @@ async fn make_ready(
             copies.push(None);
             continue;
         }
-        let load = load_of(cx, message).map_err(|fault| format!("{fault:?}"))?;
+        let load = load_of(cx, message).map_err(|fault| fault.to_string())?;
         copies.push(Some(
             begin(cx, agent, new, load, wait_of(cx, message)).await,
         ));
@@ -170,7 +170,7 @@ async fn make_ready(
     let arrived = cx.call(agent, sync).deadline(limit).await;
     arrived
         .map_err(|error| error.reason())?
-        .map_err(|fault| format!("{fault:?}"))?;
+        .map_err(|fault| fault.to_string())?;
     place.keep();
     Ok((new, copies))
 }
@@ -341,7 +341,7 @@ async fn pass_fence(cx: &Context, agent: &TaskRef, to: Tid, fence: Message) {
     let passing = async move {
         let _ = match load.await {
             Ok(Ok(_)) => reply.ok(()),
-            Ok(Err(fault)) => reply.fail(format!("{fault:?}")),
+            Ok(Err(fault)) => reply.fail(fault.to_string()),
             Err(error) => reply.fail(error),
         };
     };

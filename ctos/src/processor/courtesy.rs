@@ -19,7 +19,7 @@ const TURNS: u32 = 2;
 const AT_ONCE: Duration = Duration::from_micros(50);
 
 /// For so long it is not given after it did not come back at once, ...
-const FIRST_PAUSE: Duration = Duration::from_millis(1);
+const FIRST_PAUSE: Duration = Duration::from_micros(100);
 
 /// ... and for so long at most, after that has happened again and again.
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
@@ -110,7 +110,7 @@ mod tests {
         let courtesy = Courtesy::default();
         let mut now = Instant::START;
         let mut pauses = Vec::new();
-        for _ in 0..12 {
+        for _ in 0..15 {
             let gave = now;
             now = gave + Duration::from_millis(4);
             courtesy.came_back(gave, now);

@@ -328,7 +328,7 @@ pub(crate) fn traffic(
                 at_once: *at_once,
                 result: fault
                     .as_ref()
-                    .map_or_else(|| "ok".to_owned(), |fault| format!("{fault:?}")),
+                    .map_or_else(|| "ok".to_owned(), |fault| fault.to_string()),
                 fault: fault
                     .as_ref()
                     .and_then(|fault| postcard::to_stdvec(fault).ok())

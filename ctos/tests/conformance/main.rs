@@ -22,7 +22,7 @@ use std::{
     panic::AssertUnwindSafe,
     path::Path,
     process::ExitCode,
-    sync::{Arc, mpsc},
+    sync::{Arc, Mutex, PoisonError, mpsc},
     time::Duration,
 };
 
@@ -99,13 +99,15 @@ fn watched(trial: impl FnOnce() -> Result<(), Failed> + Send + 'static) -> Resul
 
 /// Makes the keys that some placements need, once for all runs.
 fn make_keys() -> Result<(), Failed> {
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _one = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let keys = Path::new(app::KEYS);
     if keys.exists() {
         return Ok(());
     }
     let begun = keys.with_extension(std::process::id().to_string());
     make_key(&begun.join("cell"), Role::Boot)?;
-    // Another trial may have been faster.
+    // A trial of another process may have been faster.
     if std::fs::rename(&begun, keys).is_err() && keys.exists() {
         std::fs::remove_dir_all(&begun)?;
     }

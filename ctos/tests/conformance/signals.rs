@@ -112,10 +112,11 @@ const RACES: u32 = 10;
 /// One that is stopped for longer is given up, is told so when it goes on, and ends itself.
 pub fn stopped_for_too_long(placement: &str) -> Result<(), Failed> {
     let mut ran = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;
-    // The task on the other chassis may miss it first and end the app; then it goes on in time.
+    // The task on the other chassis may miss it first and end the app; then it goes on in time. And the app may
+    // be done before the signal has come.
     for _ in 0..RACES {
         match &ran.outcome.end {
-            End::Finished(result) if !result.ok && ran.outcome.casualties.is_empty() => {}
+            End::Finished(_) if ran.outcome.casualties.is_empty() => {}
             _ => break,
         }
         ran = run(placement, "peer_timeout_s=0.4", Deed::StopUntilGivenUp)?;

@@ -100,9 +100,9 @@ impl Inner {
         match error {
             CallError::GivenUp => session.event(Event::GivenUp, DownReason::GivenUp),
             CallError::Connect(error) if near && error.is_refused() => {
-                session.event(Event::PeerEnded, DownReason::Ended);
+                session.event(Event::PeerEnded, DownReason::Deserted(error.to_string()));
             }
-            CallError::Other => session.event(Event::PeerEnded, DownReason::Ended),
+            CallError::Other => session.event(Event::PeerEnded, DownReason::Replaced),
             _ => {}
         }
         if session.state() == State::Down && session.was_never_up() {

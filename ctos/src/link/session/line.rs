@@ -9,7 +9,8 @@ use super::{
 };
 use crate::{
     link::{Frame, NO_DEADLINE},
-    message::Flags,
+    message::{Command, Flags},
+    system::Fence,
     time::Instant,
 };
 
@@ -37,7 +38,7 @@ impl Line {
     /// overtakes those of normal priority.
     ///
     /// # Errors
-    /// [`NoRoom`] when too many wait already.
+    /// [`NoRoom`] when too many wait already; there is always room for a [`Fence`].
     pub(super) fn send<'a>(
         &mut self,
         frame: Frame,
@@ -62,7 +63,7 @@ impl Line {
     fn join(&mut self, frame: Frame, now: Moment<'_>, held: usize) -> Result<(), NoRoom> {
         let size = frame.body.len();
         let too_much = self.bytes > 0 && self.bytes.saturating_add(size) > self.room;
-        if self.waiting.len() >= MOST || too_much {
+        if (self.waiting.len() >= MOST || too_much) && !is_fence(&frame) {
             return Err(NoRoom { held });
         }
         self.bytes += size;
@@ -109,11 +110,16 @@ impl Line {
 
 /// The lane of a request.
 pub(super) fn lane_of_request(frame: &Frame) -> Lane {
-    if frame.header.flags.contains(Flags::HIGH_PRIORITY) {
+    if frame.header.flags.contains(Flags::HIGH_PRIORITY) && !is_fence(frame) {
         Lane::Urgent
     } else {
         Lane::Data
     }
+}
+
+/// Whether this follows requests to where a task was: it must not overtake them.
+pub(super) fn is_fence(frame: &Frame) -> bool {
+    frame.header.command == Fence::CODE
 }
 
 /// Whether this says that a sender has given up.
@@ -187,6 +193,33 @@ mod tests {
             prop_assert_eq!(outgoing.last() as usize, sizes.len() - withdrawn);
             prop_assert_eq!(line.bytes, 0);
         }
+    }
+
+    #[test]
+    fn a_fence_goes_behind_the_requests_that_wait_however_many_they_are() {
+        let (mut outgoing, mut line) = (Outgoing::new(100, None), Line::new(1000));
+        let mut send =
+            |line: &mut Line, frame: Frame| line.send(frame, &mut outgoing, Instant::START);
+        while send(&mut line, request(1, 90)).is_ok() {}
+        let mut fence = request(2, 1);
+        fence.header.command = Fence::CODE;
+        fence.header.flags = Flags::HIGH_PRIORITY;
+        send(&mut line, fence).unwrap();
+        assert_eq!(line.waiting.back().map(|(frame, _)| frame.call), Some(2));
+        let waiting = line.waiting.len();
+        assert!(waiting > 10);
+        let mut rounds = 0;
+        while !line.waiting.is_empty() {
+            assert_eq!(line.waiting.back().map(|(frame, _)| frame.call), Some(2));
+            let last = outgoing.last();
+            let all =
+                |slices: &[std::io::IoSlice<'_>]| Ok(slices.iter().map(|slice| slice.len()).sum());
+            outgoing.pump(0, Instant::START, all).unwrap();
+            outgoing.acknowledge(last).unwrap();
+            line.advance(&mut outgoing, Instant::START);
+            rounds += 1;
+        }
+        assert_eq!(rounds, waiting, "each of them has all the room");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use super::{
     Session,
-    line::{gives_up, lane_of_request},
+    line::{gives_up, is_fence, lane_of_request},
     window::{Lane, NoRoom},
 };
 use crate::{
@@ -62,11 +62,12 @@ impl Link for Session {
     }
 }
 
-/// Answers and the runtime's own messages are never kept out by requests.
+/// Answers and the runtime's own messages are never kept out by requests, but for a fence, which follows them.
 fn lane_of(frame: &Frame) -> Lane {
     let flags = frame.header.flags;
     let answers = flags.contains(Flags::REPLY) || flags.contains(Flags::ABANDONED);
-    if answers || frame.header.command >= SYSTEM_COMMANDS {
+    let of_runtime = frame.header.command >= SYSTEM_COMMANDS && !is_fence(frame);
+    if answers || of_runtime {
         Lane::Control
     } else {
         lane_of_request(frame)

@@ -292,7 +292,7 @@ impl Desk {
         let name = self.command_name(self.task, command);
         let shown = |answer: &Result<Vec<u8>, Fault>| match answer {
             Ok(data) => format!("answer to `{name}`: {}", text_of(data, to_json)),
-            Err(fault) => format!("answer to `{name}`: {fault:?}"),
+            Err(fault) => format!("answer to `{name}`: {fault}"),
         };
         let got = got.as_ref().map_or_else(|| "no answer".to_owned(), shown);
         let wanted = shown(&wanted);
