@@ -417,20 +417,26 @@ impl Processor {
         let mut ticked = false;
         while !self.handle.stop.load(Ordering::Acquire) {
             self.run_jobs();
-            // After each tick something else has its turn, however near the next one is.
-            if !ticked {
-                self.schedule.spin_to_tick();
-            }
-            ticked = self.schedule.run();
-            if ticked {
-                self.look_at_clock();
-            }
+            ticked = !self.schedule.is_idle() && self.run_schedule(ticked);
             self.fire_due(self.recent.get());
             if !self.poll_ready(0) {
                 self.wait();
             }
         }
         self.clear();
+    }
+
+    /// Runs the synchronous functions whose turn it is. True when there was a tick; after each something else has
+    /// its turn, however near the next one is.
+    fn run_schedule(&self, ticked: bool) -> bool {
+        if !ticked {
+            self.schedule.spin_to_tick();
+        }
+        let ticked = self.schedule.run();
+        if ticked {
+            self.look_at_clock();
+        }
+        ticked
     }
 
     /// Waits for something to do: awake for a while if so told, then asleep.

@@ -48,6 +48,7 @@ impl<T> Default for Timers<T> {
 
 impl<T> Timers<T> {
     /// The moment of the first timer.
+    #[inline]
     pub(crate) fn first(&self) -> Option<Instant> {
         self.heap.first().map(|node| node.at)
     }

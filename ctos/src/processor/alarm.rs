@@ -47,8 +47,17 @@ impl Processor {
         self.fire_due(now);
     }
 
+    /// Wakes the timers that are due at `now`, and looks after calls that have waited for a while.
     #[inline]
     pub(super) fn fire_due(&self, now: Instant) {
+        let is_due = self.timers.borrow().first().is_some_and(|at| at <= now);
+        if is_due || now >= self.young_until.get() {
+            self.fire(now);
+        }
+    }
+
+    #[cold]
+    fn fire(&self, now: Instant) {
         if now >= self.young_until.get() {
             self.settle_calls();
         }

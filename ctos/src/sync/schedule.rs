@@ -431,10 +431,16 @@ impl Schedule {
     /// The moment at which a processor that sleeps must wake up for its schedule: a little before the next
     /// tick, where it spins.
     #[must_use]
+    #[inline]
     pub fn wake_at(&self) -> Option<Instant> {
         if self.idle.get() {
-            return None;
+            None
+        } else {
+            self.spins_from_first()
         }
+    }
+
+    fn spins_from_first(&self) -> Option<Instant> {
         let grids = self.grids.borrow();
         grids.iter().map(|grid| self.spins_from(grid)).min()
     }
