@@ -5,10 +5,15 @@
 //! `cargo run --release -p peers --features peers [-- PART ...]`, parts: `local`, `core`, `cores`,
 //! `oneway`, `idle`. With `only=ctos` the others stay away, for a profiler.
 
+mod booted;
 mod contenders;
 mod ctos_side;
 mod measure;
 
 fn main() {
-    measure::all();
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.split_first() {
+        Some((first, processors)) if first == booted::BOOTED => booted::serve(processors),
+        _ => measure::all(),
+    }
 }

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use crate::{
+    booted::{self, Booted},
     contenders::{self, Floor, Kameo, Kanal, Pair, Ractor, RactorOneWay, Server, Tokio, TokioIdle},
     ctos_side::{Ctos, CtosIdle, CtosOneWay},
 };
@@ -31,10 +32,12 @@ pub fn all() {
         // The threads of all contenders are started pinned to the core that the callers run on.
         on_thread_pinned_to(0, || {
             let server = Server::Thread(Some(0));
+            let processors = ["cpu = 0", "cpu = 0"];
             calls(
                 "call between two threads of one core",
                 vec![
-                    ("ctos", Box::new(Ctos::new(&["cpu = 0", "cpu = 0"]))),
+                    ("ctos, as booted", Box::new(Booted::start(&processors))),
+                    ("ctos", Box::new(Ctos::new(&processors))),
                     ("tokio mpsc + oneshot", Box::new(Tokio::new(server))),
                     ("ractor", Box::new(Ractor::new(server))),
                     ("kameo", Box::new(Kameo::new(server))),
@@ -97,15 +100,15 @@ struct Sample {
 
 fn cpu_ns() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 * 1e9 + time.tv_nsec as f64
+    time.tv_sec as f64 * 1e9 + time.tv_nsec as f64 + booted::cpu_ns()
 }
 
 fn sample(work: &mut dyn FnMut(u32), count: u32) -> Sample {
-    let (begin, cpu) = (Instant::now(), cpu_ns());
+    let (cpu, begin) = (cpu_ns(), Instant::now());
     work(count);
-    let each = f64::from(count);
+    let (took, each) = (begin.elapsed(), f64::from(count));
     Sample {
-        wall_ns: begin.elapsed().as_nanos() as f64 / each,
+        wall_ns: took.as_nanos() as f64 / each,
         cpu_ns: (cpu_ns() - cpu) / each,
     }
 }
@@ -116,7 +119,7 @@ type Contender = (&'static str, Box<dyn FnMut(u32)>);
 /// over theirs.
 fn rounds(title: &str, contenders: &mut Vec<Contender>, batch: u32) {
     if std::env::args().any(|argument| argument == "only=ctos") {
-        contenders.truncate(1);
+        contenders.retain(|(name, _)| *name == "ctos");
     }
     let mut samples = vec![Vec::new(); contenders.len()];
     for (_, work) in &mut *contenders {
