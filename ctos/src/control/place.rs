@@ -104,10 +104,13 @@ pub(crate) fn sockets(folder: &Path) -> Vec<Socket> {
 
 fn parse(path: &Path) -> Option<Socket> {
     let stem = path.file_name()?.to_str()?.strip_suffix(".sock")?;
-    let (app, pid) = stem.rsplit_once('-')?;
-    Some(Socket {
+    let (app, number) = stem.rsplit_once('-')?;
+    let pid: u32 = number.parse().ok()?;
+    // Another number than that of a process, as we write it, makes it a file of somebody else's.
+    let is_ours = pid > 0 && i32::try_from(pid).is_ok() && pid.to_string() == number;
+    is_ours.then(|| Socket {
         app: app.to_owned(),
-        pid: pid.parse().ok().filter(|pid| *pid > 0)?,
+        pid,
         path: path.to_owned(),
     })
 }
@@ -127,6 +130,7 @@ fn is_alive(pid: u32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::transport::socket_name;
 
     #[test]
     fn a_socket_is_found_by_what_its_name_says_and_stale_ones_go() {
@@ -143,6 +147,29 @@ mod tests {
         assert_eq!(sockets(folder.path()), [mine]);
         assert!(!stale.path.exists());
         assert!(folder.path().join("note.txt").exists());
+    }
+
+    #[test]
+    fn no_socket_of_a_chassis_is_taken_for_that_of_an_app_that_has_ended() {
+        let folder = tempfile::tempdir().unwrap();
+        // Noise of digits alone: one is a number that no process can have, one that none has.
+        let names = [
+            [0, 0x40, 0x94, 0x32, 0x70, 0x46],
+            [0, 0x21, 0x47, 0x48, 0x36, 0x47],
+        ]
+        .map(|noise| socket_name("boot", noise));
+        let others = [
+            "boot-004094327046.sock",
+            "boot-4094327046.sock",
+            "boot-002147483647.sock",
+        ];
+        let files = names.iter().map(String::as_str).chain(others);
+        let paths: Vec<_> = files.map(|file| folder.path().join(file)).collect();
+        for path in &paths {
+            fs::write(path, "").unwrap();
+        }
+        assert_eq!(sockets(folder.path()), []);
+        assert!(paths.iter().all(|path| path.exists()));
     }
 
     #[test]

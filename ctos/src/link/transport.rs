@@ -4,6 +4,7 @@
 //! for other hosts; zenoh finds its own way. Knows nothing of sessions and frames.
 
 use std::{
+    ffi::OsStr,
     fmt, io,
     net::SocketAddr,
     os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt},
@@ -341,9 +342,7 @@ impl Listener {
         remove_stale(&folder);
         let mut noise = [0_u8; 6];
         getrandom::fill(&mut noise).map_err(|error| io::Error::other(error.to_string()))?;
-        let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
-        let short: String = name.chars().take(16).collect();
-        let path = folder.join(format!("{short}-{noise}.sock"));
+        let path = folder.join(socket_name(name, noise));
         let listener = listen_at(&path)?;
         Ok(Self::Unix(listener, SocketFile { path }))
     }
@@ -393,6 +392,18 @@ pub(crate) fn listen_at(path: &Path) -> io::Result<UnixListener> {
     std::fs::rename(&begun, path)?;
     Ok(listener)
 }
+
+/// The file of a socket at which chassis `name` is called. No control socket has such a name, which is the number of its
+/// process to whoever looks for those of processes that have ended: the noise may consist of digits alone.
+pub(crate) fn socket_name(name: &str, noise: [u8; 6]) -> String {
+    let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
+    let short: String = name.chars().take(16).collect();
+    format!("{short}-{noise}.{LINK}")
+}
+
+/// How the files of sockets end at which chassis are called, and those of control sockets.
+const LINK: &str = "link";
+const CONTROL: &str = "sock";
 
 /// A socket's file, removed when nobody listens any more.
 pub(crate) struct SocketFile {
@@ -451,7 +462,8 @@ fn remove_stale(folder: &Path) {
     };
     for file in files.flatten() {
         let path = file.path();
-        if path.extension().is_none_or(|end| end != "sock") {
+        let is_socket = |end: &OsStr| end == LINK || end == CONTROL;
+        if !path.extension().is_some_and(is_socket) {
             continue;
         }
         let refused = std::os::unix::net::UnixStream::connect(&path)
@@ -527,12 +539,14 @@ mod tests {
     #[test]
     fn sockets_to_which_nobody_listens_are_removed_and_others_stay() {
         let folder = tempfile::tempdir().unwrap();
-        let stale = folder.path().join("a.sock");
-        drop(std::os::unix::net::UnixListener::bind(&stale).unwrap());
-        let live = folder.path().join("b.sock");
-        let _listener = std::os::unix::net::UnixListener::bind(&live).unwrap();
-        remove_stale(folder.path());
-        assert!(!stale.exists() && live.exists());
+        for end in [LINK, CONTROL] {
+            let stale = folder.path().join("a").with_extension(end);
+            drop(std::os::unix::net::UnixListener::bind(&stale).unwrap());
+            let live = folder.path().join("b").with_extension(end);
+            let _listener = std::os::unix::net::UnixListener::bind(&live).unwrap();
+            remove_stale(folder.path());
+            assert!(!stale.exists() && live.exists());
+        }
     }
 
     #[tokio::test]
