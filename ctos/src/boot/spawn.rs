@@ -80,7 +80,7 @@ fn tunables_of(command: &Command) -> OsString {
 
 /// `tunables` without restartable sequences (rseq), unless they say something of them: they are for libraries that keep
 /// data for each core, and nothing here does. The C library asks for them for each thread all the same, and the
-/// kernel then looks after them at each switch from thread to thread, a twentieth of a call between two threads of one
+/// kernel then looks after them at each switch from thread to thread, a fifteenth of a call between two threads of one
 /// core (`docs/benchmarks.md`). Another C library does not read this.
 fn without_sequences(tunables: OsString) -> OsString {
     const SEQUENCES: &str = "glibc.pthread.rseq=";
