@@ -9,7 +9,7 @@ use std::{path::PathBuf, rc::Rc, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::Findings,
+    diagnostic::{Finding, Findings},
     registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
@@ -21,7 +21,7 @@ use pnt::{
     task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
-use vss::command::Calibrate;
+use vss::command::{Calibrate, Outcome as Vss, VisionError};
 
 use crate::{
     dom::DomStore,
@@ -30,6 +30,7 @@ use crate::{
         CALIBRATIONS, Calibrations, DESTINATION, Destination, OBSERVATIONS, Observations, POSITION,
         PROBLEM, Problem, ReachedPosition, SPOTS, Spots, Stamp,
     },
+    outcome::{Failure, Outcome},
     positions::{self, Position},
     results,
 };
@@ -46,6 +47,9 @@ const CALIBRATE_LIMIT: Duration = Duration::from_secs(60);
 struct DispatcherArgs {
     /// The file of positions, relative to the configuration's folder.
     positions: String,
+    /// How many positions each camera must have seen the lamp at, unless the command says another number
+    /// with `enough=N`; without it half of those in the file.
+    enough: Option<u32>,
     /// Where results are written, relative to the folder in which the app was started; without it
     /// none are.
     results: Option<PathBuf>,
@@ -58,6 +62,9 @@ struct DispatcherArgs {
     /// The data object manager.
     #[serde(default = "crate::dom_task")]
     dom: String,
+    /// How long a vision system that is gone, and may be started again, is waited for, s.
+    #[serde(default = "crate::service_within_s")]
+    service_within_s: f64,
 }
 
 fn lamp_task() -> String {
@@ -122,7 +129,8 @@ fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     };
     crate::need_task(task, app, "dom", &args.dom, findings);
     crate::need_task(task, app, "vsm", &args.vsm, findings);
-    check_positions(task, app, &args.positions, findings);
+    crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
+    check_positions(task, app, &args, findings);
     check_args(task, app, &names(&args), findings);
 }
 
@@ -131,8 +139,8 @@ fn names(args: &DispatcherArgs) -> FunctionNames {
 }
 
 /// Reads the positions and, where the app has a servo, holds them against its arm.
-fn check_positions(task: &TaskConfig, app: &App, file: &str, findings: &mut Findings) {
-    let source = match app.read(file) {
+fn check_positions(task: &TaskConfig, app: &App, args: &DispatcherArgs, findings: &mut Findings) {
+    let source = match app.read(&args.positions) {
         Ok(source) => source,
         Err(finding) => {
             let place = task.args.locate("positions");
@@ -150,6 +158,40 @@ fn check_positions(task: &TaskConfig, app: &App, file: &str, findings: &mut Find
         positions::check_reach(&positions, &source, &servo.model(), &servo.tool(), findings);
     }
     positions::check_spread(&positions, &source, findings);
+    if let Err(error) = enough_of(args.enough, positions.len()) {
+        let place = task.args.locate("enough");
+        findings.push(
+            Finding::error("coordinators::dispatcher::enough", error.to_string())
+                .at(place.unwrap_or_else(|| task.place.clone())),
+        );
+    }
+}
+
+/// How many of `count` positions are enough: `asked`, or half of them.
+fn enough_of(asked: Option<u32>, count: usize) -> Result<u32, HandlerError> {
+    let count = u32::try_from(count).unwrap_or(u32::MAX);
+    match asked {
+        Some(asked) if asked > count => Err(HandlerError::new(format!(
+            "{asked} positions are to be enough, and the file has {count}"
+        ))),
+        Some(asked) => Ok(asked),
+        None => Ok(count.div_ceil(2)),
+    }
+}
+
+/// The number that a command gives with `enough=N`.
+fn enough_in(arguments: &[String]) -> Result<Option<u32>, HandlerError> {
+    let mut enough = None;
+    for argument in arguments {
+        let number = argument.strip_prefix("enough=");
+        let Some(number) = number.and_then(|number| number.parse().ok()) else {
+            return Err(HandlerError::new(format!(
+                "`{argument}` is no argument of this command; it takes `enough=N`, a number of positions"
+            )));
+        };
+        enough = Some(number);
+    }
+    Ok(enough)
 }
 
 fn library(args: DispatcherArgs, store: DomStore) -> Library<Dispatcher> {
@@ -194,11 +236,14 @@ async fn init_calib(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
     action.with_state(|state| state.command = state.command.wrapping_add(1));
     let positions = positions::read(&cx.path(&args.positions))?;
+    let asked = enough_in(action.arguments())?.or(args.enough);
+    let enough = enough_of(asked, positions.len())?;
     set_lamp(&cx, &args.lamp, true).await?;
     action.with_state(|state| {
         state.left = positions.len();
         state.observations = Observations {
             wanted: u32::try_from(positions.len()).unwrap_or(u32::MAX),
+            enough,
             ..Observations::default()
         };
         state.positions = positions.into();
@@ -231,23 +276,27 @@ async fn read_next_pos(action: Act) -> Acted {
 }
 
 /// Adds this position's lamp and spots to the table. Data of an earlier position means that this one
-/// was skipped.
+/// was not done, which only a position out of reach may be.
 async fn store_point(action: Act) -> Acted {
     let (cx, _, store) = parts(&action);
-    let (stamp, line) = action.with_state(|state| {
+    let (stamp, line, left) = action.with_state(|state| {
         let position = state.positions.get(state.index());
-        (state.stamp(), position.map_or(0, |position| position.line))
+        let line = position.map_or(0, |position| position.line);
+        (state.stamp(), line, state.left)
     });
     let lamp = store.fetch::<ReachedPosition>(&cx, POSITION).await;
     let lamp = lamp.ok().filter(|lamp| lamp.stamp == stamp);
     let spots = store.fetch::<Spots>(&cx, SPOTS).await;
     let spots = spots.ok().filter(|spots| spots.stamp == stamp);
-    if let Some(failure) = spots.as_ref().and_then(|spots| spots.failure.as_deref()) {
+    if let Some(failure) = spots.as_ref().and_then(|spots| spots.failure.as_ref()) {
         return Err(format!("the vision system has failed: {failure}").into());
     }
     let problem = match &lamp {
         Some(_) => None,
-        None => Some(problem(&cx, &store, stamp).await),
+        None => match problem(&cx, &store, stamp).await {
+            failure if failure.outcome == Outcome::Unreachable => Some(failure.reason),
+            failure => return Err(failure.into()),
+        },
     };
     let observations = action.with_state(|state| {
         let observations = &mut state.observations;
@@ -268,15 +317,15 @@ async fn store_point(action: Act) -> Acted {
         (None, spots) => spots.as_ref().map_or_else(String::new, Spots::why),
     };
     cx.progress(done, total, "position", &what);
-    observations.hopeful(spots.as_ref())
+    observations.hopeful(left)
 }
 
 /// Why the Motion Coordinator did not do what was asked at this position.
-async fn problem(cx: &Context, store: &DomStore, stamp: Stamp) -> String {
+async fn problem(cx: &Context, store: &DomStore, stamp: Stamp) -> Failure {
     let problem = store.fetch::<Problem>(cx, PROBLEM).await;
     match problem.ok().filter(|problem| problem.stamp == stamp) {
-        Some(problem) => problem.reason,
-        None => "the Motion Coordinator gave no reason".to_owned(),
+        Some(problem) => problem.failure,
+        None => Failure::new(Outcome::Fault, "the Motion Coordinator gave no reason"),
     }
 }
 
@@ -284,12 +333,8 @@ async fn problem(cx: &Context, store: &DomStore, stamp: Stamp) -> String {
 async fn compute_calib(action: Act) -> Acted {
     let (cx, args, store) = parts(&action);
     let observations: Observations = store.fetch(&cx, OBSERVATIONS).await?;
-    if observations.cameras.is_empty() {
-        let last = observations.unused.last();
-        let why = last.map_or("", |unused| unused.reason.as_str());
-        return Err(format!("the arm took none of the positions ({why})").into());
-    }
-    let vsm = cx.task(&args.vsm).await?;
+    observations.hopeful(0)?;
+    let within = Duration::try_from_secs_f64(args.service_within_s).unwrap_or(Duration::MAX);
     let seed = cx.app().seed;
     let calls = observations.cameras.into_iter().map(|table| {
         let request = Calibrate {
@@ -299,13 +344,21 @@ async fn compute_calib(action: Act) -> Acted {
             points: table.points,
             seed,
         };
-        let call = cx.call(&vsm, request).deadline(CALIBRATE_LIMIT);
-        async move { (table.camera, call.await) }
+        let (cx, args) = (&cx, &args);
+        async move {
+            let is_lost = |error: &VisionError| error.outcome == Vss::Lost;
+            let asked = crate::patiently(cx, within, is_lost, || async {
+                let vsm = cx.task(&args.vsm).await?;
+                let call = cx.call(&vsm, request.clone());
+                Ok(call.deadline(CALIBRATE_LIMIT).await?)
+            });
+            (table.camera, asked.await)
+        }
     });
     let mut cameras = Vec::new();
     for (camera, answer) in join_all(calls).await {
-        let calibration = answer
-            .map_err(|error| HandlerError::new(format!("camera `{camera}`: {}", error.reason())))?;
+        let calibration =
+            answer.map_err(|error| HandlerError::new(format!("camera `{camera}`: {error}")))?;
         cameras.push((camera, calibration));
     }
     if let Some(folder) = &args.results {
@@ -326,7 +379,7 @@ async fn end_calib(action: Act) -> Acted {
         && problem.stamp.command == command
         && problem.transition == motion::RELEASE
     {
-        action.note(problem.reason);
+        action.note(problem.failure.reason);
     }
     crate::insist(|| set_lamp(&cx, &args.lamp, false)).await
 }

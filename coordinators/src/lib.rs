@@ -11,6 +11,7 @@ pub mod motion;
 pub mod objects;
 mod observations;
 pub mod operator;
+pub mod outcome;
 pub mod positions;
 pub mod referee;
 mod results;
@@ -21,12 +22,13 @@ mod rig;
 #[cfg(test)]
 mod tests;
 
-use std::future::Future;
+use std::{future::Future, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
     registry::Registry,
+    task::Context,
 };
 use pnt::library::Acted;
 
@@ -60,6 +62,45 @@ pub(crate) async fn insist<F: Future<Output = Acted>>(give_back: impl Fn() -> F)
         given = give_back().await;
     }
     given
+}
+
+/// How long a service that is gone, and may be started again, is waited for unless arguments say otherwise, s.
+pub(crate) fn service_within_s() -> f64 {
+    30.0
+}
+
+/// The wait before a service that is gone is asked again.
+const ASK_AGAIN: Duration = Duration::from_millis(250);
+
+/// Asks a service that may be started again until it answers, at most for `within`. Only for requests
+/// that may be done twice.
+pub(crate) async fn patiently<T, E, F: Future<Output = Result<T, E>>>(
+    cx: &Context,
+    within: Duration,
+    is_lost: impl Fn(&E) -> bool,
+    ask: impl Fn() -> F,
+) -> Result<T, E> {
+    let until = cx.now() + within;
+    loop {
+        match ask().await {
+            Err(error) if is_lost(&error) && cx.now() + ASK_AGAIN < until => {
+                cx.sleep(ASK_AGAIN).await;
+            }
+            answered => return answered,
+        }
+    }
+}
+
+/// A finding when a number of seconds in `task`'s arguments is none.
+pub(crate) fn check_seconds(task: &TaskConfig, key: &str, value: f64, findings: &mut Findings) {
+    if !(value >= 0.0 && value < 1e9) {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        findings.push(
+            Finding::error("coordinators::seconds", format!("`{key}` is {value}"))
+                .at(place)
+                .help("give a number of seconds, 0 or more"),
+        );
+    }
 }
 
 /// A finding when `task` names a task that the app does not have.

@@ -6,14 +6,15 @@
 use std::{rc::Rc, time::Duration};
 
 use ctos::{
-    call::{CallError, Fault},
     diagnostic::Finding,
     registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
 use mcs::{
     arm::Elbow,
-    client::{Acquire, Move, PathKind, Plan, PlanReport, ReadPosition, Release, Stop, Target},
+    client::{
+        Manipulator, MotionError, Move, Outcome as Motion, PathKind, Plan, PlanReport, Target,
+    },
 };
 use pnt::{
     check::FunctionNames,
@@ -28,6 +29,7 @@ use crate::{
         DESTINATION, Destination, GIVEN_PATH, GivenPath, MOTIONS, MotionLog, PATH, POSITION,
         PROBLEM, PathSpec, Problem, ReachedPosition,
     },
+    outcome::{Failure, Outcome},
 };
 
 /// The handler's name.
@@ -36,8 +38,8 @@ pub const HANDLER: &str = "coordinators.motion";
 /// How much longer than planned a motion may take, to settle and to be waited for.
 const MOVE_MARGIN_S: f64 = 10.0;
 
-/// How long the manipulator may take to come to rest and change its power state.
-const STATE_LIMIT: Duration = Duration::from_secs(40);
+/// How often it is looked whether somebody has resumed.
+const LOOK: Duration = Duration::from_millis(200);
 
 /// The transition that gives the manipulator back.
 pub(crate) const RELEASE: &str = "do_release_robot";
@@ -55,6 +57,17 @@ pub(crate) struct MotionArgs {
     /// Fraction of full joint speed.
     #[serde(default = "speed")]
     speed: f64,
+    /// How long a protective stop is waited out before the request fails, s.
+    #[serde(default = "resume_within_s")]
+    resume_within_s: f64,
+    /// How long an MCS that is gone, and may be started again, is waited for, s. A motion that was under
+    /// way is lost all the same.
+    #[serde(default = "crate::service_within_s")]
+    service_within_s: f64,
+}
+
+fn resume_within_s() -> f64 {
+    60.0
 }
 
 fn mcs_task() -> String {
@@ -65,16 +78,16 @@ fn speed() -> f64 {
     0.8
 }
 
-/// What the functions share.
-struct Motion {
+/// What the functions share. Who holds the manipulator is not here: MCS knows.
+struct Coordinator {
     args: Rc<MotionArgs>,
     store: DomStore,
-    /// Whether the manipulator is known to be reserved for this task.
-    acquired: bool,
-    /// Whether it is, or may be.
-    to_release: bool,
     /// Whether a path to the destination was given beforehand, so that none has to be planned.
     path_given: bool,
+    /// What ended the latest motion before its end.
+    ended: Option<Failure>,
+    /// The command that the log is of.
+    command: u32,
     log: MotionLog,
 }
 
@@ -99,6 +112,12 @@ pub(crate) fn register(registry: &mut Registry) {
                 check_args(task, app, &names(&args), findings);
                 crate::need_task(task, app, "mcs", &args.mcs, findings);
                 crate::need_task(task, app, "dom", &args.dom, findings);
+                for (key, value) in [
+                    ("resume_within_s", args.resume_within_s),
+                    ("service_within_s", args.service_within_s),
+                ] {
+                    crate::check_seconds(task, key, value, findings);
+                }
                 if !(args.speed > 0.0 && args.speed <= 1.0) {
                     let place = task.args.locate("speed");
                     findings.push(
@@ -114,55 +133,74 @@ pub(crate) fn register(registry: &mut Registry) {
         });
 }
 
-fn library(args: MotionArgs, store: DomStore) -> Library<Motion> {
-    let state = Motion {
+fn library(args: MotionArgs, store: DomStore) -> Library<Coordinator> {
+    let state = Coordinator {
         args: Rc::new(args),
         store,
-        acquired: false,
-        to_release: false,
         path_given: false,
+        ended: None,
+        command: 0,
         log: MotionLog::default(),
     };
-    let save = |state: &Motion| {
-        let held = (state.acquired, state.to_release);
-        (held, state.path_given, state.log)
+    let save = |state: &Coordinator| {
+        let ended = state.ended.clone();
+        (state.path_given, ended, state.command, state.log)
     };
     Library::new(state)
-        .kept(save, |state, (held, path_given, log)| {
-            (state.acquired, state.to_release) = held;
-            (state.path_given, state.log) = (path_given, log);
+        .kept(save, |state, (path_given, ended, command, log)| {
+            (state.path_given, state.ended) = (path_given, ended);
+            (state.command, state.log) = (command, log);
         })
-        .enabling("path_given", |motion: &Motion| motion.path_given)
+        .enabling("path_given", |state: &Coordinator| state.path_given)
+        .enabling("stopped", |state: &Coordinator| {
+            let ended = state.ended.as_ref();
+            ended.is_some_and(|failure| failure.outcome == Outcome::Stopped)
+        })
         .action("look_for_path", look_for_path)
         .action("validate_path", validate_path)
         .action("plan_path", plan_path)
         .action("move_manip", move_manip)
+        .action("await_resume", await_resume)
         .action("find_pos", find_pos)
         .action("release_robot", release_robot)
 }
 
-type Act = Action<Motion>;
+type Act = Action<Coordinator>;
 
 fn parts(action: &Act) -> (Context, Rc<MotionArgs>, DomStore) {
-    let (args, store) = action.with_state(|motion| (motion.args.clone(), motion.store.clone()));
+    let (args, store) = action.with_state(|state| (state.args.clone(), state.store.clone()));
     (action.cx().clone(), args, store)
 }
 
 /// Tells the Dispatcher why a request could not be done.
-async fn pass_up(action: &Act, acted: Acted) -> Acted {
-    let Err(error) = acted else { return acted };
+async fn pass_up(action: &Act, acted: Result<(), Failure>) -> Acted {
+    let Err(failure) = acted else { return Ok(()) };
     let (cx, _, store) = parts(action);
     if let Ok(destination) = store.fetch::<Destination>(&cx, DESTINATION).await {
         let problem = Problem {
             stamp: destination.stamp,
             transition: action.transition().to_owned(),
-            reason: error.to_string(),
+            failure: failure.clone(),
         };
         if let Err(untold) = store.store(&cx, PROBLEM, &problem).await {
-            tracing::warn!(%error, %untold, "why a request failed could not be passed up");
+            tracing::warn!(%failure, %untold, "why a request failed could not be passed up");
         }
     }
-    Err(error)
+    Err(failure.into())
+}
+
+/// Asks MCS, again while it is gone and may be started again: for what may be done twice.
+async fn ask<T, F: Future<Output = Result<T, MotionError>>>(
+    cx: &Context,
+    args: &MotionArgs,
+    request: impl Fn(Manipulator) -> F,
+) -> Result<T, Failure> {
+    let within = Duration::try_from_secs_f64(args.service_within_s).unwrap_or(Duration::MAX);
+    let is_lost = |error: &MotionError| error.outcome == Motion::Lost;
+    let asked = crate::patiently(cx, within, is_lost, || async {
+        request(Manipulator::find(cx, &args.mcs).await?).await
+    });
+    Ok(asked.await?)
 }
 
 /// Sees whether a path to this destination was given beforehand.
@@ -172,7 +210,7 @@ async fn look_for_path(action: Act) -> Acted {
         let destination: Destination = store.fetch(&cx, DESTINATION).await?;
         let given = store.fetch::<GivenPath>(&cx, GIVEN_PATH).await;
         let fits = given.is_ok_and(|path| path.base_t_tool == destination.base_t_tool);
-        action.with_state(|motion| motion.path_given = fits);
+        action.with_state(|state| state.path_given = fits);
         Ok(())
     };
     let looked = looked.await;
@@ -200,13 +238,13 @@ async fn validate_path(action: Act) -> Acted {
             speed: path.speed,
             duration_s: planned.duration_s,
         };
-        store.store(&cx, PATH, &path).await
+        Ok(store.store(&cx, PATH, &path).await?)
     };
-    let validated = validated.await;
+    let validated: Result<(), Failure> = validated.await;
     if validated.is_err() {
-        action.with_state(|motion| motion.path_given = false);
+        action.with_state(|state| state.path_given = false);
     }
-    validated
+    Ok(validated?)
 }
 
 /// Plans from the manipulator's present position to the destination, and stores the path.
@@ -215,11 +253,11 @@ async fn plan_path(action: Act) -> Acted {
     pass_up(&action, planned).await
 }
 
-async fn plan_to_destination(action: &Act) -> Acted {
+async fn plan_to_destination(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let destination: Destination = store.fetch(&cx, DESTINATION).await?;
     acquire(action, &cx, &args).await?;
-    let mut first_refusal = None;
+    let mut first_reason = None;
     for elbow in [None, Some(Elbow::Above), Some(Elbow::Below)] {
         let request = Plan {
             target: Target::Pose(destination.base_t_tool),
@@ -236,62 +274,54 @@ async fn plan_to_destination(action: &Act) -> Acted {
                     speed: args.speed,
                     duration_s: planned.duration_s,
                 };
-                return store.store(&cx, PATH, &path).await;
+                return Ok(store.store(&cx, PATH, &path).await?);
             }
-            Err(refusal) => {
-                first_refusal.get_or_insert(refusal);
+            Err(failure) if failure.outcome == Outcome::Unreachable => {
+                first_reason.get_or_insert(failure.reason);
             }
+            Err(failure) => return Err(failure),
         }
     }
-    let reason = first_refusal.map_or_else(String::new, |refusal| refusal.to_string());
-    Err(HandlerError::new(format!(
-        "position {} cannot be reached: {reason}",
-        destination.stamp.index + 1
-    )))
+    let position = destination.stamp.index + 1;
+    let reason = first_reason.unwrap_or_default();
+    Err(Failure::new(
+        Outcome::Unreachable,
+        format!("position {position} cannot be reached: {reason}"),
+    ))
 }
 
-async fn plan(cx: &Context, args: &MotionArgs, request: Plan) -> Result<PlanReport, HandlerError> {
-    let mcs = cx.task(&args.mcs).await?;
-    let planned = cx.call(&mcs, request).await;
-    planned.map_err(|error| HandlerError::new(error.reason()))
-}
-
-/// Reserves the manipulator, once per command.
-async fn acquire(action: &Act, cx: &Context, args: &MotionArgs) -> Acted {
-    if action.with_state(|motion| motion.acquired) {
-        return Ok(());
-    }
-    action.with_state(|motion| motion.log = MotionLog::default());
-    let mcs = cx.task(&args.mcs).await?;
-    if action.with_state(|motion| motion.to_release) {
-        // A reservation that was never answered, or not given back, would stand in the way. If there
-        // is none after all, this is refused and does no harm.
-        let _ = cx.call(&mcs, Release {}).deadline(STATE_LIMIT).await;
-    }
-    let acquired = cx.call(&mcs, Acquire {}).deadline(STATE_LIMIT).await;
-    // Without an answer it may be reserved all the same, and is to be given back at the end.
-    let refused = |error: &CallError| matches!(error.fault, Fault::Refused { .. });
-    let ours = !acquired.as_ref().is_err_and(refused);
-    action.with_state(|motion| {
-        motion.acquired = acquired.is_ok();
-        motion.to_release |= ours;
+async fn plan(cx: &Context, args: &MotionArgs, request: Plan) -> Result<PlanReport, Failure> {
+    let planned = ask(cx, args, |arm| {
+        let request = request.clone();
+        async move { arm.plan(request).await }
     });
-    match acquired {
-        Ok(_) => Ok(()),
-        Err(error) => Err(HandlerError::new(error.reason())),
-    }
+    planned.await
+}
+
+/// Sees that the manipulator is reserved for this task and has power.
+async fn acquire(action: &Act, cx: &Context, args: &MotionArgs) -> Result<(), Failure> {
+    let destination: Destination = parts(action).2.fetch(cx, DESTINATION).await?;
+    action.with_state(|state| {
+        if state.command != destination.stamp.command {
+            state.command = destination.stamp.command;
+            state.log = MotionLog::default();
+        }
+    });
+    ask(cx, args, |arm| async move { arm.acquire().await }).await?;
+    Ok(())
 }
 
 /// Drives the path, and waits until the arm has settled.
 async fn move_manip(action: Act) -> Acted {
     let moved = drive(&action).await;
+    action.with_state(|state| state.ended = moved.as_ref().err().cloned());
     pass_up(&action, moved).await
 }
 
-async fn drive(action: &Act) -> Acted {
+async fn drive(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let path: PathSpec = store.fetch(&cx, PATH).await?;
-    let mcs = cx.task(&args.mcs).await?;
+    let arm = Manipulator::find(&cx, &args.mcs).await?;
     let request = Move {
         target: path.target,
         path: path.kind,
@@ -299,19 +329,21 @@ async fn drive(action: &Act) -> Acted {
         acceleration: None,
         elbow: None,
     };
-    let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S)?;
-    let report = match cx.call(&mcs, request).deadline(limit).await {
+    let limit = Duration::try_from_secs_f64(path.duration_s + MOVE_MARGIN_S);
+    let limit = limit.map_err(|error| Failure::new(Outcome::Fault, error))?;
+    let report = match arm.go(request, limit).await {
         Ok(report) => report,
         Err(error) => {
-            if !matches!(error.fault, Fault::Refused { .. }) {
-                // Nobody knows whether it still moves. It must not when the next position begins.
-                cx.call(&mcs, Stop {}).await?;
+            if error.outcome == Motion::Lost
+                && let Err(also) = arm.cancel().await
+            {
+                tracing::warn!(%error, %also, "whether the arm still moves is not known");
             }
-            return Err(HandlerError::new(error.reason()));
+            return Err(error.into());
         }
     };
-    let log = action.with_state(|motion| {
-        let log = &mut motion.log;
+    let log = action.with_state(|state| {
+        let log = &mut state.log;
         log.moves += 1;
         log.max_tracking_error_rad = log
             .max_tracking_error_rad
@@ -319,7 +351,38 @@ async fn drive(action: &Act) -> Acted {
         log.max_final_error_rad = log.max_final_error_rad.max(report.final_error_rad);
         *log
     });
-    store.store(&cx, MOTIONS, &log).await
+    Ok(store.store(&cx, MOTIONS, &log).await?)
+}
+
+/// Waits until somebody ends the protective stop that ended the motion; the way is then planned anew.
+async fn await_resume(action: Act) -> Acted {
+    let resumed = resumed(&action).await;
+    pass_up(&action, resumed).await
+}
+
+async fn resumed(action: &Act) -> Result<(), Failure> {
+    let (cx, args, _) = parts(action);
+    let within = Duration::try_from_secs_f64(args.resume_within_s).unwrap_or(Duration::MAX);
+    let until = cx.now() + within;
+    tracing::warn!(
+        within_s = args.resume_within_s,
+        "a protective stop holds; it is waited for somebody to resume"
+    );
+    loop {
+        cx.sleep(LOOK).await;
+        let status = ask(&cx, &args, |arm| async move { arm.status().await }).await?;
+        if !status.stopped {
+            return Ok(());
+        }
+        if cx.now() >= until {
+            let ended = action.with_state(|state| state.ended.clone());
+            let reason = ended.map_or_else(String::new, |ended| ended.reason);
+            return Err(Failure::new(
+                Outcome::Stopped,
+                format!("{reason}; nobody resumed within {} s", args.resume_within_s),
+            ));
+        }
+    }
 }
 
 /// Reads the joints back and stores where the tool is by forward kinematics.
@@ -328,45 +391,37 @@ async fn find_pos(action: Act) -> Acted {
     pass_up(&action, found).await
 }
 
-async fn read_back(action: &Act) -> Acted {
+async fn read_back(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let destination: Destination = store.fetch(&cx, DESTINATION).await?;
-    let mcs = cx.task(&args.mcs).await?;
-    let position = cx.call(&mcs, ReadPosition {}).await;
-    let position = position.map_err(|error| HandlerError::new(error.reason()))?;
+    let position = ask(&cx, &args, |arm| async move { arm.position().await }).await?;
     let [_, _, _, x, _, _, _, y, _, _, _, z, ..] = position.base_t_tool;
     let reached = ReachedPosition {
         stamp: destination.stamp,
         joints: position.joints,
         lamp: [x, y, z],
     };
-    store.store(&cx, POSITION, &reached).await
+    Ok(store.store(&cx, POSITION, &reached).await?)
 }
 
-/// Brings the arm to rest, switches it off and gives it back.
+/// Brings the arm to rest, switches it off and gives it back, if this task holds it.
 async fn release_robot(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
-    if !action.with_state(|motion| motion.to_release) {
-        return Ok(());
-    }
     let released = crate::insist(|| async {
-        let mcs = cx.task(&args.mcs).await?;
-        let released = cx.call(&mcs, Release {}).deadline(STATE_LIMIT).await;
+        let release = async {
+            let arm = Manipulator::find(&cx, &args.mcs).await?;
+            if arm.status().await?.holder.as_deref() == Some(cx.name()) {
+                arm.release().await?;
+            }
+            Ok(())
+        };
+        let released: Result<(), MotionError> = release.await;
         released.map_err(|error| {
-            HandlerError::new(format!(
-                "the manipulator could not be given back: {}",
-                error.reason()
-            ))
-        })?;
-        Ok(())
+            HandlerError::new(format!("the manipulator could not be given back: {error}"))
+        })
     });
     let released = released.await;
-    // What could not be given back now is tried again after the next command.
-    action.with_state(|motion| {
-        motion.acquired = false;
-        motion.to_release = released.is_err();
-    });
-    pass_up(&action, released).await
+    pass_up(&action, released.map_err(Failure::from)).await
 }
 
 #[cfg(test)]

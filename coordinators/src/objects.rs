@@ -10,6 +10,8 @@ use vss::{
     command::SpotReport,
 };
 
+use crate::outcome::Failure;
+
 /// Where the lamp shall go next: written by the Dispatcher, read by the Motion Coordinator.
 pub const DESTINATION: &str = "destination";
 /// A path prepared beforehand for one destination: written by whoever prepared it, validated by the
@@ -85,7 +87,7 @@ pub struct Spots {
     /// Camera and why it saw nothing.
     pub reasons: Vec<(String, String)>,
     /// Set when the vision system itself failed, which no other position will mend.
-    pub failure: Option<String>,
+    pub failure: Option<Failure>,
 }
 
 /// [`POSITION`].
@@ -107,7 +109,7 @@ pub struct Problem {
     /// The transition that failed.
     pub transition: String,
     /// Why.
-    pub reason: String,
+    pub failure: Failure,
 }
 
 /// [`MOTIONS`].
@@ -134,6 +136,8 @@ pub struct CameraTable {
     pub points: Vec<LightPoint>,
     /// Positions at which the lamp stood and it saw nothing that could be used.
     pub missed: u32,
+    /// Why it saw nothing at the latest of them.
+    pub last_miss: String,
 }
 
 /// A position that no camera's table has a point of.
@@ -150,11 +154,17 @@ pub struct UnusedPosition {
 pub struct Observations {
     /// Positions in the file.
     pub wanted: u32,
+    /// Positions at which each camera must have seen the lamp.
+    pub enough: u32,
     /// Positions at which the arm stood and was read back.
     pub reached: u32,
+    /// Positions that were out of the arm's reach.
+    pub out_of_reach: u32,
+    /// Why the latest of them was.
+    pub last_out_of_reach: String,
     /// One table per camera. In each, points and misses together are the reached positions.
     pub cameras: Vec<CameraTable>,
-    /// Positions at which nothing could be used.
+    /// Positions at which nothing could be used: out of the arm's reach, or seen by no camera.
     pub unused: Vec<UnusedPosition>,
 }
 

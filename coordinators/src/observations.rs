@@ -6,8 +6,8 @@ use vss::calibrate::LightPoint;
 
 use crate::objects::{CameraTable, Observations, ReachedPosition, Spots, UnusedPosition};
 
-/// After so many positions at which the arm did not arrive, or a camera saw nothing, without a single
-/// success the calibration is given up.
+/// After so many positions out of reach, or at which a camera saw nothing, without a single success
+/// the calibration is given up.
 const HOPELESS_AFTER: u32 = 10;
 
 impl Observations {
@@ -23,7 +23,12 @@ impl Observations {
                     let (u, v) = (spot.u, spot.v);
                     table.points.push(LightPoint { x, y, z, u, v });
                 }
-                None => table.missed += 1,
+                None => {
+                    table.missed += 1;
+                    let mut reasons = spots.reasons.iter();
+                    let own = reasons.find(|(name, _)| name == camera);
+                    table.last_miss = own.map_or_else(String::new, |(_, reason)| reason.clone());
+                }
             }
         }
         if spots.seen.iter().all(|(_, spot)| spot.is_none()) {
@@ -32,8 +37,10 @@ impl Observations {
         }
     }
 
-    /// Adds a position at which the arm did not arrive.
+    /// Adds a position that is out of the arm's reach.
     pub(crate) fn skip(&mut self, line: usize, reason: &str) {
+        self.out_of_reach += 1;
+        self.last_out_of_reach = reason.to_owned();
         let reason = reason.to_owned();
         self.unused.push(UnusedPosition { line, reason });
     }
@@ -51,28 +58,42 @@ impl Observations {
         &mut self.cameras[place]
     }
 
-    /// Fails when it is clear early that nothing will come of it: the arm has not arrived anywhere, or
-    /// a camera has seen nothing at all.
-    pub(crate) fn hopeful(&self, spots: Option<&Spots>) -> Result<(), HandlerError> {
-        let skipped = self.unused.len();
-        if self.reached == 0 && skipped >= HOPELESS_AFTER as usize {
-            let reason = self.unused.last().map_or("", |unused| &unused.reason);
+    /// Fails when it is clear, with `left` positions to come, that a camera will not have enough of them,
+    /// or that nothing comes of them at all; with the reason that was met most.
+    pub(crate) fn hopeful(&self, left: usize) -> Result<(), HandlerError> {
+        let left = u32::try_from(left).unwrap_or(u32::MAX);
+        if self.reached == 0 && (self.out_of_reach >= HOPELESS_AFTER || left == 0) {
             return Err(HandlerError::new(format!(
-                "the arm took none of the first {skipped} positions ({reason})"
+                "the arm took none of the first {} positions ({})",
+                self.out_of_reach, self.last_out_of_reach
             )));
         }
-        let blind = self
-            .cameras
-            .iter()
-            .find(|table| table.points.is_empty() && table.missed >= HOPELESS_AFTER);
-        let Some(table) = blind else { return Ok(()) };
-        let reasons = spots.map_or(&[][..], |spots| &spots.reasons);
-        let own = reasons.iter().find(|(camera, _)| *camera == table.camera);
-        let why = own.map_or_else(String::new, |(_, reason)| format!(" ({reason})"));
-        Err(HandlerError::new(format!(
-            "camera `{}` has seen no spot at {} positions{why}: is the lamp on, and does the camera look at the work volume?",
-            table.camera, table.missed
-        )))
+        for table in &self.cameras {
+            let CameraTable { camera, missed, .. } = table;
+            let seen = u32::try_from(table.points.len()).unwrap_or(u32::MAX);
+            let too_few = seen.saturating_add(left) < self.enough;
+            if seen == 0 && *missed > 0 && (*missed >= HOPELESS_AFTER || too_few) {
+                return Err(HandlerError::new(format!(
+                    "camera `{camera}` has seen no spot at {missed} positions ({}): is the lamp on, and does the camera look at the work volume?",
+                    table.last_miss
+                )));
+            }
+            if too_few {
+                let (times, what, last) = match *missed >= self.out_of_reach {
+                    true => (*missed, "the spot was not seen", &table.last_miss),
+                    false => (
+                        self.out_of_reach,
+                        "the position was out of reach",
+                        &self.last_out_of_reach,
+                    ),
+                };
+                return Err(HandlerError::new(format!(
+                    "camera `{camera}` has seen the lamp at {seen} positions, {left} are left and {} would be enough; {times} times {what} (the last: {last})",
+                    self.enough
+                )));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -154,10 +175,10 @@ mod tests {
         let blind = spots(true, false);
         for line in 0..9 {
             all.add(line, &lamp(), &blind);
-            assert_eq!(all.hopeful(Some(&blind)), Ok(()));
+            assert_eq!(all.hopeful(40), Ok(()));
         }
         all.add(9, &lamp(), &blind);
-        let error = all.hopeful(Some(&blind)).unwrap_err().to_string();
+        let error = all.hopeful(40).unwrap_err().to_string();
         assert!(error.starts_with("camera `east` has seen no spot at 10 positions (camera `east`: too dark): is the lamp on"), "{error}");
     }
 
@@ -168,7 +189,7 @@ mod tests {
         for line in 3..40 {
             all.add(line, &lamp(), &spots(true, false));
         }
-        assert_eq!(all.hopeful(None), Ok(()));
+        assert_eq!(all.hopeful(40), Ok(()));
     }
 
     #[test]
@@ -178,17 +199,17 @@ mod tests {
         for line in 3..40 {
             all.skip(line, "refused");
         }
-        assert_eq!(all.hopeful(None), Ok(()));
+        assert_eq!(all.hopeful(40), Ok(()));
     }
 
     #[test]
     fn an_arm_that_arrives_nowhere_is_given_up_with_its_reason() {
         let mut all = Observations::default();
         for line in 0..10 {
-            assert_eq!(all.hopeful(None), Ok(()));
+            assert_eq!(all.hopeful(40), Ok(()));
             all.skip(line, "`mcs` is estopped");
         }
-        let error = all.hopeful(None).unwrap_err().to_string();
+        let error = all.hopeful(40).unwrap_err().to_string();
         assert!(
             error.contains("none of the first 10 positions (`mcs` is estopped)"),
             "{error}"

@@ -191,8 +191,10 @@ mod tests {
     fn refusing(what: &'static str, occurrence: usize) -> Rig {
         Rig {
             script: Arc::new(
-                move |command, _, n| match command == what && n == occurrence {
+                move |command, detail, n| match command == what && n == occurrence {
                     true => Answer::Refuse,
+                    // Where one way is refused, so are the others.
+                    false if detail.starts_with("Some") => Answer::Refuse,
                     false => Answer::Work,
                 },
             ),
@@ -202,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_command_that_succeeds_ends_the_app_with_the_judges_verdict() {
-        let result = operated(&refusing("move", 2), "judge = \"referee\"");
+        let result = operated(&refusing("plan", 2), "judge = \"referee\"");
         assert!(result.ok, "{}", result.text);
         let json: serde_json::Value = serde_json::from_str(&result.json).unwrap();
         assert_eq!(json["positions"], 15);
@@ -215,7 +217,7 @@ mod tests {
             );
             assert!(camera["rms_true_px"].as_f64().unwrap() < 1e-6, "{camera}");
         }
-        let skipped = "  line 5: move : refused on purpose\n";
+        let skipped = "  line 5: position 3 cannot be reached: plan None: refused on purpose\n";
         assert!(result.text.contains(skipped), "{}", result.text);
     }
 

@@ -19,7 +19,7 @@ use ctos::{
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase},
 };
-use mcs::client::{Acquire, Move, Plan, ReadPosition, Release, Stop};
+use mcs::client::{Acquire, Cancel, Move, Plan, ReadPosition, Release, Status};
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use pnt::task::{Marking, PutTape, Snapshot, TapeAnswer};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -31,7 +31,10 @@ use vss::{
     spot::SpotFlags,
 };
 
-use crate::dom::{Dom, GetData, ListData, PutData};
+use crate::{
+    dom::{Dom, GetData, ListData, PutData},
+    outcome::Outcome,
+};
 use stand_ins::{FaultyDom, Lamp, Mcs, StandIn, Vsm};
 
 ctos::command! {
@@ -45,8 +48,10 @@ ctos::command! {
 pub(crate) enum Answer {
     /// As it should.
     Work,
-    /// With a refusal.
+    /// With a refusal; what has outcomes, with its usual one.
     Refuse,
+    /// With this outcome.
+    Meet(Outcome),
     /// Not at all.
     Silent,
     /// Not at all, having done the work.
@@ -69,6 +74,10 @@ pub(crate) struct Rig {
     /// Commands on the Dispatcher's tape, one after the other.
     pub commands: usize,
     pub results: Option<PathBuf>,
+    /// Arguments of each command.
+    pub arguments: Vec<&'static str>,
+    /// When somebody ends a protective stop, s.
+    pub resume_at_s: Option<f64>,
     /// Objects put into the DOM beforehand.
     pub given: Vec<(&'static str, Vec<u8>)>,
 }
@@ -81,6 +90,8 @@ impl Default for Rig {
             seed: 1,
             commands: 1,
             results: None,
+            arguments: Vec::new(),
+            resume_at_s: None,
             given: Vec::new(),
         }
     }
@@ -102,6 +113,10 @@ pub(crate) fn positions(count: usize) -> String {
 pub(crate) struct World {
     pub lamp_on: bool,
     pub reserved: bool,
+    /// A protective stop holds,
+    pub stopped: bool,
+    /// and somebody resumes then, s.
+    pub resume_at_s: Option<f64>,
     /// `base_t_tool`.
     pub pose: [f64; 16],
     planned: Vec<[f64; 16]>,
@@ -251,7 +266,8 @@ pub(crate) fn registry(rig: &Rig, world: &Shared) -> Registry {
         Plan::INFO,
         Move::INFO,
         ReadPosition::INFO,
-        Stop::INFO,
+        Status::INFO,
+        Cancel::INFO,
         Release::INFO,
     ];
     registry.handler("test.mcs", &commands, move |_| Ok(Mcs(mcs.clone())));
@@ -265,11 +281,14 @@ pub(crate) fn registry(rig: &Rig, world: &Shared) -> Registry {
     registry.handler("test.dom", crate::dom::COMMANDS, move |_| {
         Ok(FaultyDom(dom.clone(), Dom::default()))
     });
+    lock(world).resume_at_s = rig.resume_at_s;
     let (world, commands, given) = (world.clone(), rig.commands, rig.given.clone());
+    let arguments: Vec<String> = rig.arguments.iter().map(ToString::to_string).collect();
     registry.handler("test.operator", &[], move |_| {
         Ok(Operator {
             world: world.clone(),
             commands,
+            arguments: arguments.clone(),
             given: given.clone(),
         })
     });
@@ -389,6 +408,7 @@ pub(crate) fn calibration(estimate: Camera, used: usize) -> Calibration {
 struct Operator {
     world: Shared,
     commands: usize,
+    arguments: Vec<String>,
     given: Vec<(&'static str, Vec<u8>)>,
 }
 
@@ -401,7 +421,9 @@ impl EventHandler for Operator {
         if phase == Phase::Run {
             let (child, world) = (cx.clone(), self.world.clone());
             let (commands, given) = (self.commands, self.given.clone());
+            let arguments = self.arguments.clone();
             cx.spawn(async move {
+                let commands = vec![arguments; commands];
                 let operated = operate(&child, &world, commands, given).await;
                 child.finish(AppResult {
                     ok: operated.is_ok(),
@@ -419,7 +441,7 @@ impl EventHandler for Operator {
 async fn operate(
     cx: &Context,
     world: &Shared,
-    commands: usize,
+    commands: Vec<Vec<String>>,
     given: Vec<(&'static str, Vec<u8>)>,
 ) -> Handled {
     let dispatcher = cx.task("dispatcher").await?;
@@ -430,10 +452,10 @@ async fn operate(
     }
     let before = snapshots(cx).await?;
     lock(world).before = before;
-    for _ in 0..commands {
+    for arguments in commands {
         let put = PutTape {
             symbol: "calibrate_camera".to_owned(),
-            arguments: Vec::new(),
+            arguments,
         };
         let limit = Duration::from_secs(100_000);
         let answer = cx.call(&dispatcher, put).deadline(limit).await;

@@ -10,7 +10,10 @@ use pnt::{
 };
 use proptest::prelude::*;
 
-use crate::rig::{self, Answer, NETS, Rig, Run, Shared, lock, run};
+use crate::{
+    outcome::Outcome,
+    rig::{self, Answer, NETS, Rig, Run, Shared, lock, run},
+};
 
 fn nets() -> Vec<Arc<pnt::net::Net>> {
     NETS.map(|name| {
@@ -215,13 +218,14 @@ fn at_rest(run: &Run, case: &str) {
 }
 
 /// Every request to the Execution Level and to the DOM.
-const REQUESTS: [(&str, &str); 13] = [
+const REQUESTS: [(&str, &str); 14] = [
     ("set_lamp", "true"),
     ("set_lamp", "false"),
     ("acquire", ""),
     ("plan", "None"),
     ("move", ""),
-    ("stop_motion", ""),
+    ("status", ""),
+    ("cancel", ""),
     ("read_position", ""),
     ("release", ""),
     ("spot_find", "west"),
@@ -322,15 +326,15 @@ proptest! {
 
 #[test]
 fn after_a_failed_command_the_next_one_succeeds() {
-    // The Vision Coordinator asks three times before it gives up.
-    for (request, times) in [
-        (("set_lamp", "true"), 1),
-        (("calibrate", "west"), 1),
-        (("spot_find", "west"), 3),
+    for (request, how) in [
+        (("set_lamp", "true"), Answer::Silent),
+        (("calibrate", "west"), Answer::Refuse),
+        (("spot_find", "west"), Answer::Meet(Outcome::Fault)),
+        (("move", ""), Answer::Meet(Outcome::Estopped)),
     ] {
         let rig = Rig {
             commands: 2,
-            ..failing(request, move |n| n < times, Answer::Silent)
+            ..failing(request, |n| n == 0, how)
         };
         let run = run(&rig);
         let case = format!("{request:?}");

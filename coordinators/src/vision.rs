@@ -1,9 +1,8 @@
 //! The Vision Coordinator: the functions of `vision.net` (CIRSSE report 108, section 7, figure 11).
 
-use std::rc::Rc;
+use std::{rc::Rc, time::Duration};
 
 use ctos::{
-    call::{CallError, Fault},
     config::{App, TaskConfig},
     diagnostic::{Finding, Findings},
     registry::{Registry, Vocabulary},
@@ -16,11 +15,12 @@ use pnt::{
     task::{COMMANDS, NetTask, args as net_args, args_of, check_args},
 };
 use serde::Deserialize;
-use vss::command::{SpotFind, SpotReport};
+use vss::command::{Outcome as Vss, SpotFind, SpotReport, VisionError};
 
 use crate::{
     dom::DomStore,
     objects::{DESTINATION, Destination, SPOTS, Spots},
+    outcome::Failure,
 };
 
 /// The handler's name.
@@ -41,6 +41,9 @@ struct VisionArgs {
     /// How often a camera that missed the spot looks again.
     #[serde(default = "retries")]
     retries: u32,
+    /// How long a vision system that is gone, and may be started again, is waited for, s.
+    #[serde(default = "crate::service_within_s")]
+    service_within_s: f64,
 }
 
 pub(crate) fn vsm_task() -> String {
@@ -86,6 +89,7 @@ pub(crate) fn register(registry: &mut Registry) {
                     );
                 }
                 check_cameras(task, app, &args.cameras, findings);
+                crate::check_seconds(task, "service_within_s", args.service_within_s, findings);
                 check_args(task, app, &names(&args), findings);
                 crate::need_task(task, app, "vsm", &args.vsm, findings);
                 crate::need_task(task, app, "dom", &args.dom, findings);
@@ -179,24 +183,24 @@ async fn look(action: &Action<Vision>, cx: &Context, store: &DomStore) -> Acted 
 }
 
 async fn ask(action: &Action<Vision>, cx: &Context) -> Vec<(String, Look)> {
-    let (vsm, missing) = action.with_state(|vision| {
+    let (args, missing) = action.with_state(|vision| {
         let unseen = vision.spots.seen.iter().filter(|(_, spot)| spot.is_none());
         let missing: Vec<String> = unseen.map(|(camera, _)| camera.clone()).collect();
-        (vision.args.vsm.clone(), missing)
+        (vision.args.clone(), missing)
     });
-    let vsm = match cx.task(&vsm).await {
-        Ok(vsm) => vsm,
-        Err(error) => {
-            let gone = |camera| (camera, Look::gone(error.to_string()));
-            return missing.into_iter().map(gone).collect();
-        }
-    };
+    let within = Duration::try_from_secs_f64(args.service_within_s).unwrap_or(Duration::MAX);
+    let is_lost = |error: &VisionError| error.outcome == Vss::Lost;
     let asked = missing.into_iter().map(|camera| {
-        let request = SpotFind {
-            camera: camera.clone(),
-        };
-        let call = cx.call(&vsm, request);
-        async move { (camera, Look::from(call.await)) }
+        let args = &args;
+        async move {
+            let looked = crate::patiently(cx, within, is_lost, || async {
+                let camera = camera.clone();
+                let vsm = cx.task(&args.vsm).await?;
+                cx.call(&vsm, SpotFind { camera }).await?
+            });
+            let look = Look::from(looked.await);
+            (camera, look)
+        }
     });
     join_all(asked).await
 }
@@ -212,12 +216,10 @@ impl Vision {
                 }
             }
             Look::Missed { reason } => self.spots.reasons.push((camera, reason)),
-            Look::Failed { reason, gone } => {
-                self.spots.failure = Some(reason.clone());
-                self.spots.reasons.push((camera, reason));
-                if gone {
-                    self.tries_left = 0;
-                }
+            Look::Failed(failure) => {
+                self.spots.reasons.push((camera, failure.reason.clone()));
+                self.spots.failure = Some(failure);
+                self.tries_left = 0;
             }
         }
     }
@@ -231,21 +233,12 @@ enum Look {
     Missed {
         reason: String,
     },
-    /// The vision system did not do its work; if it is gone, asking again is no use.
-    Failed {
-        reason: String,
-        gone: bool,
-    },
+    /// The vision system did not do its work, and asking again is no use.
+    Failed(Failure),
 }
 
-impl Look {
-    fn gone(reason: String) -> Self {
-        Self::Failed { reason, gone: true }
-    }
-}
-
-impl From<Result<SpotReport, CallError>> for Look {
-    fn from(answer: Result<SpotReport, CallError>) -> Self {
+impl From<Result<SpotReport, VisionError>> for Look {
+    fn from(answer: Result<SpotReport, VisionError>) -> Self {
         match answer {
             Ok(spot) if spot.flags.touches_border => Self::Missed {
                 reason: format!(
@@ -254,14 +247,11 @@ impl From<Result<SpotReport, CallError>> for Look {
                 ),
             },
             Ok(spot) => Self::Seen(Box::new(spot)),
-            Err(CallError {
-                fault: Fault::Refused { text },
-                ..
-            }) => Self::Missed { reason: text },
-            Err(error) => Self::Failed {
-                reason: error.to_string(),
-                gone: error.is_gone(),
-            },
+            Err(VisionError {
+                outcome: Vss::Unseen,
+                reason,
+            }) => Self::Missed { reason },
+            Err(error) => Self::Failed(error.into()),
         }
     }
 }

@@ -2,6 +2,10 @@
 //!
 //! These types travel as messages; the tasks that answer them are in [`crate::tasks`].
 
+use std::time::Duration;
+
+use ctos::call::{CallError, Fault};
+use ctos::task::{Context, NameError, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::arm::{Elbow, Joints};
@@ -17,6 +21,150 @@ pub enum Target {
     /// `base_t_tool`: a homogeneous 4 by 4 matrix, row by row, lengths in m.
     Pose([f64; 16]),
 }
+
+/// What kept the manipulator from doing what was asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Outcome {
+    /// The target, or the way to it, is out of reach. The arm has not moved; another target may do.
+    Unreachable,
+    /// A protective stop, which holds until somebody resumes, or the end of the app.
+    Stopped,
+    /// An emergency stop: drive power is off until a reset and a new reservation.
+    Estopped,
+    /// A guard ended the motion.
+    Guard,
+    /// Hardware, control or a calculation failed.
+    Fault,
+    /// A task on the way to the manipulator is gone or does not answer. Whether the arm moves is unknown.
+    Lost,
+    /// The request does not fit: another task holds the manipulator, or a number makes no sense.
+    Refused,
+}
+
+/// Why the manipulator did not do what was asked.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{reason}")]
+pub struct MotionError {
+    /// Which kind of thing.
+    pub outcome: Outcome,
+    /// In words.
+    pub reason: String,
+}
+
+impl MotionError {
+    /// An error of a kind, in words.
+    #[must_use]
+    pub fn new(outcome: Outcome, reason: impl ToString) -> Self {
+        Self {
+            outcome,
+            reason: reason.to_string(),
+        }
+    }
+}
+
+impl From<CallError> for MotionError {
+    fn from(error: CallError) -> Self {
+        let outcome = match &error.fault {
+            Fault::Refused { .. } | Fault::BadPayload { .. } | Fault::UnknownCommand { .. } => {
+                Outcome::Refused
+            }
+            _ => Outcome::Lost,
+        };
+        Self::new(outcome, error.reason())
+    }
+}
+
+impl From<NameError> for MotionError {
+    fn from(error: NameError) -> Self {
+        Self::new(Outcome::Lost, error)
+    }
+}
+
+/// A manipulator as a task sees it: its client interface, with one type of error for what the
+/// interface refuses and for what becomes of a call.
+#[derive(Debug, Clone)]
+pub struct Manipulator {
+    cx: Context,
+    client: TaskRef,
+}
+
+impl Manipulator {
+    /// The manipulator behind the task `client`, for the task of `cx`.
+    ///
+    /// # Errors
+    /// [`Outcome::Lost`] when no such task is found.
+    pub async fn find(cx: &Context, client: &str) -> Result<Self, MotionError> {
+        Ok(Self {
+            cx: cx.clone(),
+            client: cx.task(client).await?,
+        })
+    }
+
+    /// Reserves the manipulator and switches its power on; holding it already, sees that it still does.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn acquire(&self) -> Result<State, MotionError> {
+        self.cx
+            .call(&self.client, Acquire {})
+            .deadline(CHANGE)
+            .await?
+    }
+
+    /// Comes to rest, switches power off and gives the manipulator back. Not holding it, changes nothing.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn release(&self) -> Result<State, MotionError> {
+        self.cx
+            .call(&self.client, Release {})
+            .deadline(CHANGE)
+            .await?
+    }
+
+    /// Checks a motion from the present position without moving.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn plan(&self, plan: Plan) -> Result<PlanReport, MotionError> {
+        self.cx.call(&self.client, plan).await?
+    }
+
+    /// Moves, and returns when the arm has settled at the target, `within` this time.
+    ///
+    /// # Errors
+    /// What is in the way. After [`Outcome::Lost`] nobody knows whether the arm still moves.
+    pub async fn go(&self, to: Move, within: Duration) -> Result<MoveReport, MotionError> {
+        self.cx.call(&self.client, to).deadline(within).await?
+    }
+
+    /// Ends the motion under way, as [`Cancel`] does.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn cancel(&self) -> Result<(), MotionError> {
+        Ok(self.cx.call(&self.client, Cancel {}).await?)
+    }
+
+    /// Where the manipulator is.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn position(&self) -> Result<Position, MotionError> {
+        Ok(self.cx.call(&self.client, ReadPosition {}).await?)
+    }
+
+    /// How the manipulator is.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub async fn status(&self) -> Result<StatusReport, MotionError> {
+        Ok(self.cx.call(&self.client, Status {}).await?)
+    }
+}
+
+/// How long coming to rest and a change of the power state may take.
+const CHANGE: Duration = Duration::from_secs(40);
 
 /// How a motion ended.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -60,6 +208,8 @@ pub struct StatusReport {
     pub holder: Option<String>,
     /// Why power was taken away, if it was.
     pub fault: Option<String>,
+    /// A protective stop holds until somebody resumes.
+    pub stopped: bool,
     /// The latest motion's phase.
     pub motion: MotionPhase,
     /// Servo ticks since start.
@@ -90,9 +240,10 @@ impl ControlReport {
 }
 
 ctos::command! {
-    /// Reserves the manipulator for the calling task and switches its power on.
+    /// Reserves the manipulator for the calling task and switches its power on. Holding it already, with power on,
+    /// the task is told so and nothing changes.
     #[derive(Debug, Clone, PartialEq)]
-    pub struct Acquire => State, 0x0301, "acquire"
+    pub struct Acquire => Result<State, MotionError>, 0x0301, "acquire"
 }
 ctos::command! {
     /// Moves, and answers when the arm has settled at the target.
@@ -108,7 +259,7 @@ ctos::command! {
         pub acceleration: Option<f64>,
         /// Elbow posture at a pose, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
-    } => MoveReport, 0x0302, "move"
+    } => Result<MoveReport, MotionError>, 0x0302, "move"
 }
 ctos::command! {
     /// Checks a motion from the present position without moving.
@@ -124,7 +275,7 @@ ctos::command! {
         pub acceleration: Option<f64>,
         /// Elbow posture at a pose, or the one nearest to the present joints.
         pub elbow: Option<Elbow>,
-    } => PlanReport, 0x0303, "plan"
+    } => Result<PlanReport, MotionError>, 0x0303, "plan"
 }
 ctos::command! {
     /// Reads the joints back.
@@ -132,14 +283,14 @@ ctos::command! {
     pub struct ReadPosition => Position, 0x0304, "read_position"
 }
 ctos::command! {
-    /// Protective stop: brakes along the path to rest, then holds. Anybody may ask.
+    /// Protective stop: brakes along the path to rest, then holds until somebody resumes. Anybody may ask.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Stop => (), 0x0305, "stop_motion"
 }
 ctos::command! {
-    /// Comes to rest, switches power off and gives the manipulator back.
+    /// Comes to rest, switches power off and gives the manipulator back. Where nobody holds it, changes nothing.
     #[derive(Debug, Clone, PartialEq)]
-    pub struct Release => State, 0x0306, "release"
+    pub struct Release => Result<State, MotionError>, 0x0306, "release"
 }
 ctos::command! {
     /// Tells how the manipulator is.
@@ -152,9 +303,9 @@ ctos::command! {
     pub struct EmergencyStop => (), 0x0308, "emergency_stop"
 }
 ctos::command! {
-    /// Leaves the estopped state; the manipulator must then be acquired anew.
+    /// Leaves the estopped state, and ends a protective stop; the manipulator must then be acquired anew.
     #[derive(Debug, Clone, PartialEq)]
-    pub struct Reset => State, 0x0309, "reset"
+    pub struct Reset => Result<State, MotionError>, 0x0309, "reset"
 }
 ctos::command! {
     /// Tells the control parameters.
@@ -170,4 +321,15 @@ ctos::command! {
         /// Damping ratio of the position loop.
         pub damping: f64,
     } => ControlReport, 0x030b, "set_control"
+}
+ctos::command! {
+    /// Ends the motion under way: brakes along the path to rest. The next one may begin at once, which it may not
+    /// after a protective stop. Anybody may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Cancel => (), 0x030c, "cancel"
+}
+ctos::command! {
+    /// Ends a protective stop. What it ended must be asked for again. Anybody may ask.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Resume => (), 0x030d, "resume"
 }

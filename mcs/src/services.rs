@@ -11,9 +11,10 @@ mod local;
 mod mvpos;
 mod pino;
 
-use sorma::{Class, ClassInfo, Outcome, Sorm, Transport};
+use sorma::{Class, ClassInfo, Outcome, Report, Sorm, Transport};
 
 use crate::arm::{ArmModel, Joints};
+use crate::client::MotionError;
 use local::SharedArm;
 use mvpos::MvPos;
 use pino::Pino;
@@ -101,6 +102,11 @@ fn arm(inertias: &str, pedestal: f64) -> ArmModel {
 /// would be 0.
 fn joints(floats: &[f64], start: usize) -> Joints {
     std::array::from_fn(|index| floats.get(start + index).copied().unwrap_or_default())
+}
+
+/// What keeps the app's arm from doing what was asked, as a report.
+fn in_the_way(error: MotionError) -> Report {
+    Report::error(code::MOTION, error.reason)
 }
 
 /// Ends a request: what came in must not stay there as if it were an answer.

@@ -62,6 +62,11 @@ pub struct ServoConfig {
     pub setpoint_every: u32,
     /// A joint this far from its setpoint (rad) is an emergency.
     pub following_error: f64,
+    /// A joint further from its setpoint than this (rad)
+    pub following_window: f64,
+    /// for this long does not follow: something is in its way, or it is not driven. As the following
+    /// error window and time-out of CiA 402 (objects 6065h and 6066h).
+    pub following_timeout: Duration,
     /// When a motion counts as settled.
     pub settling: Settling,
 }
@@ -72,6 +77,8 @@ impl Default for ServoConfig {
             period: Duration::from_micros(4500),
             setpoint_every: 4,
             following_error: 0.1,
+            following_window: 0.03,
+            following_timeout: Duration::from_millis(100),
             settling: Settling::default(),
         }
     }
@@ -122,6 +129,10 @@ pub struct Servo {
     after_rest: Option<Power>,
     /// Brakes were ordered open: seed setpoint and law from the next reading.
     releasing: bool,
+    /// Ticks for which each joint has been outside its following window.
+    astray: [u32; DOF],
+    /// Ticks that a joint may be.
+    patience: u32,
 }
 
 impl Servo {
@@ -144,6 +155,7 @@ impl Servo {
             ("period", config.period.as_secs_f64()),
             ("setpoint_every", f64::from(config.setpoint_every)),
             ("following_error", config.following_error),
+            ("following_window", config.following_window),
             ("settling.error", config.settling.error),
             ("settling.speed", config.settling.speed),
         ];
@@ -170,6 +182,9 @@ impl Servo {
             motion: None,
             after_rest: None,
             releasing: false,
+            astray: [0; DOF],
+            // A count of ticks beyond that of 32 bits would be a year.
+            patience: (config.following_timeout.as_secs_f64() / config.period.as_secs_f64()) as u32,
         };
         Ok((servo, port))
     }
@@ -208,11 +223,11 @@ impl Servo {
                 self.releasing = true;
             }
             ServoCommand::EngageBrakes if power == Power::Released => {
-                self.stop();
+                self.brake();
                 self.after_rest = Some(Power::Braked);
             }
             ServoCommand::PowerOff if power == Power::Released => {
-                self.stop();
+                self.brake();
                 self.after_rest = Some(Power::Off);
             }
             ServoCommand::PowerOff => {
@@ -220,20 +235,27 @@ impl Servo {
                 self.status.power = Power::Off;
             }
             ServoCommand::Move { id, segment } => self.begin(id, segment),
-            ServoCommand::Stop => self.stop(),
+            ServoCommand::Stop => {
+                self.status.stopped = true;
+                self.brake();
+            }
+            ServoCommand::Cancel => self.brake(),
+            ServoCommand::Resume => self.status.stopped = false,
             ServoCommand::EmergencyStop => self.fail(Fault::EmergencyStop),
             // While it follows a segment a leap of the torques would show in the path.
             ServoCommand::Tune { bandwidth, damping } if self.motion.is_none() => {
                 self.law.tune(bandwidth, damping);
             }
-            ServoCommand::Reset if faulted => self.status.fault = None,
+            ServoCommand::Reset => {
+                self.status.fault = None;
+                self.status.stopped = false;
+            }
             // Power already as ordered, or an order that this state does not allow: the status
             // shows the state that holds, and the state manager is who decides.
             ServoCommand::PowerOn
             | ServoCommand::ReleaseBrakes
             | ServoCommand::EngageBrakes
-            | ServoCommand::Tune { .. }
-            | ServoCommand::Reset => {}
+            | ServoCommand::Tune { .. } => {}
         }
     }
 
@@ -242,6 +264,7 @@ impl Servo {
             _ if self.status.power != Power::Released || self.after_rest.is_some() => {
                 Some(Rejection::NotReleased)
             }
+            _ if self.status.stopped => Some(Rejection::Stopped),
             _ if self.motion.is_some() => Some(Rejection::Busy),
             Err(_) => Some(Rejection::Unfit),
             Ok(start) if self.distance(&start.position) > START_TOLERANCE => {
@@ -267,8 +290,8 @@ impl Servo {
         pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
     }
 
-    /// Protective stop: brake along the path; standing still already, there is nothing to do.
-    fn stop(&mut self) {
+    /// Brakes along the path; standing still already, there is nothing to do.
+    fn brake(&mut self) {
         if let Some(motion) = &mut self.motion {
             motion.stop(&self.setpoint);
         }
@@ -322,6 +345,15 @@ impl Servo {
                         self.status.motion.phase = phase;
                         self.motion = None;
                     }
+                    Progress::NotSettled => {
+                        let settling = &self.config.settling;
+                        let fault = Fault::NotSettled {
+                            error: motion.error(),
+                            limit: settling.error,
+                            after: f64::from(settling.patience) * self.config.period.as_secs_f64(),
+                        };
+                        self.fail(fault);
+                    }
                 }
             }
             Err(_) => self.fail(Fault::Segment),
@@ -330,18 +362,34 @@ impl Servo {
 
     fn watch(&mut self) {
         if self.status.power != Power::Released {
+            self.astray = [0; DOF];
             return;
         }
         for index in 0..DOF {
             let error = (self.setpoint.position[index] - self.status.position[index]).abs();
-            if error > self.config.following_error {
-                self.fail(Fault::FollowingError {
-                    joint: index + 1,
+            let astray = match error > self.config.following_window {
+                true => self.astray[index].saturating_add(1),
+                false => 0,
+            };
+            self.astray[index] = astray;
+            let joint = index + 1;
+            let fault = if error > self.config.following_error {
+                let limit = self.config.following_error;
+                Fault::FollowingError {
+                    joint,
                     error,
-                    limit: self.config.following_error,
-                });
-                return;
-            }
+                    limit,
+                }
+            } else if astray > self.patience {
+                Fault::NotFollowing {
+                    joint,
+                    window: self.config.following_window,
+                    after: f64::from(astray) * self.config.period.as_secs_f64(),
+                }
+            } else {
+                continue;
+            };
+            return self.fail(fault);
         }
     }
 

@@ -23,6 +23,7 @@ use ctos::registry::Registry;
 use ctos::task::{Context, HandlerError};
 use nalgebra::Isometry3;
 
+use crate::client::{MotionError, Outcome};
 use crate::driver::{DriverRegistry, Power};
 use crate::servo::{Fault, ServoCommand, ServoConfig, ServoPort, ServoStatus};
 use crate::trajectory::Planner;
@@ -143,6 +144,17 @@ impl Link {
             _ => Some(fault.to_string()),
         }
     }
+
+    /// The fault as what keeps the manipulator from moving.
+    fn failed(&self) -> Option<MotionError> {
+        let outcome = match self.port.status().fault? {
+            Fault::EmergencyStop => Outcome::Estopped,
+            _ => Outcome::Fault,
+        };
+        let fault = self.fault().unwrap_or_default();
+        let reason = format!("power was taken away: {fault}; reset it, then acquire it anew");
+        Some(MotionError { outcome, reason })
+    }
 }
 
 /// Looks at a servo whose tick count stands still before it counts as dead (36 s at the defaults'
@@ -152,16 +164,10 @@ const SILENT_LOOKS: u32 = 2000;
 /// The name of the task with id `tid`.
 ///
 /// # Errors
-/// A text when no configured task has it.
+/// A text when it has none.
 async fn caller(cx: &Context, tid: Tid) -> Result<String, HandlerError> {
-    for task in &cx.app().tasks {
-        if let Ok(found) = cx.task(&task.name).await
-            && found.tid() == tid
-        {
-            return Ok(task.name.clone());
-        }
-    }
-    Err(format!("the asking task {tid} has no name in the configuration").into())
+    let name = cx.name_of(tid).await?;
+    name.ok_or_else(|| format!("the asking task {tid} has no name").into())
 }
 
 /// Checks that argument `key` of `task` names a task with the handler `handler`, on the same chassis

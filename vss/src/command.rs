@@ -3,13 +3,17 @@
 
 use std::time::Duration;
 
+use ctos::{
+    call::{CallError, Fault},
+    task::NameError,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::{
     calibrate::{Calibration, LightPoint},
     camera::Camera,
     frame::Frame,
-    spot::{Spot, SpotFlags},
+    spot::{NoSpot, Spot, SpotFlags},
 };
 
 ctos::command! {
@@ -18,7 +22,7 @@ ctos::command! {
     pub struct SpotFind {
         /// The camera's name.
         pub camera: String,
-    } => SpotReport, 0x0401, "spot_find"
+    } => Result<SpotReport, VisionError>, 0x0401, "spot_find"
 
     /// Computes a camera from light positions and their spots.
     #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +58,7 @@ ctos::command! {
     pub struct Snap {
         /// The camera's name.
         pub camera: String,
-    } => Frame, 0x0420, "snap"
+    } => Result<Frame, VisionError>, 0x0420, "snap"
 
     /// Tool: shows a picture on the monitor.
     #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +74,7 @@ ctos::command! {
     pub struct LocateSpot {
         /// The picture.
         pub frame: Frame,
-    } => Spot, 0x0422, "locate_spot"
+    } => Result<Spot, VisionError>, 0x0422, "locate_spot"
 
     /// Tool: marks a spot on top of the picture on the monitor.
     #[derive(Debug, Clone, PartialEq)]
@@ -118,6 +122,68 @@ ctos::command! {
         /// The camera's name.
         pub camera: String,
     } => Option<Shown>, 0x0434, "what_is_shown"
+}
+
+/// What kept the vision system from measuring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Outcome {
+    /// The picture does not show it. Another picture may.
+    Unseen,
+    /// A camera or a computation failed.
+    Fault,
+    /// A task of the vision system is gone or does not answer.
+    Lost,
+    /// The request does not fit: there is no such camera, for example.
+    Refused,
+}
+
+/// Why the vision system did not measure.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{reason}")]
+pub struct VisionError {
+    /// Which kind of thing.
+    pub outcome: Outcome,
+    /// In words.
+    pub reason: String,
+}
+
+impl VisionError {
+    /// An error of a kind, in words.
+    #[must_use]
+    pub fn new(outcome: Outcome, reason: impl ToString) -> Self {
+        Self {
+            outcome,
+            reason: reason.to_string(),
+        }
+    }
+}
+
+/// A part that says no has failed; one that says nothing is lost.
+impl From<CallError> for VisionError {
+    fn from(error: CallError) -> Self {
+        let outcome = match &error.fault {
+            Fault::Refused { .. } => Outcome::Fault,
+            Fault::BadPayload { .. } | Fault::UnknownCommand { .. } => Outcome::Refused,
+            _ => Outcome::Lost,
+        };
+        Self::new(outcome, error.reason())
+    }
+}
+
+impl From<NameError> for VisionError {
+    fn from(error: NameError) -> Self {
+        Self::new(Outcome::Lost, error)
+    }
+}
+
+impl From<NoSpot> for VisionError {
+    fn from(reason: NoSpot) -> Self {
+        let outcome = match reason {
+            NoSpot::Empty { .. } | NoSpot::WrongSize { .. } => Outcome::Fault,
+            _ => Outcome::Unseen,
+        };
+        Self::new(outcome, reason)
+    }
 }
 
 /// The spot that the Service SpotFind found.

@@ -10,7 +10,9 @@ use serde::Deserialize;
 
 use crate::{
     calibrate::calibrate,
-    command::{Calibrate, LocateSpot, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport},
+    command::{
+        Calibrate, LocateSpot, Mark, MarkSpot, ShowImage, Snap, SpotFind, SpotReport, VisionError,
+    },
     concurrent::answer,
 };
 
@@ -46,8 +48,8 @@ impl EventHandler for SpotFindService {
         match message.command() {
             SpotFind::CODE => {
                 let tools = self.args.clone();
-                answer::<SpotFind, _, _>(cx, message, |cx, request| {
-                    find_spot(cx, tools, request.camera)
+                answer::<SpotFind, _, _>(cx, message, |cx, request| async move {
+                    Ok(find_spot(cx, tools, request.camera).await)
                 })
             }
             _ => cx.default_processing(message),
@@ -59,7 +61,7 @@ async fn find_spot(
     cx: Context,
     tools: SpotFindArgs,
     camera: String,
-) -> Result<SpotReport, HandlerError> {
+) -> Result<SpotReport, VisionError> {
     let frame = ask(
         &cx,
         &tools.snap,
@@ -67,7 +69,7 @@ async fn find_spot(
             camera: camera.clone(),
         },
     )
-    .await?;
+    .await??;
     let picture = ShowImage {
         camera: camera.clone(),
         frame: frame.clone(),
@@ -78,8 +80,11 @@ async fn find_spot(
     }
     let (stamp, number) = (frame.stamp, frame.number);
     let (width, height) = (frame.width, frame.height);
-    let spot = ask(&cx, &tools.spot_find, LocateSpot { frame }).await;
-    let spot = spot.map_err(|error| HandlerError::new(format!("camera `{camera}`: {error}")))?;
+    let located = ask(&cx, &tools.spot_find, LocateSpot { frame }).await?;
+    let spot = located.map_err(|error| {
+        let reason = format!("camera `{camera}`: {error}");
+        VisionError { reason, ..error }
+    })?;
     let mark = Mark {
         u: spot.u,
         v: spot.v,
@@ -118,10 +123,9 @@ pub(crate) async fn ask<C: Command>(
     cx: &Context,
     task: &str,
     request: C,
-) -> Result<C::Reply, HandlerError> {
+) -> Result<C::Reply, VisionError> {
     let task = cx.task(task).await?;
-    let answer = cx.call(&task, request).await;
-    answer.map_err(|error| HandlerError::new(error.reason()))
+    Ok(cx.call(&task, request).await?)
 }
 
 /// The Service Calibrate: a table of lights in, a camera with its uncertainty out.

@@ -11,8 +11,8 @@ use serde::Deserialize;
 
 use crate::{
     command::{
-        AcquireVm, DisplayImage, DisplayMark, LocateSpot, MarkSpot, ReleaseVm, ShowImage, Snap,
-        SnapNow,
+        AcquireVm, DisplayImage, DisplayMark, LocateSpot, MarkSpot, Outcome, ReleaseVm, ShowImage,
+        Snap, SnapNow, VisionError,
     },
     concurrent::answer,
     service::ask,
@@ -34,7 +34,7 @@ async fn with_vm<C: Command>(
     vmm: &str,
     vm: &str,
     request: C,
-) -> Result<C::Reply, HandlerError> {
+) -> Result<C::Reply, VisionError> {
     let grant = ask(cx, vmm, AcquireVm { vm: vm.to_owned() }).await?;
     let result = ask(cx, vm, request).await;
     // Whatever the Vision Module said, the next Tool must get its turn.
@@ -82,9 +82,10 @@ impl EventHandler for SnapTool {
             let Some(vm) = vms.get(&camera) else {
                 let names: Vec<&str> = vms.keys().map(String::as_str).collect();
                 let known = names.join(", ");
-                return Err(format!("no camera is called `{camera}`; there are: {known}").into());
+                let reason = format!("no camera is called `{camera}`; there are: {known}");
+                return Ok(Err(VisionError::new(Outcome::Refused, reason)));
             };
-            with_vm(&cx, &vmm, vm, SnapNow {}).await
+            Ok(with_vm(&cx, &vmm, vm, SnapNow {}).await)
         })
     }
 }
@@ -108,7 +109,7 @@ impl EventHandler for ImageDispTool {
         }
         let SharedArgs { vmm, vm } = self.args.clone();
         answer::<ShowImage, _, _>(cx, message, |cx, ShowImage { camera, frame }| async move {
-            with_vm(&cx, &vmm, &vm, DisplayImage { camera, frame }).await
+            Ok(with_vm(&cx, &vmm, &vm, DisplayImage { camera, frame }).await?)
         })
     }
 }
@@ -133,10 +134,7 @@ impl EventHandler for SpotFindTool {
             return cx.default_processing(message);
         }
         let (LocateSpot { frame }, reply) = message.open::<LocateSpot>()?;
-        match find_spot(&frame, &self.options) {
-            Ok(spot) => reply.ok(spot),
-            Err(reason) => reply.fail(reason),
-        }
+        reply.ok(find_spot(&frame, &self.options).map_err(VisionError::from))
     }
 }
 
@@ -159,7 +157,7 @@ impl EventHandler for SpotDispTool {
         }
         let SharedArgs { vmm, vm } = self.args.clone();
         answer::<MarkSpot, _, _>(cx, message, |cx, MarkSpot { camera, mark }| async move {
-            with_vm(&cx, &vmm, &vm, DisplayMark { camera, mark }).await
+            Ok(with_vm(&cx, &vmm, &vm, DisplayMark { camera, mark }).await?)
         })
     }
 }

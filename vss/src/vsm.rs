@@ -11,8 +11,9 @@ use ctos::{
 use serde::Deserialize;
 
 use crate::{
-    command::{Calibrate, InitializeVm, SpotFind},
+    command::{Calibrate, InitializeVm, SpotFind, VisionError},
     concurrent::answer,
+    service::ask,
 };
 
 /// The commands it takes.
@@ -40,8 +41,14 @@ impl ServicesManager {
         Ok(Self { args: cx.args()? })
     }
 
-    /// Passes a request on to the Service that the app loaded for it. The reply goes to the asking task.
-    fn route<C: Command>(&self, cx: &Context, message: Message) -> Handled {
+    /// Passes a request on to the Service that the app loaded for it. The reply goes to the asking task; `lost`
+    /// makes one of what keeps the Service from replying.
+    fn route<C: Command>(
+        &self,
+        cx: &Context,
+        message: Message,
+        lost: fn(VisionError) -> Result<C::Reply, HandlerError>,
+    ) -> Handled {
         let service = self.args.routes.get(C::NAME).cloned();
         answer::<C, _, _>(cx, message, move |cx, request| async move {
             let Some(service) = service else {
@@ -50,11 +57,7 @@ impl ServicesManager {
                     C::NAME
                 )));
             };
-            let service = cx.task(&service).await?;
-            match cx.call(&service, request).await {
-                Ok(reply) => Ok(reply),
-                Err(error) => Err(HandlerError::new(error.reason())),
-            }
+            ask(&cx, &service, request).await.or_else(lost)
         })
     }
 }
@@ -68,8 +71,8 @@ pub(crate) fn waits_for(task: &TaskConfig) -> Vec<String> {
 impl EventHandler for ServicesManager {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
-            SpotFind::CODE => self.route::<SpotFind>(cx, message),
-            Calibrate::CODE => self.route::<Calibrate>(cx, message),
+            SpotFind::CODE => self.route::<SpotFind>(cx, message, |error| Ok(Err(error))),
+            Calibrate::CODE => self.route::<Calibrate>(cx, message, |error| Err(error.into())),
             _ => cx.default_processing(message),
         }
     }

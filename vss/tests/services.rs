@@ -31,7 +31,7 @@ use vss::{
     calibrate::LightPoint,
     camera::{Camera, Distortion, Intrinsics},
     catalog::VssExpander,
-    command::{AcquireVm, Calibrate, SpotFind, WhatIsShown},
+    command::{AcquireVm, Calibrate, Outcome, SpotFind, SpotReport, VisionError, WhatIsShown},
     frame::{Frame, FrameError},
     source::{FrameSource, FrameSources},
 };
@@ -210,10 +210,12 @@ async fn ask<C: Command>(cx: &Context, task: &str, request: C) -> Result<C::Repl
     answer.map_err(|error| HandlerError::new(error.reason()))
 }
 
-fn spot_find(camera: &str) -> SpotFind {
-    SpotFind {
-        camera: camera.to_owned(),
-    }
+/// The spot that a camera sees, or what is in the way.
+async fn find_spot(cx: &Context, camera: &str) -> Result<SpotReport, VisionError> {
+    let camera = camera.to_owned();
+    let vsm = cx.task("vsm").await?;
+    let call = cx.call(&vsm, SpotFind { camera });
+    call.deadline(Duration::from_secs(60)).await?
 }
 
 /// What an object of the app answers to a line of text.
@@ -298,7 +300,7 @@ fn the_table_of_lights_is_answered_in_the_app_as_without_one() {
 #[test]
 fn a_spot_is_found_shown_and_marked_through_the_services_manager() {
     run(|cx| async move {
-        let report = ask(&cx, "vsm", spot_find("left")).await?;
+        let report = find_spot(&cx, "left").await?;
         assert!((report.u - 41.3).hypot(report.v - 30.8) < 0.1, "{report:?}");
         assert_eq!((report.camera.as_str(), report.frame), ("left", 0));
         assert!(report.sd_u > 0.0 && report.sd_u < 0.1);
@@ -321,17 +323,13 @@ fn a_spot_is_found_shown_and_marked_through_the_services_manager() {
 fn two_cameras_work_at_the_same_time_and_one_camera_in_turn() {
     run(|cx| async move {
         let begin = cx.now();
-        let (left, right) = join(
-            ask(&cx, "vsm", spot_find("left")),
-            ask(&cx, "vsm", spot_find("right")),
-        )
-        .await;
+        let (left, right) = join(find_spot(&cx, "left"), find_spot(&cx, "right")).await;
         assert!((left?.u - 41.3).abs() < 0.1);
         assert!((right?.u - 12.25).abs() < 0.1);
         let took = (cx.now() - begin).as_secs_f64();
         assert!((1.0..1.5).contains(&took), "{took}");
         let begin = cx.now();
-        let reports = join_all((0..4).map(|_| ask(&cx, "vsm", spot_find("left")))).await;
+        let reports = join_all((0..4).map(|_| find_spot(&cx, "left"))).await;
         let frames: Result<Vec<u64>, HandlerError> =
             reports.into_iter().map(|r| Ok(r?.frame)).collect();
         let mut frames = frames?;
@@ -347,8 +345,13 @@ fn two_cameras_work_at_the_same_time_and_one_camera_in_turn() {
 fn what_cannot_be_done_is_refused_with_the_reason() {
     run(|cx| async move {
         let mut reasons = BTreeMap::new();
-        for camera in ["dark", "broken", "lfet"] {
-            let refused = ask(&cx, "vsm", spot_find(camera)).await.unwrap_err();
+        for (camera, outcome) in [
+            ("dark", Outcome::Unseen),
+            ("broken", Outcome::Fault),
+            ("lfet", Outcome::Refused),
+        ] {
+            let refused = find_spot(&cx, camera).await.unwrap_err();
+            assert_eq!(refused.outcome, outcome, "{refused}");
             reasons.insert(camera, refused.to_string());
         }
         assert!(
@@ -361,7 +364,7 @@ fn what_cannot_be_done_is_refused_with_the_reason() {
                 .contains("no camera is called `lfet`; there are: broken, dark, left, right")
         );
         // The hardware was given back after the fault.
-        let again = ask(&cx, "vsm", spot_find("broken")).await.unwrap_err();
+        let again = find_spot(&cx, "broken").await.unwrap_err();
         assert_eq!(again.to_string(), reasons["broken"]);
         Ok(String::new())
     });
@@ -379,7 +382,7 @@ fn hardware_that_is_never_given_back_goes_on_after_the_limit() {
         )
         .await?;
         let begin = cx.now();
-        let report = ask(&cx, "vsm", spot_find("left")).await?;
+        let report = find_spot(&cx, "left").await?;
         let took = (cx.now() - begin).as_secs_f64();
         assert!((4.0..4.5).contains(&took), "limit 3 s, picture 1 s: {took}");
         assert_eq!(report.frame, 0);
@@ -466,8 +469,8 @@ fn the_calibrate_service_answers_with_the_camera_or_the_reason() {
 fn the_same_seed_gives_the_same_spots_to_the_last_bit() {
     let spots = || {
         run(|cx| async move {
-            let left = ask(&cx, "vsm", spot_find("left")).await?;
-            let right = ask(&cx, "vsm", spot_find("right")).await?;
+            let left = find_spot(&cx, "left").await?;
+            let right = find_spot(&cx, "right").await?;
             Ok(format!("{left:?} {right:?}"))
         })
     };
@@ -519,7 +522,7 @@ fn a_marked_picture_is_written_where_the_configuration_says() {
         ),
     );
     let registry = registry(|cx| async move {
-        let report = ask(&cx, "vsm", spot_find("left")).await?;
+        let report = find_spot(&cx, "left").await?;
         Ok(format!("{} {}", report.u.round(), report.v.round()))
     });
     let launcher = Launcher {

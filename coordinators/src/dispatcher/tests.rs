@@ -83,35 +83,132 @@ fn a_position_that_the_arm_refuses_is_skipped_and_its_line_and_reason_are_kept()
 
 #[test]
 fn what_is_left_of_an_earlier_position_is_never_paired_with_a_later_one() {
-    // The readback of one position, the motion of another, and spots of a third are missing.
-    for (command, detail, when) in [
-        ("read_position", "", &[5][..]),
-        ("move", "", &[7]),
-        ("spot_find", "east", &[3, 4, 5]),
+    let out_of_reach = Rig {
+        script: Arc::new(|command, detail, occurrence| match (command, detail) {
+            ("plan", "None") if occurrence == 5 => Answer::Refuse,
+            ("plan", elbow) if elbow.starts_with("Some") => Answer::Refuse,
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    };
+    for (case, rig) in [
+        ("out of reach", out_of_reach),
+        ("unseen", refusing("spot_find", "east", &[3, 4, 5])),
     ] {
-        let run = run(&refusing(command, detail, when));
+        let run = run(&rig);
         let observations = done(&run);
         for (_, calibration) in run.object::<Calibrations>(CALIBRATIONS).unwrap().cameras {
             // The stand-in's spots have no noise: a wrong pair would stand out by many pixels.
-            assert!(
-                calibration.rms_px < 1e-6,
-                "{command}: {}",
-                calibration.rms_px
-            );
+            assert!(calibration.rms_px < 1e-6, "{case}: {}", calibration.rms_px);
             let outliers: Vec<RejectReason> = calibration
                 .rejected
                 .iter()
                 .map(|point| point.reason)
                 .collect();
-            assert_eq!(outliers, [], "{command}");
+            assert_eq!(outliers, [], "{case}");
         }
         for table in &observations.cameras {
             assert_eq!(
                 table.points.len() as u32 + table.missed,
                 observations.reached,
-                "{command}"
+                "{case}"
             );
         }
+    }
+}
+
+#[test]
+fn a_readback_that_fails_ends_the_command_and_skips_nothing() {
+    let run = run(&refusing("read_position", "", &[5]));
+    let text = failed(&run);
+    assert!(
+        text.contains("read_position : refused on purpose"),
+        "{text}"
+    );
+    assert_eq!(run.done("move", ""), 6);
+}
+
+/// A run in which the first `unreached` positions are out of reach.
+fn out_of_reach(unreached: usize, arguments: Vec<&'static str>, results: &std::path::Path) -> Run {
+    run(&Rig {
+        arguments,
+        results: Some(results.to_owned()),
+        script: Arc::new(move |command, detail, occurrence| match (command, detail) {
+            ("plan", "None") if occurrence < unreached => Answer::Refuse,
+            ("plan", elbow) if elbow.starts_with("Some") => Answer::Refuse,
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    })
+}
+
+#[test]
+fn with_fewer_positions_than_are_enough_the_command_fails_and_earlier_results_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("west.yaml"), "old").unwrap();
+    for (unreached, enough, well) in [
+        (3, vec!["enough=13"], true),
+        (4, vec!["enough=13"], false),
+        (0, vec!["enough=16"], true),
+        (8, vec![], true),
+        (9, vec![], false),
+    ] {
+        let run = out_of_reach(unreached, enough, folder.path());
+        if well {
+            done(&run);
+            std::fs::write(folder.path().join("west.yaml"), "old").unwrap();
+            continue;
+        }
+        let text = failed(&run);
+        let reason = format!(
+            "{unreached} times the position was out of reach (the last: position {unreached} cannot be reached"
+        );
+        assert!(text.contains(&reason), "{text}");
+        let kept = std::fs::read_to_string(folder.path().join("west.yaml")).unwrap();
+        assert_eq!(kept, "old");
+    }
+}
+
+#[test]
+fn the_reason_that_was_met_most_is_the_one_that_is_told() {
+    let run = run(&Rig {
+        arguments: vec!["enough=14"],
+        script: Arc::new(|command, detail, occurrence| match (command, detail) {
+            ("plan", "None") if occurrence == 1 => Answer::Refuse,
+            ("plan", elbow) if elbow.starts_with("Some") => Answer::Refuse,
+            // Three looks at two positions.
+            ("spot_find", "east") if (3..9).contains(&occurrence) => Answer::Refuse,
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    });
+    let text = failed(&run);
+    assert!(
+        text.contains("camera `east` has seen the lamp at 3 positions, 10 are left and 14 would be enough; 2 times the spot was not seen (the last: spot_find east: refused on purpose)"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_command_that_asks_for_what_cannot_be_fails_before_anything_moves() {
+    for (argument, why) in [
+        (
+            "enough=17",
+            "17 positions are to be enough, and the file has 16",
+        ),
+        (
+            "enough=many",
+            "`enough=many` is no argument of this command",
+        ),
+        ("fast", "it takes `enough=N`"),
+    ] {
+        let run = run(&Rig {
+            arguments: vec![argument],
+            ..Rig::default()
+        });
+        let text = failed(&run);
+        assert!(text.contains(why), "{text}");
+        assert_eq!(run.asked("acquire", ""), 0);
     }
 }
 
@@ -122,9 +219,9 @@ fn what_is_left_of_an_earlier_command_is_not_taken_for_new() {
         commands: 2,
         script: Arc::new(|command, detail, occurrence| match (command, detail) {
             // The first command ends at its third position.
-            ("spot_find", "west") if occurrence == 2 => Answer::Late,
-            ("spot_find", "west") if (3..5).contains(&occurrence) => Answer::Late,
-            ("move", _) if (3..6).contains(&occurrence) => Answer::Refuse,
+            ("spot_find", "west") if occurrence == 2 => Answer::Meet(Outcome::Fault),
+            ("plan", "None") if (3..6).contains(&occurrence) => Answer::Refuse,
+            ("plan", elbow) if elbow.starts_with("Some") => Answer::Refuse,
             _ => Answer::Work,
         }),
         ..Rig::default()
@@ -171,16 +268,10 @@ fn a_lamp_that_stays_dark_ends_the_command_with_a_hint() {
 
 #[test]
 fn an_arm_that_goes_nowhere_ends_the_command_with_its_reason() {
-    let run = run(&Rig {
-        script: Arc::new(|command, _, _| match command {
-            "acquire" => Answer::Refuse,
-            _ => Answer::Work,
-        }),
-        ..Rig::default()
-    });
-    let text = failed(&run);
+    let folder = tempfile::tempdir().unwrap();
+    let text = failed(&out_of_reach(usize::MAX, vec!["enough=4"], folder.path()));
     assert!(
-        text.contains("the arm took none of the first 10 positions (acquire : refused on purpose)"),
+        text.contains("the arm took none of the first 10 positions (position 10 cannot be reached"),
         "{text}"
     );
 }
@@ -196,7 +287,7 @@ fn a_vision_system_that_does_not_answer_ends_the_command_and_is_named() {
     });
     let text = failed(&run);
     assert!(
-        text.contains("the vision system has failed: `vsm` did not answer"),
+        text.contains("the vision system has failed: lost: `vsm` did not answer"),
         "{text}"
     );
     assert_eq!(run.done("move", ""), 1);

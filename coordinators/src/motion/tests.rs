@@ -24,13 +24,14 @@ fn the_other_elbow_is_tried_when_the_nearest_is_refused() {
 }
 
 #[test]
-fn the_manipulator_is_reserved_once_and_given_back_once_per_command() {
+fn whether_the_manipulator_is_held_is_asked_at_every_position_and_it_is_given_back_once_per_command()
+ {
     let run = run(&Rig {
         commands: 2,
         ..Rig::default()
     });
     assert_eq!(run.answers.len(), 2);
-    assert_eq!((run.done("acquire", ""), run.done("release", "")), (2, 2));
+    assert_eq!((run.done("acquire", ""), run.done("release", "")), (32, 2));
     assert!(!lock(&run.world).reserved);
     let log: MotionLog = run.object(MOTIONS).unwrap();
     assert_eq!(log.moves, 16, "the log is that of the last command");
@@ -39,7 +40,7 @@ fn the_manipulator_is_reserved_once_and_given_back_once_per_command() {
 }
 
 #[test]
-fn a_reservation_whose_answer_is_lost_costs_one_position_and_not_the_command() {
+fn a_reservation_whose_answer_is_lost_is_asked_for_again_and_costs_nothing() {
     let run = run(&Rig {
         script: Arc::new(|command, _, occurrence| match (command, occurrence) {
             ("acquire", 0) => Answer::Lost,
@@ -49,12 +50,12 @@ fn a_reservation_whose_answer_is_lost_costs_one_position_and_not_the_command() {
     });
     assert_eq!(run.answer().0, "calibration_done");
     let observations: Observations = run.object(crate::objects::OBSERVATIONS).unwrap();
-    assert_eq!(observations.reached, 15);
+    assert_eq!(observations.reached, 16);
     assert!(!lock(&run.world).reserved);
 }
 
 #[test]
-fn a_move_that_is_not_answered_is_stopped_before_the_next_one() {
+fn a_move_that_is_not_answered_is_cancelled_and_the_command_fails() {
     let run = run(&Rig {
         script: Arc::new(|command, _, occurrence| match (command, occurrence) {
             ("move", 1) => Answer::Late,
@@ -62,17 +63,85 @@ fn a_move_that_is_not_answered_is_stopped_before_the_next_one() {
         }),
         ..Rig::default()
     });
-    assert_eq!(run.answer().0, "calibration_done");
-    assert_eq!(run.done("stop_motion", ""), 1);
-    let observations: Observations = run.object(crate::objects::OBSERVATIONS).unwrap();
-    assert_eq!(observations.reached, 15);
+    let (symbol, text) = run.answer();
+    assert_eq!(symbol, "calibration_failed");
     assert!(
-        observations.unused[0]
-            .reason
-            .contains("`mcs` did not answer `move` from `motion`"),
-        "{:?}",
-        observations.unused
+        text.contains("lost: `mcs` did not answer `move` from `motion`"),
+        "{text}"
     );
+    assert_eq!(run.done("cancel", ""), 1);
+    assert_eq!(run.asked("move", ""), 2);
+    assert!(!lock(&run.world).reserved);
+}
+
+#[test]
+fn whatever_ends_a_motion_but_a_position_out_of_reach_fails_the_command_in_its_name() {
+    for outcome in [
+        Outcome::Estopped,
+        Outcome::Guard,
+        Outcome::Fault,
+        Outcome::Lost,
+        Outcome::Refused,
+    ] {
+        for (request, detail, occurrence) in
+            [("acquire", "", 3), ("plan", "None", 3), ("move", "", 3)]
+        {
+            let run = run(&Rig {
+                script: Arc::new(move |command, with, n| {
+                    // A service that stays lost is given up.
+                    let lasting = outcome == Outcome::Lost && n > occurrence;
+                    match command == request && with == detail && (n == occurrence || lasting) {
+                        true => Answer::Meet(outcome),
+                        false => Answer::Work,
+                    }
+                }),
+                ..Rig::default()
+            });
+            let (symbol, text) = run.answer();
+            let case = format!("{request}: {outcome}: {text}");
+            assert_eq!(symbol, "calibration_failed", "{case}");
+            assert!(text.contains(&format!("{outcome}: {request}")), "{case}");
+            assert_eq!(run.done("move", ""), 3, "{case}");
+            let world = lock(&run.world);
+            assert!(!world.reserved && !world.lamp_on, "{case}");
+        }
+    }
+}
+
+fn stopped_at_the_fourth(resume_at_s: Option<f64>) -> Rig {
+    Rig {
+        resume_at_s,
+        script: Arc::new(|command, _, n| match (command, n) {
+            ("move", 3) => Answer::Meet(Outcome::Stopped),
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    }
+}
+
+#[test]
+fn a_protective_stop_holds_until_somebody_resumes_and_the_command_goes_on() {
+    let run = run(&stopped_at_the_fourth(Some(30.0)));
+    let (symbol, text) = run.answer();
+    assert_eq!(symbol, "calibration_done", "{text}");
+    let observations: Observations = run.object(crate::objects::OBSERVATIONS).unwrap();
+    assert_eq!(observations.reached, 16);
+    let world = lock(&run.world);
+    let moves: Vec<_> = world.log.iter().filter(|entry| entry.0 == "move").collect();
+    assert!(moves[2].3 < 10.0 && moves[3].2 >= 30.0, "{moves:?}");
+}
+
+#[test]
+fn a_protective_stop_that_nobody_ends_fails_the_command() {
+    let run = run(&stopped_at_the_fourth(None));
+    let (symbol, text) = run.answer();
+    assert_eq!(symbol, "calibration_failed");
+    assert!(
+        text.contains("stopped: move : stopped on purpose; nobody resumed within 60 s"),
+        "{text}"
+    );
+    assert_eq!(run.done("move", ""), 3);
+    assert!(!lock(&run.world).reserved);
 }
 
 #[test]

@@ -172,6 +172,7 @@ fn errors_are_the_distance_the_angle_and_the_relative_focal_length_to_the_truth(
         // The third one is an outlier and counts for nothing but the number of rejected spots.
         points: vec![seen(0.0, 0.3), seen(0.1, -0.3), seen(0.2, 50.0)],
         missed: 4,
+        last_miss: String::new(),
     };
     let mut calibration = calibration(estimate, 2);
     calibration.rejected = vec![RejectedPoint {

@@ -8,20 +8,27 @@ use ctos::{
 };
 use mcs::{
     client::{
-        Acquire, Move, MoveReport, Plan, PlanReport, Position, ReadPosition, Release, Stop, Target,
+        Acquire, Cancel, MotionError, Move, MoveReport, Outcome as Motion, Plan, PlanReport,
+        Position, ReadPosition, Release, Status, StatusReport, Target,
     },
+    servo::MotionPhase,
     state::State,
 };
 use nalgebra::Matrix4;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use vss::{
-    calibrate::calibrate,
+    calibrate::{Calibration, calibrate},
     camera::Camera,
-    command::{Calibrate, NamedCamera, SpotFind, TrueCameras},
+    command::{
+        Calibrate, NamedCamera, Outcome as Vision, SpotFind, SpotReport, TrueCameras, VisionError,
+    },
 };
 
 use super::{Answer, Script, SetLamp, Shared, World, cameras, lock, spot};
-use crate::dom::{Dom, GetData, PutAll, PutData, SetValidity};
+use crate::{
+    dom::{Dom, GetData, PutAll, PutData, SetValidity},
+    outcome::Outcome,
+};
 
 #[derive(Clone)]
 pub(super) struct StandIn {
@@ -41,13 +48,14 @@ impl StandIn {
         (self.script)(command, detail, occurrence)
     }
 
-    /// Answers by the script; work takes `seconds`.
+    /// Answers by the script; work takes `seconds`. `meet` makes an answer of what is in the way.
     fn play<C: Command>(
         &self,
         cx: &Context,
         message: Message,
         seconds: f64,
         detail: impl FnOnce(&C) -> String,
+        (meet, usual): (Meet<C>, Outcome),
         work: impl FnOnce(&mut World, C) -> Result<C::Reply, String> + 'static,
     ) -> Handled {
         let (request, reply) = message.open::<C>()?;
@@ -74,7 +82,23 @@ impl StandIn {
                 });
                 Ok(())
             }
-            Answer::Refuse => reply.fail(format!("{} {detail}: refused on purpose", C::NAME)),
+            Answer::Refuse => {
+                let reason = format!("{} {detail}: refused on purpose", C::NAME);
+                match meet(usual, reason) {
+                    Ok(met) => reply.ok(met),
+                    Err(reason) => reply.fail(reason),
+                }
+            }
+            Answer::Meet(outcome) => {
+                let reason = format!("{} {detail}: {outcome} on purpose", C::NAME);
+                if outcome == Outcome::Stopped {
+                    lock(&self.world).stopped = true;
+                }
+                match meet(outcome, reason) {
+                    Ok(met) => reply.ok(met),
+                    Err(reason) => reply.fail(reason),
+                }
+            }
             Answer::Silent => Ok(()),
             Answer::Late => {
                 let child = cx.clone();
@@ -93,18 +117,51 @@ fn none<C>(_: &C) -> String {
     String::new()
 }
 
+/// Makes an answer of an outcome and a reason: a typed one, or a refusal.
+type Meet<C> = fn(Outcome, String) -> Result<<C as Command>::Reply, String>;
+
+/// For commands whose answers have no outcomes.
+fn refuse<T>(_: Outcome, reason: String) -> Result<T, String> {
+    Err(reason)
+}
+
+fn motion<T>(outcome: Outcome, reason: String) -> Result<Result<T, MotionError>, String> {
+    let outcome = match outcome {
+        Outcome::Unreachable => Motion::Unreachable,
+        Outcome::Stopped => Motion::Stopped,
+        Outcome::Estopped => Motion::Estopped,
+        Outcome::Guard => Motion::Guard,
+        Outcome::Fault => Motion::Fault,
+        Outcome::Lost => Motion::Lost,
+        _ => Motion::Refused,
+    };
+    Ok(Err(MotionError { outcome, reason }))
+}
+
+fn vision<T>(outcome: Outcome, reason: String) -> Result<Result<T, VisionError>, String> {
+    let outcome = match outcome {
+        Outcome::Unseen => Vision::Unseen,
+        Outcome::Fault => Vision::Fault,
+        Outcome::Lost => Vision::Lost,
+        _ => Vision::Refused,
+    };
+    Ok(Err(VisionError { outcome, reason }))
+}
+
 pub(super) struct Mcs(pub(super) StandIn);
 
 impl EventHandler for Mcs {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        let typed = Outcome::Refused;
         match message.command() {
-            Acquire::CODE => self.0.play::<Acquire>(cx, message, 0.1, none, |world, _| {
-                if world.reserved {
-                    return Err("reserved already".to_owned());
-                }
-                world.reserved = true;
-                Ok(State::Active)
-            }),
+            Acquire::CODE => {
+                let meet = (motion::<State> as Meet<Acquire>, typed);
+                self.0
+                    .play::<Acquire>(cx, message, 0.1, none, meet, |world, _| {
+                        world.reserved = true;
+                        Ok(Ok(State::Active))
+                    })
+            }
             Plan::CODE => self.0.play::<Plan>(
                 cx,
                 message,
@@ -113,6 +170,7 @@ impl EventHandler for Mcs {
                     (Target::Joints(_), _) => "joints".to_owned(),
                     (_, elbow) => format!("{elbow:?}"),
                 },
+                (motion::<PlanReport>, Outcome::Unreachable),
                 |world, plan| {
                     let joints = match plan.target {
                         Target::Joints(joints) => joints,
@@ -121,32 +179,38 @@ impl EventHandler for Mcs {
                             [world.planned.len() as f64, 0.0, 0.0, 0.0, 0.0, 0.0]
                         }
                     };
-                    Ok(PlanReport {
+                    Ok(Ok(PlanReport {
                         joints,
                         duration_s: 1.0,
-                    })
+                    }))
                 },
             ),
-            Move::CODE => self
-                .0
-                .play::<Move>(cx, message, 1.2, none, |world, request| {
-                    if !world.reserved {
-                        return Err("not reserved".to_owned());
-                    }
-                    world.pose = match request.target {
-                        Target::Pose(pose) => pose,
-                        Target::Joints([number, ..]) => world.planned[number as usize - 1],
-                    };
-                    Ok(MoveReport {
-                        duration_s: 1.2,
-                        max_tracking_error_rad: 0.01,
-                        final_error_rad: 0.001,
-                        joints: [0.0; 6],
-                    })
-                }),
-            ReadPosition::CODE => {
+            Move::CODE => {
+                let meet = (motion::<MoveReport> as Meet<Move>, typed);
                 self.0
-                    .play::<ReadPosition>(cx, message, 0.2, none, |world, _| {
+                    .play::<Move>(cx, message, 1.2, none, meet, |world, request| {
+                        if !world.reserved {
+                            return motion(Outcome::Refused, "not reserved".to_owned());
+                        }
+                        if world.stopped {
+                            return motion(Outcome::Stopped, "a stop holds".to_owned());
+                        }
+                        world.pose = match request.target {
+                            Target::Pose(pose) => pose,
+                            Target::Joints([number, ..]) => world.planned[number as usize - 1],
+                        };
+                        Ok(Ok(MoveReport {
+                            duration_s: 1.2,
+                            max_tracking_error_rad: 0.01,
+                            final_error_rad: 0.001,
+                            joints: [0.0; 6],
+                        }))
+                    })
+            }
+            ReadPosition::CODE => {
+                let meet = (refuse::<Position> as Meet<ReadPosition>, typed);
+                self.0
+                    .play::<ReadPosition>(cx, message, 0.2, none, meet, |world, _| {
                         Ok(Position {
                             joints: [0.0; 6],
                             base_t_tool: world.pose,
@@ -154,11 +218,41 @@ impl EventHandler for Mcs {
                         })
                     })
             }
-            Stop::CODE => self.0.play::<Stop>(cx, message, 0.1, none, |_, _| Ok(())),
-            Release::CODE => self.0.play::<Release>(cx, message, 0.1, none, |world, _| {
-                world.reserved = false;
-                Ok(State::Cold)
-            }),
+            Status::CODE => {
+                let meet = (refuse::<StatusReport> as Meet<Status>, typed);
+                let now = cx.now().since_start().as_secs_f64();
+                self.0
+                    .play::<Status>(cx, message, 0.01, none, meet, move |world, _| {
+                        if world.resume_at_s.is_some_and(|at| now >= at) {
+                            world.stopped = false;
+                        }
+                        Ok(StatusReport {
+                            state: match world.reserved {
+                                true => State::Active,
+                                false => State::Cold,
+                            },
+                            holder: world.reserved.then(|| "motion".to_owned()),
+                            fault: None,
+                            stopped: world.stopped,
+                            motion: MotionPhase::None,
+                            ticks: 0,
+                            missed: 0,
+                        })
+                    })
+            }
+            Cancel::CODE => {
+                let meet = (refuse::<()> as Meet<Cancel>, typed);
+                self.0
+                    .play::<Cancel>(cx, message, 0.1, none, meet, |_, _| Ok(()))
+            }
+            Release::CODE => {
+                let meet = (motion::<State> as Meet<Release>, typed);
+                self.0
+                    .play::<Release>(cx, message, 0.1, none, meet, |world, _| {
+                        world.reserved = false;
+                        Ok(Ok(State::Cold))
+                    })
+            }
             _ => cx.default_processing(message),
         }
     }
@@ -171,23 +265,32 @@ impl EventHandler for Vsm {
         match message.command() {
             SpotFind::CODE => {
                 let detail = |request: &SpotFind| request.camera.clone();
-                self.0
-                    .play(cx, message, 0.4, detail, |world, request: SpotFind| {
+                let meet = (vision::<SpotReport> as Meet<SpotFind>, Outcome::Unseen);
+                self.0.play(
+                    cx,
+                    message,
+                    0.4,
+                    detail,
+                    meet,
+                    |world, request: SpotFind| {
                         if !world.lamp_on {
-                            return Err(format!("camera `{}`: too dark", request.camera));
+                            let reason = format!("camera `{}`: too dark", request.camera);
+                            return vision(Outcome::Unseen, reason);
                         }
                         let lamp = Matrix4::from_row_slice(&world.pose).column(3).xyz();
                         let mut known = cameras().into_iter();
                         let camera = known.find(|(name, _)| *name == request.camera);
                         let (_, camera) = camera.ok_or("no such camera")?;
                         let pixel = camera.project(&lamp.into()).ok_or("behind the camera")?;
-                        Ok(spot(&request.camera, pixel.x, pixel.y))
-                    })
+                        Ok(Ok(spot(&request.camera, pixel.x, pixel.y)))
+                    },
+                )
             }
             Calibrate::CODE => {
                 let detail = |request: &Calibrate| request.camera.clone();
+                let meet = (refuse::<Calibration> as Meet<Calibrate>, Outcome::Fault);
                 self.0
-                    .play(cx, message, 1.0, detail, |_, request: Calibrate| {
+                    .play(cx, message, 1.0, detail, meet, |_, request: Calibrate| {
                         let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
                         calibrate(&request.points, request.width, request.height, &mut rng)
                             .map_err(|error| error.to_string())
@@ -205,19 +308,27 @@ impl EventHandler for Lamp {
         match message.command() {
             SetLamp::CODE => {
                 let detail = |request: &SetLamp| request.on.to_string();
+                let meet = (refuse::<()> as Meet<SetLamp>, Outcome::Fault);
                 self.0
-                    .play(cx, message, 0.1, detail, |world, request: SetLamp| {
+                    .play(cx, message, 0.1, detail, meet, |world, request: SetLamp| {
                         world.lamp_on = request.on;
                         Ok(())
                     })
             }
-            TrueCameras::CODE => self.0.play::<TrueCameras>(cx, message, 0.1, none, |_, _| {
-                let named = |(name, camera): (&str, Camera)| NamedCamera {
-                    name: name.to_owned(),
-                    camera,
-                };
-                Ok(cameras().map(named).into())
-            }),
+            TrueCameras::CODE => {
+                let meet = (
+                    refuse::<Vec<NamedCamera>> as Meet<TrueCameras>,
+                    Outcome::Fault,
+                );
+                self.0
+                    .play::<TrueCameras>(cx, message, 0.1, none, meet, |_, _| {
+                        let named = |(name, camera): (&str, Camera)| NamedCamera {
+                            name: name.to_owned(),
+                            camera,
+                        };
+                        Ok(cameras().map(named).into())
+                    })
+            }
             _ => cx.default_processing(message),
         }
     }

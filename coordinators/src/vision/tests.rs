@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::*;
+use crate::outcome::Outcome;
 use crate::{
     objects::{OBSERVATIONS, Observations},
     rig::{Answer, Rig, run, spot},
@@ -62,13 +63,8 @@ fn a_vision_system_that_fails_once_is_asked_again() {
     assert!(observations.cameras.iter().all(|table| table.missed == 0));
 }
 
-fn error(fault: Fault) -> Look {
-    Look::from(Err(CallError {
-        from: "vision".to_owned(),
-        to: "vsm".to_owned(),
-        command: "spot_find".to_owned(),
-        fault,
-    }))
+fn error(outcome: Vss, reason: &str) -> Look {
+    Look::from(Err(VisionError::new(outcome, reason)))
 }
 
 #[test]
@@ -81,34 +77,67 @@ fn a_spot_at_the_border_counts_as_missed() {
 }
 
 #[test]
-fn a_refusal_is_a_miss_and_anything_else_is_a_failure() {
-    let text = "camera `west`: no spot".to_owned();
-    let reason = text.clone();
-    assert_eq!(error(Fault::Refused { text }), Look::Missed { reason });
-    assert!(matches!(
-        error(Fault::NoReply),
-        Look::Failed { gone: false, .. }
-    ));
+fn only_what_was_not_seen_is_a_miss_and_anything_else_is_a_failure_of_its_kind() {
+    let reason = "camera `west`: no spot".to_owned();
+    let missed = error(Vss::Unseen, &reason);
+    assert_eq!(missed, Look::Missed { reason });
+    for (vss, outcome) in [
+        (Vss::Fault, Outcome::Fault),
+        (Vss::Lost, Outcome::Lost),
+        (Vss::Refused, Outcome::Refused),
+    ] {
+        let failed = Failure::new(outcome, "no signal");
+        assert_eq!(error(vss, "no signal"), Look::Failed(failed));
+    }
 }
 
 #[test]
-fn a_vision_system_that_is_gone_is_a_failure_that_is_not_tried_again() {
-    let chassis = "cage_vision".to_owned();
-    let look = error(Fault::PeerDown { chassis });
-    let args = args();
+fn a_vision_system_that_fails_is_not_asked_by_the_net_again() {
     let mut vision = Vision {
-        args: Rc::new(args),
+        args: Rc::new(args()),
         store: DomStore::new("dom"),
         spots: Spots::default(),
         tries_left: 2,
     };
-    vision.take("west".to_owned(), look);
+    vision.take("west".to_owned(), error(Vss::Fault, "no signal"));
     assert_eq!(vision.tries_left, 0);
     let failure = vision.spots.failure.unwrap();
+    assert_eq!(failure.to_string(), "fault: no signal");
+}
+
+#[test]
+fn a_vision_system_that_is_lost_is_waited_for_and_no_position_is_burnt() {
+    // Both cameras, for some seconds, in the midst of the run.
+    let run = run(&Rig {
+        script: Arc::new(|command, _, occurrence| match command {
+            "spot_find" if (5..25).contains(&occurrence) => Answer::Meet(Outcome::Lost),
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    });
+    assert_eq!(run.answer().0, "calibration_done", "{}", run.answer().1);
+    let observations: Observations = run.object(OBSERVATIONS).unwrap();
+    assert_eq!(observations.reached, 16);
+    assert!(observations.cameras.iter().all(|table| table.missed == 0));
+}
+
+#[test]
+fn a_vision_system_that_stays_lost_fails_the_command_with_that_outcome() {
+    let run = run(&Rig {
+        script: Arc::new(|command, _, occurrence| match command {
+            "spot_find" if occurrence >= 5 => Answer::Meet(Outcome::Lost),
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    });
+    let (symbol, text) = run.answer();
+    assert_eq!(symbol, "calibration_failed");
     assert!(
-        failure.contains("chassis `cage_vision` is gone"),
-        "{failure}"
+        text.contains("the vision system has failed: lost:"),
+        "{text}"
     );
+    assert_eq!(run.done("move", ""), 6);
+    assert!(!crate::rig::lock(&run.world).lamp_on);
 }
 
 fn args() -> VisionArgs {
@@ -117,5 +146,6 @@ fn args() -> VisionArgs {
         vsm: vsm_task(),
         dom: crate::dom_task(),
         retries: retries(),
+        service_within_s: crate::service_within_s(),
     }
 }

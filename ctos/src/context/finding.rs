@@ -6,7 +6,7 @@ use super::Context;
 use crate::{
     call::{CallError, Fault},
     message::Tid,
-    system::{self, AwaitTid, Monitor, QueryTid},
+    system::{self, AwaitTid, Monitor, NamesOf, QueryTid},
 };
 
 /// A task that was found by name.
@@ -155,5 +155,14 @@ impl Context {
             self.inner.chassis.post_system(self.tid(), changed);
         }
         Ok(())
+    }
+
+    /// The symbolic name of the task with this id, also of one that is gone: an id is never given twice.
+    ///
+    /// # Errors
+    /// When the task identification service cannot be asked.
+    pub async fn name_of(&self, tid: Tid) -> Result<Option<String>, CallError> {
+        let asked = self.call(&Self::server(), NamesOf { tids: vec![tid] });
+        Ok(asked.await?.pop().flatten())
     }
 }

@@ -19,6 +19,8 @@ pub(crate) struct Knobs {
     pub(crate) last_write: Mutex<Option<(Power, Joints)>>,
     /// Largest joint speed at the moment when the brakes closed, rad/s.
     pub(crate) speed_at_power_off: Mutex<Option<f64>>,
+    /// How often the task that moves it was begun.
+    pub(crate) lives: AtomicU64,
     /// What somebody who moved it was told.
     pub(crate) told: Mutex<Option<String>>,
 }

@@ -11,7 +11,7 @@ use sorma::{
 
 use super::kinematics;
 use super::local::{SharedArm, rows, target};
-use super::{code, ended, joints};
+use super::{code, ended, in_the_way, joints};
 use crate::arm::{Elbow, Joints};
 use crate::client::{Acquire, Move, PathKind, Plan, Position, ReadPosition, Release, Status};
 use crate::state::State;
@@ -243,7 +243,8 @@ impl MvPos {
             "release" => {
                 io.floats.clear();
                 if cx.is_in_app() {
-                    cx.call_task(&self.options.client, Release {}, SOON).await?;
+                    let released = cx.call_task(&self.options.client, Release {}, SOON);
+                    released.await?.map_err(in_the_way)?;
                 }
                 Ok(())
             }
@@ -344,12 +345,14 @@ impl MvPos {
                 elbow,
             };
             let planned = cx.call_task(client, plan, SOON).await?;
+            let planned = planned.map_err(in_the_way)?;
             return Ok((planned.joints, planned.duration_s));
         }
         let status = cx.call_task(client, Status {}, SOON).await?;
         let acquires = status.state == State::Cold;
         if acquires {
-            cx.call_task(client, Acquire {}, SOON).await?;
+            let acquired = cx.call_task(client, Acquire {}, SOON).await?;
+            acquired.map_err(in_the_way)?;
         }
         let order = Move {
             target,
@@ -359,11 +362,12 @@ impl MvPos {
             elbow,
         };
         let moved = cx.call_task(client, order, LONGEST_MOVE).await;
+        let moved = moved.and_then(|moved| moved.map_err(in_the_way));
         if acquires && (!self.options.keep || moved.is_err()) {
             // It was had for this motion, whatever became of it.
             let released = cx.call_task(client, Release {}, SOON).await;
             let moved = moved?;
-            released?;
+            released?.map_err(in_the_way)?;
             return Ok((moved.joints, moved.duration_s));
         }
         let moved = moved?;

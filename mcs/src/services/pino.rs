@@ -9,7 +9,9 @@ use sorma::{Context, Form, OptionTable, Outcome, ServiceObject, Transport, Waiti
 use super::ended;
 use super::local::SharedArm;
 use super::mvpos::answer;
-use crate::client::{EmergencyStop, ReadControl, ReadPosition, Reset, SetControl, Status, Stop};
+use crate::client::{
+    EmergencyStop, ReadControl, ReadPosition, Reset, Resume, SetControl, Status, Stop,
+};
 
 /// Everything here is answered at once, but for coming to rest.
 const SOON: Duration = Duration::from_secs(30);
@@ -49,7 +51,14 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
-        help: "protective stop: brakes along the path to rest, then holds",
+        help: "protective stop: brakes along the path to rest, then holds until EXEC resume",
+    },
+    Form {
+        text: "resume",
+        floats: 0,
+        takes: "",
+        gives: "nothing",
+        help: "ends a protective stop; what it ended must be asked for again",
     },
     Form {
         text: "estop",
@@ -63,7 +72,7 @@ const FORMS: &[Form] = &[
         floats: 0,
         takes: "",
         gives: "nothing",
-        help: "leaves the estopped state",
+        help: "leaves the estopped state and ends a protective stop",
     },
 ];
 
@@ -123,7 +132,11 @@ impl Pino {
             }
             "stop" => cx.call_task(client, Stop {}, SOON).await?,
             "estop" => cx.call_task(client, EmergencyStop {}, SOON).await?,
-            "reset" => drop(cx.call_task(client, Reset {}, SOON).await?),
+            "resume" => cx.call_task(client, Resume {}, SOON).await?,
+            "reset" => {
+                let reset = cx.call_task(client, Reset {}, SOON).await?;
+                reset.map_err(super::in_the_way)?;
+            }
             _ => {
                 let status = cx.call_task(client, Status {}, SOON).await?;
                 let position = cx.call_task(client, ReadPosition {}, SOON).await?;
@@ -132,6 +145,9 @@ impl Pino {
                     "{}, held by {holder}, motion {:?}",
                     status.state, status.motion
                 );
+                if status.stopped {
+                    io.text.push_str(", stopped until EXEC resume");
+                }
                 if let Some(fault) = status.fault {
                     io.text.push_str(&format!(", fault: {fault}"));
                 }
@@ -156,7 +172,7 @@ impl Pino {
                 control_answer(io, "none: it goes as planned", [bandwidth, damping, 0.0]);
             }
             // It never is on its way, and has no power to be taken away.
-            "stop" | "estop" | "reset" => {}
+            "stop" | "resume" | "estop" | "reset" => {}
             _ => {
                 io.text = format!(
                     "an arm of this process, kinematic only: {} motions, {:.3} s of them",

@@ -11,6 +11,8 @@ use crate::trajectory::{Interpolator, Segment, Setpoint};
 pub(super) enum Progress {
     Going,
     Finished(MotionPhase),
+    /// The setpoint rests, and the arm has not settled in time.
+    NotSettled,
 }
 
 /// A segment being followed, braked or settled on.
@@ -113,7 +115,7 @@ impl Motion {
                 MotionPhase::Done
             })
         } else if self.settling_for >= self.settling.patience {
-            Progress::Finished(MotionPhase::Unsettled)
+            Progress::NotSettled
         } else {
             Progress::Going
         };
@@ -159,6 +161,11 @@ impl Motion {
             most.max((wanted - reading.position).abs())
         });
         self.max_error = self.max_error.max(self.error);
+    }
+
+    /// Largest distance of any joint from its setpoint at the last tick, rad.
+    pub(super) fn error(&self) -> f64 {
+        self.error
     }
 
     pub(super) fn report(&self, status: &mut MotionStatus) {

@@ -32,8 +32,13 @@ pub enum ServoCommand {
         /// The planned segment.
         segment: Segment,
     },
-    /// Protective stop: brake along the path within limits to rest, then hold (category 2).
+    /// Protective stop: brake along the path within limits to rest, then hold (category 2). No
+    /// segment is taken until [`Self::Resume`].
     Stop,
+    /// Brake as a protective stop does, after which the next segment is taken at once.
+    Cancel,
+    /// Ends a protective stop.
+    Resume,
     /// Drive power off in the next tick (category 0), latched until [`Self::Reset`].
     EmergencyStop,
     /// Other parameters for the control law: the position loop's natural frequency, Hz, and damping ratio.
@@ -43,7 +48,7 @@ pub enum ServoCommand {
         /// Of critical damping.
         damping: f64,
     },
-    /// Clears a fault. Power stays off.
+    /// Clears a fault and ends a protective stop. Power stays off.
     Reset,
 }
 
@@ -72,6 +77,30 @@ pub enum Fault {
         /// Limit, rad.
         limit: f64,
     },
+    /// A joint was away from its setpoint for too long: the arm does not follow.
+    #[error(
+        "joint {joint} has been more than {window:.4} rad from its setpoint for {after:.3} s; is something in the way of the arm?"
+    )]
+    NotFollowing {
+        /// Joint number, from 1.
+        joint: usize,
+        /// The distance that is allowed for any length of time, rad.
+        window: f64,
+        /// How long it was exceeded, s.
+        after: f64,
+    },
+    /// The setpoint rests at the end of a motion and the arm does not.
+    #[error(
+        "the arm did not settle within {after:.3} s: a joint is {error:.5} rad from its target, the limit is {limit:.5} rad"
+    )]
+    NotSettled {
+        /// Largest distance of a joint from its target, rad.
+        error: f64,
+        /// Limit, rad.
+        limit: f64,
+        /// How long it was waited for, s.
+        after: f64,
+    },
     /// The control law gave a torque that is no finite number.
     #[error("the control law gave a torque that is no finite number")]
     ControlLaw,
@@ -86,6 +115,9 @@ pub enum Rejection {
     /// Power is off, the brakes are on or about to be.
     #[error("the brakes are not released")]
     NotReleased,
+    /// A protective stop holds.
+    #[error("a protective stop holds")]
+    Stopped,
     /// Another motion is under way.
     #[error("another motion is under way")]
     Busy,
@@ -113,8 +145,6 @@ pub enum MotionPhase {
     Done,
     /// Stopped before the end, and settled.
     Stopped,
-    /// The setpoint rests but the arm did not settle in time.
-    Unsettled,
     /// Ended by a fault.
     Failed,
 }
@@ -153,6 +183,8 @@ pub struct ServoStatus {
     pub power: Power,
     /// Latched fault.
     pub fault: Option<Fault>,
+    /// A protective stop holds: no segment is taken.
+    pub stopped: bool,
     /// Joint positions as read back, rad.
     pub position: Joints,
     /// Joint velocities as read back, rad/s.

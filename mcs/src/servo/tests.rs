@@ -291,6 +291,77 @@ fn a_blocked_joint_is_an_emergency_that_names_joint_error_and_limit() {
 }
 
 #[test]
+fn a_joint_outside_its_window_for_too_long_does_not_follow_and_power_goes_off() {
+    let mut rig = Rig::pid();
+    rig.release();
+    // So slow that the limit for an emergency is reached long after the time-out.
+    let segment = rig.plan(0.02);
+    rig.start(segment);
+    rig.knobs.fault.store(4, Ordering::Relaxed);
+    let mut away = 0;
+    let motion = loop {
+        rig.servo.tick(0);
+        let status = rig.port.status();
+        let error = (status.setpoint[0] - status.position[0]).abs();
+        away += u32::from(error > 0.03);
+        assert!(error < 0.1, "the emergency limit came first");
+        if status.motion.phase.is_over() {
+            break status.motion;
+        }
+    };
+    assert_eq!(motion.phase, MotionPhase::Failed);
+    let status = rig.port.status();
+    assert_eq!(status.power, Power::Off);
+    assert_eq!(status.torque, [0.0; 6]);
+    let fault = status.fault.unwrap();
+    assert!(
+        matches!(fault, Fault::NotFollowing { joint: 1, .. }),
+        "{fault}"
+    );
+    // 100 ms in periods of 4.5 ms, and the tick that finds it over.
+    assert_eq!(away, 23);
+}
+
+#[test]
+fn an_arm_that_does_not_settle_is_a_fault_and_not_pressed_against_its_target() {
+    let mut rig = Rig::pid();
+    rig.servo.config.following_timeout = Duration::from_secs(100);
+    rig.servo.patience = u32::MAX;
+    rig.release();
+    let mut near = START;
+    near[0] += 0.02;
+    let segment = rig
+        .planner
+        .joint(&rig.port.status().setpoint, &near, 0.5)
+        .unwrap();
+    rig.knobs.fault.store(4, Ordering::Relaxed);
+    rig.start(segment);
+    assert_eq!(rig.run_to_end().phase, MotionPhase::Failed);
+    let status = rig.port.status();
+    assert_eq!(status.power, Power::Off);
+    assert!(
+        matches!(status.fault, Some(Fault::NotSettled { .. })),
+        "{:?}",
+        status.fault
+    );
+}
+
+#[test]
+fn no_segment_is_taken_while_a_protective_stop_holds() {
+    let (mut rig, _) = stop_within_limits(60, ServoCommand::Stop);
+    assert!(rig.port.status().stopped);
+    let segment = rig.plan(0.5);
+    rig.order(ServoCommand::Move {
+        id: 9,
+        segment: segment.clone(),
+    });
+    assert_eq!(rig.port.status().rejected, Some((9, Rejection::Stopped)));
+    rig.order(ServoCommand::Resume);
+    rig.order(ServoCommand::Move { id: 10, segment });
+    assert_eq!(rig.run_to_end().phase, MotionPhase::Done);
+}
+
+#[test]
 fn an_emergency_stop_gets_through_a_full_queue() {
     let mut rig = Rig::pid();
     rig.release();

@@ -50,6 +50,12 @@ pub struct ServoArgs {
     /// A joint this far from its setpoint (rad) is an emergency.
     #[serde(default = "following_error_rad")]
     pub following_error_rad: f64,
+    /// A joint further from its setpoint than this (rad)
+    #[serde(default = "following_window_rad")]
+    pub following_window_rad: f64,
+    /// for this long (s) does not follow, which is a fault.
+    #[serde(default = "following_timeout_s")]
+    pub following_timeout_s: f64,
     /// When a motion counts as settled.
     #[serde(default)]
     pub settling: Settling,
@@ -93,6 +99,14 @@ fn following_error_rad() -> f64 {
     0.1
 }
 
+fn following_window_rad() -> f64 {
+    0.03
+}
+
+fn following_timeout_s() -> f64 {
+    0.1
+}
+
 impl ServoArgs {
     /// Reads the arguments and checks every number, all findings at once.
     pub fn read(task: &TaskConfig, findings: &mut Findings) -> Option<Self> {
@@ -112,6 +126,8 @@ impl ServoArgs {
         within("setpoint_every", f64::from(args.setpoint_every), 1.0, 100.0);
         within("damping", args.damping, 0.1, 5.0);
         within("following_error_rad", args.following_error_rad, 1e-4, 3.2);
+        within("following_window_rad", args.following_window_rad, 1e-4, 3.2);
+        within("following_timeout_s", args.following_timeout_s, 0.0, 10.0);
         let top = most_bandwidth_hz(Duration::from_secs_f64(
             args.period_ms.clamp(0.1, 1e3) / 1e3,
         ));
@@ -181,6 +197,8 @@ impl ServoArgs {
             period: Duration::from_secs_f64(self.period_ms / 1000.0),
             setpoint_every: self.setpoint_every,
             following_error: self.following_error_rad,
+            following_window: self.following_window_rad,
+            following_timeout: Duration::from_secs_f64(self.following_timeout_s),
             settling: self.settling,
         }
     }

@@ -11,12 +11,12 @@ use ctos::registry::Registry;
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, TaskRef};
 
 use super::args::ClientArgs;
-use super::servo::{ReadServo, StopKind, StopServo};
+use super::servo::{ReadServo, ResumeServo, StopKind, StopServo};
 use super::state::{EnableMotion, ReadState, Reserve, ResetEstop, Unreserve};
 use super::{CLIENT, PLANNER, SERVO, STATE, caller, check_reference};
 use crate::client::{
-    Acquire, EmergencyStop, Move, Plan, Position, ReadControl, ReadPosition, Release, Reset,
-    SetControl, Status, StatusReport, Stop,
+    Acquire, Cancel, EmergencyStop, MotionError, Move, Plan, Position, ReadControl, ReadPosition,
+    Release, Reset, Resume, SetControl, Status, StatusReport, Stop,
 };
 
 /// The planner answers every move at its end; this only bounds what cannot happen.
@@ -37,6 +37,8 @@ pub(super) fn register(registry: &mut Registry) {
         Reset::INFO,
         ReadControl::INFO,
         SetControl::INFO,
+        Cancel::INFO,
+        Resume::INFO,
     ];
     registry
         .handler(CLIENT, &commands, |cx| {
@@ -70,6 +72,11 @@ struct ClientTask {
     parts: Option<Parts>,
 }
 
+/// What a part answered, or what became of asking it.
+fn flat<T>(answer: Result<Result<T, MotionError>, CallError>) -> Result<T, MotionError> {
+    answer.unwrap_or_else(|error| Err(error.into()))
+}
+
 /// A refusal of a part is passed on in its own words; anything else names both tasks.
 fn passed_on(error: &CallError) -> HandlerError {
     HandlerError::new(error.reason())
@@ -84,27 +91,35 @@ impl ClientTask {
         cx: &Context,
         part: &TaskRef,
         request: C,
-    ) -> Result<C::Reply, HandlerError> {
+    ) -> Result<C::Reply, CallError> {
         let asked = cx.call(part, request).deadline(REST).high_priority();
-        asked.await.map_err(|error| passed_on(&error))
+        asked.await
+    }
+
+    /// As [`Self::ask`], of what is answered in every state.
+    async fn told<C: Command>(
+        cx: &Context,
+        part: &TaskRef,
+        request: C,
+    ) -> Result<C::Reply, HandlerError> {
+        let asked = Self::ask(cx, part, request).await;
+        asked.map_err(|error| passed_on(&error))
     }
 
     /// Brings the manipulator into the motion state for the caller, then lets the planner answer.
     async fn begin(&self, cx: &Context, message: Message) -> Handled {
         let parts = self.parts()?;
-        let by = caller(cx, message.from()).await?;
+        let (by, chassis) = (caller(cx, message.from()).await?, message.from().chassis());
         let (request, reply) = message.open::<Move>()?;
-        if let Err(error) = Self::ask(cx, &parts.state, EnableMotion { by }).await {
-            return reply.fail(error);
+        let enabled = Self::ask(cx, &parts.state, EnableMotion { by, chassis }).await;
+        if let Err(error) = flat(enabled) {
+            return reply.ok(Err(error));
         }
         let call = cx.call(&parts.planner, request).deadline(LONGEST_MOVE);
         let own = cx.clone();
         cx.spawn(async move {
-            let answered = match call.await {
-                Ok(report) => reply.ok(report),
-                Err(error) => reply.fail(passed_on(&error)),
-            };
-            if let Err(error) = answered {
+            let moved = call.await.unwrap_or_else(|error| Err(error.into()));
+            if let Err(error) = reply.ok(moved) {
                 tracing::warn!(task = own.name(), %error, "a move could not be answered");
             }
         });
@@ -113,12 +128,13 @@ impl ClientTask {
 
     async fn status(&self, cx: &Context) -> Result<StatusReport, HandlerError> {
         let parts = self.parts()?;
-        let servo = Self::ask(cx, &parts.servo, ReadServo {}).await?;
-        let state = Self::ask(cx, &parts.state, ReadState {}).await?;
+        let servo = Self::told(cx, &parts.servo, ReadServo {}).await?;
+        let state = Self::told(cx, &parts.state, ReadState {}).await?;
         Ok(StatusReport {
             state: state.state,
             holder: state.holder,
             fault: servo.fault,
+            stopped: servo.status.stopped,
             motion: servo.status.motion.phase,
             ticks: servo.status.ticks,
             missed: servo.status.missed,
@@ -127,7 +143,7 @@ impl ClientTask {
 
     async fn halt(&self, cx: &Context, kind: StopKind) -> Result<(), HandlerError> {
         let parts = self.parts()?;
-        Self::ask(cx, &parts.servo, StopServo { kind }).await
+        Self::told(cx, &parts.servo, StopServo { kind }).await
     }
 }
 
@@ -137,26 +153,32 @@ impl EventHandler for ClientTask {
             Move::CODE => self.begin(cx, message).await,
             Acquire::CODE => {
                 let by = caller(cx, message.from()).await?;
+                let chassis = message.from().chassis();
                 let (Acquire {}, reply) = message.open::<Acquire>()?;
-                reply.ok(Self::ask(cx, &self.parts()?.state, Reserve { by }).await?)
+                let reserve = Reserve { by, chassis };
+                reply.ok(flat(Self::ask(cx, &self.parts()?.state, reserve).await))
             }
             Release::CODE => {
                 let by = caller(cx, message.from()).await?;
                 let (Release {}, reply) = message.open::<Release>()?;
-                reply.ok(Self::ask(cx, &self.parts()?.state, Unreserve { by }).await?)
+                reply.ok(flat(
+                    Self::ask(cx, &self.parts()?.state, Unreserve { by }).await,
+                ))
             }
             Reset::CODE => {
                 let by = caller(cx, message.from()).await?;
                 let (Reset {}, reply) = message.open::<Reset>()?;
-                reply.ok(Self::ask(cx, &self.parts()?.state, ResetEstop { by }).await?)
+                reply.ok(flat(
+                    Self::ask(cx, &self.parts()?.state, ResetEstop { by }).await,
+                ))
             }
             Plan::CODE => {
                 let (request, reply) = message.open::<Plan>()?;
-                reply.ok(Self::ask(cx, &self.parts()?.planner, request).await?)
+                reply.ok(flat(Self::ask(cx, &self.parts()?.planner, request).await))
             }
             ReadPosition::CODE => {
                 let (ReadPosition {}, reply) = message.open::<ReadPosition>()?;
-                let servo = Self::ask(cx, &self.parts()?.servo, ReadServo {}).await?;
+                let servo = Self::told(cx, &self.parts()?.servo, ReadServo {}).await?;
                 reply.ok(Position {
                     joints: servo.status.position,
                     base_t_tool: servo.base_t_tool,
@@ -168,6 +190,16 @@ impl EventHandler for ClientTask {
                 self.halt(cx, StopKind::Protective).await?;
                 reply.ok(())
             }
+            Cancel::CODE => {
+                let (Cancel {}, reply) = message.open::<Cancel>()?;
+                self.halt(cx, StopKind::Cancel).await?;
+                reply.ok(())
+            }
+            Resume::CODE => {
+                let (Resume {}, reply) = message.open::<Resume>()?;
+                Self::told(cx, &self.parts()?.servo, ResumeServo {}).await?;
+                reply.ok(())
+            }
             EmergencyStop::CODE => {
                 let (EmergencyStop {}, reply) = message.open::<EmergencyStop>()?;
                 self.halt(cx, StopKind::Emergency).await?;
@@ -175,11 +207,11 @@ impl EventHandler for ClientTask {
             }
             ReadControl::CODE => {
                 let (request, reply) = message.open::<ReadControl>()?;
-                reply.ok(Self::ask(cx, &self.parts()?.servo, request).await?)
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             SetControl::CODE => {
                 let (request, reply) = message.open::<SetControl>()?;
-                reply.ok(Self::ask(cx, &self.parts()?.servo, request).await?)
+                reply.ok(Self::told(cx, &self.parts()?.servo, request).await?)
             }
             Status::CODE => {
                 let (Status {}, reply) = message.open::<Status>()?;

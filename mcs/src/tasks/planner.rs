@@ -1,5 +1,5 @@
 //! The planner as a task: takes [`Plan`] and [`Move`], checks them, gives segments to the servo and
-//! answers a move when the arm has settled.
+//! answers a move when the arm has settled, or says what ended it.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -14,10 +14,10 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use super::args::PartArgs;
 use super::{Link, PLANNER, SERVO, check_reference};
 use crate::arm::Joints;
-use crate::client::{Move, MoveReport, Plan, PlanReport, Target};
+use crate::client::{MotionError, Move, MoveReport, Outcome, Plan, PlanReport, Target};
 use crate::driver::Power;
-use crate::servo::{MotionPhase, ServoCommand, ServoStatus};
-use crate::trajectory::{Goal, Pace, Route, Segment};
+use crate::servo::{MotionPhase, Rejection, ServoCommand, ServoStatus};
+use crate::trajectory::{Goal, Pace, PlanError, Route, Segment};
 
 /// How far the rotation of a target pose may be from a rotation, per entry.
 const ROTATION_ROUNDING: f64 = 1e-6;
@@ -30,7 +30,7 @@ pub(super) fn register(registry: &mut Registry) {
                 servo: args.servo,
                 link: None,
                 running: Rc::default(),
-                stopped: None,
+                ending: None,
             })
         })
         .check_in_app(|task, app, findings| {
@@ -47,8 +47,8 @@ struct PlannerTask {
     servo: String,
     link: Option<Arc<Link>>,
     running: Running,
-    /// Why nothing moves any more.
-    stopped: Option<String>,
+    /// Why nothing moves any more: the app is being stopped.
+    ending: Option<String>,
 }
 
 impl PlannerTask {
@@ -59,12 +59,12 @@ impl PlannerTask {
     }
 
     /// The segment for a request from where the arm is held (or stands), and where it ends.
-    fn plan(&self, link: &Link, request: &Plan) -> Result<(Segment, Joints), HandlerError> {
+    fn plan(&self, link: &Link, request: &Plan) -> Result<(Segment, Joints), MotionError> {
         let status = link.port.status();
         let start = status.setpoint;
         let goal = match &request.target {
             Target::Joints(joints) => Goal::Joints(*joints),
-            Target::Pose(rows) => Goal::Pose(pose(rows)?),
+            Target::Pose(rows) => Goal::Pose(pose(rows).map_err(refused)?),
         };
         let route = Route {
             goal,
@@ -72,30 +72,14 @@ impl PlannerTask {
             pace: Pace::new(request.speed, request.acceleration),
             elbow: request.elbow,
         };
-        Ok(link.planner.segment(&start, &route)?)
+        link.planner.segment(&start, &route).map_err(unplanned)
     }
 
+    /// Gives the servo the segment for a move, or says what is in the way of it.
     fn begin(&mut self, cx: &Context, request: Move, reply: Replier<Move>) -> Handled {
         let link = self.link()?;
-        if let Some(reason) = &self.stopped {
-            return reply.fail(format!("stopped because {reason}"));
-        }
-        if self.running.borrow().is_some() {
-            return reply.fail("another motion is under way; wait for it, or stop it first");
-        }
-        let status = link.port.status();
-        if let Some(fault) = link.fault() {
-            return reply.fail(format!(
-                "power was taken away: {fault}; reset and acquire anew"
-            ));
-        }
-        if status.power != Power::Released {
-            return reply.fail(
-                "the brakes are on; acquire the manipulator and move through its client interface",
-            );
-        }
-        if !status.motion.phase.is_over() {
-            return reply.fail("the arm is still coming to rest; try again when it has");
+        if let Err(error) = self.may_begin(&link) {
+            return reply.ok(Err(error));
         }
         let request = Plan {
             target: request.target,
@@ -106,8 +90,9 @@ impl PlannerTask {
         };
         let segment = match self.plan(&link, &request) {
             Ok((segment, _)) => segment,
-            Err(error) => return reply.fail(error),
+            Err(error) => return reply.ok(Err(error)),
         };
+        let status = link.port.status();
         let last_rejected = status.rejected.map_or(0, |(id, _)| id);
         let id = status.motion.id.max(last_rejected) + 1;
         let duration = segment.duration();
@@ -123,20 +108,79 @@ impl PlannerTask {
         Ok(())
     }
 
-    /// Answers the caller of the motion under way and brings the arm to rest.
-    async fn halt(&mut self, cx: &Context, reason: String) -> Handled {
-        if let Some(reply) = self.running.borrow_mut().take() {
-            reply.fail(format!("stopped because {reason}"))?;
+    fn may_begin(&self, link: &Link) -> Result<(), MotionError> {
+        if let Some(reason) = &self.ending {
+            return Err(ended(reason));
         }
-        self.stopped = Some(reason);
+        let status = link.port.status();
+        if let Some(error) = link.failed() {
+            return Err(error);
+        }
+        if status.stopped {
+            return Err(stop_holds());
+        }
+        if self.running.borrow().is_some() {
+            return Err(refused(
+                "another motion is under way; wait for it, or stop it first",
+            ));
+        }
+        if status.power != Power::Released {
+            return Err(refused(
+                "the brakes are on; acquire the manipulator and move through its client interface",
+            ));
+        }
+        if !status.motion.phase.is_over() {
+            return Err(refused(
+                "the arm is still coming to rest; try again when it has",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Answers the caller of the motion under way and brings the arm to rest, for good.
+    async fn halt(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        let reason = self.ending.insert(reason.to_string());
+        if let Some(reply) = self.running.borrow_mut().take() {
+            reply.ok(Err(ended(reason)))?;
+        }
         if let Some(link) = self.link.clone() {
-            link.port.order(ServoCommand::Stop)?;
+            link.port.order(ServoCommand::Cancel)?;
             let patience = link.rest_patience();
-            let resting = |status: &ServoStatus| status.at_rest;
+            let resting = |status: &ServoStatus| status.at_rest || status.fault.is_some();
             link.wait(cx, "come to rest", patience, resting).await?;
         }
         Ok(())
     }
+}
+
+fn refused(reason: impl ToString) -> MotionError {
+    MotionError::new(Outcome::Refused, reason)
+}
+
+/// The app is being stopped.
+fn ended(reason: &str) -> MotionError {
+    MotionError::new(Outcome::Stopped, format!("stopped because {reason}"))
+}
+
+fn stop_holds() -> MotionError {
+    MotionError::new(
+        Outcome::Stopped,
+        "a protective stop holds; `pino EXEC resume` ends it",
+    )
+}
+
+/// A request that makes no sense is refused; what the arm cannot do may be possible elsewhere.
+fn unplanned(error: PlanError) -> MotionError {
+    let outcome = match error {
+        PlanError::Speed { .. } | PlanError::Acceleration { .. } | PlanError::NotFinite { .. } => {
+            Outcome::Refused
+        }
+        PlanError::Target(_)
+        | PlanError::Line { .. }
+        | PlanError::JointSpeed { .. }
+        | PlanError::JointAcceleration { .. } => Outcome::Unreachable,
+    };
+    MotionError::new(outcome, error)
 }
 
 /// A pose from 16 numbers, checked: a rotation, a translation and the last row of a pose.
@@ -179,24 +223,26 @@ async fn watch(cx: Context, link: Arc<Link>, running: Running, id: u64, duration
     let Some(reply) = running.borrow_mut().take() else {
         return;
     };
-    let result = ended.and_then(|status| outcome(&link, &status, id));
-    let answered = match result {
-        Ok(report) => reply.ok(report),
-        Err(error) => reply.fail(error),
+    let result = match ended {
+        Ok(status) => outcome(&link, &status, id),
+        Err(error) => Err(MotionError::new(Outcome::Fault, error)),
     };
-    if let Err(error) = answered {
+    if let Err(error) = reply.ok(result) {
         tracing::warn!(task = cx.name(), %error, "a move could not be answered");
     }
 }
 
-fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, HandlerError> {
-    if let Some(fault) = link.fault() {
-        return Err(format!("power was taken away: {fault}; reset and acquire anew").into());
+fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, MotionError> {
+    if let Some(error) = link.failed() {
+        return Err(error);
     }
     if let Some((rejected, reason)) = status.rejected
         && rejected == id
     {
-        return Err(reason.into());
+        return Err(match reason {
+            Rejection::Stopped => stop_holds(),
+            _ => refused(reason),
+        });
     }
     let motion = &status.motion;
     match motion.phase {
@@ -206,12 +252,14 @@ fn outcome(link: &Link, status: &ServoStatus, id: u64) -> Result<MoveReport, Han
             final_error_rad: motion.error,
             joints: status.position,
         }),
-        MotionPhase::Stopped => Err("stopped before its end by a protective stop".into()),
-        _ => Err(format!(
-            "the arm did not settle: a joint is still {:.5} rad from its target",
-            motion.error
-        )
-        .into()),
+        _ if status.stopped => Err(MotionError::new(
+            Outcome::Stopped,
+            "stopped before its end by a protective stop, which holds until `pino EXEC resume`",
+        )),
+        _ => Err(MotionError::new(
+            Outcome::Stopped,
+            "cancelled before its end; the arm has come to rest on the way",
+        )),
     }
 }
 
@@ -225,11 +273,11 @@ impl EventHandler for PlannerTask {
             Plan::CODE => {
                 let (request, reply) = message.open::<Plan>()?;
                 let link = self.link()?;
-                let (segment, joints) = self.plan(&link, &request)?;
-                reply.ok(PlanReport {
+                let planned = self.plan(&link, &request);
+                reply.ok(planned.map(|(segment, joints)| PlanReport {
                     joints,
                     duration_s: segment.duration(),
-                })
+                }))
             }
             _ => cx.default_processing(message),
         }
@@ -243,10 +291,6 @@ impl EventHandler for PlannerTask {
     }
 
     async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
-        self.halt(cx, reason.to_string()).await
-    }
-
-    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
-        self.halt(cx, format!("chassis `{chassis}` is gone")).await
+        self.halt(cx, reason).await
     }
 }

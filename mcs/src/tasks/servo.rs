@@ -1,11 +1,11 @@
 //! The servo's task: builds the channel driver, puts the synchronous function on its processor's
-//! schedule, and brings the arm to rest when the app stops or a part of it is gone.
+//! schedule, and brings the arm to rest when the app stops.
 
 use std::sync::Arc;
 
 use ctos::config::{App, Node, TaskConfig};
 use ctos::diagnostic::{Finding, Findings};
-use ctos::message::{Command, CommandInfo, Message};
+use ctos::message::{Command, CommandInfo, Message, Replier};
 use ctos::registry::Registry;
 use ctos::sync::{CyclicHandle, Tick};
 use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason};
@@ -17,7 +17,7 @@ use crate::arm::{DynamicsOptions, Joints};
 use crate::client::{ControlReport, ReadControl, SetControl};
 use crate::control::{ComputedTorque, ControlLaw, JointGains, PidGravity};
 use crate::driver::DriverRegistry;
-use crate::servo::{Servo, ServoCommand, ServoStatus};
+use crate::servo::{MotionPhase, Servo, ServoCommand, ServoStatus};
 use crate::trajectory::Planner;
 
 /// The servo's status with what only its own task knows.
@@ -34,8 +34,10 @@ pub struct ServoReport {
 /// Orders that anybody may give.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StopKind {
-    /// Brake along the path to rest, then hold.
+    /// Brake along the path to rest, then hold until somebody resumes.
     Protective,
+    /// Brake along the path to rest.
+    Cancel,
     /// Drive power off now.
     Emergency,
 }
@@ -53,11 +55,17 @@ ctos::command! {
         pub kind: StopKind,
     } => (), 0x0322, "stop_servo"
 }
+ctos::command! {
+    /// Ends a protective stop.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct ResumeServo => (), 0x0323, "resume_servo"
+}
 
 /// What the servo's task takes.
-const COMMANDS: [CommandInfo; 4] = [
+const COMMANDS: [CommandInfo; 5] = [
     ReadServo::INFO,
     StopServo::INFO,
+    ResumeServo::INFO,
     ReadControl::INFO,
     SetControl::INFO,
 ];
@@ -106,23 +114,9 @@ struct ServoTask {
     servo: Option<Servo>,
     cyclic: Option<CyclicHandle>,
     control: ControlReport,
-    /// It has said that it stops because a chassis is gone.
-    bereft: bool,
 }
 
 impl ServoTask {
-    /// Says once that the arm is stopped because a chassis is gone: the order to stop may come before
-    /// the news, or after it.
-    fn bereave(&mut self, cx: &Context, chassis: &str) {
-        if !std::mem::replace(&mut self.bereft, true) {
-            tracing::warn!(
-                task = cx.name(),
-                chassis,
-                "a chassis is gone: the arm is stopped"
-            );
-        }
-    }
-
     fn new(cx: &Context, drivers: &DriverRegistry) -> Result<Self, HandlerError> {
         let task = cx.config().ok_or("a servo task needs a configuration")?;
         let mut findings = Findings::new();
@@ -157,7 +151,6 @@ impl ServoTask {
             link,
             servo: Some(servo),
             cyclic: None,
-            bereft: false,
             control: ControlReport {
                 law: match args.law {
                     Law::Pid => "pid".to_owned(),
@@ -178,6 +171,25 @@ impl ServoTask {
             fault: self.link.fault(),
             base_t_tool: rows(&self.link.planner.tool_pose(&position)),
         }
+    }
+
+    /// Answers when the servo shows that it has obeyed. Further orders are taken meanwhile.
+    fn confirm<C: Command<Reply = ()>>(
+        &self,
+        cx: &Context,
+        reply: Replier<C>,
+        obeyed: impl Fn(&ServoStatus) -> bool + 'static,
+    ) -> Handled {
+        let (own, link) = (cx.clone(), Arc::clone(&self.link));
+        cx.spawn(async move {
+            let patience = link.rest_patience();
+            // Answering never fails; its result exists to end a handler with.
+            let _ = match link.wait(&own, "obey", patience, obeyed).await {
+                Ok(_) => reply.ok(()),
+                Err(error) => reply.fail(error),
+            };
+        });
+        Ok(())
     }
 
     /// Gives the control law other parameters, when they can be and nothing moves.
@@ -224,11 +236,22 @@ impl EventHandler for ServoTask {
             }
             StopServo::CODE => {
                 let (StopServo { kind }, reply) = message.open::<StopServo>()?;
+                let port = &self.link.port;
                 match kind {
-                    StopKind::Protective => self.link.port.order(ServoCommand::Stop)?,
-                    StopKind::Emergency => self.link.port.emergency_stop(),
+                    StopKind::Protective => port.order(ServoCommand::Stop)?,
+                    StopKind::Cancel => port.order(ServoCommand::Cancel)?,
+                    StopKind::Emergency => port.emergency_stop(),
                 }
-                reply.ok(())
+                self.confirm(cx, reply, move |status| match kind {
+                    StopKind::Protective => status.stopped || status.fault.is_some(),
+                    StopKind::Cancel => status.motion.phase != MotionPhase::Moving,
+                    StopKind::Emergency => status.fault.is_some(),
+                })
+            }
+            ResumeServo::CODE => {
+                let (ResumeServo {}, reply) = message.open::<ResumeServo>()?;
+                self.link.port.order(ServoCommand::Resume)?;
+                self.confirm(cx, reply, |status| !status.stopped)
             }
             ReadControl::CODE => {
                 let (ReadControl {}, reply) = message.open::<ReadControl>()?;
@@ -263,13 +286,12 @@ impl EventHandler for ServoTask {
 
     async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
         if let StopReason::ChassisDown { chassis } = reason {
-            self.bereave(cx, chassis);
+            tracing::warn!(
+                task = cx.name(),
+                chassis,
+                "a chassis is gone: the arm is stopped"
+            );
         }
-        self.shut_down(cx).await
-    }
-
-    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
-        self.bereave(cx, chassis);
         self.shut_down(cx).await
     }
 }

@@ -1,19 +1,21 @@
 //! The state manager as a task: applies the rules of [`crate::state`] and makes the servo follow.
 //!
-//! A new state is only taken once the servo shows the power state that it means.
+//! A new state is only taken once the servo shows the power state that it means. When the chassis of
+//! the task that holds the manipulator is gone, the arm comes to rest and is free for the next one.
 
 use std::sync::Arc;
 
 use ctos::message::{Command, Message};
 use ctos::registry::Registry;
-use ctos::task::{Context, EventHandler, Handled, HandlerError, Phase};
+use ctos::task::{Context, EventHandler, Handled, Phase};
 use serde::{Deserialize, Serialize};
 
 use super::args::PartArgs;
 use super::{Link, SERVO, STATE, check_reference};
+use crate::client::{MotionError, Outcome};
 use crate::driver::Power;
 use crate::servo::{ServoCommand, ServoStatus};
-use crate::state::{Event, State, StateManager};
+use crate::state::{Event, State, StateError, StateManager};
 
 /// State and holder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,12 +27,14 @@ pub struct StateReport {
 }
 
 ctos::command! {
-    /// Reserves the manipulator for a task and switches its power on.
+    /// Reserves the manipulator for a task and switches its power on, unless that is so already.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Reserve {
         /// The task's name.
         pub by: String,
-    } => State, 0x0341, "reserve"
+        /// The number of the chassis that it asks from.
+        pub chassis: u8,
+    } => Result<State, MotionError>, 0x0341, "reserve"
 }
 ctos::command! {
     /// Releases the brakes for the task that holds the manipulator, if they are on.
@@ -38,15 +42,17 @@ ctos::command! {
     pub struct EnableMotion {
         /// The task's name.
         pub by: String,
-    } => State, 0x0342, "enable_motion"
+        /// The number of the chassis that it asks from.
+        pub chassis: u8,
+    } => Result<State, MotionError>, 0x0342, "enable_motion"
 }
 ctos::command! {
-    /// Comes to rest, switches power off and frees the manipulator.
+    /// Comes to rest, switches power off and frees the manipulator, if it is reserved.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Unreserve {
         /// The task's name.
         pub by: String,
-    } => State, 0x0343, "unreserve"
+    } => Result<State, MotionError>, 0x0343, "unreserve"
 }
 ctos::command! {
     /// Leaves the estopped state.
@@ -54,7 +60,7 @@ ctos::command! {
     pub struct ResetEstop {
         /// The task's name.
         pub by: String,
-    } => State, 0x0344, "reset_estop"
+    } => Result<State, MotionError>, 0x0344, "reset_estop"
 }
 ctos::command! {
     /// Tells state and holder.
@@ -77,6 +83,7 @@ pub(super) fn register(registry: &mut Registry) {
                 servo: args.servo,
                 link: None,
                 manager: StateManager::new(),
+                holders_chassis: None,
             })
         })
         .check_in_app(|task, app, findings| {
@@ -90,17 +97,34 @@ struct StateTask {
     servo: String,
     link: Option<Arc<Link>>,
     manager: StateManager,
+    /// The number of the chassis from which the holder last asked.
+    holders_chassis: Option<u8>,
+}
+
+type Changed = Result<State, MotionError>;
+
+/// What the servo does not do.
+fn failed(error: impl ToString) -> MotionError {
+    MotionError::new(Outcome::Fault, error)
 }
 
 impl StateTask {
-    fn link(&self) -> Result<Arc<Link>, HandlerError> {
-        self.link
-            .clone()
-            .ok_or_else(|| "the servo is not connected yet".into())
+    fn link(&self) -> Result<Arc<Link>, MotionError> {
+        let link = self.link.clone();
+        link.ok_or_else(|| failed("the servo is not connected yet"))
+    }
+
+    /// Why the rules say no: after a fault that is the fault.
+    fn refused(&self, link: &Link, error: StateError) -> MotionError {
+        match self.manager.state() {
+            State::Estopped => link.failed(),
+            _ => None,
+        }
+        .unwrap_or_else(|| MotionError::new(Outcome::Refused, error))
     }
 
     /// Takes note of what the servo did on its own: a fault, or power switched off in a stop.
-    fn sync(&mut self, link: &Link) -> Result<(), HandlerError> {
+    fn sync(&mut self, link: &Link) -> Result<(), StateError> {
         let status = link.port.status();
         if status.fault.is_some() && self.manager.state() != State::Estopped {
             self.manager.apply(Event::EmergencyStop, &self.servo)?;
@@ -123,64 +147,93 @@ impl StateTask {
         events: &[Event],
         by: &str,
         command: ServoCommand,
-    ) -> Result<State, HandlerError> {
+    ) -> Changed {
         let link = self.link()?;
-        self.sync(&link)?;
         let mut changed = self.manager.clone();
         for event in events {
-            changed.apply(*event, by)?;
+            let applied = changed.apply(*event, by);
+            applied.map_err(|error| self.refused(&link, error))?;
         }
-        link.port.order(command)?;
+        link.port.order(command).map_err(failed)?;
         let power = changed.state().power();
         let reached = move |status: &ServoStatus| status.power == power || status.fault.is_some();
         let what = format!("reach the {} state", changed.state());
         let patience = link.rest_patience();
-        let status = link.wait(cx, &what, patience, reached).await?;
+        let waited = link.wait(cx, &what, patience, reached).await;
+        let status = waited.map_err(failed)?;
         if status.power != power {
-            self.sync(&link)?;
-            let fault = link.fault().unwrap_or_default();
-            return Err(format!("the servo did not {what}: {fault}").into());
+            self.sync(&link).map_err(failed)?;
+            let unknown = || failed(format!("the servo did not {what}"));
+            return Err(link.failed().unwrap_or_else(unknown));
         }
         self.manager = changed;
         Ok(self.manager.state())
     }
 
-    async fn reserve(&mut self, cx: &Context, by: &str) -> Result<State, HandlerError> {
-        let events = [Event::Reserve, Event::PowerOn];
-        self.change(cx, &events, by, ServoCommand::PowerOn).await
+    /// The servo, once the manager's state is in step with it.
+    fn in_step(&mut self) -> Result<Arc<Link>, MotionError> {
+        let link = self.link()?;
+        self.sync(&link).map_err(failed)?;
+        Ok(link)
     }
 
-    async fn enable(&mut self, cx: &Context, by: &str) -> Result<State, HandlerError> {
-        let link = self.link()?;
-        self.sync(&link)?;
-        if self.manager.state() == State::Motion && self.manager.holder() == Some(by) {
-            return Ok(State::Motion);
+    async fn reserve(&mut self, cx: &Context, by: &str, chassis: u8) -> Changed {
+        self.in_step()?;
+        let own = self.manager.holder() == Some(by);
+        let changed = match self.manager.state() {
+            state @ (State::Active | State::Motion) if own => Ok(state),
+            State::Reserved if own => {
+                let events = [Event::PowerOn];
+                self.change(cx, &events, by, ServoCommand::PowerOn).await
+            }
+            _ => {
+                let events = [Event::Reserve, Event::PowerOn];
+                self.change(cx, &events, by, ServoCommand::PowerOn).await
+            }
+        };
+        if changed.is_ok() {
+            self.holders_chassis = Some(chassis);
         }
-        let events = [Event::ReleaseBrakes];
-        self.change(cx, &events, by, ServoCommand::ReleaseBrakes)
-            .await
+        changed
     }
 
-    async fn unreserve(&mut self, cx: &Context, by: &str) -> Result<State, HandlerError> {
-        let link = self.link()?;
-        self.sync(&link)?;
+    async fn enable(&mut self, cx: &Context, by: &str, chassis: u8) -> Changed {
+        self.in_step()?;
+        let enabled = if self.manager.state() == State::Motion && self.manager.holder() == Some(by)
+        {
+            Ok(State::Motion)
+        } else {
+            let events = [Event::ReleaseBrakes];
+            self.change(cx, &events, by, ServoCommand::ReleaseBrakes)
+                .await
+        };
+        if enabled.is_ok() {
+            self.holders_chassis = Some(chassis);
+        }
+        enabled
+    }
+
+    async fn unreserve(&mut self, cx: &Context, by: &str) -> Changed {
+        self.in_step()?;
         let events: &[Event] = match self.manager.state() {
+            state @ (State::Cold | State::Estopped) => return Ok(state),
             State::Motion => &[Event::EngageBrakes, Event::PowerOff, Event::Unreserve],
             State::Active => &[Event::PowerOff, Event::Unreserve],
-            _ => &[Event::Unreserve],
+            State::Reserved => &[Event::Unreserve],
         };
         self.change(cx, events, by, ServoCommand::PowerOff).await
     }
 
-    async fn reset(&mut self, cx: &Context, by: &str) -> Result<State, HandlerError> {
-        let link = self.link()?;
-        self.sync(&link)?;
+    async fn reset(&mut self, cx: &Context, by: &str) -> Changed {
+        let link = self.in_step()?;
         let mut changed = self.manager.clone();
-        changed.apply(Event::Reset, by)?;
-        link.port.order(ServoCommand::Reset)?;
+        let applied = changed.apply(Event::Reset, by);
+        applied.map_err(|error| MotionError::new(Outcome::Refused, error))?;
+        link.port.order(ServoCommand::Reset).map_err(failed)?;
         let cleared = |status: &ServoStatus| status.fault.is_none();
         let patience = link.rest_patience();
-        link.wait(cx, "clear its fault", patience, cleared).await?;
+        let waited = link.wait(cx, "clear its fault", patience, cleared).await;
+        waited.map_err(failed)?;
         self.manager = changed;
         Ok(self.manager.state())
     }
@@ -190,25 +243,24 @@ impl EventHandler for StateTask {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
             Reserve::CODE => {
-                let (Reserve { by }, reply) = message.open::<Reserve>()?;
-                reply.ok(self.reserve(cx, &by).await?)
+                let (Reserve { by, chassis }, reply) = message.open::<Reserve>()?;
+                reply.ok(self.reserve(cx, &by, chassis).await)
             }
             EnableMotion::CODE => {
-                let (EnableMotion { by }, reply) = message.open::<EnableMotion>()?;
-                reply.ok(self.enable(cx, &by).await?)
+                let (EnableMotion { by, chassis }, reply) = message.open::<EnableMotion>()?;
+                reply.ok(self.enable(cx, &by, chassis).await)
             }
             Unreserve::CODE => {
                 let (Unreserve { by }, reply) = message.open::<Unreserve>()?;
-                reply.ok(self.unreserve(cx, &by).await?)
+                reply.ok(self.unreserve(cx, &by).await)
             }
             ResetEstop::CODE => {
                 let (ResetEstop { by }, reply) = message.open::<ResetEstop>()?;
-                reply.ok(self.reset(cx, &by).await?)
+                reply.ok(self.reset(cx, &by).await)
             }
             ReadState::CODE => {
                 let (ReadState {}, reply) = message.open::<ReadState>()?;
-                let link = self.link()?;
-                self.sync(&link)?;
+                self.in_step()?;
                 reply.ok(StateReport {
                     state: self.manager.state(),
                     holder: self.manager.holder().map(str::to_owned),
@@ -222,6 +274,27 @@ impl EventHandler for StateTask {
         if phase == Phase::Connect {
             self.link = Some(Link::find(cx, &self.servo)?);
         }
+        Ok(())
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let holder = self.manager.holder().map(str::to_owned);
+        let on = self
+            .holders_chassis
+            .map(|index| cx.chassis().name_of(index));
+        let (Some(holder), Some(on)) = (holder, on) else {
+            return Ok(());
+        };
+        if on != chassis {
+            return Ok(());
+        }
+        tracing::warn!(
+            task = cx.name(),
+            chassis,
+            holder,
+            "the arm comes to rest and is given free: the chassis of the task that holds it is gone"
+        );
+        self.unreserve(cx, &holder).await?;
         Ok(())
     }
 }

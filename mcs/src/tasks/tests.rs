@@ -2,10 +2,12 @@
 
 use std::sync::atomic::Ordering;
 
-use ctos::boot::{End, Launcher, Outcome, boot};
+use ctos::boot::{self, End, Launcher, boot};
 use ctos::message::{Command, Message};
+use ctos::simulation::{self, Faults, Mishap, Setup};
 use ctos::system::AppResult;
 use ctos::task::{EventHandler, Handled, Phase, TaskRef};
+use ctos::time::Instant;
 use futures_util::future::LocalBoxFuture;
 
 use super::*;
@@ -106,17 +108,12 @@ fn registry(script: Script, knobs: &Arc<Knobs>) -> Registry {
     });
     registry.function::<Try, _, _>("test.bystander", |cx, Try {}| async move {
         let client = cx.task("mcs").await?;
-        let refused = cx
-            .call(&client, Acquire {})
-            .await
-            .err()
-            .ok_or("was not refused")?;
-        Ok(refused.reason())
+        refusal(&cx, &client, Acquire {}).await
     });
     registry
 }
 
-fn run(script: Script, knobs: &Arc<Knobs>, sets: &[&str]) -> Outcome {
+fn run(script: Script, knobs: &Arc<Knobs>, sets: &[&str]) -> boot::Outcome {
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
     let app = ctos::config::load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
     let registry = registry(script, knobs);
@@ -152,16 +149,34 @@ async fn asked<C: Command>(
         .map_err(|error| HandlerError::new(error.reason()))
 }
 
+/// What a request came to that may meet an obstacle.
+async fn done<T, C: Command<Reply = Result<T, MotionError>>>(
+    cx: &Context,
+    to: &TaskRef,
+    request: C,
+) -> Result<T, HandlerError> {
+    Ok(asked(cx, to, request).await??)
+}
+
+/// What a request must meet.
+async fn error_of<T, C: Command<Reply = Result<T, MotionError>>>(
+    cx: &Context,
+    to: &TaskRef,
+    request: C,
+) -> Result<MotionError, HandlerError> {
+    match asked(cx, to, request).await? {
+        Ok(_) => Err("nothing was in the way".into()),
+        Err(error) => Ok(error),
+    }
+}
+
 /// The refusal that a request must meet.
-async fn refusal<C: Command>(
+async fn refusal<T, C: Command<Reply = Result<T, MotionError>>>(
     cx: &Context,
     to: &TaskRef,
     request: C,
 ) -> Result<String, HandlerError> {
-    match asked(cx, to, request).await {
-        Ok(_) => Err("was not refused".into()),
-        Err(error) => Ok(error.to_string()),
-    }
+    Ok(error_of(cx, to, request).await?.reason)
 }
 
 fn to(target: Target) -> Move {
@@ -178,8 +193,8 @@ fn to(target: Target) -> Move {
 fn a_user_acquires_moves_reads_back_and_releases() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
-            assert_eq!(asked(&cx, &mcs, Acquire {}).await?, State::Active);
-            let report = asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
+            let report = done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
             assert!(report.max_tracking_error_rad < 4e-3, "{report:?}");
             assert!(report.final_error_rad < 5e-4, "{report:?}");
             let position = asked(&cx, &mcs, ReadPosition {}).await?;
@@ -187,20 +202,20 @@ fn a_user_acquires_moves_reads_back_and_releases() {
                 assert!((read - goal).abs() < 5e-4);
             }
             // Back, and on to a pose along a straight line.
-            asked(&cx, &mcs, to(Target::Joints(START))).await?;
+            done(&cx, &mcs, to(Target::Joints(START))).await?;
             let mut pose = asked(&cx, &mcs, ReadPosition {}).await?.base_t_tool;
             pose[7] += 0.2;
             let line = Move {
                 path: PathKind::StraightLine,
                 ..to(Target::Pose(pose))
             };
-            asked(&cx, &mcs, line).await?;
+            done(&cx, &mcs, line).await?;
             let aside = asked(&cx, &mcs, ReadPosition {}).await?;
             assert!((aside.base_t_tool[7] - pose[7]).abs() < 1e-3);
             let status = asked(&cx, &mcs, Status {}).await?;
             assert_eq!(status.holder.as_deref(), Some("user"));
             assert_eq!(status.state, State::Motion);
-            assert_eq!(asked(&cx, &mcs, Release {}).await?, State::Cold);
+            assert_eq!(done(&cx, &mcs, Release {}).await?, State::Cold);
             Ok(format!("{report:?} {position:?}"))
         })
     });
@@ -212,8 +227,8 @@ fn the_same_seed_gives_the_same_bits() {
     let once = || {
         text_of(|cx, mcs, _| {
             Box::pin(async move {
-                asked(&cx, &mcs, Acquire {}).await?;
-                let report = asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                done(&cx, &mcs, Acquire {}).await?;
+                let report = done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
                 Ok(format!("{report:?}"))
             })
         })
@@ -225,7 +240,7 @@ fn the_same_seed_gives_the_same_bits() {
 fn bad_targets_are_refused_before_anything_moves_and_say_why() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
-            asked(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
             let mut beyond = START;
             beyond[4] = 2.0;
             let mut nan = START;
@@ -284,7 +299,7 @@ fn only_the_holder_moves_and_only_after_acquiring() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
             let cold = refusal(&cx, &mcs, to(Target::Joints(GOAL))).await?;
-            asked(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
             let other = cx.task("other").await?;
             let held = asked(&cx, &other, Try {}).await?;
             Ok(format!("{cold}\n{held}"))
@@ -299,47 +314,142 @@ fn only_the_holder_moves_and_only_after_acquiring() {
     );
 }
 
+/// Moves to the goal and asks for something else in the midst of it; what the mover was told.
+async fn disturbed<T, C: Command<Reply = T>>(
+    cx: &Context,
+    mcs: &TaskRef,
+    request: C,
+) -> Result<MotionError, HandlerError> {
+    let disturb = async {
+        cx.sleep(Duration::from_millis(300)).await;
+        asked(cx, mcs, request).await
+    };
+    let moving = error_of(cx, mcs, to(Target::Joints(GOAL)));
+    let (disturbed, moved) = futures_util::future::join(disturb, moving).await;
+    disturbed?;
+    moved
+}
+
 #[test]
-fn a_stop_in_mid_motion_answers_the_mover_and_the_arm_can_move_on() {
-    let text = text_of(|cx, mcs, _| {
+fn a_protective_stop_holds_through_release_and_acquisition_until_somebody_resumes() {
+    text_of(|cx, mcs, _| {
         Box::pin(async move {
-            asked(&cx, &mcs, Acquire {}).await?;
-            let stopper = {
-                let (cx, mcs) = (cx.clone(), mcs.clone());
-                async move {
-                    cx.sleep(Duration::from_millis(300)).await;
-                    asked(&cx, &mcs, Stop {}).await
-                }
-            };
-            let moving = refusal(&cx, &mcs, to(Target::Joints(GOAL)));
-            let (stopped, moved) = futures_util::future::join(stopper, moving).await;
-            stopped?;
-            let moved = moved?;
-            let position = asked(&cx, &mcs, ReadPosition {}).await?;
-            assert!(position.at_rest);
-            assert!((position.joints[0] - GOAL[0]).abs() > 0.01);
-            asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
-            Ok(moved)
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, Stop {}).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            assert!(told.reason.contains("protective stop"), "{told}");
+            let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!(stands.at_rest);
+            assert!((stands.joints[0] - GOAL[0]).abs() > 0.01);
+            // At once, later, and for whoever comes next.
+            for _ in 0..3 {
+                assert!(asked(&cx, &mcs, Status {}).await?.stopped);
+                let again = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                assert_eq!(again.outcome, Outcome::Stopped);
+                assert!(again.reason.contains("resume"), "{again}");
+                done(&cx, &mcs, Release {}).await?;
+                cx.sleep(Duration::from_secs(10)).await;
+                done(&cx, &mcs, Acquire {}).await?;
+            }
+            let later = asked(&cx, &mcs, ReadPosition {}).await?;
+            for (now, then) in later.joints.iter().zip(&stands.joints) {
+                assert!((now - then).abs() < 1e-3);
+            }
+            asked(&cx, &mcs, Resume {}).await?;
+            assert!(!asked(&cx, &mcs, Status {}).await?.stopped);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
         })
     });
-    assert!(text.contains("protective stop"), "{text}");
+}
+
+#[test]
+fn a_stop_of_an_arm_that_stands_holds_too_and_a_reset_ends_it() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Stop {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            asked(&cx, &mcs, EmergencyStop {}).await?;
+            cx.sleep(Duration::from_millis(20)).await;
+            done(&cx, &mcs, Reset {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn a_cancelled_motion_ends_at_rest_and_the_next_may_begin_at_once() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, Cancel {}).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            assert!(told.reason.contains("cancelled"), "{told}");
+            assert!(asked(&cx, &mcs, ReadPosition {}).await?.at_rest);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn an_emergency_stop_and_a_release_in_mid_motion_are_told_for_what_they_are() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, EmergencyStop {}).await?;
+            assert_eq!(told.outcome, Outcome::Estopped);
+            let again = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(again.outcome, Outcome::Estopped);
+            assert_eq!(
+                error_of(&cx, &mcs, Acquire {}).await?.outcome,
+                Outcome::Estopped
+            );
+            // There is nothing to give back, and that is no error.
+            assert_eq!(done(&cx, &mcs, Release {}).await?, State::Estopped);
+            done(&cx, &mcs, Reset {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, Release {}).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn who_holds_the_manipulator_may_acquire_it_again_and_release_what_is_free() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            assert_eq!(done(&cx, &mcs, Release {}).await?, State::Cold);
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Motion);
+            Ok(String::new())
+        })
+    });
 }
 
 #[test]
 fn after_an_emergency_stop_reset_and_a_new_reservation_are_needed() {
     let text = text_of(|cx, mcs, _| {
         Box::pin(async move {
-            asked(&cx, &mcs, Acquire {}).await?;
-            asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
             asked(&cx, &mcs, EmergencyStop {}).await?;
             cx.sleep(Duration::from_millis(20)).await;
             let status = asked(&cx, &mcs, Status {}).await?;
             assert_eq!(status.state, State::Estopped);
             let first = refusal(&cx, &mcs, Acquire {}).await?;
-            assert_eq!(asked(&cx, &mcs, Reset {}).await?, State::Cold);
+            assert_eq!(done(&cx, &mcs, Reset {}).await?, State::Cold);
             let second = refusal(&cx, &mcs, to(Target::Joints(START))).await?;
-            asked(&cx, &mcs, Acquire {}).await?;
-            asked(&cx, &mcs, to(Target::Joints(START))).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(START))).await?;
             Ok(format!("{first}\n{second}"))
         })
     });
@@ -351,7 +461,7 @@ fn after_an_emergency_stop_reset_and_a_new_reservation_are_needed() {
 fn a_driver_fault_in_mid_motion_is_told_to_the_mover_in_the_drivers_words() {
     let text = text_of(|cx, mcs, knobs| {
         Box::pin(async move {
-            asked(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
             let own = cx.clone();
             cx.spawn(async move {
                 own.sleep(Duration::from_millis(300)).await;
@@ -371,12 +481,109 @@ fn a_driver_fault_in_mid_motion_is_told_to_the_mover_in_the_drivers_words() {
     assert!(text.contains("cable out"), "{text}");
 }
 
+/// Runs a script in an app with a chassis `aside` more, while chassis die at these times, ms.
+fn run_dying(script: Script, knobs: &Arc<Knobs>, deaths: &[(&str, u64)]) -> AppResult {
+    let text = APP.replace(
+        "[chassis.ws]",
+        "[chassis.ws]\nrestart = \"on-failure\"\n[chassis.aside]\nrestart = \"on-failure\"",
+    );
+    let app = ctos::config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap();
+    let kills = deaths.iter().map(|(chassis, ms)| Mishap::Kill {
+        chassis: (*chassis).to_owned(),
+        at: Instant::from_nanos(ms * 1_000_000),
+    });
+    let setup = Setup {
+        faults: Faults::of_script("deaths", kills.collect()),
+        ..Setup::default()
+    };
+    let observer: ctos::boot::Observer = Arc::new(|_| {});
+    let run = simulation::run(app, registry(script, knobs), setup, &observer).unwrap();
+    match run.outcome.end {
+        End::Finished(result) => result,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn the_loss_of_a_chassis_that_the_motion_does_not_need_does_not_stop_the_arm() {
+    let script: Script = |cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            // Some 1.5 s of motion each.
+            for goal in [GOAL, START, GOAL] {
+                done(&cx, &mcs, to(Target::Joints(goal))).await?;
+            }
+            Ok(String::new())
+        })
+    };
+    let result = run_dying(
+        script,
+        &Arc::default(),
+        &[("aside", 300), ("aside", 1400), ("aside", 2600)],
+    );
+    assert!(result.ok, "{}", result.text);
+}
+
+#[test]
+fn when_the_chassis_of_its_holder_is_lost_the_arm_rests_and_it_moves_again_for_the_next() {
+    for at in [150, 300, 450, 600, 1000] {
+        let knobs = Arc::<Knobs>::default();
+        let script: Script = |cx, mcs, knobs| {
+            Box::pin(async move {
+                let lives = knobs.lives.fetch_add(1, Ordering::Relaxed);
+                if lives > 0 {
+                    // Its predecessor died in the midst of a motion.
+                    let status = asked(&cx, &mcs, Status {}).await?;
+                    assert_eq!((status.state, status.holder), (State::Cold, None));
+                    let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+                    assert_eq!(power, Power::Off);
+                }
+                done(&cx, &mcs, Acquire {}).await?;
+                done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                done(&cx, &mcs, to(Target::Joints(START))).await?;
+                Ok(format!("life {lives}"))
+            })
+        };
+        let result = run_dying(script, &knobs, &[("ws", at)]);
+        assert!(result.ok, "{at}: {}", result.text);
+        assert_eq!(result.text, "life 1", "{at}");
+        // It braked along its path, and power went off at rest.
+        let speed = *knobs.speed_at_power_off.lock().unwrap();
+        assert!(speed.is_some_and(|speed| speed < 5e-3), "{at}: {speed:?}");
+    }
+}
+
+#[test]
+fn an_arm_that_something_holds_fast_is_a_fault_and_does_not_push_on() {
+    let knobs = Arc::<Knobs>::default();
+    let script: Script = |cx, mcs, knobs| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            knobs.fault.store(4, Ordering::Relaxed);
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(told.outcome, Outcome::Fault, "{told}");
+            assert!(told.reason.contains("joint 1"), "{told}");
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!(status.state, State::Estopped);
+            let (power, torques) = knobs.last_write.lock().unwrap().unwrap();
+            assert_eq!((power, torques), (Power::Off, [0.0; 6]));
+            Ok(String::new())
+        })
+    };
+    let outcome = run(script, &knobs, &[]);
+    assert!(
+        matches!(&outcome.end, End::Finished(result) if result.ok),
+        "{:?}",
+        outcome.end
+    );
+}
+
 #[test]
 fn when_the_app_ends_in_mid_motion_the_arm_is_at_rest_without_power() {
     let knobs = Arc::<Knobs>::default();
     let script: Script = |cx, mcs, knobs| {
         Box::pin(async move {
-            asked(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
             let own = cx.clone();
             cx.spawn(async move {
                 let told = refusal(&own, &mcs, to(Target::Joints(GOAL))).await.ok();
@@ -486,7 +693,7 @@ fn one_line_of_text_moves_the_arm_of_the_app_and_gives_it_back() {
             assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
             // What the app refuses is said in its words.
             let refused = told(&cx, "mvpos EXEC joints FMSG 6 0 0 0 0 2 0").await?;
-            assert_eq!(refused.code, sorma::report::code::REFUSED);
+            assert_eq!(refused.code, crate::services::code::MOTION);
             assert!(refused.reports[0].text.contains("joint 5"), "{refused:?}");
             assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
             Ok(String::new())
@@ -524,16 +731,16 @@ fn control_parameters_are_read_and_set_and_a_softer_loop_follows_worse() {
                 (control.text.as_str(), &control.floats[..2]),
                 ("pid", &[8.0, 1.0][..])
             );
-            asked(&cx, &mcs, Acquire {}).await?;
-            let stiff = asked(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            let stiff = done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
             let set = told(&cx, "pino EXEC set FMSG 2 4 1").await?;
             assert_eq!(set.floats[0], 4.0, "{:?}", set.reports);
-            let soft = asked(&cx, &mcs, to(Target::Joints([0.0; 6]))).await?;
+            let soft = done(&cx, &mcs, to(Target::Joints([0.0; 6]))).await?;
             assert!(soft.max_tracking_error_rad > 2.0 * stiff.max_tracking_error_rad);
             let refused = told(&cx, "pino EXEC set FMSG 2 400 1").await?;
             assert_eq!(refused.code, sorma::report::code::REFUSED);
             assert_eq!(told(&cx, "pino EXEC control").await?.floats[0], 4.0);
-            asked(&cx, &mcs, Release {}).await?;
+            done(&cx, &mcs, Release {}).await?;
             Ok(String::new())
         })
     });

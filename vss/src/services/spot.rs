@@ -195,11 +195,10 @@ impl Spot {
         let request = Snap {
             camera: camera.to_owned(),
         };
+        let nothing = |why: &str| wrong(format!("camera `{camera}` gives no picture: {why}"));
         let taken = cx.call_task(tool, request, SOON).await;
-        taken.map_err(|why| {
-            let text = &why.text;
-            wrong(format!("camera `{camera}` gives no picture: {text}"))
-        })
+        let taken = taken.map_err(|report| nothing(&report.text))?;
+        taken.map_err(|error| nothing(&error.reason))
     }
 
     /// Answers with the spots of a picture that is called `what`.
