@@ -15,6 +15,7 @@ use mcs::{
     client::{
         Manipulator, MotionError, Move, Outcome as Motion, PathKind, Plan, PlanReport, Target,
     },
+    state::State,
 };
 use pnt::{
     check::FunctionNames,
@@ -298,17 +299,38 @@ async fn plan(cx: &Context, args: &MotionArgs, request: Plan) -> Result<PlanRepo
     planned.await
 }
 
-/// Sees that the manipulator is reserved for this task and has power.
+/// Reserves the manipulator for a command; later on, sees that it is still reserved for it.
 async fn acquire(action: &Act, cx: &Context, args: &MotionArgs) -> Result<(), Failure> {
     let destination: Destination = parts(action).2.fetch(cx, DESTINATION).await?;
-    action.with_state(|state| {
-        if state.command != destination.stamp.command {
-            state.command = destination.stamp.command;
-            state.log = MotionLog::default();
-        }
-    });
+    let command = destination.stamp.command;
+    if action.with_state(|state| state.command) == command {
+        return still_held(cx, args).await;
+    }
     ask(cx, args, |arm| async move { arm.acquire().await }).await?;
+    action.with_state(|state| {
+        state.command = command;
+        state.log = MotionLog::default();
+    });
     Ok(())
+}
+
+/// What was measured before holds only while MCS has kept the manipulator for this task.
+async fn still_held(cx: &Context, args: &MotionArgs) -> Result<(), Failure> {
+    let status = ask(cx, args, |arm| async move { arm.status().await }).await?;
+    if status.holder.as_deref() == Some(cx.name()) {
+        return Ok(());
+    }
+    if status.state == State::Estopped {
+        // It cannot be acquired; the error says what stopped it.
+        ask(cx, args, |arm| async move { arm.acquire().await }).await?;
+    }
+    Err(Failure::new(
+        Outcome::Lost,
+        format!(
+            "the manipulator is no longer reserved for `{}`: MCS was started again, or somebody gave it back",
+            cx.name()
+        ),
+    ))
 }
 
 /// Drives the path, and waits until the arm has settled.
@@ -395,6 +417,7 @@ async fn read_back(action: &Act) -> Result<(), Failure> {
     let (cx, args, store) = parts(action);
     let destination: Destination = store.fetch(&cx, DESTINATION).await?;
     let position = ask(&cx, &args, |arm| async move { arm.position().await }).await?;
+    still_held(&cx, &args).await?;
     let [_, _, _, x, _, _, _, y, _, _, _, z, ..] = position.base_t_tool;
     let reached = ReachedPosition {
         stamp: destination.stamp,

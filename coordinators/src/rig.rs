@@ -52,6 +52,8 @@ pub(crate) enum Answer {
     Refuse,
     /// With this outcome.
     Meet(Outcome),
+    /// As it should, after which nobody has the manipulator reserved.
+    Taken,
     /// Not at all.
     Silent,
     /// Not at all, having done the work.

@@ -24,14 +24,13 @@ fn the_other_elbow_is_tried_when_the_nearest_is_refused() {
 }
 
 #[test]
-fn whether_the_manipulator_is_held_is_asked_at_every_position_and_it_is_given_back_once_per_command()
- {
+fn the_manipulator_is_reserved_once_and_given_back_once_per_command() {
     let run = run(&Rig {
         commands: 2,
         ..Rig::default()
     });
     assert_eq!(run.answers.len(), 2);
-    assert_eq!((run.done("acquire", ""), run.done("release", "")), (32, 2));
+    assert_eq!((run.done("acquire", ""), run.done("release", "")), (2, 2));
     assert!(!lock(&run.world).reserved);
     let log: MotionLog = run.object(MOTIONS).unwrap();
     assert_eq!(log.moves, 16, "the log is that of the last command");
@@ -83,9 +82,11 @@ fn whatever_ends_a_motion_but_a_position_out_of_reach_fails_the_command_in_its_n
         Outcome::Lost,
         Outcome::Refused,
     ] {
-        for (request, detail, occurrence) in
-            [("acquire", "", 3), ("plan", "None", 3), ("move", "", 3)]
-        {
+        for (request, detail, occurrence, moves) in [
+            ("acquire", "", 0, 0),
+            ("plan", "None", 3, 3),
+            ("move", "", 3, 3),
+        ] {
             let run = run(&Rig {
                 script: Arc::new(move |command, with, n| {
                     // A service that stays lost is given up.
@@ -101,11 +102,31 @@ fn whatever_ends_a_motion_but_a_position_out_of_reach_fails_the_command_in_its_n
             let case = format!("{request}: {outcome}: {text}");
             assert_eq!(symbol, "calibration_failed", "{case}");
             assert!(text.contains(&format!("{outcome}: {request}")), "{case}");
-            assert_eq!(run.done("move", ""), 3, "{case}");
+            assert_eq!(run.done("move", ""), moves, "{case}");
             let world = lock(&run.world);
             assert!(!world.reserved && !world.lamp_on, "{case}");
         }
     }
+}
+
+#[test]
+fn a_manipulator_that_is_no_longer_reserved_for_it_is_lost_and_not_taken_again() {
+    // After the fourth position, in the midst of the command.
+    let run = run(&Rig {
+        script: Arc::new(|command, _, n| match (command, n) {
+            ("move", 3) => Answer::Taken,
+            _ => Answer::Work,
+        }),
+        ..Rig::default()
+    });
+    let (symbol, text) = run.answer();
+    assert_eq!(symbol, "calibration_failed");
+    assert!(
+        text.contains("lost: the manipulator is no longer reserved for `motion`"),
+        "{text}"
+    );
+    assert_eq!(run.done("move", ""), 4);
+    assert_eq!(run.done("acquire", ""), 1);
 }
 
 fn stopped_at_the_fourth(resume_at_s: Option<f64>) -> Rig {

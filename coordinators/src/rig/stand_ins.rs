@@ -61,7 +61,7 @@ impl StandIn {
         let (request, reply) = message.open::<C>()?;
         let detail = detail(&request);
         match self.answer(C::NAME, &detail) {
-            answer @ (Answer::Work | Answer::Lost) => {
+            answer @ (Answer::Work | Answer::Lost | Answer::Taken) => {
                 let (child, world) = (cx.clone(), self.world.clone());
                 cx.spawn(async move {
                     let begin = child.now().since_start().as_secs_f64();
@@ -71,6 +71,7 @@ impl StandIn {
                     let entry = (C::NAME.to_owned(), detail, begin, end);
                     locked.log.push(entry);
                     let worked = work(&mut locked, request);
+                    locked.reserved &= answer != Answer::Taken;
                     drop(locked);
                     if answer == Answer::Lost {
                         return;

@@ -9,6 +9,7 @@ use super::{
 use crate::{
     boot::BootError,
     chassis::BOOT_CHASSIS,
+    system,
     time::{Drift, Instant},
 };
 
@@ -45,6 +46,12 @@ impl Simulation {
         let number = machine.chassis.index();
         match mishap {
             Mishap::Kill { .. } => self.kill(number),
+            Mishap::Restart { .. } => {
+                if let Some(boot) = self.machines.first() {
+                    let restart = system::RestartChassis { chassis: number };
+                    boot.chassis.post_system(system::BOOTSTRAP, restart);
+                }
+            }
             Mishap::Freeze { until, .. } if !machine.gone => {
                 machine.freeze(*until);
                 for other in self.machines.iter().filter(|other| !other.gone) {
@@ -100,8 +107,8 @@ pub(super) fn schedule(
     drifts: &mut Vec<Mishap>,
 ) -> Result<BTreeMap<Instant, Vec<Mishap>>, BootError> {
     let check = |name: &str, mishap: &Mishap| {
-        let killed = matches!(mishap, Mishap::Kill { .. });
-        if names.iter().any(|known| known == name) && !(killed && name == BOOT_CHASSIS) {
+        let ended = matches!(mishap, Mishap::Kill { .. } | Mishap::Restart { .. });
+        if names.iter().any(|known| known == name) && !(ended && name == BOOT_CHASSIS) {
             return Ok(());
         }
         Err(BootError::NoChassis {

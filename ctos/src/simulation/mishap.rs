@@ -15,6 +15,13 @@ pub enum Mishap {
         /// When.
         at: Instant,
     },
+    /// A person has a chassis restarted, as `ctos restart CHASSIS` does.
+    Restart {
+        /// Its name.
+        chassis: String,
+        /// When.
+        at: Instant,
+    },
     /// The link between two chassis is refused for good, which both notice at once; what is under way
     /// is lost. Each then holds the other for gone.
     Cut {
@@ -121,6 +128,7 @@ impl Mishap {
     pub fn at(&self) -> Instant {
         match self {
             Self::Kill { at, .. }
+            | Self::Restart { at, .. }
             | Self::Cut { at, .. }
             | Self::Break { at, .. }
             | Self::Stall { at, .. }
@@ -142,7 +150,9 @@ impl Mishap {
             | Self::Delay { until, .. }
             | Self::Freeze { until, .. }
             | Self::Slow { until, .. } => Some(*until),
-            Self::Kill { .. } | Self::Cut { .. } | Self::Drift { .. } => None,
+            Self::Kill { .. } | Self::Restart { .. } | Self::Cut { .. } | Self::Drift { .. } => {
+                None
+            }
         }
     }
 
@@ -151,6 +161,7 @@ impl Mishap {
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Kill { .. } => "kill",
+            Self::Restart { .. } => "restart",
             Self::Cut { .. } => "refuse",
             Self::Break { .. } => "cut",
             Self::Stall { .. } => "stall",
@@ -170,6 +181,7 @@ impl Mishap {
             | Self::Loss { one, other, .. }
             | Self::Delay { one, other, .. } => Site::Link(one, other),
             Self::Kill { chassis, .. }
+            | Self::Restart { chassis, .. }
             | Self::Freeze { chassis, .. }
             | Self::Slow { chassis, .. }
             | Self::Drift { chassis, .. } => Site::Chassis(chassis),
@@ -180,6 +192,7 @@ impl Mishap {
     pub(crate) fn called(&self) -> &'static str {
         match self {
             Self::Kill { .. } => "a kill",
+            Self::Restart { .. } => "a restart",
             Self::Cut { .. } | Self::Break { .. } => "a cut",
             Self::Stall { .. } => "a stall",
             Self::Loss { .. } => "a loss",

@@ -14,13 +14,13 @@ use crate::{
 /// The latest moment and the longest time, s: the nanosecond still counts in a float.
 const MOST: f64 = 1e6;
 
-const KINDS: [&str; 9] = [
-    "kill", "refuse", "cut", "stall", "loss", "delay", "freeze", "slow", "drift",
+const KINDS: [&str; 10] = [
+    "kill", "restart", "refuse", "cut", "stall", "loss", "delay", "freeze", "slow", "drift",
 ];
 
 fn keys(kind: &str) -> &'static [&'static str] {
     match kind {
-        "kill" => &["kind", "chassis", "at_s"],
+        "kill" | "restart" => &["kind", "chassis", "at_s"],
         "refuse" => &["kind", "between", "at_s"],
         "cut" | "stall" => &["kind", "between", "at_s", "lasts_s"],
         "loss" => &["kind", "between", "at_s", "lasts_s", "share"],
@@ -97,6 +97,7 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> 
     };
     Some(match kind.as_str() {
         "kill" => Mishap::Kill { chassis, at },
+        "restart" => Mishap::Restart { chassis, at },
         "refuse" => Mishap::Cut { one, other, at },
         "cut" => Mishap::Break {
             one,
@@ -188,7 +189,7 @@ mod tests {
     fn mishap() -> impl Strategy<Value = Mishap> {
         let nanos = || 0_u64..1_000_000_000_000_000;
         (
-            0..9_u8,
+            0..10_u8,
             nanos(),
             nanos(),
             0..=1_000_000_u32,
@@ -229,6 +230,7 @@ mod tests {
                         extra: short,
                     },
                     6 => Mishap::Freeze { chassis, at, until },
+                    8 => Mishap::Restart { chassis, at },
                     7 => Mishap::Slow {
                         chassis,
                         at,
