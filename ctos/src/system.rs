@@ -68,6 +68,7 @@ pub(crate) struct Created {
 pub(crate) fn command_name(code: u16) -> String {
     let known = [
         EnterPhase::INFO,
+        Quiesce::INFO,
         StopTask::INFO,
         ChassisDown::INFO,
         Ping::INFO,
@@ -98,6 +99,14 @@ command! {
     /// Comes to an orderly stop. With a chassis, the task only if it is there: one that has just moved
     /// away goes on.
     pub(crate) struct StopTask { pub(crate) reason: StopReason, pub(crate) on: Option<u8> } => (), 0xff03, "stop"
+}
+command! {
+    /// Comes to rest, before any task is stopped; answered when it has.
+    pub(crate) struct Quiesce { pub(crate) reason: StopReason } => (), 0xff06, "quiesce"
+}
+command! {
+    /// Asks a task that comes to rest what it still waits for, in words.
+    pub(crate) struct NotQuiet => Option<String>, 0xff07, "not_quiet"
 }
 command! {
     /// Tells that another chassis is gone.
@@ -218,6 +227,8 @@ pub(crate) const ALL: &[CommandInfo] = &[
     Introspect::INFO,
     Statistics::INFO,
     EnterPhase::INFO,
+    Quiesce::INFO,
+    NotQuiet::INFO,
     StopTask::INFO,
     ChassisDown::INFO,
     ChassisUp::INFO,

@@ -261,7 +261,8 @@ impl Supervisor {
                     // The process is gone, which is told in another way.
                     Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
                     Err(error) => {
-                        let why = explained(cx, task, phase, error).await;
+                        let asked = format!("acknowledge phase {phase}");
+                        let why = explained(cx, task, &asked, error).await;
                         Some((task.name.clone(), why))
                     }
                 }
