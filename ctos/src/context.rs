@@ -40,7 +40,7 @@ pub(crate) use self::{asking::Note, beside::Beside};
 pub use self::{
     asking::{Call, Calling, Send, Sending},
     beside::Child,
-    finding::{NameError, TaskRef},
+    finding::{Find, NameError, TaskRef},
 };
 
 /// How long a call waits for its reply unless it, or the task's configuration, says otherwise.

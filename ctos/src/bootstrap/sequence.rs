@@ -10,6 +10,7 @@ use crate::{
         board::{Board, Event},
         states::{BootStep, ChassisStep},
     },
+    system::News,
     task::Phase,
 };
 
@@ -49,6 +50,9 @@ impl Sequence {
                 return pending().await;
             }
             self.board.step(BootStep::Acknowledged);
+            if self.board.is_up() {
+                self.board.tell_names(News::AppUp);
+            }
             self.board.event(&BootEvent::PhaseDone {
                 phase,
                 tasks: self.board.tasks().len(),
@@ -64,6 +68,7 @@ impl Sequence {
         let board = &self.board;
         board.step(BootStep::End);
         let reason = end.reason();
+        board.tell_names(News::Stopping);
         for index in board.indices() {
             let state = board.with(index, |member| member.state);
             board.step_chassis(index, ChassisStep::Stop);
