@@ -144,8 +144,11 @@ impl<S: 'static> Engine<S> {
             core.execution
                 .retain_waiting(|number| !refused.contains(&number));
             core.changed();
+            let (net, commands) = (&*self.name, refused.len());
+            tracing::warn!(target: "pnt::net", net, commands, "commands on the tape are not begun: the app is being stopped");
             let askers = refused.iter().filter_map(|number| {
                 core.commands.remove(number);
+                core.once.forget(*number);
                 core.waiting.remove(number)
             });
             askers.collect::<Vec<Asker>>()
