@@ -340,14 +340,11 @@ fn an_error_of_a_task_that_comes_to_rest_is_said() {
 
 #[test]
 fn a_second_interrupt_ends_the_step_and_leaves_the_others_their_time() {
-    let again = Some(Duration::from_millis(2500));
+    let again = Duration::from_millis(2500);
     for rests in [Rests::Never, Rests::InItsHandler] {
-        let ran = run(rests, Ends::Interrupt, again, 1);
-        assert_eq!(
-            ran.when("worker: skipped at a second interrupt"),
-            again.unwrap()
-        );
-        assert_eq!(ran.when("tasks"), again.unwrap());
+        let ran = run(rests, Ends::Interrupt, Some(again), 1);
+        assert_eq!(ran.when("worker: skipped at a second interrupt"), again);
+        assert_eq!(ran.when("tasks"), again);
         assert!(
             ran.said().contains(&"stopped device None"),
             "{:#?}",
