@@ -72,8 +72,8 @@ pub(crate) fn service_within_s() -> f64 {
 /// The wait before a service that is gone is asked again.
 const ASK_AGAIN: Duration = Duration::from_millis(250);
 
-/// Asks a service that may be started again until it answers, at most for `within`. Only for requests
-/// that may be done twice.
+/// Asks a service that may be started again until it answers, at most for `within` and not when the app is
+/// being stopped. Only for requests that may be done twice.
 pub(crate) async fn patiently<T, E, F: Future<Output = Result<T, E>>>(
     cx: &Context,
     within: Duration,
@@ -83,7 +83,7 @@ pub(crate) async fn patiently<T, E, F: Future<Output = Result<T, E>>>(
     let until = cx.now() + within;
     loop {
         match ask().await {
-            Err(error) if is_lost(&error) && cx.now() + ASK_AGAIN < until => {
+            Err(error) if is_lost(&error) && !cx.is_stopping() && cx.now() + ASK_AGAIN < until => {
                 cx.sleep(ASK_AGAIN).await;
             }
             answered => return answered,

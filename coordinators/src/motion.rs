@@ -391,6 +391,9 @@ async fn resumed(action: &Act) -> Result<(), Failure> {
         "a protective stop holds; it is waited for somebody to resume"
     );
     loop {
+        if action.is_stopping() {
+            return Err(Failure::new(Outcome::Stopped, "the app is being stopped"));
+        }
         cx.sleep(LOOK).await;
         let status = ask(&cx, &args, |arm| async move { arm.status().await }).await?;
         if !status.stopped {

@@ -37,7 +37,7 @@ use crate::{
     time::Clock,
 };
 
-pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer};
+pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer, StopStep};
 pub use crate::link::{
     Counts,
     transport::{Address, AddressError},

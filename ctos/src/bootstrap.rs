@@ -5,6 +5,7 @@
 mod board;
 mod explain;
 mod intensity;
+mod quiesce;
 mod sequence;
 mod states;
 mod stop;
@@ -99,7 +100,34 @@ pub enum BootEvent {
         /// Why.
         reason: String,
     },
-    /// A task came to rest, or did not.
+    /// A step of the stop begins.
+    StopStep {
+        /// Which.
+        step: StopStep,
+    },
+    /// The first step of the stop takes its time.
+    QuietAwaited {
+        /// The tasks that are not at rest yet.
+        tasks: Vec<String>,
+    },
+    /// A task did not come to rest in the first step of the stop, which goes on without it.
+    NotQuiet {
+        /// The task.
+        task: String,
+        /// Why not: what it waits for, as far as that can be told.
+        reason: String,
+    },
+    /// The first step of the stop is over.
+    Quiet {
+        /// How many tasks came to rest.
+        tasks: usize,
+        /// How many were asked to.
+        of: usize,
+        /// How long it took.
+        #[serde(rename = "took_s", with = "in_seconds")]
+        took: Duration,
+    },
+    /// A task was stopped, or could not be.
     Stopped {
         /// The task.
         task: String,
@@ -147,6 +175,33 @@ pub enum BootEvent {
     },
     /// The process that boots was told to end by SIGTERM: the app is stopped as by Ctrl-C.
     Terminated,
+}
+
+/// A step of the stop of an app, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StopStep {
+    /// All tasks come to rest at the same time: nets end what they have begun, and devices still serve them.
+    Quiesce,
+    /// One task after the other is stopped, those of chassis with `stop_first` first.
+    Tasks,
+    /// The processes end.
+    Processes,
+}
+
+impl StopStep {
+    /// All steps, in order.
+    pub const ALL: [Self; 3] = [Self::Quiesce, Self::Tasks, Self::Processes];
+}
+
+impl std::fmt::Display for StopStep {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(match self {
+            Self::Quiesce => "quiesce",
+            Self::Tasks => "tasks",
+            Self::Processes => "processes",
+        })
+    }
 }
 
 /// Durations as a number of seconds.

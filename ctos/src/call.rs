@@ -136,13 +136,23 @@ impl CallError {
         }
     }
 
-    /// Whether the receiver, or the chassis it lives on, is gone.
+    /// Whether the receiver, or the chassis it lives on, is gone or going. What was asked for may have been
+    /// done, in part or not at all. The task may come back: `cx.task(&error.to)` waits for it while its chassis
+    /// is being restarted, and says at once if it does not come back. It never finds the dead task again.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         matches!(
             self.fault,
             Fault::PeerDown { .. } | Fault::UnknownTask | Fault::Stopping
         )
+    }
+
+    /// Whether it is worth while to look for the receiver again and ask it once more, if it may be asked twice:
+    /// it is gone ([`Self::is_gone`]), or its handler panicked, or dropped the request, and may have been built anew.
+    /// Whether it does come back is what `cx.task(&error.to)` tells. False for what the receiver said itself, and for time limits.
+    #[must_use]
+    pub fn may_come_back(&self) -> bool {
+        self.is_gone() || matches!(self.fault, Fault::Panicked { .. } | Fault::NoReply)
     }
 }
 

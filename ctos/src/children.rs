@@ -11,8 +11,8 @@ use crate::{
     message::Tid,
     runner::{Origin, TaskSpec, record, start_at},
     supervise::Policy,
-    system::{RegisterTid, Shutdown, TaskName},
-    task::Phase,
+    system::{Quiesce, RegisterTid, Shutdown, TaskName},
+    task::{Phase, StopReason},
 };
 
 /// Why a task could not be started by another one.
@@ -150,6 +150,23 @@ impl Context {
             self.call(child, enter).deadline(limit).await?;
         }
         Ok(())
+    }
+
+    /// Lets the tasks that this one has started come to rest, all at the same time.
+    pub(crate) fn quiet_after_started(&self, reason: &StopReason) {
+        let family = self.inner.any_family();
+        let started = family.map_or_else(Vec::new, |family| family.started.clone());
+        for task in started {
+            let (cx, reason) = (self.clone(), reason.clone());
+            let name = format!("its task `{}`", task.name());
+            self.quiet_after(move || name.clone(), async move {
+                let limit = cx.app().stop_timeout;
+                match cx.call(&task, Quiesce { reason }).deadline(limit).await {
+                    Err(error) if !error.is_gone() => Err(error.into()),
+                    _ => Ok(()),
+                }
+            });
+        }
     }
 
     /// Shuts down the tasks that this one has started, the latest first.

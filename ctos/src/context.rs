@@ -3,6 +3,7 @@
 mod asking;
 mod beside;
 mod finding;
+mod quiet;
 mod services;
 
 use std::{
@@ -21,7 +22,7 @@ use futures_util::future::{Either, select};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use serde::de::DeserializeOwned;
 
-use self::asking::Ask;
+use self::{asking::Ask, quiet::Quiet};
 use crate::{
     BlobMut,
     call::{CallError, Fault},
@@ -30,7 +31,7 @@ use crate::{
     diagnostic::Finding,
     message::{Command, CommandInfo, Data, Letter, Message, Tid},
     processor::{FutureId, Processor},
-    system::{Broke, CommandDescription, Introspect, Ping, Shutdown, Statistics},
+    system::{Broke, CommandDescription, Introspect, NotQuiet, Ping, Shutdown, Statistics},
     task::{Handled, Phase},
     time::Instant,
 };
@@ -39,7 +40,7 @@ pub(crate) use self::{asking::Note, beside::Beside};
 pub use self::{
     asking::{Call, Calling, Send, Sending},
     beside::Child,
-    finding::{NameError, TaskRef},
+    finding::{Find, NameError, TaskRef},
 };
 
 /// How long a call waits for its reply unless it, or the task's configuration, says otherwise.
@@ -72,6 +73,8 @@ pub(crate) struct Family {
     next_child: u64,
     /// The tasks that it started, oldest first.
     pub(crate) started: Vec<TaskRef>,
+    /// Made when the app is being stopped.
+    quiet: Option<Box<Quiet>>,
 }
 
 impl Inner {
@@ -327,6 +330,10 @@ impl Context {
                 let (Shutdown {}, reply) = message.open::<Shutdown>()?;
                 reply.fail("it belongs to the runtime and ends with its chassis")
             }
+            NotQuiet::CODE => {
+                let (NotQuiet {}, reply) = message.open::<NotQuiet>()?;
+                reply.ok(self.not_quiet())
+            }
             Statistics::CODE => {
                 let (Statistics {}, reply) = message.open::<Statistics>()?;
                 reply.ok(self.inner.record.statistics.read())
@@ -448,10 +455,14 @@ impl Context {
     /// Ends all children.
     pub(crate) fn cancel_children(&self) {
         // Not held while they are dropped: their destructors may reach the task.
-        let children = match self.inner.any_family() {
-            Some(mut family) => std::mem::take(&mut family.children),
+        let (children, waits) = match self.inner.any_family() {
+            Some(mut family) => {
+                let waits = family.quiet.as_mut().map(|quiet| quiet.forget());
+                (std::mem::take(&mut family.children), waits)
+            }
             None => return,
         };
+        drop(waits);
         for child in children.into_values() {
             self.inner.processor.cancel(child);
         }

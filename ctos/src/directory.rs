@@ -69,16 +69,16 @@ impl TaskDirectory {
             rebound.insert(old, new);
             self.any.store(true, Ordering::Release);
         }
+        // The name is asked for again: its task may not have passed its phases yet.
         let mut known = lock(&self.known);
-        match new {
-            Some(new) => {
-                known.insert(name.into(), new);
-            }
-            None if known.get(name) == Some(&old) => {
-                known.remove(name);
-            }
-            None => {}
+        if known.get(name) == Some(&old) {
+            known.remove(name);
         }
+    }
+
+    /// Whoever had this name does not answer: it is asked for again.
+    pub(crate) fn forget(&self, name: &str) {
+        lock(&self.known).remove(name);
     }
 
     /// All names are asked for again.

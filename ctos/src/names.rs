@@ -4,6 +4,7 @@
 //! what they were told until the task ends, moves, or its chassis is gone; they are told of each.
 //! A name belongs to one task at a time, and a task id to one name for the whole run.
 
+mod away;
 mod moves;
 mod waiting;
 
@@ -15,20 +16,25 @@ use std::{
 
 use tokio::sync::oneshot;
 
+use away::Presence;
+
 use crate::{
     context::Context,
     message::{Command, CommandInfo, Message, Replier, Tid},
     system::{
-        self, AbortMove, AwaitTid, Change, CommitMove, FirstSlots, Monitor, MoveTask, MovedTasks,
-        NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged, TaskName, WhoWaits,
+        self, AbortMove, AwaitTid, Change, ChassisNews, CommitMove, FindTid, FirstSlots, Monitor,
+        MoveTask, MovedTasks, NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged,
+        TaskName, WhoWaits,
     },
     task::{EventHandler, Handled},
 };
 
 /// What the service takes.
-pub(crate) const COMMANDS: [CommandInfo; 12] = [
+pub(crate) const COMMANDS: [CommandInfo; 14] = [
     RegisterTid::INFO,
     QueryTid::INFO,
+    FindTid::INFO,
+    ChassisNews::INFO,
     AwaitTid::INFO,
     WhoWaits::INFO,
     Monitor::INFO,
@@ -70,6 +76,8 @@ struct Names {
     homes: BTreeMap<String, Place>,
     /// Places that no task may move to any more.
     forbidden: BTreeSet<Tid>,
+    /// Chassis that are not there, and who waits for them.
+    presence: Presence,
     /// Tasks that have moved, with their old id and the chassis that still send by the old place.
     turning: BTreeMap<String, (Tid, BTreeSet<u8>)>,
 }
@@ -96,6 +104,15 @@ impl EventHandler for TidServer {
                 let state = self.state.borrow();
                 let found = state.seen_from(from.chassis(), &name);
                 reply.ok(found.ok_or_else(|| state.names.keys().cloned().collect()))
+            }
+            FindTid::CODE => {
+                let (request, reply) = message.open::<FindTid>()?;
+                self.state.borrow_mut().asked(cx, from, request, reply)
+            }
+            ChassisNews::CODE => {
+                let (ChassisNews { news }, reply) = message.open::<ChassisNews>()?;
+                self.heard(cx, news);
+                reply.ok(())
             }
             AwaitTid::CODE => {
                 let (AwaitTid { name, waiter }, reply) = message.open::<AwaitTid>()?;
@@ -182,6 +199,11 @@ impl EventHandler for TidServer {
             self.state.borrow_mut().free(&task);
             self.notify(cx, &task, &Change::Ended { reason });
         }
+        let mut state = self.state.borrow_mut();
+        if let Some(index) = here.others().find(|index| here.name_of(*index) == chassis) {
+            state.presence.lost(cx, index);
+        }
+        state.answer_waiting(cx);
         Ok(())
     }
 }
@@ -258,6 +280,7 @@ impl TidServer {
             // A reply cannot fail.
             let _ = waiter.reply.ok(Ok(task.tid));
         }
+        self.state.borrow_mut().answer_waiting(cx);
         self.notify(cx, &task, &Change::Up);
         Ok(())
     }

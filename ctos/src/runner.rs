@@ -27,7 +27,7 @@ use crate::{
     statistics::TaskStatistics,
     supervise::{Ending, Event, Policy, Restarts, State},
     system::{
-        Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, RestartTask, Shutdown,
+        Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, Quiesce, RestartTask, Shutdown,
         StopTask, TaskChanged, interrupts,
     },
     task::{DynHandler, Handled, HandlerError, Phase},
@@ -282,6 +282,7 @@ impl Runner {
     fn call<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
         match message.command() {
             EnterPhase::CODE => return Box::pin(self.enter_phase(cx, message)),
+            Quiesce::CODE => return Box::pin(self.quiesce(cx, message)),
             StopTask::CODE => return Box::pin(self.stop(cx, message)),
             _ => {}
         }
@@ -322,11 +323,34 @@ impl Runner {
         tap.phase(self.cx.tid(), Some(phase));
     }
 
+    async fn quiesce(&mut self, cx: &Context, message: Message) -> Handled {
+        let (Quiesce { reason }, reply) = message.open::<Quiesce>()?;
+        cx.begin_stop(&reason, Some(reply));
+        self.come_to_rest(cx).await
+    }
+
+    /// Lets the handler, and the tasks that it has started, come to rest if the app is being stopped. One that has
+    /// not begun to run has nothing to bring to rest.
+    pub(crate) async fn come_to_rest(&mut self, cx: &Context) -> Handled {
+        let Some(reason) = cx.stop_reason() else {
+            return Ok(());
+        };
+        if let Some(handler) = &mut self.handler
+            && self.phase == Some(Phase::Run)
+        {
+            handler.quiesce(cx, &reason).await?;
+        }
+        cx.quiet_after_started(&reason);
+        cx.said_quiet();
+        Ok(())
+    }
+
     async fn stop(&mut self, cx: &Context, message: Message) -> Handled {
         let (StopTask { reason, .. }, reply) = message.open::<StopTask>()?;
         self.step(Event::Stop);
         self.serving.stopped.set(true);
         cx.chassis().set_stopping();
+        cx.begin_stop(&reason, None);
         if let Some(handler) = &mut self.handler {
             handler.stop(cx, &reason).await?;
         }

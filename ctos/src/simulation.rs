@@ -17,7 +17,11 @@ mod reader;
 mod script;
 mod shrink;
 
-use std::{collections::BTreeMap, sync::Arc, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+    time::Duration,
+};
 
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -95,6 +99,8 @@ pub struct Setup {
     pub events: Option<EventSink>,
     /// When the app is stopped as by Ctrl-C.
     pub stop_after: Option<Duration>,
+    /// When that is said once more.
+    pub stop_again_after: Option<Duration>,
     #[doc(hidden)]
     pub breach: Option<Breach>,
 }
@@ -106,6 +112,7 @@ impl Default for Setup {
             faults: Faults::none(),
             events: None,
             stop_after: None,
+            stop_again_after: None,
             breach: None,
         }
     }
@@ -161,7 +168,8 @@ struct Simulation {
     /// What is given, by moment.
     script: BTreeMap<Instant, Vec<Mishap>>,
     drawn: Drawn,
-    stop_at: Option<Instant>,
+    /// When it is stopped as by Ctrl-C.
+    stops: BTreeSet<Instant>,
     happened: Vec<Mishap>,
     /// What of the script the app's own configuration asks for.
     injuries: Vec<Mishap>,
@@ -194,6 +202,7 @@ impl Simulation {
             faults,
             events,
             stop_after,
+            stop_again_after,
             breach,
         } = setup;
         let seed = app.seed;
@@ -252,7 +261,11 @@ impl Simulation {
             boot::start_system_tasks(&machine.chassis, boots.then_some(&seat));
         }
         Ok(Self {
-            stop_at: stop_after.map(|after| clock.now() + after),
+            stops: stop_after
+                .into_iter()
+                .chain(stop_again_after)
+                .map(|after| clock.now() + after)
+                .collect(),
             clock,
             machines,
             network,
@@ -388,7 +401,7 @@ impl Simulation {
         next.into_iter()
             .chain(drawn)
             .chain(given)
-            .chain(self.stop_at)
+            .chain(self.stops.first().copied())
             .min()
     }
 
@@ -417,8 +430,8 @@ impl Simulation {
         while let Some(mishap) = self.drawn.pop(moment) {
             self.happen(mishap);
         }
-        if self.stop_at.is_some_and(|at| at <= moment) {
-            self.stop_at = None;
+        if self.stops.first().is_some_and(|at| *at <= moment) {
+            self.stops.pop_first();
             if let Some(boot) = self.machines.first() {
                 boot.chassis
                     .post_system(system::BOOTSTRAP, system::Interrupt {});

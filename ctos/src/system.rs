@@ -68,6 +68,7 @@ pub(crate) struct Created {
 pub(crate) fn command_name(code: u16) -> String {
     let known = [
         EnterPhase::INFO,
+        Quiesce::INFO,
         StopTask::INFO,
         ChassisDown::INFO,
         Ping::INFO,
@@ -100,6 +101,14 @@ command! {
     pub(crate) struct StopTask { pub(crate) reason: StopReason, pub(crate) on: Option<u8> } => (), 0xff03, "stop"
 }
 command! {
+    /// Comes to rest, before any task is stopped; answered when it has.
+    pub(crate) struct Quiesce { pub(crate) reason: StopReason } => (), 0xff06, "quiesce"
+}
+command! {
+    /// Asks a task that comes to rest what it still waits for, in words.
+    pub(crate) struct NotQuiet => Option<String>, 0xff07, "not_quiet"
+}
+command! {
     /// Tells that another chassis is gone.
     pub(crate) struct ChassisDown { pub(crate) chassis: String } => (), 0xff04, "chassis_down"
 }
@@ -110,6 +119,19 @@ command! {
 command! {
     /// Asks for the task behind a name; without one, for the names there are.
     pub(crate) struct QueryTid { pub(crate) name: String } => Result<Tid, Vec<String>>, 0xff11, "query_tid"
+}
+command! {
+    /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
+    /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
+    pub(crate) struct FindTid {
+        pub(crate) name: String,
+        pub(crate) gone: Option<Tid>,
+        pub(crate) waits: bool,
+    } => Result<Tid, Missing>, 0xff15, "find_tid"
+}
+command! {
+    /// Tells the task identification service what becomes of a chassis, or of the app.
+    pub(crate) struct ChassisNews { pub(crate) news: News } => (), 0xff16, "chassis_news"
 }
 command! {
     /// Creates the tasks of this chassis. No task of an earlier incarnation has a slot from
@@ -218,12 +240,16 @@ pub(crate) const ALL: &[CommandInfo] = &[
     Introspect::INFO,
     Statistics::INFO,
     EnterPhase::INFO,
+    Quiesce::INFO,
+    NotQuiet::INFO,
     StopTask::INFO,
     ChassisDown::INFO,
     ChassisUp::INFO,
     RestartTask::INFO,
     RegisterTid::INFO,
     QueryTid::INFO,
+    FindTid::INFO,
+    ChassisNews::INFO,
     CreateTasks::INFO,
     Exit::INFO,
     Progress::INFO,
@@ -360,6 +386,32 @@ command! {
 command! {
     /// Tells the bootstrap service that a task is at another place now.
     pub(crate) struct TaskMoved { pub(crate) task: TaskName, pub(crate) old: Tid } => (), 0xff70, "task_moved"
+}
+
+/// Why a name leads to no task.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Missing {
+    /// There is none; these are the names there are.
+    Unknown(Vec<String>),
+    /// Its chassis is being restarted.
+    Away { chassis: String },
+    /// Its chassis is gone and is not restarted, for a reason that completes "which ...".
+    Gone { chassis: String, why: String },
+}
+
+/// What becomes of a chassis, by number, or of the app.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum News {
+    /// Every task of the app has passed all phases for the first time.
+    AppUp,
+    /// It is gone or must go, and may be started again.
+    Away(u8),
+    /// Its tasks have passed all phases.
+    Back(u8),
+    /// It is gone, and is not started again.
+    Gone(u8, String),
+    /// The app is being stopped: nothing is started again.
+    Stopping,
 }
 
 /// A processor of a chassis.

@@ -17,7 +17,7 @@ use crate::{
 
 pub use crate::{
     children::StartError,
-    context::{Call, Calling, Child, Context, Elapsed, NameError, Send, Sending, TaskRef},
+    context::{Call, Calling, Child, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
 };
 
 /// What a handler returns.
@@ -154,6 +154,14 @@ pub trait EventHandler: 'static {
         async { Ok(()) }
     }
 
+    /// The app is about to be stopped: begins to come to rest, while every task still takes messages.
+    /// Returning `Ok` acknowledges that it is at rest. No message is handled until this returns, so what
+    /// takes longer than a moment goes on beside it: [`Context::quiet_after`].
+    fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> impl Future<Output = Handled> {
+        let _ = (cx, reason);
+        async { Ok(()) }
+    }
+
     /// Comes to an orderly stop. Hardware is at rest when this returns.
     fn stop(&mut self, cx: &Context, reason: &StopReason) -> impl Future<Output = Handled> {
         let _ = (cx, reason);
@@ -227,6 +235,11 @@ pub(crate) trait DynHandler {
     fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served>;
     fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled>;
     fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled>;
+    fn quiesce<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        reason: &'a StopReason,
+    ) -> LocalBoxFuture<'a, Handled>;
     fn stop<'a>(
         &'a mut self,
         cx: &'a Context,
@@ -282,6 +295,14 @@ impl<H: EventHandler> DynHandler for H {
 
     fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled> {
         boxed(EventHandler::phase(self, cx, phase))
+    }
+
+    fn quiesce<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        reason: &'a StopReason,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::quiesce(self, cx, reason))
     }
 
     fn stop<'a>(
@@ -340,6 +361,14 @@ impl<H: Handover> DynHandler for WithHandover<H> {
 
     fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled> {
         boxed(EventHandler::phase(&mut self.0, cx, phase))
+    }
+
+    fn quiesce<'a>(
+        &'a mut self,
+        cx: &'a Context,
+        reason: &'a StopReason,
+    ) -> LocalBoxFuture<'a, Handled> {
+        boxed(EventHandler::quiesce(&mut self.0, cx, reason))
     }
 
     fn stop<'a>(

@@ -26,6 +26,7 @@ pub type Acted = Result<(), HandlerError>;
 type Act<S> = Rc<dyn Fn(Action<S>) -> Later<Acted>>;
 type Call<S> = Rc<dyn Fn(Action<S>, Vec<u8>) -> Later<Result<Vec<u8>, HandlerError>>>;
 type Ask<S> = Box<dyn Fn(&S) -> bool>;
+type Change<S> = Box<dyn Fn(&mut S)>;
 type Save<S> = Box<dyn Fn(&S) -> postcard::Result<Vec<u8>>>;
 type Load<S> = Box<dyn Fn(&mut S, &[u8]) -> postcard::Result<()>>;
 
@@ -75,6 +76,13 @@ impl<S> Action<S> {
     #[must_use]
     pub fn transition(&self) -> &str {
         &self.transition
+    }
+
+    /// Whether the app is being stopped: what has begun may end, and nothing more is to be tried. An action that
+    /// has not ended when nine tenths of `app.stop_timeout_s` are over is cancelled, as by `within`.
+    #[must_use]
+    pub fn is_stopping(&self) -> bool {
+        self.cx.is_stopping()
     }
 
     /// The command in progress when the action began.
@@ -174,6 +182,7 @@ pub struct Library<S> {
     actions: BTreeMap<String, Local<S>>,
     enabling: BTreeMap<String, Ask<S>>,
     kept: Option<(Save<S>, Load<S>)>,
+    stopping: Option<Change<S>>,
 }
 
 impl<S: 'static> Library<S> {
@@ -185,6 +194,7 @@ impl<S: 'static> Library<S> {
             actions: BTreeMap::new(),
             enabling: BTreeMap::new(),
             kept: None,
+            stopping: None,
         }
     }
 
@@ -234,6 +244,21 @@ impl<S: 'static> Library<S> {
     pub fn enabling(mut self, name: &str, function: impl Fn(&S) -> bool + 'static) -> Self {
         self.enabling.insert(name.to_owned(), Box::new(function));
         self
+    }
+
+    /// Changes the state when the app is about to be stopped, so that enabling functions may lead a command that is
+    /// in work to its end: no more positions, say.
+    #[must_use]
+    pub fn when_stopping(mut self, change: impl Fn(&mut S) + 'static) -> Self {
+        self.stopping = Some(Box::new(change));
+        self
+    }
+
+    /// The app is about to be stopped.
+    pub(crate) fn stopping(&self) {
+        if let Some(change) = &self.stopping {
+            change(&mut self.state.borrow_mut());
+        }
     }
 
     /// Has the state stored with the marking of a durable net: `save` says what of it, `load` puts that

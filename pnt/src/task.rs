@@ -19,6 +19,7 @@ mod messages;
 mod neighbours;
 mod once;
 mod publish;
+mod quiet;
 mod replace;
 mod routes;
 mod settings;
@@ -240,7 +241,13 @@ impl<S: 'static> EventHandler for NetTask<S> {
         Ok(())
     }
 
+    async fn quiesce(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
+        self.engine.quiesce(cx);
+        Ok(())
+    }
+
     async fn stop(&mut self, _cx: &Context, reason: &StopReason) -> Handled {
+        self.engine.tell_unfinished();
         self.engine.stop(&reason.to_string());
         Ok(())
     }

@@ -141,7 +141,7 @@ fn a_second_interrupt_skips_what_does_not_come_to_rest() {
     let mut run = start(&scratch, &["--set", "stop_timeout_s=3600"]);
     run.wait_for("phase 3");
     run.signal(Signal::INT);
-    run.wait_for("stop     the app was interrupted");
+    run.wait_for("stop     2 tasks");
     run.signal(Signal::INT);
     let ended = run.end();
     ended

@@ -9,7 +9,11 @@ use std::{
     time::Duration,
 };
 
-use ctos::{boot::BootEvent, config::App, task::Phase};
+use ctos::{
+    boot::{BootEvent, StopStep},
+    config::App,
+    task::Phase,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::show;
@@ -54,6 +58,7 @@ impl Display {
             event,
             BootEvent::Log { .. }
                 | BootEvent::Stopped { error: Some(_), .. }
+                | BootEvent::NotQuiet { .. }
                 | BootEvent::Signalled { .. }
                 | BootEvent::ChassisFailed { .. }
                 | BootEvent::Restarting { .. }
@@ -145,6 +150,29 @@ pub(crate) fn words(event: &BootEvent, width: usize) -> Option<String> {
         }
         BootEvent::Log { chassis, line } => format!("{chassis:<width$} │ {line}"),
         BootEvent::Stopping { reason } => format!("stop     {reason}"),
+        BootEvent::StopStep { step } => {
+            let number = StopStep::ALL
+                .iter()
+                .position(|one| one == step)
+                .unwrap_or(0)
+                + 1;
+            let what = match step {
+                StopStep::Quiesce => "nets and services come to rest",
+                StopStep::Tasks => "one task after the other is stopped",
+                StopStep::Processes => "the processes end",
+            };
+            format!("stop     {number} {step}: {what}")
+        }
+        BootEvent::QuietAwaited { tasks } => {
+            format!("stop     waits for {}", tasks.join(", "))
+        }
+        BootEvent::NotQuiet { task, reason } => {
+            format!("stop     {task} is not at rest: {reason}")
+        }
+        BootEvent::Quiet { tasks, of, took } => {
+            let (mark, took) = (if tasks == of { '✓' } else { '✗' }, seconds(*took));
+            format!("stop     at rest {mark} {tasks}/{of}  {took}")
+        }
         BootEvent::Stopped {
             task,
             error: Some(error),

@@ -9,8 +9,9 @@ use syn::{
 
 /// The trait's methods that a marked method can take the place of, with their arguments after the
 /// context.
-const HOOKS: [(&str, &[&str]); 6] = [
+const HOOKS: [(&str, &[&str]); 7] = [
     ("phase", &["phase"]),
+    ("quiesce", &["reason"]),
     ("stop", &["reason"]),
     ("chassis_down", &["chassis"]),
     ("chassis_up", &["chassis"]),

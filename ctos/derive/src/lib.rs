@@ -29,7 +29,7 @@ pub fn derive_command(input: TokenStream) -> TokenStream {
 /// `(&mut self, cx: &Context, request: C)`, `async` or not, and returns the reply, or a `Result` of it.
 /// (A reply that is itself a `Result` is therefore returned within another one.)
 /// With a last argument `reply: Replier<C>` it answers itself, now or later, and returns `Handled`.
-/// Methods marked `#[phase]`, `#[stop]`, `#[chassis_down]`, `#[chassis_up]`, `#[task_down]` and
+/// Methods marked `#[phase]`, `#[quiesce]`, `#[stop]`, `#[chassis_down]`, `#[chassis_up]`, `#[task_down]` and
 /// `#[task_up]` take the place of the trait's methods of those names. Everything else goes to default
 /// processing; a task may well take nothing but that.
 ///

@@ -16,7 +16,7 @@ use crate::{
     context::Context,
     message::{Replier, Tid},
     sync::Signal,
-    system::{AppReport, MemberReport, RestartChassis, TaskName},
+    system::{self, AppReport, ChassisNews, MemberReport, News, RestartChassis, TaskName},
     task::{Handled, Phase},
     time::Instant,
 };
@@ -183,6 +183,12 @@ impl Board {
                 })
                 .collect(),
         }
+    }
+
+    /// Tells those who look for tasks by name.
+    pub(super) fn tell_names(&self, news: News) {
+        let chassis = self.cx.chassis();
+        chassis.post_system(system::TID_SERVER, ChassisNews { news });
     }
 
     // -- all chassis --------------------------------------------------------------------------

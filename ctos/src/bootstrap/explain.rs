@@ -1,5 +1,5 @@
-//! Why a task did not acknowledge a startup phase in time: what it waits for, as far as its chassis can
-//! tell.
+//! Why a task did not do in time what it was asked, to acknowledge a startup phase or to come to rest: what it
+//! waits for, as far as its chassis can tell.
 
 use std::time::Duration;
 
@@ -8,25 +8,24 @@ use crate::{
     context::{Context, TaskRef},
     survey::{Survey, TaskReport},
     system::{self, TaskName},
-    task::Phase,
     time::Instant,
 };
 
 /// How long the agent of a chassis may take to tell.
-const LIMIT: Duration = Duration::from_secs(1);
+pub(super) const LIMIT: Duration = Duration::from_secs(1);
 
-/// Why `task` did not enter `phase`, in words.
+/// Why `task` did not do what it was `asked`, in words.
 pub(super) async fn explained(
     cx: &Context,
     task: &TaskName,
-    phase: Phase,
+    asked: &str,
     error: CallError,
 ) -> String {
     let Fault::Deadline { after } = error.fault else {
         return error.reason();
     };
     let late = format!(
-        "`{}` did not acknowledge phase {phase} within {:.3} s",
+        "`{}` did not {asked} within {:.3} s",
         task.name,
         after.as_secs_f64()
     );

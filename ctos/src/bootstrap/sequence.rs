@@ -6,10 +6,11 @@ use futures_util::future::{Either, pending, select};
 
 use crate::{
     bootstrap::{
-        BootEvent, ChassisState, End,
+        BootEvent, ChassisState, End, StopStep,
         board::{Board, Event},
         states::{BootStep, ChassisStep},
     },
+    system::News,
     task::Phase,
 };
 
@@ -49,6 +50,9 @@ impl Sequence {
                 return pending().await;
             }
             self.board.step(BootStep::Acknowledged);
+            if self.board.is_up() {
+                self.board.tell_names(News::AppUp);
+            }
             self.board.event(&BootEvent::PhaseDone {
                 phase,
                 tasks: self.board.tasks().len(),
@@ -58,12 +62,13 @@ impl Sequence {
         Ok(())
     }
 
-    /// Stops all tasks: those of chassis with `stop_first` before the others, each group in the
-    /// reverse of the order in which it was created; then ends the processes.
+    /// Lets all tasks come to rest. Then stops them, those of chassis with `stop_first` before the others, each group
+    /// in the reverse of the order in which it was created; then ends the processes.
     async fn stop(&self, end: &End) {
         let board = &self.board;
         board.step(BootStep::End);
         let reason = end.reason();
+        board.tell_names(News::Stopping);
         for index in board.indices() {
             let state = board.with(index, |member| member.state);
             board.step_chassis(index, ChassisStep::Stop);
@@ -76,7 +81,15 @@ impl Sequence {
         board.event(&BootEvent::Stopping {
             reason: reason.to_string(),
         });
+        // An app that is to end at a breakpoint ends there: nothing more is fired.
+        if !matches!(end, End::Breakpoint { .. }) {
+            board.quiesce(&reason).await;
+        }
         let tasks = board.tasks();
+        if !tasks.is_empty() {
+            let step = StopStep::Tasks;
+            board.event(&BootEvent::StopStep { step });
+        }
         let (first, rest): (Vec<_>, Vec<_>) =
             tasks.iter().rev().partition(|task| board.stops_first(task));
         let mut at_rest = BTreeMap::new();
@@ -92,6 +105,8 @@ impl Sequence {
         for task in rest {
             board.stop_task_or_skip(task, &reason).await;
         }
+        let step = StopStep::Processes;
+        board.event(&BootEvent::StopStep { step });
         let code = i32::from(!matches!(end, End::Finished(result) if result.ok));
         for index in board.indices() {
             board.exit_chassis(index, code).await;

@@ -4,7 +4,7 @@
 use futures_util::future::{Either, select};
 
 use crate::{
-    bootstrap::{BootEvent, End, board::Board},
+    bootstrap::{BootEvent, board::Board},
     call::Fault,
     chassis::BOOT_CHASSIS,
     context::TaskRef,
@@ -51,9 +51,9 @@ impl Board {
 
     /// As [`Self::stop_task`]; a further interrupt goes on to the next task at once.
     pub(super) async fn stop_task_or_skip(&self, task: &TaskName, reason: &StopReason) -> bool {
-        let interrupted = async { while self.next_end().await != End::Interrupted {} };
+        let interrupted = std::pin::pin!(self.interrupted());
         let stopping = std::pin::pin!(self.stop_task(task, reason));
-        match select(stopping, std::pin::pin!(interrupted)).await {
+        match select(stopping, interrupted).await {
             Either::Left((stopped, _)) => stopped,
             Either::Right(((), _)) => {
                 self.event(&BootEvent::Stopped {

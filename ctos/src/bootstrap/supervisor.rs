@@ -16,7 +16,7 @@ use crate::{
     },
     call::Fault,
     context::{Context, TaskRef},
-    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots},
+    system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News},
     task::{Phase, StopReason},
 };
 
@@ -66,6 +66,9 @@ impl Supervisor {
             let over = self.live().await;
             let failed_at = self.board.cx.now();
             self.step(ChassisStep::Fails);
+            if matches!(over, Over::Asked) || self.may_return() {
+                self.board.tell_names(News::Away(self.index));
+            }
             self.board.with(self.index, |member| {
                 member.reached = None;
                 member.failed_at = Some(failed_at);
@@ -178,6 +181,8 @@ impl Supervisor {
         let known = board.with(self.index, |member| (member.failed_at, member.tasks.len()));
         if let Some((Some(failed_at), tasks)) = known {
             let chassis = self.name();
+            // Before anybody is told and may look for its tasks.
+            board.tell_names(News::Back(self.index));
             for other in board.cx.chassis().others().chain([0]) {
                 if other != self.index && (other == 0 || board.cx.chassis().is_linked(other)) {
                     let announce = AnnounceUp {
@@ -261,7 +266,8 @@ impl Supervisor {
                     // The process is gone, which is told in another way.
                     Err(error) if matches!(error.fault, Fault::PeerDown { .. }) => pending().await,
                     Err(error) => {
-                        let why = explained(cx, task, phase, error).await;
+                        let asked = format!("acknowledge phase {phase}");
+                        let why = explained(cx, task, &asked, error).await;
                         Some((task.name.clone(), why))
                     }
                 }
@@ -419,6 +425,7 @@ impl Supervisor {
             Verdict::NotAllowed => {
                 let chassis = self.name();
                 self.step(ChassisStep::DeadForGood);
+                self.gone(format!("{} and may not be started again", death.reason));
                 self.board
                     .answer_restarts(self.index, &Err(death.reason.clone()));
                 self.board.end(End::ChassisDown { chassis });
@@ -435,8 +442,14 @@ impl Supervisor {
         None
     }
 
+    /// Nobody need wait for its tasks any more.
+    fn gone(&self, why: String) {
+        self.board.tell_names(News::Gone(self.index, why));
+    }
+
     fn give_up(&self, reason: String) {
         self.step(ChassisStep::DeadForGood);
+        self.gone(reason.clone());
         self.board.answer_restarts(self.index, &Err(reason.clone()));
         self.board.end(End::GivenUp {
             chassis: self.name(),

@@ -590,12 +590,16 @@ fn bad_reply(error: &PayloadError) -> Fault {
 /// The error that `fault` makes of a call.
 #[cold]
 fn call_error(asker: &Inner, to: &str, command: &str, fault: Fault) -> CallError {
-    CallError {
+    let error = CallError {
         from: asker.record.name.to_string(),
         to: to.to_owned(),
         command: command.to_owned(),
         fault,
+    };
+    if error.is_gone() {
+        asker.chassis.directory.forget(to);
     }
+    error
 }
 
 impl Drop for Ask {

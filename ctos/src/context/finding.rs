@@ -1,12 +1,20 @@
 //! Other tasks by their names.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    future::Future,
+    pin::Pin,
+    sync::Arc,
+    task::{Context as PollContext, Poll},
+    time::Duration,
+};
+
+use futures_util::future::LocalBoxFuture;
 
 use super::Context;
 use crate::{
     call::{CallError, Fault},
     message::Tid,
-    system::{self, AwaitTid, Monitor, NamesOf, QueryTid},
+    system::{self, AwaitTid, FindTid, Missing, Monitor, NamesOf},
 };
 
 /// A task that was found by name.
@@ -50,6 +58,30 @@ pub enum NameError {
         /// The names there are.
         known: Vec<String>,
     },
+    /// The chassis of the task is being restarted, and was waited for.
+    #[error("chassis `{chassis}` is being restarted; it was not back within {:.3} s (`{from}` waits for `{name}`)", .after.as_secs_f64())]
+    NotBack {
+        /// The waiting task.
+        from: String,
+        /// The name.
+        name: String,
+        /// The chassis.
+        chassis: String,
+        /// How long it was waited for.
+        after: Duration,
+    },
+    /// The chassis of the task is gone for good.
+    #[error("`{name}`, asked for by `{from}`, is on chassis `{chassis}`, which {why}")]
+    Gone {
+        /// The asking task.
+        from: String,
+        /// The name.
+        name: String,
+        /// The chassis.
+        chassis: String,
+        /// Why it is not started again.
+        why: String,
+    },
     /// A task waits for a name that does not appear.
     #[error("`{from}` waited {:.3} s for a task called `{name}`: {why}", .after.as_secs_f64())]
     NotYet {
@@ -73,26 +105,143 @@ pub enum NameError {
     Service(#[from] CallError),
 }
 
+impl NameError {
+    /// Whether the task may come back all the same: its chassis is still being restarted, or somebody may
+    /// still start it. Who asks again waits again. False when that is known not to happen.
+    #[must_use]
+    pub fn may_come_back(&self) -> bool {
+        match self {
+            Self::NotBack { .. } | Self::NotYet { .. } => true,
+            Self::Unknown { .. } | Self::Gone { .. } | Self::Circle { .. } => false,
+            Self::Service(error) => matches!(error.fault, Fault::Deadline { .. }),
+        }
+    }
+}
+
+/// A search for a task by its name, made by [`Context::task`]; awaited, it ends with the task or an error.
+#[must_use = "nothing is looked for before it is awaited"]
+pub struct Find<'c> {
+    cx: &'c Context,
+    name: &'c str,
+    limit: Duration,
+    asking: Option<LocalBoxFuture<'c, Result<TaskRef, NameError>>>,
+}
+
+impl Find<'_> {
+    /// Waits for so long at most while the task's chassis is being restarted; with zero, not at all.
+    pub fn deadline(mut self, limit: Duration) -> Self {
+        self.limit = limit;
+        self
+    }
+}
+
+impl Future for Find<'_> {
+    type Output = Result<TaskRef, NameError>;
+
+    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
+        let Self {
+            cx,
+            name,
+            limit,
+            asking,
+        } = self.get_mut();
+        let asking = match asking {
+            Some(asking) => asking,
+            None => {
+                let known = cx.inner.chassis.directory.known(name);
+                let gone = match known {
+                    Some((name, tid)) if cx.reaches(tid) => {
+                        return Poll::Ready(Ok(TaskRef::new(name, tid)));
+                    }
+                    known => known.map(|(_, tid)| tid),
+                };
+                asking.insert(Box::pin(cx.find(name, gone, *limit)))
+            }
+        };
+        asking.as_mut().poll(poll)
+    }
+}
+
 impl Context {
     /// Finds a task by its symbolic name. Found once, a name is remembered by the chassis.
     ///
+    /// A task of the configuration whose chassis is being restarted is waited for, from the moment that the
+    /// death is noticed until its tasks have passed their phases: as long as a call of this task waits,
+    /// unless [`Find::deadline`] says otherwise. The answer comes at once when the chassis is not started
+    /// again, when the app is being stopped, and when no task is configured by that name and none has it.
+    /// A task that alone is being restarted keeps its name and its queue: it is found, and calls wait there.
+    ///
     /// # Errors
-    /// [`NameError`] when no task has the name or the service cannot be reached.
-    pub async fn task(&self, name: &str) -> Result<TaskRef, NameError> {
-        let directory = &self.inner.chassis.directory;
-        if let Some((name, tid)) = directory.known(name) {
-            return Ok(TaskRef::new(name, tid));
+    /// [`NameError`] when no task has the name, it is not back in time, or the service cannot be reached.
+    pub fn task<'c>(&'c self, name: &'c str) -> Find<'c> {
+        Find {
+            cx: self,
+            name,
+            limit: self.inner.limit(),
+            asking: None,
         }
-        let query = QueryTid {
-            name: name.to_owned(),
-        };
-        match self.call(&Self::server(), query).await? {
-            Ok(tid) => Ok(TaskRef::new(name, directory.learn(name, tid))),
-            Err(known) => Err(NameError::Unknown {
-                from: self.name().to_owned(),
+    }
+
+    /// Whether there is a way to the chassis of a task. In a replay the record answers for all of them.
+    fn reaches(&self, tid: Tid) -> bool {
+        let chassis = &self.inner.chassis;
+        let here = tid.chassis() == chassis.index();
+        here || chassis.is_linked(tid.chassis()) || chassis.tap.replay().is_some()
+    }
+
+    /// Asks the service for a task; `gone` is an id of it to which there is no way.
+    async fn find(
+        &self,
+        name: &str,
+        mut gone: Option<Tid>,
+        limit: Duration,
+    ) -> Result<TaskRef, NameError> {
+        let directory = &self.inner.chassis.directory;
+        let until = self.now() + limit;
+        let mut away: Option<String> = None;
+        loop {
+            let waits = away.is_some();
+            let request = FindTid {
                 name: name.to_owned(),
-                known,
-            }),
+                gone,
+                waits,
+            };
+            let mut call = self.call(&Self::server(), request);
+            if waits {
+                call = call.deadline(until.since(self.now()));
+            }
+            let (from, name) = (self.name().to_owned(), name.to_owned());
+            match (call.await, away.take()) {
+                (Ok(Ok(tid)), _) if !self.reaches(tid) && gone != Some(tid) => {
+                    // The service has not noticed yet what this chassis has.
+                    gone = Some(tid);
+                }
+                (Ok(Ok(tid)), _) => {
+                    let tid = directory.learn(&name, tid);
+                    return Ok(TaskRef::new(name, tid));
+                }
+                (Ok(Err(Missing::Away { chassis })), _) => away = Some(chassis),
+                (Ok(Err(Missing::Gone { chassis, why })), _) => {
+                    return Err(NameError::Gone {
+                        from,
+                        name,
+                        chassis,
+                        why,
+                    });
+                }
+                (Ok(Err(Missing::Unknown(known))), _) => {
+                    return Err(NameError::Unknown { from, name, known });
+                }
+                (Err(error), Some(chassis)) if matches!(error.fault, Fault::Deadline { .. }) => {
+                    return Err(NameError::NotBack {
+                        from,
+                        name,
+                        chassis,
+                        after: limit,
+                    });
+                }
+                (Err(error), _) => return Err(error.into()),
+            }
         }
     }
 

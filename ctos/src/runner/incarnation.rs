@@ -253,6 +253,7 @@ impl Runner {
             }
         }
         self.kept = None;
-        Ok(())
+        let cx = self.cx.clone();
+        self.come_to_rest(&cx).await
     }
 }

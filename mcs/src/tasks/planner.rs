@@ -2,6 +2,7 @@
 //! answers a move when the arm has settled, or says what ended it.
 
 use std::cell::RefCell;
+use std::future::Future;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -137,19 +138,29 @@ impl PlannerTask {
         Ok(())
     }
 
-    /// Answers the caller of the motion under way and brings the arm to rest, for good.
-    async fn halt(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+    /// Answers the caller of the motion under way and brakes, for good; the future ends when the arm rests.
+    fn halt(
+        &mut self,
+        cx: &Context,
+        reason: &StopReason,
+    ) -> Result<impl Future<Output = Handled> + use<>, HandlerError> {
         let reason = self.ending.insert(reason.to_string());
         if let Some(reply) = self.running.borrow_mut().take() {
             reply.ok(Err(ended(reason)))?;
         }
-        if let Some(link) = self.link.clone() {
+        let link = self.link.clone();
+        if let Some(link) = &link {
             link.port.order(ServoCommand::Cancel)?;
-            let patience = link.rest_patience();
-            let resting = |status: &ServoStatus| status.at_rest || status.fault.is_some();
-            link.wait(cx, "come to rest", patience, resting).await?;
         }
-        Ok(())
+        let cx = cx.clone();
+        Ok(async move {
+            if let Some(link) = link {
+                let patience = link.rest_patience();
+                let resting = |status: &ServoStatus| status.at_rest || status.fault.is_some();
+                link.wait(&cx, "come to rest", patience, resting).await?;
+            }
+            Ok(())
+        })
     }
 }
 
@@ -290,7 +301,14 @@ impl EventHandler for PlannerTask {
         Ok(())
     }
 
+    /// The arm comes to rest first of all. It keeps its power, so that who holds it can give it back.
+    async fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> Handled {
+        let rests = self.halt(cx, reason)?;
+        cx.quiet_after(|| "the arm comes to rest".to_owned(), rests);
+        Ok(())
+    }
+
     async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
-        self.halt(cx, reason).await
+        self.halt(cx, reason)?.await
     }
 }

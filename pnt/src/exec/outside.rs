@@ -12,6 +12,11 @@ use crate::net::PlaceId;
 pub(crate) type Tokens = SmallVec<[(PlaceId, u32); 1]>;
 
 impl Execution {
+    /// Takes commands that have not been read off the tape, but for those whose numbers `keeps` says.
+    pub(crate) fn retain_waiting(&mut self, keeps: impl FnMut(u64) -> bool) {
+        self.with_tape(|tape| tape.retain_waiting(keeps));
+    }
+
     /// Puts tokens that came from another net, all or none. Returns what each place got.
     ///
     /// # Errors

@@ -92,6 +92,11 @@ impl Tape {
         number
     }
 
+    /// Removes commands that have not been read, but for those that `keeps` says.
+    pub(super) fn retain_waiting(&mut self, mut keeps: impl FnMut(u64) -> bool) {
+        self.waiting.retain(|on_tape| keeps(on_tape.number));
+    }
+
     pub(super) fn read(&mut self) -> Option<u64> {
         self.current = self.waiting.pop_front();
         self.current.as_ref().map(|on_tape| on_tape.number)

@@ -16,6 +16,7 @@ use super::{
     engine::Engine,
     journal::Phase,
     messages::{PutOnce, RequestId, TapeAnswer},
+    quiet::BEING_STOPPED,
 };
 use crate::{
     check::objects::Objects,
@@ -46,7 +47,7 @@ impl<S: 'static> Engine<S> {
         };
         let (acted, by_hand) = match Abortable::new(acting, cancel).await {
             Ok(acted) => (acted, false),
-            Err(Aborted) => (self.ended_by_hand(firing), true),
+            Err(Aborted) => self.ended_from_outside(firing),
         };
         let net = self.net();
         let transition = &net[id];
@@ -64,7 +65,9 @@ impl<S: 'static> Engine<S> {
                 .borrow_mut()
                 .push(format!("{}: {error}", transition.name));
             if transition.fail.is_none() && !by_hand {
-                if tries >= MOST_TRIES {
+                if self.cx.is_stopping() {
+                    self.tries_no_more(&transition.name, error);
+                } else if tries >= MOST_TRIES {
                     self.halt(&format!(
                         "transition `{}` failed {tries} times: {error}",
                         transition.name
@@ -72,6 +75,9 @@ impl<S: 'static> Engine<S> {
                 } else {
                     let doublings = tries.saturating_sub(1);
                     self.cx.sleep(FIRST_RETRY * (1 << doublings)).await;
+                    if self.cx.is_stopping() {
+                        self.tries_no_more(&transition.name, error);
+                    }
                 }
             }
         }
@@ -81,11 +87,17 @@ impl<S: 'static> Engine<S> {
         self.advance(&cx);
     }
 
-    /// What a person said that an action came to.
-    fn ended_by_hand(&self, firing: FiringId) -> Acted {
-        match self.core.borrow().acting.get(&firing) {
-            Some(acting) if acting.completed => Ok(()),
-            _ => Err(HandlerError::new("cancelled by hand")),
+    /// What an action came to that was ended from outside, and whether a person did that.
+    fn ended_from_outside(&self, firing: FiringId) -> (Acted, bool) {
+        let core = self.core.borrow();
+        let acting = core.acting.get(&firing);
+        match acting.map_or(Ended::Cancelled, |acting| acting.ended) {
+            Ended::Completed => (Ok(()), true),
+            Ended::Cancelled => (Err(HandlerError::new("cancelled by hand")), true),
+            Ended::TooLate => {
+                let why = format!("cancelled, because {BEING_STOPPED} and it did not end");
+                (Err(HandlerError::new(why)), false)
+            }
         }
     }
 
@@ -291,8 +303,18 @@ pub(super) fn is_asked_once(cx: &Context, action: &net::Action) -> bool {
 /// An action that is going on, as it is seen from outside.
 pub(super) struct Acting {
     handle: AbortHandle,
-    /// It was ended by hand, as completed.
-    completed: bool,
+    ended: Ended,
+}
+
+/// How an action is ended from outside.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ended {
+    /// By hand, as completed.
+    Completed,
+    /// By hand, as failed.
+    Cancelled,
+    /// As failed, because it did not end while the app was being stopped.
+    TooLate,
 }
 
 impl Acting {
@@ -301,14 +323,14 @@ impl Acting {
         let (handle, registration) = AbortHandle::new_pair();
         let acting = Self {
             handle,
-            completed: false,
+            ended: Ended::Cancelled,
         };
         (registration, acting)
     }
 
-    /// Ends it, as completed or as failed.
-    pub(super) fn end(&mut self, completed: bool) {
-        self.completed = completed;
+    /// Ends it.
+    pub(super) fn end(&mut self, ended: Ended) {
+        self.ended = ended;
         self.handle.abort();
     }
 }

@@ -51,7 +51,7 @@ async fn ask(
     let found = if durable {
         cx.wait_for_task(net, until.since(cx.now())).await
     } else {
-        cx.task(net).await
+        cx.task(net).deadline(until.since(cx.now())).await
     };
     let to = found.map_err(|error| (HandlerError::from(error), Failed::NotNow))?;
     let asked = cx.call(&to, put.clone());

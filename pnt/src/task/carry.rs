@@ -202,6 +202,7 @@ impl<S: 'static> Engine<S> {
             if news {
                 core.changes += 1;
             }
+            core.requests.look_again();
             news
         };
         self.store_changes();
@@ -224,7 +225,8 @@ impl<S: 'static> Engine<S> {
         let found = if durable {
             cx.wait_for_task(net, COME_BACK).await
         } else {
-            cx.task(net).await
+            // Its next life would not know what the tokens are about.
+            cx.task(net).deadline(Duration::ZERO).await
         };
         let to = found.map_err(|error| match error {
             NameError::NotYet { .. } => Failed::NotNow,

@@ -11,6 +11,7 @@ use ctos::{
 use thiserror::Error;
 
 use super::{
+    action::Ended,
     engine::{Core, Engine},
     messages::{Control, Order},
 };
@@ -473,7 +474,11 @@ impl Core {
             self.manual.pause(format!("`{name}` was cancelled by hand"));
         }
         if let Some(acting) = self.acting.get_mut(&firing) {
-            acting.end(completed);
+            acting.end(if completed {
+                Ended::Completed
+            } else {
+                Ended::Cancelled
+            });
         }
         Ok(())
     }

@@ -217,6 +217,7 @@ impl<S: 'static> Engine<S> {
             self.call_followers(core);
         }
         durable.committing.set(false);
+        self.core.borrow_mut().requests.look_again();
     }
 
     /// Does what waited for changes up to this one.

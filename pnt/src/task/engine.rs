@@ -26,6 +26,7 @@ use super::{
     messages::{Output, PutOnce, PutTape, RequestId, Snapshot, TapeAnswer, Tokens, Transfer},
     neighbours::Coming,
     once::{Known, Once},
+    quiet::{BEING_STOPPED, Requests},
     replace::Replacing,
     routes::Routes,
     settings::Settings,
@@ -54,6 +55,8 @@ pub(super) struct Engine<S> {
     /// Whether tokens are put into nets on this processor without messages. Not in virtual time, where a run
     /// with some seed must be the same whether it is recorded or not.
     pub(super) puts_beside: Cell<bool>,
+    /// Whether the app is about to be stopped.
+    pub(super) stopping: Cell<bool>,
     /// Whether it is firing, or waits for those beside it to do so.
     pub(super) at_work: Cell<bool>,
 }
@@ -125,6 +128,8 @@ pub(super) struct Core {
     pub(super) acting: BTreeMap<FiringId, Acting>,
     pub(super) manual: Manual,
     pub(super) replacing: Option<Replacing>,
+    /// Requests of other nets (`serves`), and who waits for the net to be quiet.
+    pub(super) requests: Requests,
     /// Counts the changes of all that is stored.
     pub(super) changes: u64,
 }
@@ -146,6 +151,7 @@ impl<S: 'static> Engine<S> {
         Self {
             view,
             puts_beside: Cell::new(cx.chassis().clock().origin_ns().is_some()),
+            stopping: Cell::new(false),
             at_work: Cell::new(false),
             core: RefCell::new(Core {
                 conflicts,
@@ -168,6 +174,7 @@ impl<S: 'static> Engine<S> {
                 acting: BTreeMap::new(),
                 manual: Manual::default(),
                 replacing: None,
+                requests: Requests::of(&net),
                 changes: 0,
                 race,
                 alarm: None,
@@ -217,6 +224,10 @@ impl<S: 'static> Engine<S> {
             if let Some(why) = &core.halted {
                 let name = core.execution.net().name();
                 return reply.fail(&format!("net `{name}` takes no commands: {why}"));
+            }
+            if self.refuses(&reply) {
+                let name = core.execution.net().name();
+                return reply.fail(&format!("net `{name}` takes no commands: {BEING_STOPPED}"));
             }
             let number = core.put_command(&symbol, &arguments, self.settings.tape)?;
             if let Asker::Once(_, request) = &reply {
@@ -354,6 +365,7 @@ impl<S: 'static> Engine<S> {
                 return;
             }
             core.halted = Some(why.to_owned());
+            core.requests.look_again();
             let stopped = Happened::Net(EventPhase::Stopped, why.to_owned());
             self.note(&mut core, &self.cx, stopped);
             core.commands.clear();
@@ -490,6 +502,7 @@ impl Core {
         mut note: impl FnMut(&mut Self, Happened),
     ) {
         self.transfers.take(from, stream, number);
+        self.requests.came(&put);
         self.changed();
         if let Some((symbol, with)) = &transfer.symbol {
             note(self, Happened::Asked(symbol.clone(), with.join(" ")));

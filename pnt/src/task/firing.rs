@@ -34,6 +34,7 @@ impl<S: 'static> Engine<S> {
             self.let_neighbours_go_on();
             next = self.news();
         }
+        self.core.borrow_mut().requests.look_again();
     }
 
     fn fire_enabled(self: &Rc<Self>, mut cx: Context) {
@@ -67,6 +68,9 @@ impl<S: 'static> Engine<S> {
             let mut core = self.core.borrow_mut();
             self.tell_met(&mut core);
             if !core.begun || core.halted.is_some() || core.manual.is_stopped() {
+                return None;
+            }
+            if self.is_silent(&core) {
                 return None;
             }
             let Core {
@@ -150,6 +154,7 @@ impl<S: 'static> Engine<S> {
         let written = effects.written;
         let sent = core.routes.of(id, false);
         core.take_up(read, written.as_ref(), cx);
+        core.requests.fired(id);
         let phase = Phase {
             transition: id,
             firing: None,

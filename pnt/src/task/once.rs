@@ -87,6 +87,11 @@ impl Once {
         self.open.insert(number, Asked { request, symbol });
     }
 
+    /// A command was taken off the tape: who asks again asks anew.
+    pub(super) fn forget(&mut self, number: u64) {
+        self.open.remove(&number);
+    }
+
     /// A command has its answer. Returns whether it is kept for who asked.
     pub(super) fn answered(&mut self, number: u64, answer: &TapeAnswer) -> bool {
         let Some(asked) = self.open.remove(&number) else {

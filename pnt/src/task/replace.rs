@@ -215,6 +215,7 @@ impl Core {
         self.race = self.race.begin_again(&self.execution);
         self.failures = vec![0; net.transitions().len()];
         self.routes = Routes::new(net);
+        self.requests.replaced(net);
         self.objects = objects_of(net, None);
         self.manual.replaced(&self.execution);
         Ok(())

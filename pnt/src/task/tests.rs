@@ -5,6 +5,7 @@ mod by_hand;
 mod lines;
 mod objects;
 mod seen_and_asked;
+mod stopping;
 mod survival;
 mod tapes;
 

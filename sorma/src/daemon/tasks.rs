@@ -191,7 +191,11 @@ impl Comm for Tasks {
             let daemon = address::task_at(self.cx.app(), at, &request.name).map_err(not_asked)?;
             let ask = self.request(request);
             let object = ask.object.clone();
-            let asked = async { self.at(&self.cx.task(&daemon).await?, ask).await };
+            // One that is being restarted is not waited for: whoever asks so may ask another one.
+            let asked = async {
+                let task = self.cx.task(&daemon).deadline(Duration::ZERO).await?;
+                self.at(&task, ask).await
+            };
             asked.await.map_err(|lost: Lost| NoAnswer {
                 report: lost.report(&object, &daemon),
                 perhaps_executed: lost.perhaps_executed(),
@@ -276,7 +280,7 @@ impl Comm for Tasks {
                 return;
             };
             // A daemon that is gone knows of nobody any more.
-            if let Ok(task) = self.cx.task(&daemon).await {
+            if let Ok(task) = self.cx.task(&daemon).deadline(Duration::ZERO).await {
                 let _ = self.cx.send(&task, Leave { subscriber }).await;
             }
         })

@@ -7,7 +7,7 @@ use tokio::sync::broadcast;
 
 use super::{Desk, Speaker, Writer, ended, error, failed, tell};
 use crate::{
-    boot::BootEvent,
+    boot::{BootEvent, StopStep},
     call::Fault,
     control::{
         logs::LogLine,
@@ -256,8 +256,13 @@ impl Desk {
         loop {
             match news.recv().await {
                 Ok(News::Event(what)) => {
-                    if now && matches!(what, BootEvent::Stopping { .. } | BootEvent::Stopped { .. })
-                    {
+                    let begins = matches!(
+                        what,
+                        BootEvent::StopStep {
+                            step: StopStep::Quiesce | StopStep::Tasks
+                        } | BootEvent::Stopped { .. }
+                    );
+                    if now && begins {
                         self.chassis.post_system(system::BOOTSTRAP, Interrupt {});
                     }
                     tell(writer, &Answer::Event { what }).await?;

@@ -19,7 +19,7 @@ use crate::{
     call::{Answer, Fault, ReplySlot, lock},
     chassis::WaitFor,
     message::{Command, Data, Flags, Message, Tid, ToJson},
-    system::{self, QueryTid},
+    system::{self, FindTid, Missing},
     time::{Clock, Instant},
 };
 
@@ -176,13 +176,13 @@ impl Desk {
 
     /// The answer to a question for a name, if it is one.
     fn name_of_another(&self, message: &Message) -> Option<Answer> {
-        if message.header().to != system::TID_SERVER || message.header().command != QueryTid::CODE {
+        if message.header().to != system::TID_SERVER || message.header().command != FindTid::CODE {
             return None;
         }
         let mut data = Vec::new();
         message.letter.data.append_to(&mut data).ok()?;
-        let QueryTid { name } = postcard::from_bytes(&data).ok()?;
-        let answer: Result<Tid, Vec<String>> = Ok(self.names.tid(&name)?);
+        let FindTid { name, .. } = postcard::from_bytes(&data).ok()?;
+        let answer: Result<Tid, Missing> = Ok(self.names.tid(&name)?);
         Some(Ok(Data::of(answer)))
     }
 
