@@ -247,20 +247,43 @@ fn tools_may_do_what_the_role_of_their_key_permits_and_no_more() {
         assert!(std::fs::exists(folder.join(file)).unwrap(), "{view}");
     }
 
-    // Who may call asks tasks, and does nothing to them.
-    let say = |key: &str| {
-        let at = format!("127.0.0.1:{port}");
-        let key = format!("keys/{key}");
-        let line = [
-            "--at", &at, "--key", &key, "--daemon", "arm", "-c", "foo EXEC",
-        ];
-        panel.start(SCOTT, &line, &[]).end()
-    };
-    say("screen").must_say("`say` takes the role `call`");
-    say("caller").must_say("takes no lines of text");
     tool(&panel, port, &["restart", "arm"], "desk").must_exit(0);
     let stopped = tool(&panel, port, &["stop"], "desk");
     stopped.must_exit(0).must_say("stopped");
+    run.end().must_exit(130);
+}
+
+#[test]
+fn who_may_call_asks_objects_and_stops_nothing() {
+    let here = Scratch::empty();
+    keys(
+        &here,
+        &[("cell", "boot"), ("screen", "watch"), ("caller", "call")],
+    );
+    let port = free_port();
+    here.write(
+        "app.toml",
+        format!(
+            "[security]\nkey = \"keys/cell\"\nauthority = \"keys/ca.pem\"\n[control]\nlisten = \"127.0.0.1:{port}\"\n[chassis.cage]\n[task.objects]\nhandler = \"sorma.daemon\"\non = \"cage\"\n"
+        ),
+    );
+    let mut run = here.start(CTOS, &["boot", "app.toml"], &[]);
+    run.wait_for("phase 3");
+    let at = format!("127.0.0.1:{port}");
+    let say = |key: &str| {
+        let line = ["--at", &at, "--key", key, "-c", "foo.a EXEC"];
+        here.start(SCOTT, &line, &[]).end()
+    };
+    say("keys/screen").must_say("`say` takes the role `call`");
+    let said = say("keys/caller");
+    said.must_exit_leaving(0);
+    assert!(said.stdout.contains("foo.a RET 0"), "{}", said.told);
+    for command in [&["stop"][..], &["restart", "objects"]] {
+        let refused = tool(&here, port, command, "caller");
+        refused.must_exit_leaving(8);
+        refused.must_say("takes the role `control`");
+    }
+    run.signal(Signal::INT);
     run.end().must_exit(130);
 }
 
