@@ -1,6 +1,6 @@
 //! The server of the page: its files, and a websocket for each browser.
 
-use std::{io, sync::Arc};
+use std::{io, sync::Arc, time::Duration};
 
 use axum::{
     Router,
@@ -29,6 +29,13 @@ use crate::page::{Door, Right};
 
 /// The longest message of a browser, bytes.
 const LONGEST: usize = 16 * 1024;
+
+/// How long a browser may take to read what it is sent.
+const WRITE_LIMIT: Duration = Duration::from_secs(60);
+
+/// How often a browser is asked whether it is there, and how often in vain before it counts as gone.
+const BEAT: Duration = Duration::from_secs(20);
+const BEATS: u32 = 3;
 
 /// What a browser asks for, on its way to the task, and where the answer goes.
 pub(crate) type Asking = (Asked, oneshot::Sender<String>);
@@ -111,6 +118,13 @@ async fn socket(
         })
 }
 
+/// Sends a text, unless it is not read for too long.
+async fn say(socket: &mut WebSocket, text: &str) -> Result<(), axum::Error> {
+    let sent = socket.send(Message::Text(text.into()));
+    let sent = tokio::time::timeout(WRITE_LIMIT, sent).await;
+    sent.unwrap_or_else(|late| Err(axum::Error::new(late)))
+}
+
 async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(), axum::Error> {
     let [looking, controlling] = &desk.rooms;
     let room = if control { controlling } else { looking };
@@ -120,18 +134,31 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
     };
     let (told, mut news) = desk.hub.join(control);
     for text in told {
-        socket.send(Message::Text(text.into())).await?;
+        say(&mut socket, &text).await?;
     }
+    let mut beat = tokio::time::interval(BEAT);
+    // Its first is at once otherwise.
+    beat.reset();
+    let mut unanswered = 0;
     loop {
         tokio::select! {
+            _ = beat.tick() => {
+                if unanswered == BEATS {
+                    return Ok(());
+                }
+                unanswered += 1;
+                let asked = socket.send(Message::Ping(Vec::new().into()));
+                let asked = tokio::time::timeout(WRITE_LIMIT, asked).await;
+                asked.unwrap_or_else(|late| Err(axum::Error::new(late)))?;
+            }
             new = news.recv() => match new {
-                Ok(News::Told(text)) => socket.send(Message::Text((&*text).into())).await?,
+                Ok(News::Told(text)) => say(&mut socket, &text).await?,
                 // It was too slow, or there are other nets now.
                 Ok(News::Anew) | Err(RecvError::Lagged(_)) => {
                     let (told, anew) = desk.hub.join(control);
                     news = anew;
                     for text in told {
-                        socket.send(Message::Text(text.into())).await?;
+                        say(&mut socket, &text).await?;
                     }
                 }
                 Err(RecvError::Closed) => return Ok(()),
@@ -139,6 +166,7 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
             message = socket.recv() => match message {
                 None | Some(Ok(Message::Close(_))) => return Ok(()),
                 Some(Ok(Message::Text(text))) => {
+                    unanswered = 0;
                     let asked = match serde_json::from_str::<Asked>(&text) {
                         Ok(asked) => asked,
                         Err(error) => {
@@ -147,12 +175,13 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
                         }
                     };
                     let answer = ask(desk, asked, control).await;
-                    socket.send(Message::Text(answer.into())).await?;
+                    say(&mut socket, &answer).await?;
                 }
                 Some(Ok(Message::Binary(_))) => {
                     return close(socket, close_code::UNSUPPORTED, "messages are text").await;
                 }
-                Some(Ok(_)) => {}
+                // The answer to a beat, mostly.
+                Some(Ok(_)) => unanswered = 0,
                 // Too long, or not as the protocol says.
                 Some(Err(error)) => {
                     tracing::debug!(error = %error, "a browser was let go");
