@@ -14,19 +14,21 @@ mod task;
 
 pub use args::{DEFAULT_LISTEN, HANDLER};
 
-use std::{
-    io,
-    net::{SocketAddr, TcpListener},
-    path::Path,
-};
+use std::{io, net::SocketAddr, path::Path};
 
 use ctos::{
     diagnostic::{Findings, Source},
+    doors::Pages,
     registry::Registry,
 };
 
-use crate::{exit, page::drawn_token, scott::backend::Backend, show};
-use desk::{Desk, Door};
+use crate::{
+    exit,
+    page::{Door, drawn_token, loopback_pages},
+    scott::backend::Backend,
+    show,
+};
+use desk::Desk;
 use pool::Pool;
 use script::Panel;
 
@@ -47,14 +49,14 @@ pub fn run(backend: Backend, what: &str, listen: SocketAddr) -> u8 {
             return exit::CONFIG;
         }
     };
-    let listener = match TcpListener::bind(listen) {
-        Ok(listener) => listener,
+    let pages = match loopback_pages(listen) {
+        Ok(pages) => pages,
         Err(error) => {
             show::say(&format!("error: cannot listen at {listen}: {error}"));
             return exit::UNREACHABLE;
         }
     };
-    match serve(listener, Pool::new(backend), panel) {
+    match serve(pages, Pool::new(backend), panel) {
         Ok(()) => exit::INTERRUPTED,
         Err(error) => {
             show::say(&format!("error: the panel cannot be served: {error}"));
@@ -77,21 +79,21 @@ fn asked_for(what: &str) -> Result<Panel, Findings> {
     }
 }
 
-fn serve(listener: TcpListener, pool: Pool, panel: Panel) -> io::Result<()> {
+fn serve(pages: Pages, pool: Pool, panel: Panel) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
-    let address = listener.local_addr()?;
     let token = drawn_token()?;
-    show::say(&format!(
-        "the panel is at http://{address}/#{token}   (Ctrl-C ends it)"
-    ));
+    let url = pages.url();
+    show::say(&format!("the panel is at {url}#{token}   (Ctrl-C ends it)"));
     let door = Door {
         token: Some(token),
         anybody_looks: false,
+        allow_control: true,
+        ..Door::default()
     };
     let desk = Desk::new("scott", vec![panel], door, pool);
-    runtime.block_on(server::serve(listener, desk, async {
+    runtime.block_on(server::serve(pages, desk, async {
         // Where Ctrl-C cannot be waited for, it ends the process by itself.
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;

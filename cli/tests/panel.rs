@@ -12,6 +12,7 @@ mod common;
 use std::{
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
+    os::unix::fs::PermissionsExt,
     process::{Child, Command, Stdio},
 };
 
@@ -77,18 +78,36 @@ fn serve_in_app(control: bool) -> (Served, tempfile::TempDir) {
     );
     let mut child = Command::new(env!("CARGO_BIN_EXE_ctos"))
         .current_dir(folder.path())
-        .args(["boot", "app.toml"])
+        .args([
+            "boot",
+            "app.toml",
+            "--log",
+            "trace",
+            "--log-file",
+            "app.log",
+        ])
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
         .expect("ctos runs");
     let mut lines = BufReader::new(child.stderr.take().expect("a pipe")).lines();
-    let place = lines
+    let line = lines
         .by_ref()
         .map_while(Result::ok)
-        .find_map(|line| Some(line.split_once("http://")?.1.to_owned()))
+        .find(|line| line.contains("a panel is served"))
         .expect("an address");
+    assert!(!line.contains('#'), "a log holds no token: {line}");
+    // With control it names a file that has the token.
+    let place = match line.split_once("open=") {
+        Some((_, file)) => {
+            let file = file.split([' ', '\u{1b}']).next().expect("a file");
+            std::fs::read_to_string(file).expect("a file that opens the page")
+        }
+        None => line,
+    };
+    let (_, place) = place.split_once("http://").expect("an address");
+    let place = place.to_owned();
     // It must not stand still because nobody reads what else it says.
     std::thread::spawn(move || lines.for_each(drop));
     let place = place
@@ -275,6 +294,19 @@ fn an_app_serves_its_panels_itself_and_a_page_without_the_token_only_looks_on() 
 }
 
 #[test]
+fn no_log_holds_the_token_of_a_page_at_any_level_and_a_log_file_is_its_users_alone() {
+    let (served, folder) = serve_in_app(true);
+    assert_eq!(served.token.len(), 32);
+    assert_eq!(served.ask("sorm CTRL -create foo.a")["ret"], 0);
+    let path = folder.path().join("app.log");
+    let mode = path.metadata().expect("a log").permissions().mode();
+    assert_eq!(mode & 0o777, 0o600);
+    let log = std::fs::read_to_string(path).expect("a log");
+    assert!(log.contains("a panel is served") && log.contains("TRACE"));
+    assert!(!log.contains(&served.token));
+}
+
+#[test]
 fn a_panel_whose_configuration_allows_no_control_has_no_token() {
     let (served, _folder) = serve_in_app(false);
     assert_eq!(served.token, "");
@@ -317,6 +349,9 @@ fn what_is_wrong_with_a_panel_is_found_before_the_app_runs() {
     }
     let (code, text) =
         check("objects = [\"spot\"]\nlisten = \"0.0.0.0:8109\"\nallow_control = true");
-    assert_eq!(code, Some(0), "{text}");
-    assert!(text.contains("no token is set"), "{text}");
+    assert_eq!(code, Some(3), "{text}");
+    assert!(
+        text.contains("needs keys") && text.contains("ctos keys new"),
+        "{text}"
+    );
 }

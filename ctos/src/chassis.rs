@@ -23,6 +23,7 @@ use crate::{
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
     disk::Disk,
+    doors::Refusals,
     link::{lookout::Lookout, shm::pool::Pool},
     message::{Message, Tid},
     processor::{Processor, ProcessorHandle},
@@ -83,7 +84,7 @@ pub struct Chassis {
     /// What survives it in virtual time.
     pub(crate) disk: OnceLock<Arc<Disk>>,
     /// How many callers, and requests of tools, were refused so far.
-    pub(crate) refused: AtomicU64,
+    pub(crate) refused: Refusals,
 }
 
 impl Chassis {
@@ -134,7 +135,7 @@ impl Chassis {
             lookout: OnceLock::new(),
             pool: OnceLock::new(),
             disk: OnceLock::new(),
-            refused: AtomicU64::new(0),
+            refused: Refusals::default(),
         })
     }
 

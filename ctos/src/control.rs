@@ -16,8 +16,9 @@ mod recording;
 mod server;
 mod view;
 
-pub use logs::{Level, LogLine, without_tokens};
+pub use logs::{Level, LogLine};
 pub use place::{Socket, folder, prepared_folder};
 
+pub(crate) use gate::Gate;
 pub(crate) use logs::LogStore;
 pub(crate) use server::{Server, Ticker};

@@ -24,6 +24,7 @@ pub mod config;
 pub mod control;
 pub mod diagnostic;
 pub mod disk;
+pub mod doors;
 pub mod message;
 pub mod realtime;
 pub mod recent;

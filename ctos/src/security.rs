@@ -11,6 +11,8 @@ mod tls;
 use std::{fmt, io, path::PathBuf, str::FromStr};
 
 pub use files::{Listed, list_keys, make_key};
+#[cfg(test)]
+pub(crate) use tls::browser_of;
 pub use tls::{BlockingStream, Keys};
 
 #[cfg(feature = "zenoh")]
@@ -144,6 +146,9 @@ pub enum KeyError {
         "the other end's certificate names no holder and role; make its key with `ctos keys new`"
     )]
     NoRole,
+    /// A web page had a browser call.
+    #[error("it speaks HTTP, and this port is no page")]
+    Browser,
     /// A caller through a socket of this host belongs to somebody else.
     #[error("the caller belongs to user {user}, not to this one")]
     User {

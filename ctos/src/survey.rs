@@ -97,7 +97,7 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
             .iter()
             .map(|task| report(chassis, task, &cyclic))
             .collect(),
-        refused: chassis.refused.load(std::sync::atomic::Ordering::Relaxed),
+        refused: chassis.refused.count(),
     }
 }
 

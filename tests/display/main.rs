@@ -43,17 +43,20 @@ fn scratch() -> Scratch {
     scratch
 }
 
+/// The address of a page with its token, from the file that a line of the log names.
+fn opened(line: &str) -> String {
+    let (_, file) = line.split_once("open=").unwrap();
+    let text = std::fs::read_to_string(file.split([' ', '\u{1b}']).next().unwrap()).unwrap();
+    let (_, url) = text.split_once("url=").unwrap();
+    url.split('"').next().unwrap().to_owned()
+}
+
 /// Boots it; the address of the page.
 fn boot<'a>(scratch: &'a Scratch, sets: &[&str]) -> (Run<'a>, String) {
     let display = [&["--display=127.0.0.1:0", "--allow-control"], &SLOW[..]].concat();
     let mut run = scratch.start_boot(&[&display[..], sets].concat());
     let line = run.line_with("nets are shown");
-    let from = line.find("http://").unwrap();
-    let page = line[from..]
-        .split(['"', ' ', '\u{1b}'])
-        .next()
-        .unwrap()
-        .to_owned();
+    let page = opened(&line);
     (run, page)
 }
 

@@ -4,7 +4,7 @@ use crate::{
     SIZE, SLOW,
     browser::Browser,
     harness::{Run, Scratch},
-    pictures,
+    opened, pictures,
 };
 
 /// The calibration with its panels, whose arm nobody else moves; the address of the page with its token.
@@ -21,9 +21,8 @@ fn boot(scratch: &Scratch) -> (Run<'_>, String) {
     ];
     let mut run = scratch.start_boot(&[&still[..], &SLOW[..]].concat());
     let line = run.line_with("a panel is served");
-    let from = line.find("http://").unwrap();
-    let page = line[from..].split(['"', ' ', '\u{1b}']).next().unwrap();
-    (run, page.to_owned())
+    let page = opened(&line);
+    (run, page)
 }
 
 /// The control that a label is about.

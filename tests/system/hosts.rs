@@ -5,14 +5,18 @@ use std::{
     fs,
     io::{Read, Write},
     net::TcpStream,
-    os::unix::fs::PermissionsExt,
+    os::unix::fs::{DirBuilderExt, PermissionsExt, symlink},
     path::PathBuf,
+    sync::Mutex,
 };
 
 use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::harness::{CTOS, Ended, MISBEHAVING, Run, Scratch};
+
+/// Where the secrets of the agents' ports are: each of these hosts is a folder, and all are of one user.
+static TOKENS: Mutex<Vec<(String, PathBuf)>> = Mutex::new(Vec::new());
 
 /// An agent of the program whose handlers misbehave, and where it listens.
 pub struct Agent<'a> {
@@ -40,6 +44,8 @@ impl<'a> Agent<'a> {
         let mut words = line.trim().split([' ', '"']);
         let address = words.rfind(|word| word.ends_with(|letter: char| letter.is_ascii_digit()));
         let address = address.unwrap().to_owned();
+        let token = host.path(&format!("ctos/{address}.token"));
+        TOKENS.lock().unwrap().push((address.clone(), token));
         Self { run, address }
     }
 
@@ -136,6 +142,14 @@ args = {{ slow_s = 0.0 }}
 
 pub fn boot<'a>(scratch: &'a Scratch, text: &str, arguments: &[&str]) -> Run<'a> {
     scratch.write("app.toml", text);
+    for (address, token) in TOKENS.lock().unwrap().iter() {
+        if text.contains(address) {
+            let folder = scratch.path("ctos");
+            // It may have booted before.
+            let _ = fs::DirBuilder::new().mode(0o700).create(&folder);
+            let _ = symlink(token, folder.join(token.file_name().unwrap()));
+        }
+    }
     let all = [&["boot", "app.toml"], arguments].concat();
     scratch.start(MISBEHAVING, &all, &[])
 }

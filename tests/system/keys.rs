@@ -1,7 +1,7 @@
 //! Keys and their roles: who may boot on another host, and what tools may do to an app there. And the
 //! walk-through of `docs/security.md`, as it stands there.
 
-use std::{fs, net::TcpStream, path::Path};
+use std::{fs, net::TcpStream, os::unix::fs::PermissionsExt, path::Path};
 
 use rustix::process::Signal;
 
@@ -254,6 +254,40 @@ fn tools_may_do_what_the_role_of_their_key_permits_and_no_more() {
 }
 
 #[test]
+fn who_may_call_asks_objects_and_stops_nothing() {
+    let here = Scratch::empty();
+    keys(
+        &here,
+        &[("cell", "boot"), ("screen", "watch"), ("caller", "call")],
+    );
+    let port = free_port();
+    here.write(
+        "app.toml",
+        format!(
+            "[security]\nkey = \"keys/cell\"\nauthority = \"keys/ca.pem\"\n[control]\nlisten = \"127.0.0.1:{port}\"\n[chassis.cage]\n[task.objects]\nhandler = \"sorma.daemon\"\non = \"cage\"\n"
+        ),
+    );
+    let mut run = here.start(CTOS, &["boot", "app.toml"], &[]);
+    run.wait_for("phase 3");
+    let at = format!("127.0.0.1:{port}");
+    let say = |key: &str| {
+        let line = ["--at", &at, "--key", key, "-c", "foo.a EXEC"];
+        here.start(SCOTT, &line, &[]).end()
+    };
+    say("keys/screen").must_say("`say` takes the role `call`");
+    let said = say("keys/caller");
+    said.must_exit_leaving(0);
+    assert!(said.stdout.contains("foo.a RET 0"), "{}", said.told);
+    for command in [&["stop"][..], &["restart", "objects"]] {
+        let refused = tool(&here, port, command, "caller");
+        refused.must_exit_leaving(8);
+        refused.must_say("takes the role `control`");
+    }
+    run.signal(Signal::INT);
+    run.end().must_exit(130);
+}
+
+#[test]
 fn tools_without_a_key_or_with_one_of_another_authority_are_refused() {
     let [here, panel, strange] = [Scratch::empty(), Scratch::empty(), Scratch::empty()];
     keys(&here, &[("cell", "boot")]);
@@ -277,15 +311,30 @@ fn tools_without_a_key_or_with_one_of_another_authority_are_refused() {
 }
 
 #[test]
-fn at_the_loopback_without_keys_the_own_user_may_do_everything() {
+fn at_the_loopback_without_keys_whoever_knows_the_secret_of_the_port_may_do_everything() {
     let [here, panel] = [Scratch::empty(), Scratch::empty()];
     let port = free_port();
     let mut run = boot(&here, &watched(port, ""), &[]);
     run.wait_for("phase 3");
-    let view = tool(&panel, port, &["ps", "--json"], "");
-    assert_eq!(view.must_exit(0).json()["app"], "cell");
-    tool(&panel, port, &["stop"], "").must_exit(0);
+    // Tools of the same user find it.
+    let view = tool(&here, port, &["ps", "--json"], "");
+    assert_eq!(view.must_exit_leaving(0).json()["app"], "cell");
+    // Others are told what is missing.
+    let refused = tool(&panel, port, &["ps"], "");
+    refused.must_exit(5).must_say("--token-file");
+    fs::write(panel.path("guessed"), "0123456789abcdef").unwrap();
+    let guessed = ["ps", "--token-file", "guessed"];
+    let refused = tool(&panel, port, &guessed, "");
+    refused
+        .must_exit(8)
+        .must_say("does not know the secret of this port");
+    let token = here.path(&format!("ctos/127.0.0.1:{port}.token"));
+    let mode = token.metadata().unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o600);
+    let file = token.to_str().unwrap();
+    tool(&panel, port, &["stop", "--token-file", file], "").must_exit(0);
     run.end().must_exit(130);
+    assert!(!token.exists());
     let gone = tool(&panel, port, &["ps"], "");
     gone.must_exit(5)
         .must_say(&format!("cannot reach app `127.0.0.1:{port}`"));

@@ -4,6 +4,7 @@ use std::{
     ffi::OsString,
     io::Write,
     net::SocketAddr,
+    os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt},
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex, PoisonError,
@@ -270,6 +271,22 @@ fn not_started(args: &BootArgs, findings: Findings) -> u8 {
     exit::CONFIG
 }
 
+/// Opens a log that this user alone may read, also when it was begun otherwise.
+pub(crate) fn private_log(path: &Path) -> std::io::Result<std::fs::File> {
+    let file = std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .read(true)
+        .mode(0o600)
+        .open(path)?;
+    let found = file.metadata()?;
+    // Nobody else's file, and no terminal or pipe, is changed.
+    if found.is_file() && found.uid() == rustix::process::geteuid().as_raw() {
+        file.set_permissions(std::fs::Permissions::from_mode(0o600))?;
+    }
+    Ok(file)
+}
+
 /// A file that the logs of the chassis go to.
 struct LogFile {
     file: Mutex<std::fs::File>,
@@ -279,10 +296,7 @@ struct LogFile {
 
 impl LogFile {
     fn open(path: &Path) -> std::io::Result<Self> {
-        let file = std::fs::OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(path)?;
+        let file = private_log(path)?;
         Ok(Self {
             file: Mutex::new(file),
             told: AtomicBool::new(false),

@@ -2,7 +2,7 @@
 
 use std::{
     ffi::OsString,
-    fs::{File, OpenOptions},
+    fs::File,
     io::{self, Read, Seek},
     os::unix::{net::UnixDatagram, process::CommandExt},
     path::{Path, PathBuf},
@@ -12,7 +12,7 @@ use std::{
 
 use ctos::{config::App, control, task::Phase};
 
-use crate::{exit, show};
+use crate::{commands::boot::private_log, exit, show};
 
 /// Where a service manager, or [`run`], waits to be told that the app is ready.
 const NOTIFY: &str = "NOTIFY_SOCKET";
@@ -54,11 +54,7 @@ fn start(app: &App, arguments: &[OsString], log: Option<&Path>, until: Phase) ->
         Some(log) => std::path::absolute(log)?,
         None => default_log(&app.name)?,
     };
-    let file = OpenOptions::new()
-        .create(true)
-        .append(true)
-        .read(true)
-        .open(&log)?;
+    let file = private_log(&log)?;
     let began = file.metadata()?.len();
     let mut child = Command::new(std::env::current_exe()?)
         .args(arguments)

@@ -18,7 +18,7 @@ use ctos::{
     registry::Registry,
 };
 use pnt::layout::Drawing;
-use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot};
 
 use crate::{
     commands::{
@@ -33,7 +33,9 @@ use crate::{
         server::{self, Desk},
         text,
     },
-    exit, show,
+    exit,
+    page::{Door, loopback_pages},
+    show,
 };
 use live::Nets;
 
@@ -229,26 +231,28 @@ fn export(hub: &Hub, file: &Path) -> u8 {
 /// Serves until Ctrl-C.
 fn serve(hub: Hub, listen: SocketAddr) -> u8 {
     let served = || -> io::Result<()> {
-        let listener = std::net::TcpListener::bind(listen)?;
-        let address = listener.local_addr()?;
+        let pages = loopback_pages(listen).map_err(io::Error::other)?;
+        let url = pages.url();
         // Nobody carries out orders: there is nothing to order of a record.
         let (orders, _) = mpsc::channel(1);
         let (_stop, stopped) = oneshot::channel();
         let desk = Desk {
             hub: Arc::new(hub),
-            address,
-            token: None,
+            door: Door {
+                anybody_looks: true,
+                ..Door::default()
+            },
             viewers: 32,
-            room: Arc::new(Semaphore::new(32)),
+            rooms: server::rooms(32),
             orders,
         };
-        show::say(&format!("display  http://{address}/  (Ctrl-C ends it)"));
+        show::say(&format!("display  {url}  (Ctrl-C ends it)"));
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()?;
         runtime.block_on(async {
             tokio::select! {
-                served = server::serve(listener, desk, stopped) => served,
+                served = server::serve(pages, desk, stopped) => served,
                 interrupted = tokio::signal::ctrl_c() => interrupted,
             }
         })

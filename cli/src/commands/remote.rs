@@ -7,9 +7,10 @@ use clap::Args;
 use ctos::{
     control::{
         Socket,
-        client::{self, Client, ClientError},
+        client::{self, Client, ClientError, Pass},
         protocol::TaskView,
     },
+    doors::Secret,
     security::Keys,
 };
 
@@ -41,6 +42,9 @@ pub struct AtArgs {
     /// Certificate of the authority of all keys; `ca.pem` beside the key when it is left out
     #[arg(long, value_name = "FILE", requires = "key")]
     pub authority: Option<PathBuf>,
+    /// Secret of a port without keys, for one that is not of this host and user: a copy of the file there
+    #[arg(long, value_name = "FILE", requires = "at", conflicts_with = "key")]
+    pub token_file: Option<PathBuf>,
 }
 
 /// Connects to the app that is meant, on whatever host: `app` is its name here.
@@ -57,7 +61,12 @@ pub(crate) fn connect_to(app: Option<&str>, at: &AtArgs) -> Result<Client, Clien
         at: "--key".to_owned(),
         error,
     })?;
-    Client::connect_at(place, keys.as_ref(), LIMIT)
+    let pass = match (keys, &at.token_file) {
+        (Some(keys), _) => Pass::Key(Box::new(keys)),
+        (None, Some(file)) => Pass::Secret(Secret::read(file)?),
+        (None, None) => Pass::OwnPort,
+    };
+    Client::connect_at(place, &pass, LIMIT)
 }
 
 impl RemoteArgs {
@@ -71,9 +80,13 @@ impl RemoteArgs {
         let Some(place) = &self.at.at else {
             return app_option(app);
         };
-        let key = self.at.key.as_ref();
-        let key = key.map(|key| format!(" --key {}", key.display()));
-        format!(" --at {place}{}", key.unwrap_or_default())
+        let option = |name: &str, file: &Option<PathBuf>| {
+            let file = file.as_ref();
+            file.map_or_else(String::new, |file| format!(" --{name} {}", file.display()))
+        };
+        let key = option("key", &self.at.key);
+        let token = option("token-file", &self.at.token_file);
+        format!(" --at {place}{key}{token}")
     }
 }
 

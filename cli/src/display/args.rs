@@ -14,6 +14,7 @@ use pnt::{
 use serde::Deserialize;
 
 use super::overview::Overviews;
+use crate::page;
 
 /// The handler's name.
 pub const HANDLER: &str = "pnt.display";
@@ -37,6 +38,9 @@ pub(super) struct DisplayArgs {
     pub(super) allow_control: bool,
     /// What a page must show to intervene; drawn at random when it is left out.
     pub(super) token: Option<String>,
+    /// What else than its own name and its addresses browsers may call this host.
+    #[serde(default)]
+    pub(super) names: Vec<String>,
     /// How many browsers may look on at a time.
     #[serde(default = "viewers")]
     pub(super) viewers: usize,
@@ -68,13 +72,8 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
         let finding = Finding::error("pnt::display::viewers", text);
         findings.push(at(finding, "viewers").help(format!("write 1 to {MOST_VIEWERS}")));
     }
-    if !args.listen.ip().is_loopback() && args.allow_control && args.token.is_none() {
-        let text = format!(
-            "display `{}` lets anybody who reaches {} ask for control, and no token is set",
-            task.name, args.listen
-        );
-        let finding = Finding::warning("pnt::display::open", text);
-        findings.push(at(finding, "listen").help("set `token`, or listen on the loopback"));
+    if let Some(finding) = page::unguarded(args.listen, app, "pnt::display::open") {
+        findings.push(at(finding, "listen"));
     }
     for net in args.nets.iter().flatten() {
         if app.task(net).is_none() {

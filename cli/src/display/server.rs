@@ -1,6 +1,6 @@
 //! The server of the page: its files, and a websocket for each browser.
 
-use std::{io, net::SocketAddr, sync::Arc};
+use std::{io, sync::Arc, time::Duration};
 
 use axum::{
     Router,
@@ -9,12 +9,14 @@ use axum::{
         ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code},
     },
     http::{
-        HeaderMap, StatusCode,
-        header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, ORIGIN},
+        StatusCode,
+        header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE},
     },
     response::{IntoResponse, Response},
     routing::get,
 };
+use ctos::doors::Pages;
+use hyper_util::service::TowerToHyperService;
 use serde::Deserialize;
 use tokio::sync::{Semaphore, broadcast::error::RecvError, mpsc, oneshot};
 
@@ -23,9 +25,17 @@ use super::{
     hub::{Hub, News},
     wire::{Asked, Told},
 };
+use crate::page::{Door, Right};
 
 /// The longest message of a browser, bytes.
 const LONGEST: usize = 16 * 1024;
+
+/// How long a browser may take to read what it is sent.
+const WRITE_LIMIT: Duration = Duration::from_secs(60);
+
+/// How often a browser is asked whether it is there, and how often in vain before it counts as gone.
+const BEAT: Duration = Duration::from_secs(20);
+const BEATS: u32 = 3;
 
 /// What a browser asks for, on its way to the task, and where the answer goes.
 pub(crate) type Asking = (Asked, oneshot::Sender<String>);
@@ -33,50 +43,41 @@ pub(crate) type Asking = (Asked, oneshot::Sender<String>);
 /// What all connections share.
 pub(crate) struct Desk {
     pub(crate) hub: Arc<Hub>,
-    /// Where the page is served.
-    pub(crate) address: SocketAddr,
-    /// What a page must show to intervene; nobody may when there is none.
-    pub(crate) token: Option<String>,
+    /// Who may do what.
+    pub(crate) door: Door,
     pub(crate) viewers: usize,
-    pub(crate) room: Arc<Semaphore>,
+    /// Places for those who look on, and for those who intervene: none keeps the other out.
+    pub(crate) rooms: [Semaphore; 2],
     pub(crate) orders: mpsc::Sender<Asking>,
 }
 
+/// Places for `viewers` of either kind.
+pub(crate) fn rooms(viewers: usize) -> [Semaphore; 2] {
+    [viewers, viewers].map(Semaphore::new)
+}
+
 /// Serves until `stop`.
-pub(crate) async fn serve(
-    listener: std::net::TcpListener,
-    desk: Desk,
-    stop: oneshot::Receiver<()>,
-) -> io::Result<()> {
-    listener.set_nonblocking(true)?;
-    let listener = tokio::net::TcpListener::from_std(listener)?;
+pub(crate) async fn serve(pages: Pages, desk: Desk, stop: oneshot::Receiver<()>) -> io::Result<()> {
     let router = Router::new()
         .route("/", get(page))
         .route("/ws", get(socket))
         .route("/{name}", get(file))
         .with_state(Arc::new(desk));
     tokio::select! {
-        served = async { axum::serve(listener, router).await } => served,
+        served = pages.serve(TowerToHyperService::new(router)) => served.map(|never| match never {}),
         _ = stop => Ok(()),
     }
 }
 
-async fn page(State(desk): State<Arc<Desk>>, headers: HeaderMap) -> Response {
-    asset(&desk, &headers, "")
+async fn page() -> Response {
+    asset("")
 }
 
-async fn file(
-    State(desk): State<Arc<Desk>>,
-    headers: HeaderMap,
-    Path(name): Path<String>,
-) -> Response {
-    asset(&desk, &headers, &name)
+async fn file(Path(name): Path<String>) -> Response {
+    asset(&name)
 }
 
-fn asset(desk: &Desk, headers: &HeaderMap, name: &str) -> Response {
-    if let Err(reason) = meant(desk, headers) {
-        return (StatusCode::FORBIDDEN, format!("{reason}\n")).into_response();
-    }
+fn asset(name: &str) -> Response {
     match assets::asset(name) {
         Some((_, kind, text)) => {
             let headers = [
@@ -98,18 +99,16 @@ struct Shown {
 
 async fn socket(
     State(desk): State<Arc<Desk>>,
-    headers: HeaderMap,
     Query(shown): Query<Shown>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if let Err(reason) = meant(&desk, &headers) {
-        tracing::warn!(reason, "a page was refused");
-        return (StatusCode::FORBIDDEN, format!("{reason}\n")).into_response();
-    }
-    let control = match (&desk.token, &shown.token) {
-        (Some(token), Some(shown)) => same(token, shown),
-        _ => false,
+    let shown = shown.token.unwrap_or_default();
+    let Some(right) = desk.door.right(shown.as_bytes()) else {
+        let text = "open the page by the file that its log names, which has the token";
+        desk.door.refuse(text);
+        return (StatusCode::FORBIDDEN, format!("{text}\n")).into_response();
     };
+    let control = right == Right::Control;
     upgrade
         .max_message_size(LONGEST)
         .max_frame_size(LONGEST)
@@ -119,53 +118,47 @@ async fn socket(
         })
 }
 
-/// Whether a request was meant for this server: a page of another site, or a name that only seems to be
-/// this host's, must not reach it.
-fn meant(desk: &Desk, headers: &HeaderMap) -> Result<(), &'static str> {
-    let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
-    let host = text(HOST).ok_or("a request without a host")?;
-    let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
-    let here = ["localhost", "127.0.0.1", "[::1]"].contains(&name);
-    if desk.address.ip().is_loopback() && !here {
-        return Err("this page is served on the loopback only, by the name localhost");
-    }
-    match text(ORIGIN) {
-        // No browser sends none; programs may.
-        None => Ok(()),
-        Some(origin) if origin == format!("http://{host}") => Ok(()),
-        Some(origin) if origin == format!("https://{host}") => Ok(()),
-        Some(_) => Err("a page of another origin may not look on"),
-    }
-}
-
-/// Compares in a time that does not tell where two texts begin to differ.
-fn same(a: &str, b: &str) -> bool {
-    let differ = a
-        .bytes()
-        .zip(b.bytes())
-        .fold(0, |all, (a, b)| all | (a ^ b));
-    a.len() == b.len() && differ == 0
+/// Sends a text, unless it is not read for too long.
+async fn say(socket: &mut WebSocket, text: &str) -> Result<(), axum::Error> {
+    let sent = socket.send(Message::Text(text.into()));
+    let sent = tokio::time::timeout(WRITE_LIMIT, sent).await;
+    sent.unwrap_or_else(|late| Err(axum::Error::new(late)))
 }
 
 async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(), axum::Error> {
-    let Ok(_place) = desk.room.try_acquire() else {
+    let [looking, controlling] = &desk.rooms;
+    let room = if control { controlling } else { looking };
+    let Ok(_place) = room.try_acquire() else {
         let reason = format!("{} look on already", desk.viewers);
         return close(socket, close_code::AGAIN, &reason).await;
     };
     let (told, mut news) = desk.hub.join(control);
     for text in told {
-        socket.send(Message::Text(text.into())).await?;
+        say(&mut socket, &text).await?;
     }
+    let mut beat = tokio::time::interval(BEAT);
+    // Its first is at once otherwise.
+    beat.reset();
+    let mut unanswered = 0;
     loop {
         tokio::select! {
+            _ = beat.tick() => {
+                if unanswered == BEATS {
+                    return Ok(());
+                }
+                unanswered += 1;
+                let asked = socket.send(Message::Ping(Vec::new().into()));
+                let asked = tokio::time::timeout(WRITE_LIMIT, asked).await;
+                asked.unwrap_or_else(|late| Err(axum::Error::new(late)))?;
+            }
             new = news.recv() => match new {
-                Ok(News::Told(text)) => socket.send(Message::Text((&*text).into())).await?,
+                Ok(News::Told(text)) => say(&mut socket, &text).await?,
                 // It was too slow, or there are other nets now.
                 Ok(News::Anew) | Err(RecvError::Lagged(_)) => {
                     let (told, anew) = desk.hub.join(control);
                     news = anew;
                     for text in told {
-                        socket.send(Message::Text(text.into())).await?;
+                        say(&mut socket, &text).await?;
                     }
                 }
                 Err(RecvError::Closed) => return Ok(()),
@@ -173,6 +166,7 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
             message = socket.recv() => match message {
                 None | Some(Ok(Message::Close(_))) => return Ok(()),
                 Some(Ok(Message::Text(text))) => {
+                    unanswered = 0;
                     let asked = match serde_json::from_str::<Asked>(&text) {
                         Ok(asked) => asked,
                         Err(error) => {
@@ -181,12 +175,13 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
                         }
                     };
                     let answer = ask(desk, asked, control).await;
-                    socket.send(Message::Text(answer.into())).await?;
+                    say(&mut socket, &answer).await?;
                 }
                 Some(Ok(Message::Binary(_))) => {
                     return close(socket, close_code::UNSUPPORTED, "messages are text").await;
                 }
-                Some(Ok(_)) => {}
+                // The answer to a beat, mostly.
+                Some(Ok(_)) => unanswered = 0,
                 // Too long, or not as the protocol says.
                 Some(Err(error)) => {
                     tracing::debug!(error = %error, "a browser was let go");
@@ -225,11 +220,7 @@ async fn ask(desk: &Desk, asked: Asked, control: bool) -> String {
         .text()
     };
     if asked.kind != "task" && !control {
-        return refused(if desk.token.is_some() {
-            "this page may only look on: open it by the address with the token"
-        } else {
-            "this display may only look on: set `allow_control = true` for it"
-        });
+        return refused(desk.door.why_only_look());
     }
     let (sender, answer) = oneshot::channel();
     if desk.orders.send((asked, sender)).await.is_err() {

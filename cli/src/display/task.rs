@@ -8,7 +8,7 @@ use ctos::{
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
 use pnt::stream::{Describe, Follow, NetView};
-use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot};
 
 use super::{
     args::DisplayArgs,
@@ -18,7 +18,7 @@ use super::{
     overview::Overviews,
     server::{self, Asking, Desk},
 };
-use crate::page::Front;
+use crate::page::{Front, Opener, Setting};
 
 /// How long a net waits for something to happen before it answers.
 const PATIENCE_MS: u32 = 2_000;
@@ -36,6 +36,7 @@ pub(super) struct NetDisplay {
     args: DisplayArgs,
     hub: Arc<Hub>,
     stop: Option<oneshot::Sender<()>>,
+    opener: Option<Opener>,
     orders: Option<mpsc::Receiver<Asking>>,
 }
 
@@ -60,6 +61,7 @@ impl NetDisplay {
             hub: Arc::new(hub.with_tasks(tasks.collect())),
             args,
             stop: None,
+            opener: None,
             orders: None,
         })
     }
@@ -67,22 +69,27 @@ impl NetDisplay {
     /// Binds the address and serves it on a thread of its own.
     fn open(&mut self, cx: &Context) -> Result<(), HandlerError> {
         let args = &self.args;
-        let front = Front::bind(args.listen, args.allow_control, args.token.as_deref())?;
+        let setting = Setting {
+            listen: args.listen,
+            names: &args.names,
+            allow_control: args.allow_control,
+            token: args.token.as_deref(),
+        };
+        let mut front = Front::bind(cx.app(), &setting)?;
+        self.opener = front.opener(&cx.app().name, cx.name(), "?token=")?;
         let (orders, received) = mpsc::channel(ORDERS);
         let desk = Desk {
             hub: self.hub.clone(),
-            address: front.address,
-            token: front.token.clone(),
+            door: front.take_door(),
             viewers: args.viewers,
-            room: Arc::new(Semaphore::new(args.viewers)),
+            rooms: server::rooms(args.viewers),
             orders,
         };
-        let token = front.token.as_ref();
-        let token = token.map_or_else(String::new, |token| format!("?token={token}"));
-        let page = format!("http://{}/{token}", front.address);
-        let serve = |listener, stopped| server::serve(listener, desk, stopped);
+        let page = front.url();
+        let serve = |pages, stopped| server::serve(pages, desk, stopped);
         self.stop = Some(front.serve("display", serve)?);
-        tracing::warn!(task = cx.name(), page, "nets are shown");
+        let open = self.opener.as_ref().map(tracing::field::display);
+        tracing::warn!(task = cx.name(), page, open, "nets are shown");
         self.orders = Some(received);
         Ok(())
     }
@@ -139,6 +146,7 @@ impl EventHandler for NetDisplay {
     }
 
     async fn stop(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
+        self.opener = None;
         self.hub.end();
         if let Some(stop) = self.stop.take() {
             cx.sleep(FAREWELL).await;

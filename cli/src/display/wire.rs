@@ -1,6 +1,6 @@
 //! What goes between the server and the page: one JSON object a message.
 
-use ctos::control::{Level, without_tokens};
+use ctos::control::Level;
 use pnt::{
     layout::Drawing,
     stream::{Event, NetView, State},
@@ -164,10 +164,9 @@ pub(crate) struct TaskLine {
 }
 
 impl TaskLine {
-    /// What a line of `at_ns` says after its time and its level. Tokens are left out: a page may only look on,
-    /// and the address with which one may do more stands in the log.
+    /// What a line of `at_ns` says after its time and its level.
     pub(crate) fn new(at_ns: u64, level: Level, text: &str) -> Self {
-        let text = without_tokens(text);
+        let text = text.to_owned();
         Self { at_ns, level, text }
     }
 }

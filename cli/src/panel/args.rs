@@ -10,6 +10,7 @@ use serde::Deserialize;
 use sorma::{ObjectName, daemon};
 
 use super::script::Panel;
+use crate::page;
 
 /// The handler's name.
 pub const HANDLER: &str = "sorma.panel";
@@ -29,6 +30,9 @@ pub(super) struct PanelArgs {
     pub(super) allow_control: bool,
     /// What a page must show to do so; drawn at random when it is left out.
     pub(super) token: Option<String>,
+    /// What else than its own name and its addresses browsers may call this host.
+    #[serde(default)]
+    pub(super) names: Vec<String>,
     /// Files of panels, relative to the configuration's folder.
     #[serde(default)]
     pub(super) panels: Vec<String>,
@@ -115,12 +119,7 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
         let wanted = args.daemon.as_deref().unwrap_or_default();
         findings.push(finding.suggest(wanted, known.iter().map(String::as_str)));
     }
-    if !args.listen.ip().is_loopback() && args.allow_control && args.token.is_none() {
-        let text = format!(
-            "panel `{name}` lets anybody who reaches {} ask for control, and no token is set",
-            args.listen
-        );
-        let finding = Finding::warning("sorma::panel::open", text);
-        findings.push(at(finding, "listen").help("set `token`, or listen on the loopback"));
+    if let Some(finding) = page::unguarded(args.listen, app, "sorma::panel::open") {
+        findings.push(at(finding, "listen"));
     }
 }

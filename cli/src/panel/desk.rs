@@ -7,53 +7,15 @@ use serde_json::{Value, json};
 use sorma::{ClassInfo, Reply};
 
 use super::script::{Panel, Widget};
-use crate::scott::replies;
+use crate::{
+    page::{Door, Right},
+    scott::replies,
+};
 
 /// Who meets the lines of a page. What comes back is a reply, whatever happens.
 pub(super) trait Objects: Send + Sync + 'static {
     /// Has a line met.
     fn ask(&self, line: String) -> BoxFuture<'static, String>;
-}
-
-/// Who may do what.
-pub(super) struct Door {
-    /// What a page must show to ask whatever it likes; nobody may when there is none.
-    pub(super) token: Option<String>,
-    /// Whether those may look on who do not show it.
-    pub(super) anybody_looks: bool,
-}
-
-/// What a page may do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Right {
-    /// Ask the lines by which the panel shows how it stands, and no others.
-    Look,
-    /// Ask any line.
-    Control,
-}
-
-impl Door {
-    /// What whoever shows this may do.
-    pub(super) fn right(&self, shown: &[u8]) -> Option<Right> {
-        let same = self.token.as_ref().is_some_and(|token| {
-            // Looked at to its end, wherever it differs.
-            let pairs = shown.iter().zip(token.as_bytes());
-            let differs = shown.len() ^ token.len();
-            pairs.fold(differs, |differs, (a, b)| differs | usize::from(a ^ b)) == 0
-        });
-        match same {
-            true => Some(Right::Control),
-            false => self.anybody_looks.then_some(Right::Look),
-        }
-    }
-
-    /// Why somebody who may look on may do no more.
-    pub(super) fn why_only_look(&self) -> &'static str {
-        match self.token {
-            Some(_) => "this page only looks on: open it by the address with the token",
-            None => "this panel only looks on: set `allow_control = true` for its task",
-        }
-    }
 }
 
 /// Some panels, and who meets their lines.
@@ -152,28 +114,6 @@ mod tests {
         }
     }
 
-    fn door(token: Option<&str>, anybody_looks: bool) -> Door {
-        Door {
-            token: token.map(str::to_owned),
-            anybody_looks,
-        }
-    }
-
-    #[test]
-    fn only_the_token_gives_control_and_only_an_open_door_lets_others_look() {
-        for anybody_looks in [true, false] {
-            let others = anybody_looks.then_some(Right::Look);
-            let closed = door(None, anybody_looks);
-            assert_eq!(closed.right(b""), others);
-            assert_eq!(closed.right(b"secret"), others);
-            let open = door(Some("secret"), anybody_looks);
-            assert_eq!(open.right(b"secret"), Some(Right::Control));
-            for wrong in [&b""[..], b"secre", b"secret0", b"Secret", b"sekret"] {
-                assert_eq!(open.right(wrong), others);
-            }
-        }
-    }
-
     #[test]
     fn what_shows_how_it_stands_is_told_from_what_changes_it() {
         let panels = ["puma560.toml", "vss.toml"].map(|name| {
@@ -181,7 +121,11 @@ mod tests {
             let source = ctos::diagnostic::Source::read(path.as_ref()).unwrap();
             Panel::read(&source, &mut ctos::diagnostic::Findings::new()).unwrap()
         });
-        let desk = Desk::new("cell", panels.to_vec(), door(None, true), Echo);
+        let door = Door {
+            anybody_looks: true,
+            ..Door::default()
+        };
+        let desk = Desk::new("cell", panels.to_vec(), door, Echo);
         assert!(desk.is_look("pino EXEC state"));
         assert!(desk.is_look("pino EXEC control"));
         for line in [

@@ -13,11 +13,14 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use super::{
     args::PanelArgs,
-    desk::{Desk, Door, Objects},
+    desk::{Desk, Objects},
     script::Panel,
     server,
 };
-use crate::{page::Front, scott::attach::refusal};
+use crate::{
+    page::{Front, Opener, Setting},
+    scott::attach::refusal,
+};
 
 /// Lines that may wait for this task.
 const LINES: usize = 64;
@@ -36,6 +39,7 @@ pub(super) struct ObjectPanel {
     panels: Vec<Panel>,
     daemon: String,
     stop: Option<oneshot::Sender<()>>,
+    opener: Option<Opener>,
     asked: Option<mpsc::Receiver<Asking>>,
 }
 
@@ -68,6 +72,7 @@ impl ObjectPanel {
             daemon: daemon.ok_or_else(|| HandlerError::new("the app has no daemon to ask"))?,
             args,
             stop: None,
+            opener: None,
             asked: None,
         })
     }
@@ -75,22 +80,23 @@ impl ObjectPanel {
     /// Binds the address and serves it on a thread of its own.
     fn open(&mut self, cx: &Context) -> Result<(), HandlerError> {
         let args = &self.args;
-        let front = Front::bind(args.listen, args.allow_control, args.token.as_deref())?;
+        let setting = Setting {
+            listen: args.listen,
+            names: &args.names,
+            allow_control: args.allow_control,
+            token: args.token.as_deref(),
+        };
+        let mut front = Front::bind(cx.app(), &setting)?;
+        self.opener = front.opener(&cx.app().name, cx.name(), "#")?;
         let (lines, asked) = mpsc::channel(LINES);
-        let door = Door {
-            token: front.token.clone(),
-            anybody_looks: true,
-        };
-        let token = front.token.as_ref();
-        let token = token.map_or_else(String::new, |token| format!("#{token}"));
-        let page = format!("http://{}/{token}", front.address);
+        let page = front.url();
         let panels = std::mem::take(&mut self.panels);
-        let desk = Desk::new(&cx.app().name, panels, door, Carried(lines));
-        let serve = |listener, stopped: oneshot::Receiver<()>| {
-            server::serve(listener, desk, stopped.map(|_| ()))
-        };
+        let desk = Desk::new(&cx.app().name, panels, front.take_door(), Carried(lines));
+        let serve =
+            |pages, stopped: oneshot::Receiver<()>| server::serve(pages, desk, stopped.map(|_| ()));
         self.stop = Some(front.serve("panel", serve)?);
-        tracing::warn!(task = cx.name(), page, "a panel is served");
+        let open = self.opener.as_ref().map(tracing::field::display);
+        tracing::warn!(task = cx.name(), page, open, "a panel is served");
         self.asked = Some(asked);
         Ok(())
     }
@@ -123,6 +129,7 @@ impl EventHandler for ObjectPanel {
     }
 
     async fn stop(&mut self, _cx: &Context, _reason: &StopReason) -> Handled {
+        self.opener = None;
         if let Some(stop) = self.stop.take() {
             // The server may have ended already.
             let _ = stop.send(());

@@ -16,7 +16,7 @@ use std::{
     collections::BTreeMap,
     io,
     path::Path,
-    sync::{Arc, Mutex, OnceLock, atomic::Ordering},
+    sync::{Arc, Mutex, OnceLock},
     time::Duration,
 };
 
@@ -241,7 +241,7 @@ impl Mesh {
 
     /// How many callers were refused so far.
     pub(crate) fn refused(&self) -> u64 {
-        self.inner.chassis.refused.load(Ordering::Relaxed)
+        self.inner.chassis.refused.count()
     }
 
     /// Joins the app whose boot listens at `boot`; what comes of it are events.

@@ -2,6 +2,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    net::SocketAddr,
     sync::Arc,
     time::Duration,
 };
@@ -21,7 +22,8 @@ use crate::{
     call::lock,
     chassis::Chassis,
     config::App,
-    control::{LogStore, Server, Ticker},
+    control::{Gate, LogStore, Server, Ticker},
+    doors::PortSecret,
     link::{
         handshake::Token,
         transport::{Address, Listener},
@@ -29,6 +31,7 @@ use crate::{
     record,
     registry::Registry,
     remote::{Hosts, HostsSetup},
+    security::Keys,
     system,
     time::Clock,
     watch,
@@ -75,6 +78,17 @@ async fn run(chassis: &Arc<Chassis>, setup: &Setup<'_>) -> Result<Outcome, BootE
     outcome
 }
 
+/// Listens for tools; without keys those know the secret of the port.
+async fn open_gate(address: SocketAddr, keys: Option<Arc<Keys>>) -> std::io::Result<Gate> {
+    let is_open = keys.is_none();
+    let listener = Listener::tcp(address, keys).await?;
+    let secret = match listener.address()? {
+        Address::Tcp(bound) if is_open => Some(PortSecret::new(bound)?),
+        _ => None,
+    };
+    Ok(Gate { listener, secret })
+}
+
 /// What must not be left behind.
 #[derive(Default)]
 struct Started {
@@ -113,8 +127,8 @@ async fn run_processes(
     let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
     let gate = match chassis.app.control {
         Some(address) => {
-            let listener = Listener::tcp(address, mesh.keys()).await;
-            Some(listener.map_err(io(format!("cannot listen at {address}, as [control] says")))?)
+            let gate = open_gate(address, mesh.keys()).await;
+            Some(gate.map_err(io(format!("cannot listen at {address}, as [control] says")))?)
         }
         None => None,
     };

@@ -13,9 +13,12 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 
 use crate::{
     control::{
-        Socket, place,
+        Socket,
+        gate::Shown,
+        place,
         protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
     },
+    doors::{Secret, SecretError},
     message::{Command, Data},
     security::{BlockingStream, KeyError, Keys, Role},
 };
@@ -56,6 +59,9 @@ pub enum ClientError {
         /// The role.
         role: Role,
     },
+    /// The secret of its port cannot be read.
+    #[error("--token-file: {0}")]
+    Secret(#[from] SecretError),
     /// It does not answer.
     #[error("cannot reach app `{app}`{}: {error}", of(*.pid))]
     Unreachable {
@@ -122,7 +128,7 @@ impl ClientError {
     #[must_use]
     pub fn is_not_allowed(&self) -> bool {
         match self {
-            Self::Key { .. } | Self::Impostor { .. } => true,
+            Self::Key { .. } | Self::Impostor { .. } | Self::Secret(_) => true,
             Self::Refused(error) => error.code == ErrorCode::NotAllowed,
             _ => false,
         }
@@ -196,6 +202,25 @@ wire!(UnixStream, stream => stream);
 wire!(TcpStream, stream => stream);
 wire!(BlockingStream, stream => stream.sock);
 
+/// What a tool shows to an app on another host.
+#[derive(Debug)]
+pub enum Pass {
+    /// A key, over TLS.
+    Key(Box<Keys>),
+    /// The secret of a port without keys.
+    Secret(Secret),
+    /// The secret of a port of this host and user, which is looked up.
+    OwnPort,
+}
+
+/// The secret of the port that was called.
+fn own_secret(stream: &TcpStream) -> io::Result<Secret> {
+    Secret::of_port(stream.peer_addr()?).map_err(|error| {
+        let hint = "does it want a key (--key), or the secret of its port (--token-file)?";
+        io::Error::other(format!("{hint} ({error})"))
+    })
+}
+
 /// A connection to an app.
 pub struct Client {
     app: Socket,
@@ -231,12 +256,13 @@ impl Client {
         }
     }
 
-    /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`; with
-    /// keys where that is not this host. Its answers are waited for `limit` long.
+    /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
+    /// `pass` there. Its answers are waited for `limit` long.
     ///
     /// # Errors
-    /// [`ClientError::Unreachable`], and [`ClientError::Key`] when the app does not prove who it is.
-    pub fn connect_at(at: &str, keys: Option<&Keys>, limit: Duration) -> Result<Self, ClientError> {
+    /// [`ClientError::Unreachable`], also when nobody knows the secret of the port, and [`ClientError::Key`]
+    /// when the app does not prove who it is.
+    pub fn connect_at(at: &str, pass: &Pass, limit: Duration) -> Result<Self, ClientError> {
         let app = Socket {
             app: at.to_owned(),
             pid: 0,
@@ -247,10 +273,21 @@ impl Client {
             pid: 0,
             error,
         };
-        let stream = called(at, limit).map_err(unreachable)?;
-        let Some(keys) = keys else {
-            let hint = "it hung up; does it want a key (--key), or belong to another user?";
-            return Self::over(Box::new(stream), app, limit, Some(hint));
+        let mut stream = called(at, limit).map_err(unreachable)?;
+        let keys = match pass {
+            Pass::Key(keys) => keys,
+            Pass::Secret(_) | Pass::OwnPort => {
+                let token = match pass {
+                    Pass::Secret(secret) => secret.clone(),
+                    _ => own_secret(&stream).map_err(unreachable)?,
+                };
+                let shown = serde_json::to_string(&Shown { token });
+                let shown = shown.map_err(io::Error::other).map_err(unreachable)?;
+                let told = stream.write_all(format!("{shown}\n").as_bytes());
+                told.map_err(unreachable)?;
+                let hint = "it hung up; does it want a key (--key), or belong to another user?";
+                return Self::over(Box::new(stream), app, limit, Some(hint));
+            }
         };
         let key = |error| ClientError::Key {
             at: at.to_owned(),
@@ -397,7 +434,7 @@ impl Client {
     }
 
     /// Sends a task one of its commands and waits for its answer, as long as the app does. Needs the role
-    /// `control`.
+    /// `call`.
     ///
     /// # Errors
     /// As [`Self::read`], and [`ClientError::Garbled`] when the answer is no `C::Reply`.

@@ -13,10 +13,7 @@ use std::{
 };
 
 use tokio::{
-    io::{
-        AsyncBufRead, AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt,
-        BufReader,
-    },
+    io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
     sync::broadcast,
 };
 
@@ -31,6 +28,7 @@ use crate::{
         server::{News, Ticker},
         view,
     },
+    doors,
     message::Tid,
     security::Role,
     text::Gone,
@@ -111,8 +109,8 @@ impl Desk {
 
     /// Logs and counts that somebody was refused.
     pub(super) fn refuse(&self, who: &str, reason: &str) {
-        let refused = self.chassis.refused.fetch_add(1, Ordering::Relaxed) + 1;
-        tracing::warn!(who, reason, refused, "a client was refused");
+        let chassis = &self.chassis;
+        chassis.refused.note(&chassis.clock, who, reason);
     }
 
     /// What a client may not have, if it may not have it.
@@ -171,19 +169,12 @@ impl Desk {
                 // A client that asks for nothing must not be waited for when the app has ended.
                 () = ended(&mut news) => return Ok(()),
             }
-            if line.last() != Some(&b'\n') {
-                // The rest is read, for whoever still writes does not read what is told.
-                let more = tokio::select! {
-                    skipped = skip_line(&mut reader) => skipped?,
-                    () = ended(&mut news) => return Ok(()),
-                };
-                tell(&mut writer, &error(ErrorCode::BadRequest, too_long(None))).await?;
-                if !more {
-                    return Ok(());
-                }
-                continue;
-            }
-            match serde_json::from_slice::<Ask>(&line) {
+            // Whoever says what is no request is no tool: what else it says is not obeyed.
+            let ask = match read_ask(&line) {
+                Ok(ask) => ask,
+                Err(unreadable) => return self.hang_up(client, &mut writer, unreadable).await,
+            };
+            match ask {
                 Ok(ask) if ask.version > VERSION => {
                     let text = format!(
                         "this app speaks version {VERSION} of the protocol, not {}",
@@ -195,8 +186,7 @@ impl Desk {
                     tell(&mut writer, &refused).await?;
                 }
                 Ok(ask) => {
-                    let answered =
-                        std::pin::pin!(self.answer(ask.request, client.role, speaker, &mut writer));
+                    let answered = std::pin::pin!(self.answer(ask.request, speaker, &mut writer));
                     tokio::select! {
                         biased;
                         answered = answered => answered?,
@@ -211,10 +201,27 @@ impl Desk {
         }
     }
 
+    /// Says why the connection ends.
+    async fn hang_up(
+        &self,
+        client: &Client,
+        writer: &mut Writer,
+        unreadable: Unreadable,
+    ) -> io::Result<()> {
+        let text = unreadable.to_string();
+        self.refuse(&client.who, &text);
+        match unreadable {
+            Unreadable::Http => {
+                writer.write_all(doors::NO_PAGE.as_bytes()).await?;
+                writer.flush().await
+            }
+            _ => tell(writer, &error(ErrorCode::BadRequest, text)).await,
+        }
+    }
+
     async fn answer(
         &self,
         request: Request,
-        role: Role,
         speaker: &mut Speaker,
         writer: &mut Writer,
     ) -> io::Result<()> {
@@ -229,10 +236,10 @@ impl Desk {
                 tell(writer, &answer).await
             }
             Request::Status { name } => {
-                let answer = self.status(&name, role).await;
+                let answer = self.status(&name).await;
                 tell(writer, &answer).await
             }
-            Request::Logs(request) => self.logs(&request, role, writer).await,
+            Request::Logs(request) => self.logs(&request, writer).await,
             Request::Stop { now } => self.stop(now, writer).await,
             Request::Restart { name } => {
                 let answer = self.restart(&name).await;
@@ -267,19 +274,52 @@ impl Desk {
     }
 }
 
-/// Reads to the end of the line and keeps nothing of it. False when it has no end.
-async fn skip_line(reader: &mut (impl AsyncBufRead + Unpin)) -> io::Result<bool> {
-    loop {
-        let part = reader.fill_buf().await?;
-        if part.is_empty() {
-            return Ok(false);
-        }
-        let end = part.iter().position(|byte| *byte == b'\n');
-        let used = end.map_or(part.len(), |at| at + 1);
-        reader.consume(used);
-        if end.is_some() {
-            return Ok(true);
-        }
+/// A line that is no request of any version.
+#[derive(Debug, thiserror::Error)]
+enum Unreadable {
+    #[error("it speaks HTTP, and this is no page")]
+    Http,
+    #[error("{}", too_long(None))]
+    TooLong,
+    #[error("the request is cut off: it has no end of line")]
+    Cut,
+    #[error("cannot read the request: {0}")]
+    Rubbish(serde_json::Error),
+}
+
+/// What every request of every version has.
+#[derive(serde::Deserialize)]
+#[expect(dead_code, reason = "it is only looked whether they are there")]
+struct AnyAsk {
+    version: u32,
+    request: AnyRequest,
+}
+
+#[derive(serde::Deserialize)]
+#[expect(dead_code, reason = "as above")]
+struct AnyRequest {
+    kind: String,
+}
+
+/// Reads a line: a request, or why this version does not know it.
+fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
+    if doors::is_http(line) {
+        return Err(Unreadable::Http);
+    }
+    if line.last() != Some(&b'\n') {
+        let is_long = line.len() >= REQUEST_LIMIT;
+        return Err(if is_long {
+            Unreadable::TooLong
+        } else {
+            Unreadable::Cut
+        });
+    }
+    match serde_json::from_slice::<Ask>(line) {
+        Ok(ask) => Ok(Ok(ask)),
+        Err(reason) => match serde_json::from_slice::<AnyAsk>(line) {
+            Ok(_) => Ok(Err(reason)),
+            Err(_) => Err(Unreadable::Rubbish(reason)),
+        },
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast;
 
-use crate::{call::lock, security::Role, time::Clock};
+use crate::{call::lock, time::Clock};
 
 /// How many lines are kept of one process.
 const LINES: usize = 1000;
@@ -90,37 +90,6 @@ impl LogLine {
         self.text.contains(&format!("\"task\":\"{name}\""))
             || words.any(|word| fields.iter().any(|field| word == field))
     }
-}
-
-impl LogLine {
-    /// The line as somebody with this role may read it: what may only look on learns no token.
-    pub(super) fn for_role(self, role: Role) -> Self {
-        if role >= Role::Control {
-            return self;
-        }
-        Self {
-            text: without_tokens(&self.text),
-            ..self
-        }
-    }
-}
-
-/// A line of a log without the tokens in it: who has a token of a page may do more there than look on. A
-/// token is what follows `token=`, up to a space, a quotation mark or an `&`.
-#[must_use]
-pub fn without_tokens(text: &str) -> String {
-    const TOKEN: &str = "token=";
-    let mut parts = text.split(TOKEN);
-    let mut told = parts.next().unwrap_or_default().to_owned();
-    for part in parts {
-        let rest = part.trim_start_matches('"');
-        let ends = |letter: char| letter.is_whitespace() || matches!(letter, '"' | '\'' | '&');
-        let rest = rest.find(ends).and_then(|end| rest.get(end..));
-        told.push_str(TOKEN);
-        told.push('…');
-        told.push_str(rest.unwrap_or_default());
-    }
-    told
 }
 
 struct Process {
@@ -248,31 +217,6 @@ mod tests {
             ("{not json WARN", Level::Info),
         ] {
             assert_eq!(Level::of(line), level, "{line}");
-        }
-    }
-
-    #[test]
-    fn who_may_only_look_on_reads_no_token() {
-        let told = without_tokens;
-        assert_eq!(
-            told(r#"nets are shown page="http://127.0.0.1:9/?token=b38c-47_ab9" task=display"#),
-            r#"nets are shown page="http://127.0.0.1:9/?token=…" task=display"#
-        );
-        assert_eq!(told("token=a1 token=\"b2\""), "token=… token=…\"");
-        assert_eq!(told("?token=ü%2e&net=n"), "?token=…&net=n");
-        assert_eq!(told("no secret"), "no secret");
-        let line = LogLine {
-            chassis: "a".to_owned(),
-            incarnation: 1,
-            at_s: 0.0,
-            level: Level::Warn,
-            text: "token=a1".to_owned(),
-        };
-        for role in [Role::Watch, Role::Call] {
-            assert_eq!(line.clone().for_role(role).text, "token=…");
-        }
-        for role in [Role::Control, Role::Boot] {
-            assert_eq!(line.clone().for_role(role), line);
         }
     }
 

@@ -1,5 +1,6 @@
 //! What is said over the control socket: one JSON object a line. Fields are only ever added; a request
-//! that this version does not know is answered with an error and the connection lives on.
+//! that this version does not know is answered with an error and the connection lives on; what is no request at all
+//! ends it. At a port without keys a first line says its secret: `{"token":"..."}`.
 
 use serde::{Deserialize, Serialize};
 
@@ -75,7 +76,7 @@ pub enum Request {
         /// `CHASSIS` or `CHASSIS:PROCESSOR`.
         to: String,
     },
-    /// Sends a task one of its commands: an [`Answer::Reply`]. Needs the role `control`.
+    /// Sends a task one of its commands: an [`Answer::Reply`]. Needs the role `call`.
     Call {
         /// The task's name.
         task: String,
@@ -87,7 +88,7 @@ pub enum Request {
         within_s: f64,
     },
     /// Says a line of text to a task that takes such lines, for example one with the handler
-    /// `sorma.daemon`: [`Answer::Said`]. Needs the role `control`. When the connection ends, the tasks that
+    /// `sorma.daemon`: [`Answer::Said`]. Needs the role `call`. When the connection ends, the tasks that
     /// were spoken to over it are told that who spoke is gone.
     Say(SayRequest),
 }
@@ -125,8 +126,12 @@ impl Request {
     pub fn role(&self) -> Role {
         match self {
             Self::Ps {} | Self::Status { .. } | Self::Logs(_) => Role::Watch,
-            // Whatever does more than look.
-            _ => Role::Control,
+            Self::Call { .. } | Self::Say(_) => Role::Call,
+            Self::Stop { .. }
+            | Self::Restart { .. }
+            | Self::Record(_)
+            | Self::RecordStop { .. }
+            | Self::Move { .. } => Role::Control,
         }
     }
 
@@ -453,6 +458,28 @@ mod tests {
         assert_eq!(serde_json::from_str::<Ask>(short).unwrap(), ask);
         let done = serde_json::to_string(&Answer::Done {}).unwrap();
         assert_eq!(done, r#"{"kind":"done"}"#);
+    }
+
+    #[test]
+    fn who_may_call_asks_objects_and_tasks_and_does_nothing_to_the_app() {
+        let request = |text: &str| serde_json::from_str::<Request>(text).unwrap().role();
+        for (text, role) in [
+            (r#"{"kind":"ps"}"#, Role::Watch),
+            (r#"{"kind":"status","name":"a"}"#, Role::Watch),
+            (r#"{"kind":"logs"}"#, Role::Watch),
+            (r#"{"kind":"say","task":"a","line":"foo EXEC"}"#, Role::Call),
+            (
+                r#"{"kind":"call","task":"a","command":"go","data":"","within_s":1}"#,
+                Role::Call,
+            ),
+            (r#"{"kind":"stop","now":true}"#, Role::Control),
+            (r#"{"kind":"restart","name":"a"}"#, Role::Control),
+            (r#"{"kind":"move","task":"a","to":"b"}"#, Role::Control),
+            (r#"{"kind":"record","folder":"/r"}"#, Role::Control),
+            (r#"{"kind":"record_stop","key":1}"#, Role::Control),
+        ] {
+            assert_eq!(request(text), role, "{text}");
+        }
     }
 
     #[test]

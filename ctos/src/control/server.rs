@@ -14,10 +14,12 @@ use crate::{
     control::{
         LogStore,
         desk::{Client, Desk, Writer, busy, tell},
-        gate, place,
+        gate::{self, Gate},
+        place,
         protocol::EndView,
     },
-    link::transport::{Listener, listen_at},
+    doors::ACCEPT_PAUSE,
+    link::transport::listen_at,
     security::Role,
 };
 
@@ -69,19 +71,19 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves in the user's folder of sockets, and tools of other hosts at `listener`. An app that can
+    /// Serves in the user's folder of sockets, and tools of other hosts at `gate`. An app that can
     /// have no socket there runs without.
     pub(crate) fn start(
         chassis: &Arc<Chassis>,
         logs: &Arc<LogStore>,
         ticker: Ticker,
-        listener: Option<Listener>,
+        gate: Option<Gate>,
     ) -> Self {
         let clients = Arc::new(Semaphore::new(CLIENTS));
         let desk = Arc::new(Desk::new(chassis, logs, &ticker));
         let mut serving = Vec::new();
-        if let Some(listener) = listener {
-            let served = gate::serve(listener, desk.clone(), clients.clone());
+        if let Some(gate) = gate {
+            let served = gate::serve(gate, desk.clone(), clients.clone());
             serving.push(tokio::spawn(served));
         }
         let path = match Self::socket(chassis) {
@@ -174,8 +176,8 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
                     });
                 }
                 Err(error) => {
-                    tracing::warn!(error = %error, "a client was lost");
-                    tokio::time::sleep(Duration::from_millis(20)).await;
+                    desk.refuse("a client", &format!("it was lost: {error}"));
+                    tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             },
             Some(_) = serving.join_next() => {}

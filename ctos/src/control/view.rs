@@ -1,10 +1,7 @@
 //! Puts together what a client sees of an app: the bootstrap service's view of the chassis, and each
 //! agent's view of its tasks. A chassis that does not answer delays nobody for long.
 
-use std::{
-    sync::{Arc, atomic::Ordering},
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use futures_util::future::join_all;
 
@@ -96,7 +93,7 @@ fn put_together(
         up_s: overview.now.since_start().as_secs_f64(),
         chassis: Vec::new(),
         tasks: Vec::new(),
-        refused: chassis.refused.load(Ordering::Relaxed),
+        refused: chassis.refused.count(),
     };
     for (member, survey) in overview.chassis.iter().zip(surveys) {
         let survey = survey.as_ref();

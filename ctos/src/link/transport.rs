@@ -17,12 +17,13 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 use tokio::{
-    io::{AsyncRead, AsyncWrite, ReadBuf},
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf},
     net::{TcpListener, TcpStream, UnixListener, UnixStream},
 };
 use tokio_rustls::TlsStream;
 
 use crate::{
+    doors,
     link::{session::Writer, zenoh},
     security::{Identity, KeyError, Keys},
 };
@@ -251,6 +252,9 @@ pub(crate) async fn connect_over(
     }
 }
 
+/// How much of what a browser says is read before it is hung up on, bytes.
+const BROWSER_LIMIT: usize = 64 << 10;
+
 /// After how long without a word it is asked whether the other end is there.
 const KEEP_ALIVE: std::time::Duration = std::time::Duration::from_secs(10);
 
@@ -295,12 +299,12 @@ impl Call {
                 }
                 Ok((Stream::Unix(stream), None))
             }
-            Self::Tcp(stream, None) => {
+            Self::Tcp(mut stream, keys) => {
                 stream.set_nodelay(true)?;
-                Ok((Stream::Tcp(stream), None))
-            }
-            Self::Tcp(stream, Some(keys)) => {
-                stream.set_nodelay(true)?;
+                refuse_browser(&mut stream).await?;
+                let Some(keys) = keys else {
+                    return Ok((Stream::Tcp(stream), None));
+                };
                 let (stream, identity) = keys.answer(stream).await?;
                 Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
             }
@@ -315,6 +319,31 @@ impl Call {
             }
         }
     }
+}
+
+/// Tells a browser that this is no page.
+///
+/// # Errors
+/// [`KeyError::Browser`] when it is one.
+async fn refuse_browser(stream: &mut TcpStream) -> Result<(), KeyError> {
+    let mut first = [0; 64];
+    // Whoever calls a port of ours speaks first.
+    let length = stream.peek(&mut first).await?;
+    if !doors::is_http(first.get(..length).unwrap_or_default()) {
+        return Ok(());
+    }
+    stream.write_all(doors::NO_PAGE.as_bytes()).await?;
+    stream.shutdown().await?;
+    // What it has said and nobody reads would take the answer with it when the stream is closed.
+    let mut rest = [0; 1024];
+    let mut read = 0;
+    while read < BROWSER_LIMIT {
+        match stream.read(&mut rest).await? {
+            0 => break,
+            some => read += some,
+        }
+    }
+    Err(KeyError::Browser)
 }
 
 /// Where calls come in.

@@ -7,6 +7,7 @@ use std::{
     collections::BTreeMap,
     fs::File,
     io::{self, BufWriter, Read, Write},
+    os::unix::fs::OpenOptionsExt,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -186,7 +187,9 @@ impl Record {
             path: path.to_owned(),
             error,
         };
-        let file = File::create_new(path).map_err(failed)?;
+        let mut options = File::options();
+        let file = options.write(true).create_new(true).mode(0o600).open(path);
+        let file = file.map_err(failed)?;
         self.write_to(BufWriter::new(file))
             .map_err(|error| failed(io::Error::other(error)))
     }

@@ -8,17 +8,14 @@ use std::{
     io,
     net::SocketAddr,
     path::PathBuf,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
 use serde::Serialize;
 use tokio::{
     signal::unix::{SignalKind, signal},
-    sync::{Semaphore, mpsc, watch},
+    sync::{mpsc, watch},
     task::JoinSet,
 };
 
@@ -32,22 +29,18 @@ use super::{
 };
 use crate::{
     call::lock,
+    doors::{ACCEPT_PAUSE, Lobby, PortSecret, Refusals, STRANGERS, Turned},
     link::{
         handshake::{self, HandshakeError, Process},
         transport::{Call, Listener, Stream},
     },
     registry::Registry,
     security::{Identity, KeyError, Keys, Role},
+    time::Clock,
 };
-
-/// How many callers who have not shown who they are are heard at a time.
-const STRANGERS: usize = 64;
 
 /// How many runs there may be at a time.
 const RUNS: usize = 32;
-
-/// How long to wait after an `accept` that failed: no file descriptors for the moment, perhaps.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(20);
 
 /// The longest times that a boot may ask for.
 const LONGEST: Duration = Duration::from_secs(3600);
@@ -177,8 +170,14 @@ enum RefusedError {
     User,
     #[error("the boot is version {boot} (protocol {protocol}) of the program and the agent version {} (protocol {PROTOCOL}); install the same on both", env!("CARGO_PKG_VERSION"))]
     Version { boot: String, protocol: u32 },
+    #[error(
+        "it may not boot: it does not know the secret of the agent's port; is it of the same user and host?"
+    )]
+    Secret,
     #[error("the agent has {RUNS} apps already")]
     Full,
+    #[error(transparent)]
+    Turned(#[from] Turned),
 }
 
 /// The agent of a host.
@@ -188,7 +187,10 @@ pub struct HostAgent {
     common: Arc<Common>,
     stop: watch::Sender<bool>,
     runs: Runs,
-    refused: AtomicU64,
+    /// What callers must say where there are no keys.
+    secret: Option<PortSecret>,
+    clock: Clock,
+    refused: Refusals,
 }
 
 /// The runs by their secret: where their boots come back to, and what waits for them there.
@@ -281,6 +283,10 @@ impl HostAgent {
             Listener::Tcp(listener, _) => listener.local_addr()?,
             Listener::Unix(..) | Listener::Zenoh(..) => setup.listen,
         };
+        let secret = match setup.key {
+            Some(_) => None,
+            None => Some(PortSecret::new(address)?),
+        };
         let (stop, stopping) = watch::channel(false);
         Ok(Self {
             listener,
@@ -295,7 +301,9 @@ impl HostAgent {
             }),
             stop,
             runs: Runs::default(),
-            refused: AtomicU64::new(0),
+            secret,
+            clock: Clock::real(),
+            refused: Refusals::default(),
         })
     }
 
@@ -309,7 +317,7 @@ impl HostAgent {
     pub(super) async fn serve(self, stop: impl Future<Output = ()>) {
         let agent = Arc::new(self);
         let mut stop = std::pin::pin!(stop);
-        let strangers = Arc::new(Semaphore::new(STRANGERS));
+        let lobby = Lobby::new(STRANGERS);
         let mut serving = JoinSet::new();
         loop {
             let call = tokio::select! {
@@ -320,24 +328,20 @@ impl HostAgent {
             let call = match call {
                 Ok(call) => call,
                 Err(error) => {
-                    tracing::warn!(error = %error, "a call was lost");
+                    agent.refuse(None, &format!("it was lost: {error}"));
+                    lobby.turn_out();
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                     continue;
                 }
             };
             let from = call.ends().map(|(peer, _)| peer);
-            let Ok(place) = strangers.clone().try_acquire_owned() else {
-                agent.refuse(
-                    from,
-                    &format!("{STRANGERS} callers are being heard already"),
-                );
+            let Some(guest) = lobby.enter().await else {
                 continue;
             };
             let agent = agent.clone();
             serving.spawn(async move {
-                let heard = tokio::time::timeout(HELLO_LIMIT, agent.hear(call)).await;
-                let heard = heard.unwrap_or_else(|_| Err(HandshakeError::Late.into()));
-                drop(place);
+                let heard = guest.hear(HELLO_LIMIT, agent.hear(call)).await;
+                let heard = heard.unwrap_or_else(|turned| Err(turned.into()));
                 match heard {
                     Ok(heard) => agent.admit(heard, from).await,
                     Err(error) => agent.refuse(from, &error.to_string()),
@@ -349,13 +353,13 @@ impl HostAgent {
     }
 
     fn refuse(&self, from: Option<SocketAddr>, reason: &str) {
-        let refused = self.refused.fetch_add(1, Ordering::Relaxed) + 1;
         let who = from.map_or_else(|| "a caller".to_owned(), |from| from.to_string());
-        tracing::warn!(who, reason, refused, "a caller was refused");
-        (self.common.observer)(&AgentEvent::Refused {
-            who,
-            reason: reason.to_owned(),
-        });
+        if self.refused.note(&self.clock, &who, reason) {
+            (self.common.observer)(&AgentEvent::Refused {
+                who,
+                reason: reason.to_owned(),
+            });
+        }
     }
 
     /// Hears who calls.
@@ -387,6 +391,11 @@ impl HostAgent {
                 boot: hello.version.clone(),
                 protocol: hello.protocol,
             })
+        });
+        let refused = refused.or_else(|| {
+            let secret = self.secret.as_ref();
+            let knows = secret.is_none_or(|secret| secret.is(hello.secret.as_ref()));
+            (!knows).then_some(RefusedError::Secret)
         });
         Ok(Heard {
             stream,

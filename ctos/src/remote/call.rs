@@ -14,6 +14,7 @@ use super::{
 };
 use crate::{
     config::App,
+    doors::Secret,
     link::{
         handshake::{self, HandshakeError, Process, Token},
         transport::{Address, ConnectError, Stream, connect},
@@ -118,9 +119,14 @@ impl Link {
                 identity.name, identity.role
             ));
         }
+        let mut hello = self.hello.clone();
+        if self.keys.is_none() {
+            // Without it the agent says what is missing.
+            hello.secret = Secret::of_port(self.host.agent).ok();
+        }
         let answer = async {
             stream.write_all(&GREETING).await?;
-            handshake::say(&mut stream, &self.hello).await?;
+            handshake::say(&mut stream, &hello).await?;
             handshake::hear::<HelloAnswer>(&mut stream).await
         };
         match answer.await {

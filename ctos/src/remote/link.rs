@@ -220,6 +220,7 @@ impl Link {
                 app: app.name.clone(),
                 silence_ms: millis(app.links.peer_timeout),
                 stop_ms: millis(app.stop_timeout),
+                secret: None,
             },
             last_run: None,
             phase: app.phase_timeout,

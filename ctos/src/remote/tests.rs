@@ -21,6 +21,7 @@ use super::{
 };
 use crate::{
     config::{Bundle, load},
+    doors::{NO_PAGE, STRANGERS, Secret},
     link::{
         handshake::{self, Token},
         transport::{Address, Stream},
@@ -124,6 +125,7 @@ fn hello(run: &str) -> Hello {
         app: "cell".to_owned(),
         silence_ms: milliseconds(WATCHDOG),
         stop_ms: milliseconds(WATCHDOG),
+        secret: None,
     }
 }
 
@@ -149,8 +151,13 @@ fn milliseconds(time: Duration) -> u64 {
 
 async fn say_hello(at: SocketAddr, hello: &Hello) -> (TcpStream, HelloAnswer) {
     let mut stream = TcpStream::connect(at).await.unwrap();
+    let secret = Secret::of_port(at).ok();
+    let hello = Hello {
+        secret,
+        ..hello.clone()
+    };
     stream.write_all(&GREETING).await.unwrap();
-    handshake::say(&mut stream, hello).await.unwrap();
+    handshake::say(&mut stream, &hello).await.unwrap();
     let answer = handshake::hear(&mut stream).await.unwrap();
     (stream, answer)
 }
@@ -433,6 +440,52 @@ fn an_app_whose_handlers_the_agent_has_otherwise_is_refused() {
         };
         assert!(reason.contains("no event handler `arm`"), "{reason}");
         drop(boot);
+        host.end().await;
+    });
+}
+
+#[test]
+fn an_agent_without_keys_starts_nothing_for_who_does_not_know_the_secret_of_its_port() {
+    run(async {
+        let mut host = Host::start("exit 0").await;
+        for secret in [None, serde_json::from_str("\"00ff\"").unwrap()] {
+            let mut stream = TcpStream::connect(host.address).await.unwrap();
+            let hello = Hello {
+                secret,
+                ..hello("r")
+            };
+            stream.write_all(&GREETING).await.unwrap();
+            handshake::say(&mut stream, &hello).await.unwrap();
+            let HelloAnswer::Refused { reason } = handshake::hear(&mut stream).await.unwrap()
+            else {
+                panic!("not refused");
+            };
+            assert!(
+                reason.contains("the secret of the agent's port"),
+                "{reason}"
+            );
+            host.tells("the secret of the agent's port").await;
+        }
+        host.end().await;
+    });
+}
+
+#[test]
+fn a_browser_at_an_agent_is_told_that_it_is_no_page_and_idle_strangers_keep_no_boot_out() {
+    run(async {
+        let host = Host::start("exit 0").await;
+        let mut idle = Vec::new();
+        for _ in 0..STRANGERS + 6 {
+            idle.push(TcpStream::connect(host.address).await.unwrap());
+        }
+        let mut browser = TcpStream::connect(host.address).await.unwrap();
+        let get = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
+        browser.write_all(get).await.unwrap();
+        browser.shutdown().await.unwrap();
+        let mut answer = String::new();
+        browser.read_to_string(&mut answer).await.unwrap();
+        assert_eq!(answer, NO_PAGE);
+        drop(Boot::call(&host, &hello("r"), false).await);
         host.end().await;
     });
 }

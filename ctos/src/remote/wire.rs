@@ -24,6 +24,7 @@ use crate::{
     boot::spawn::{Ending, LINE_LIMIT},
     call::lock,
     config::Bundle,
+    doors::Secret,
     link::{
         handshake::{Process, Token},
         transport::{Address, Stream},
@@ -35,7 +36,7 @@ use crate::{
 pub(crate) const GREETING: [u8; 8] = *b"ctosagt\0";
 
 /// The version of what follows; both ends must have the same.
-pub(crate) const PROTOCOL: u32 = 1;
+pub(crate) const PROTOCOL: u32 = 2;
 
 /// How much the files of an app may come to, bytes.
 pub(crate) const BUNDLE_LIMIT: usize = 64 << 20;
@@ -64,6 +65,8 @@ pub(crate) struct Hello {
     pub(crate) silence_ms: u64,
     /// How long each rung of stopping may take, ms.
     pub(crate) stop_ms: u64,
+    /// That of the agent's port, where there are no keys.
+    pub(crate) secret: Option<Secret>,
 }
 
 /// What the agent answers.

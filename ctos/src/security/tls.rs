@@ -22,6 +22,7 @@ pub type BlockingStream = StreamOwned<ClientConnection, std::net::TcpStream>;
 pub struct Keys {
     identity: Identity,
     acceptor: TlsAcceptor,
+    page: TlsAcceptor,
     connector: TlsConnector,
     client: Arc<ClientConfig>,
 }
@@ -58,6 +59,12 @@ impl Keys {
             .with_client_cert_verifier(verifier)
             .with_single_cert(chain.clone(), private()?)
             .map_err(unusable)?;
+        let page = ServerConfig::builder_with_provider(provider.clone())
+            .with_safe_default_protocol_versions()
+            .map_err(unusable)?
+            .with_no_client_auth()
+            .with_single_cert(chain.clone(), private()?)
+            .map_err(unusable)?;
         let client = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
             .map_err(unusable)?
@@ -68,9 +75,15 @@ impl Keys {
         Ok(Self {
             identity,
             acceptor: TlsAcceptor::from(Arc::new(server)),
+            page: TlsAcceptor::from(Arc::new(page)),
             connector: TlsConnector::from(client.clone()),
             client,
         })
+    }
+
+    /// For browsers, which have no key: it is they who learn who answers.
+    pub(crate) fn page(&self) -> TlsAcceptor {
+        self.page.clone()
     }
 
     /// Whose key it is.
@@ -138,4 +151,19 @@ pub(super) fn identity(certificate: &CertificateDer<'_>) -> Option<Identity> {
 
 fn unusable(error: impl std::error::Error + Send + Sync + 'static) -> KeyError {
     KeyError::Certificate(io::Error::other(error).to_string())
+}
+
+/// What a browser without a key makes of an authority that it was told to believe.
+#[cfg(test)]
+pub(crate) fn browser_of(authority: &Path) -> ClientConnection {
+    let mut roots = RootCertStore::empty();
+    roots.add(files::certificate(authority).unwrap()).unwrap();
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let client = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .unwrap()
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    let name = ServerName::try_from(SERVER_NAME).unwrap();
+    ClientConnection::new(Arc::new(client), name).unwrap()
 }

@@ -116,7 +116,7 @@ pub(crate) fn gather_here(chassis: &Chassis) -> ChassisMetrics {
         cyclics: cyclics.collect(),
         links: links.collect(),
         lints: chassis.lints(),
-        refused: chassis.refused.load(std::sync::atomic::Ordering::Relaxed),
+        refused: chassis.refused.count(),
         unrecorded: chassis.tap.dropped(),
     }
 }

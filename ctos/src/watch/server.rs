@@ -3,19 +3,20 @@
 //! The server runs on the boot's sockets; what it shows is gathered by the runtime's own processor,
 //! which asks the agents of all chassis. An agent that does not answer is shown as down.
 
-use std::{convert::Infallible, net::SocketAddr, sync::Arc, time::Duration};
+use std::{
+    convert::Infallible,
+    net::{SocketAddr, TcpListener},
+    sync::Arc,
+    time::Duration,
+};
 
 use futures_util::future::join_all;
 use http_body_util::Full;
 use hyper::{
     Method, Request, Response, StatusCode, body::Bytes, body::Incoming, header::CONTENT_TYPE,
-    server::conn::http1, service::service_fn,
+    service::service_fn,
 };
-use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::{
-    net::{TcpListener, TcpStream},
-    sync::{Semaphore, mpsc, oneshot},
-};
+use tokio::sync::{mpsc, oneshot};
 
 use super::{
     metrics::{Gather, gather_here},
@@ -24,6 +25,7 @@ use super::{
 use crate::{
     chassis::Chassis,
     context::{Context, TaskRef},
+    doors::{OpenError, Pages},
     message::Tid,
     runner::record,
     system,
@@ -31,9 +33,7 @@ use crate::{
 
 /// How long an agent has to answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(1);
-/// How long a client has for its request.
-const REQUEST_LIMIT: Duration = Duration::from_secs(5);
-/// How many clients are served at a time.
+/// How many clients may wait for the next page.
 const CLIENTS: usize = 16;
 /// In whose name the agents are asked: no task has this id, and nobody is answered at it but by call.
 const ASKER: Tid = Tid::new(0, 0, u16::MAX);
@@ -45,7 +45,7 @@ const ASKER: Tid = Tid::new(0, 0, u16::MAX);
 )]
 pub(crate) struct MetricsError {
     address: SocketAddr,
-    error: std::io::Error,
+    error: OpenError,
 }
 
 type Ask = oneshot::Sender<String>;
@@ -59,8 +59,9 @@ pub(crate) async fn serve(
     address: SocketAddr,
 ) -> Result<SocketAddr, MetricsError> {
     let failed = |error| MetricsError { address, error };
-    let listener = TcpListener::bind(address).await.map_err(failed)?;
-    let bound = listener.local_addr().map_err(failed)?;
+    let listener = TcpListener::bind(address).map_err(|error| failed(error.into()))?;
+    let pages = Pages::new(listener, None, &[]).map_err(failed)?;
+    let bound = pages.address();
     let (asks, asked) = mpsc::channel(CLIENTS);
     let home = chassis.clone();
     if let Some((_, processor)) = chassis.processors.first() {
@@ -70,7 +71,11 @@ pub(crate) async fn serve(
             processor.spawn(answer(cx, asked), None);
         });
     }
-    tokio::spawn(accept(listener, asks));
+    let service = service_fn(move |request| respond(request, asks.clone()));
+    tokio::spawn(async move {
+        let Err(error) = pages.serve(service).await;
+        tracing::error!(error = %error, "metrics are not served any more");
+    });
     tracing::info!(address = %bound, "metrics are served");
     Ok(bound)
 }
@@ -97,41 +102,6 @@ async fn gather(cx: &Context) -> String {
     )];
     answers.extend(join_all(calls).await);
     page(cx.now().since_start().as_secs_f64(), &answers)
-}
-
-async fn accept(listener: TcpListener, asks: mpsc::Sender<Ask>) {
-    let room = Arc::new(Semaphore::new(CLIENTS));
-    loop {
-        let Ok(place) = room.clone().acquire_owned().await else {
-            return;
-        };
-        let client = match listener.accept().await {
-            Ok((client, _)) => client,
-            Err(error) => {
-                // Of the one connection, or too many files are open: the next may be taken.
-                tracing::warn!(error = %error, "a client for metrics was not taken");
-                tokio::time::sleep(Duration::from_millis(100)).await;
-                continue;
-            }
-        };
-        let asks = asks.clone();
-        tokio::spawn(async move {
-            serve_one(client, asks).await;
-            drop(place);
-        });
-    }
-}
-
-async fn serve_one(client: TcpStream, asks: mpsc::Sender<Ask>) {
-    let service = service_fn(move |request| respond(request, asks.clone()));
-    let served = http1::Builder::new()
-        .timer(TokioTimer::new())
-        .header_read_timeout(REQUEST_LIMIT)
-        .keep_alive(false)
-        .serve_connection(TokioIo::new(client), service);
-    if let Err(error) = served.await {
-        tracing::debug!(error = %error, "a client for metrics went away");
-    }
 }
 
 async fn respond(

@@ -3,6 +3,7 @@
 
 use std::{
     fs, io,
+    os::unix::fs::OpenOptionsExt,
     panic::AssertUnwindSafe,
     path::{Path, PathBuf},
     sync::{Arc, mpsc},
@@ -101,6 +102,11 @@ fn open(path: &Path, owner: &Owner) -> Result<Database, StoreError> {
         let made = fs::create_dir_all(folder);
         made.map_err(|error| failed(path, "cannot make its folder", error))?;
     }
+    let mut options = fs::OpenOptions::new();
+    let options = options.write(true).create(true).truncate(false);
+    // What a net knows is its user's own, from the first byte on.
+    let file = options.mode(0o600).open(path);
+    file.map_err(|error| refused(path, StorageError::Io(error).into()))?;
     let opened = Database::builder().set_cache_size(CACHE).create(path);
     let database = opened.map_err(|error| refused(path, error))?;
     let about = about(&database).map_err(|error| damaged(path, error))?;
@@ -241,6 +247,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deep/n.redb");
         let file = File::open(&path, &owner("n")).unwrap();
+        // It is its user's alone.
+        let mode = std::os::unix::fs::MetadataExt::mode(&fs::metadata(&path).unwrap());
+        assert_eq!(mode & 0o777, 0o600);
         commit(&file, &[("a", Some(b"1")), ("b", Some(b"2"))]);
         commit(&file, &[("a", Some(b"3")), ("b", None)]);
         let expected = Contents::from([("a".to_owned(), b"3".to_vec())]);

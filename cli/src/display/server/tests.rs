@@ -24,13 +24,18 @@ struct Served {
 fn served(viewers: usize) -> Served {
     let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let address = listener.local_addr().unwrap();
+    let pages = Pages::new(listener, None, &[]).unwrap();
     let (orders, _) = mpsc::channel(1);
     let desk = Desk {
         hub: Arc::new(Hub::live("app", Overviews::default(), None)),
-        address,
-        token: Some("secret".to_owned()),
+        door: Door {
+            token: Some("secret".to_owned()),
+            anybody_looks: true,
+            allow_control: true,
+            ..Door::default()
+        },
         viewers,
-        room: Arc::new(Semaphore::new(viewers)),
+        rooms: rooms(viewers),
         orders,
     };
     let (stop, stopped) = oneshot::channel();
@@ -39,7 +44,7 @@ fn served(viewers: usize) -> Served {
             .enable_all()
             .build()
             .unwrap();
-        runtime.block_on(serve(listener, desk, stopped)).unwrap();
+        runtime.block_on(serve(pages, desk, stopped)).unwrap();
     });
     Served {
         address,

@@ -3,15 +3,11 @@
 //! Everything a stranger does is bounded: how many of them are heard at a time, for how long, and how
 //! much they may say. Who is refused is logged and counted.
 
-use std::{
-    sync::{Arc, atomic::Ordering},
-    time::Duration,
-};
-
-use tokio::sync::Semaphore;
+use std::sync::Arc;
 
 use super::{Inner, Member, MeshEvent};
 use crate::{
+    doors::{ACCEPT_PAUSE, Lobby, STRANGER_LIMIT, STRANGERS, Turned},
     link::{
         handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
         session::{AttachError, drive},
@@ -20,15 +16,6 @@ use crate::{
     },
     security::{Identity, KeyError, Role},
 };
-
-/// How many callers who have not shown who they are are heard at a time.
-const STRANGERS: usize = 64;
-
-/// How long a caller may take to show who it is.
-const HELLO_LIMIT: Duration = Duration::from_secs(5);
-
-/// How long to wait after an `accept` that failed: no file descriptors for the moment, perhaps.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(20);
 
 /// Why a caller was not let in.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +26,8 @@ enum RefusedError {
     Handshake(#[from] HandshakeError),
     #[error(transparent)]
     Attach(#[from] AttachError),
+    #[error(transparent)]
+    Turned(#[from] Turned),
     #[error("chassis {chassis} of incarnation {incarnation} was given up")]
     GivenUp { chassis: u8, incarnation: u32 },
 }
@@ -53,45 +42,33 @@ impl RefusedError {
 
 /// Takes calls until it is aborted.
 pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
-    let strangers = Arc::new(Semaphore::new(STRANGERS));
+    let lobby = Lobby::new(STRANGERS);
     loop {
         let call = match listener.accept().await {
             Ok(call) => call,
             Err(error) => {
-                tracing::warn!(error = %error, "a call was lost");
+                mesh.refuse(&format!("it was lost: {error}"));
+                lobby.turn_out();
                 tokio::time::sleep(ACCEPT_PAUSE).await;
                 continue;
             }
         };
-        let Ok(place) = strangers.clone().try_acquire_owned() else {
-            mesh.chassis.refused.fetch_add(1, Ordering::Relaxed);
-            tracing::warn!(
-                most = STRANGERS,
-                "too many callers at once; one was turned away"
-            );
+        let Some(guest) = lobby.enter().await else {
             continue;
         };
         let mesh = mesh.clone();
         tokio::spawn(async move {
-            let heard = tokio::time::timeout(HELLO_LIMIT, hear(&mesh, call)).await;
-            let heard = heard.unwrap_or_else(|_| Err(HandshakeError::Late.into()));
-            drop(place);
-            let served = match heard {
+            let heard = guest.hear(STRANGER_LIMIT, hear(&mesh, call)).await;
+            let served = match heard.unwrap_or_else(|turned| Err(turned.into())) {
                 Ok(Some((stream, hello))) => serve(&mesh, stream, hello).await,
                 Ok(None) => Ok(()),
                 Err(error) => Err(error),
             };
             match served {
                 Ok(()) | Err(RefusedError::Attach(AttachError::Cut)) => {}
-                Err(error) => {
-                    if error.hung_up() {
-                        // As one does that looks whether anybody listens here at all.
-                        tracing::debug!("a caller hung up");
-                    } else {
-                        mesh.chassis.refused.fetch_add(1, Ordering::Relaxed);
-                        tracing::warn!(reason = %error, "a caller was refused");
-                    }
-                }
+                // As one does that looks whether anybody listens here at all.
+                Err(error) if error.hung_up() => tracing::debug!("a caller hung up"),
+                Err(error) => mesh.refuse(&error.to_string()),
             }
         });
     }
@@ -165,13 +142,13 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         received: session.received(),
         shared: pool.is_some(),
     };
-    tokio::time::timeout(HELLO_LIMIT, say(&mut stream, &welcome))
+    tokio::time::timeout(STRANGER_LIMIT, say(&mut stream, &welcome))
         .await
         .map_err(|_| HandshakeError::Late)??;
     let Some(pool) = pool else {
         return Ok(drive::drive(&session, stream, received, &mesh.lookout).await?);
     };
-    let taken = tokio::time::timeout(HELLO_LIMIT, shm::pass::receive(stream, pool)).await;
+    let taken = tokio::time::timeout(STRANGER_LIMIT, shm::pass::receive(stream, pool)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;
@@ -179,6 +156,11 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
 }
 
 impl Inner {
+    fn refuse(&self, reason: &str) {
+        let chassis = &self.chassis;
+        chassis.refused.note(&chassis.clock, "a caller", reason);
+    }
+
     /// What a chassis says of itself, for the others.
     fn introduce(&self, member: Member) {
         let mut state = crate::call::lock(&self.state);

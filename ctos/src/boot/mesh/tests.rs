@@ -12,6 +12,7 @@ use crate::{
     call::Fault,
     chassis::WaitFor,
     config::load_texts,
+    doors::{NO_PAGE, STRANGERS},
     link::{
         handshake::{Answer, Greeting, Hello, greet, hear},
         transport::{Stream, connect},
@@ -200,8 +201,45 @@ fn strangers_delay_nobody_and_are_counted() {
         let a = Node::start(1, 1, &["same_host=tcp"]).await;
         a.mesh.join(&boot.address());
         boot.joined_by(&[1]).await;
-        // All but the one who still says nothing.
-        assert_eq!(boot.mesh.refused(), 7);
+        // All but the one who still says nothing, and the browser, which has not hung up.
+        assert_eq!(boot.mesh.refused(), 6);
+    });
+}
+
+#[test]
+fn idle_strangers_keep_no_member_out() {
+    run(async {
+        let mut boot = Node::boot(1, &["same_host=tcp"]).await;
+        let Address::Tcp(address) = boot.address() else {
+            panic!("not TCP")
+        };
+        let mut idle = Vec::new();
+        for _ in 0..STRANGERS + 6 {
+            idle.push(TcpStream::connect(address).await.unwrap());
+        }
+        let a = Node::start(1, 1, &["same_host=tcp"]).await;
+        a.mesh.join(&boot.address());
+        boot.joined_by(&[1]).await;
+        // It was not waited for those who said nothing: the longest silent of them went.
+        assert!(boot.mesh.refused() >= 6);
+        assert!(boot.mesh.refused() < STRANGERS as u64);
+    });
+}
+
+#[test]
+fn a_browser_at_the_door_of_a_mesh_is_told_that_it_is_no_page() {
+    run(async {
+        let boot = Node::boot(1, &["same_host=tcp"]).await;
+        let Address::Tcp(address) = boot.address() else {
+            panic!("not TCP")
+        };
+        let mut browser = TcpStream::connect(address).await.unwrap();
+        let post = b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\nctos\0\0\0\x04";
+        browser.write_all(post).await.unwrap();
+        browser.shutdown().await.unwrap();
+        let mut answer = String::new();
+        browser.read_to_string(&mut answer).await.unwrap();
+        assert_eq!(answer, NO_PAGE);
     });
 }
 

@@ -19,7 +19,6 @@ use crate::{
         server::News,
         view,
     },
-    security::Role,
     system::{self, Interrupt, RestartChassis, RestartTask},
     text::Say,
 };
@@ -84,7 +83,7 @@ impl Desk {
         })
     }
 
-    pub(super) async fn status(&self, name: &str, role: Role) -> Answer {
+    pub(super) async fn status(&self, name: &str) -> Answer {
         let app = match view::app(&self.chassis, &self.logs).await {
             Ok(app) => app,
             Err(fault) => return failed(&fault),
@@ -106,7 +105,7 @@ impl Desk {
         Answer::Status(Box::new(StatusView {
             app: app.app,
             up_s: app.up_s,
-            logs: self.process_logs(&chassis.name, is_task.then_some(name), role),
+            logs: self.process_logs(&chassis.name, is_task.then_some(name)),
             chassis,
             tasks,
             is_task,
@@ -114,7 +113,7 @@ impl Desk {
     }
 
     /// The last lines of a chassis's processes; of the present one those about `task`, if one is named.
-    fn process_logs(&self, chassis: &str, task: Option<&str>, role: Role) -> Vec<ProcessLog> {
+    fn process_logs(&self, chassis: &str, task: Option<&str>) -> Vec<ProcessLog> {
         let mut logs: Vec<ProcessLog> = self
             .logs
             .processes(chassis)
@@ -136,18 +135,13 @@ impl Desk {
                 if log.lines.len() == STATUS_LINES {
                     log.lines.remove(0);
                 }
-                log.lines.push(line.for_role(role));
+                log.lines.push(line);
             }
         }
         logs
     }
 
-    pub(super) async fn logs(
-        &self,
-        request: &LogRequest,
-        role: Role,
-        writer: &mut Writer,
-    ) -> io::Result<()> {
+    pub(super) async fn logs(&self, request: &LogRequest, writer: &mut Writer) -> io::Result<()> {
         let app = &self.chassis.app;
         if let Some(name) = &request.name {
             let chassis = app.chassis.iter().any(|chassis| chassis.name == *name);
@@ -166,7 +160,7 @@ impl Desk {
             .last
             .map_or(0, |last| chosen.len().saturating_sub(last));
         for line in chosen.into_iter().skip(skipped) {
-            tell(writer, &Answer::Log(line.for_role(role))).await?;
+            tell(writer, &Answer::Log(line)).await?;
         }
         let mut is_over = false;
         while request.follow && !is_over {
@@ -174,7 +168,7 @@ impl Desk {
                 biased;
                 line = following.recv() => match line {
                     Ok(line) if line.at_s > last_at && self.is_wanted(&line, request) => {
-                        tell(writer, &Answer::Log(line.for_role(role))).await?;
+                        tell(writer, &Answer::Log(line)).await?;
                     }
                     Ok(_) => {}
                     Err(broadcast::error::RecvError::Lagged(lines)) => {

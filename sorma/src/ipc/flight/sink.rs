@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 /// The form of a flight record.
@@ -105,7 +106,13 @@ impl Sink {
         reader: &Reader,
         clock: &Clock,
     ) -> io::Result<Self> {
-        let file = BufWriter::new(File::create_new(path)?);
+        let mut options = File::options();
+        let file = options
+            .write(true)
+            .create_new(true)
+            .mode(0o600)
+            .open(path)?;
+        let file = BufWriter::new(file);
         let out = match format {
             Format::Text | Format::Csv => Out::Lines {
                 format,
