@@ -93,7 +93,7 @@ pub(crate) async fn patiently<T, E, F: Future<Output = Result<T, E>>>(
 
 /// A finding when a number of seconds in `task`'s arguments is none.
 pub(crate) fn check_seconds(task: &TaskConfig, key: &str, value: f64, findings: &mut Findings) {
-    if !(value >= 0.0 && value < 1e9) {
+    if !(0.0..1e9).contains(&value) {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
         findings.push(
             Finding::error("coordinators::seconds", format!("`{key}` is {value}"))
