@@ -96,7 +96,7 @@ pub(crate) fn check_seconds(task: &TaskConfig, key: &str, value: f64, findings: 
     if !(0.0..1e9).contains(&value) {
         let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
         findings.push(
-            Finding::error("coordinators::seconds", format!("`{key}` is {value}"))
+            Finding::error("coordinators::args::seconds", format!("`{key}` is {value}"))
                 .at(place)
                 .help("give a number of seconds, 0 or more"),
         );

@@ -31,6 +31,8 @@ use vss::{
 pub enum Disturbance {
     None,
     Kill(&'static str, f64),
+    /// The same, and its policy starts it again.
+    KillAndStart(&'static str, f64),
     Restart(&'static str, f64),
     Freeze(&'static str, f64, f64),
     Stop(f64),
@@ -452,6 +454,13 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
             chassis: (*chassis).to_owned(),
             at: instant(*at),
         }),
+        Disturbance::KillAndStart(chassis, at) => {
+            sets.push(format!("chassis.{chassis}.restart=\"on-failure\""));
+            script.push(Mishap::Kill {
+                chassis: (*chassis).to_owned(),
+                at: instant(*at),
+            });
+        }
         Disturbance::Restart(chassis, at) => script.push(Mishap::Restart {
             chassis: (*chassis).to_owned(),
             at: instant(*at),

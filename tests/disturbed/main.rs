@@ -73,6 +73,26 @@ fn a_chassis_that_is_killed_ends_the_app_in_its_name() {
 }
 
 #[test]
+fn a_chassis_that_is_killed_and_started_again_burns_no_position() {
+    disturbed(
+        "kill and start cage_vision",
+        |at| Disturbance::KillAndStart("cage_vision", at),
+        |ended, _| ended.must_succeed(),
+    );
+    // The Operator, begun anew, gives its command again.
+    disturbed(
+        "kill and start ws1",
+        |at| Disturbance::KillAndStart("ws1", at),
+        |ended, _| ended.must_succeed(),
+    );
+    disturbed(
+        "kill and start cage_motion",
+        |at| Disturbance::KillAndStart("cage_motion", at),
+        |ended, _| ended.must_fail(&["lost"]),
+    );
+}
+
+#[test]
 fn a_chassis_that_a_person_restarts_costs_no_truth() {
     disturbed(
         "restart cage_vision",
