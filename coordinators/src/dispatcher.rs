@@ -9,7 +9,7 @@ use std::{path::PathBuf, rc::Rc, time::Duration};
 
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings},
+    diagnostic::Findings,
     registry::{Registry, Vocabulary},
     task::{Context, HandlerError},
 };
@@ -47,9 +47,6 @@ const CALIBRATE_LIMIT: Duration = Duration::from_secs(60);
 struct DispatcherArgs {
     /// The file of positions, relative to the configuration's folder.
     positions: String,
-    /// How many positions each camera must have seen the lamp at, unless the command says another number
-    /// with `enough=N`; without it half of those in the file.
-    enough: Option<u32>,
     /// Where results are written, relative to the folder in which the app was started; without it
     /// none are.
     results: Option<PathBuf>,
@@ -158,40 +155,32 @@ fn check_positions(task: &TaskConfig, app: &App, args: &DispatcherArgs, findings
         positions::check_reach(&positions, &source, &servo.model(), &servo.tool(), findings);
     }
     positions::check_spread(&positions, &source, findings);
-    if let Err(error) = enough_of(args.enough, positions.len()) {
-        let place = task.args.locate("enough");
-        findings.push(
-            Finding::error("coordinators::dispatcher::enough", error.to_string())
-                .at(place.unwrap_or_else(|| task.place.clone())),
-        );
-    }
 }
 
-/// How many of `count` positions are enough: `asked`, or half of them.
-fn enough_of(asked: Option<u32>, count: usize) -> Result<u32, HandlerError> {
+/// At how many of `count` positions each camera must have seen the lamp: what a command says with
+/// `enough=N` or `enough=N%`, else half of them.
+fn enough(arguments: &[String], count: usize) -> Result<u32, HandlerError> {
     let count = u32::try_from(count).unwrap_or(u32::MAX);
-    match asked {
-        Some(asked) if asked > count => Err(HandlerError::new(format!(
-            "{asked} positions are to be enough, and the file has {count}"
-        ))),
-        Some(asked) => Ok(asked),
-        None => Ok(count.div_ceil(2)),
-    }
-}
-
-/// The number that a command gives with `enough=N`.
-fn enough_in(arguments: &[String]) -> Result<Option<u32>, HandlerError> {
-    let mut enough = None;
+    let share = |percent: u32| (u64::from(count) * u64::from(percent)).div_ceil(100);
+    let mut enough = share(50);
     for argument in arguments {
-        let number = argument.strip_prefix("enough=");
-        let Some(number) = number.and_then(|number| number.parse().ok()) else {
-            return Err(HandlerError::new(format!(
-                "`{argument}` is no argument of this command; it takes `enough=N`, a number of positions"
-            )));
-        };
-        enough = Some(number);
+        let said = argument.strip_prefix("enough=");
+        let number = said.and_then(|said| match said.strip_suffix('%') {
+            Some(percent) => percent.parse().ok().map(share),
+            None => said.parse().ok(),
+        });
+        enough = number.ok_or_else(|| {
+            HandlerError::new(format!(
+                "`{argument}` is no argument of this command; it takes `enough=N` or `enough=N%`, of the positions"
+            ))
+        })?;
     }
-    Ok(enough)
+    match u32::try_from(enough) {
+        Ok(enough) if enough <= count => Ok(enough),
+        _ => Err(HandlerError::new(format!(
+            "{enough} positions are to be enough, and the file has {count}"
+        ))),
+    }
 }
 
 fn library(args: DispatcherArgs, store: DomStore) -> Library<Dispatcher> {
@@ -236,8 +225,7 @@ async fn init_calib(action: Act) -> Acted {
     let (cx, args, _) = parts(&action);
     action.with_state(|state| state.command = state.command.wrapping_add(1));
     let positions = positions::read(&cx.path(&args.positions))?;
-    let asked = enough_in(action.arguments())?.or(args.enough);
-    let enough = enough_of(asked, positions.len())?;
+    let enough = enough(action.arguments(), positions.len())?;
     set_lamp(&cx, &args.lamp, true).await?;
     action.with_state(|state| {
         state.left = positions.len();

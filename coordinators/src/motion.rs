@@ -386,10 +386,7 @@ async fn resumed(action: &Act) -> Result<(), Failure> {
     let (cx, args, _) = parts(action);
     let within = Duration::try_from_secs_f64(args.resume_within_s).unwrap_or(Duration::MAX);
     let until = cx.now() + within;
-    tracing::warn!(
-        within_s = args.resume_within_s,
-        "a protective stop holds; it is waited for somebody to resume"
-    );
+    let mut told = false;
     loop {
         if action.is_stopping() {
             return Err(Failure::new(Outcome::Stopped, "the app is being stopped"));
@@ -398,6 +395,12 @@ async fn resumed(action: &Act) -> Result<(), Failure> {
         let status = ask(&cx, &args, |arm| async move { arm.status().await }).await?;
         if !status.stopped {
             return Ok(());
+        }
+        if !std::mem::replace(&mut told, true) {
+            tracing::warn!(
+                within_s = args.resume_within_s,
+                "a protective stop holds; it is waited for somebody to resume"
+            );
         }
         if cx.now() >= until {
             let ended = action.with_state(|state| state.ended.clone());

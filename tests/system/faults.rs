@@ -53,7 +53,8 @@ fn positions_that_one_camera_alone_misses_are_rejected_and_the_others_are_used()
     for (from, to) in [("fx = 414.9", "fx = 700.0"), ("fy = 416.3", "fy = 702.0")] {
         scratch.edit("configs/cell.toml", from, to);
     }
-    let ended = scratch.boot(&[&VIRTUAL[..], &["--json"]].concat());
+    let few = ["--set", "task.operator.args.arguments=[\"enough=20%\"]"];
+    let ended = scratch.boot(&[&VIRTUAL[..], &few, &["--json"]].concat());
     let result = ended.must_exit(0).json();
     let rejected: Vec<u64> = result["cameras"]
         .as_array()

@@ -119,7 +119,7 @@ fn a_chassis_that_hangs_is_ended_by_signals_and_named() {
     let ended = run.end();
     ended
         .must_exit(130)
-        .must_say("stop     bad: ")
+        .must_say("stop     bad is not at rest: ")
         .must_say_before("right does not end: SIGTERM", "right does not end: SIGKILL")
         .must_say("chassis `right` was killed by signal 9 (SIGKILL)");
 }

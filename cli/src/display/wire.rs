@@ -209,18 +209,3 @@ impl Told<'_> {
         serde_json::to_string(self).unwrap_or_else(|_| Value::Null.to_string())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_token_is_told_with_a_line_of_the_log() {
-        let line = TaskLine::new(
-            0,
-            Level::Warn,
-            "page=\"http://127.0.0.1:9/?token=b38c47ab9\"",
-        );
-        assert_eq!(line.text, "page=\"http://127.0.0.1:9/?token=…\"");
-    }
-}

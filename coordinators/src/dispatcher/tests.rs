@@ -149,7 +149,9 @@ fn with_fewer_positions_than_are_enough_the_command_fails_and_earlier_results_st
     for (unreached, enough, well) in [
         (3, vec!["enough=13"], true),
         (4, vec!["enough=13"], false),
-        (0, vec!["enough=16"], true),
+        (0, vec!["enough=100%"], true),
+        (3, vec!["enough=81%"], true),
+        (3, vec!["enough=82%"], false),
         (8, vec![], true),
         (9, vec![], false),
     ] {
@@ -193,6 +195,10 @@ fn the_reason_that_was_met_most_is_the_one_that_is_told() {
 fn a_command_that_asks_for_what_cannot_be_fails_before_anything_moves() {
     for (argument, why) in [
         (
+            "enough=101%",
+            "17 positions are to be enough, and the file has 16",
+        ),
+        (
             "enough=17",
             "17 positions are to be enough, and the file has 16",
         ),
@@ -200,7 +206,7 @@ fn a_command_that_asks_for_what_cannot_be_fails_before_anything_moves() {
             "enough=many",
             "`enough=many` is no argument of this command",
         ),
-        ("fast", "it takes `enough=N`"),
+        ("fast", "it takes `enough=N` or `enough=N%`"),
     ] {
         let run = run(&Rig {
             arguments: vec![argument],

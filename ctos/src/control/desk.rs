@@ -67,7 +67,7 @@ fn failed(fault: &Fault) -> Answer {
         Fault::PeerDown { chassis } => {
             error(ErrorCode::Failed, format!("chassis `{chassis}` is gone"))
         }
-        other => error(ErrorCode::Failed, format!("{other:?}")),
+        other => error(ErrorCode::Failed, other.to_string()),
     }
 }
 

@@ -31,6 +31,7 @@ pub(super) fn register(registry: &mut Registry) {
                 servo: args.servo,
                 link: None,
                 running: Rc::default(),
+                asked_from: 0,
                 ending: None,
             })
         })
@@ -48,6 +49,8 @@ struct PlannerTask {
     servo: String,
     link: Option<Arc<Link>>,
     running: Running,
+    /// The number of the chassis from which the latest move was asked for.
+    asked_from: u8,
     /// Why nothing moves any more: the app is being stopped.
     ending: Option<String>,
 }
@@ -278,7 +281,11 @@ impl EventHandler for PlannerTask {
     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
         match message.command() {
             Move::CODE => {
+                let from = message.from().chassis();
                 let (request, reply) = message.open::<Move>()?;
+                if self.running.borrow().is_none() {
+                    self.asked_from = from;
+                }
                 self.begin(cx, request, reply)
             }
             Plan::CODE => {
@@ -310,5 +317,19 @@ impl EventHandler for PlannerTask {
 
     async fn stop(&mut self, cx: &Context, reason: &StopReason) -> Handled {
         self.halt(cx, reason)?.await
+    }
+
+    /// Nobody could stop a motion any more whose client interface is gone.
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let asked_from = cx.chassis().name_of(self.asked_from);
+        if asked_from == chassis && self.running.borrow().is_some() {
+            tracing::warn!(
+                task = cx.name(),
+                chassis,
+                "the arm comes to rest: the chassis of its client interface is gone"
+            );
+            self.link()?.port.order(ServoCommand::Cancel)?;
+        }
+        Ok(())
     }
 }

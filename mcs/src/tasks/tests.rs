@@ -483,7 +483,16 @@ fn a_driver_fault_in_mid_motion_is_told_to_the_mover_in_the_drivers_words() {
 
 /// Runs a script in an app with a chassis `aside` more, while chassis die at these times, ms.
 fn run_dying(script: Script, knobs: &Arc<Knobs>, deaths: &[(&str, u64)]) -> AppResult {
-    let text = APP.replace(
+    run_app_dying(APP, script, knobs, deaths)
+}
+
+fn run_app_dying(
+    app: &str,
+    script: Script,
+    knobs: &Arc<Knobs>,
+    deaths: &[(&str, u64)],
+) -> AppResult {
+    let text = app.replace(
         "[chassis.ws]",
         "[chassis.ws]\nrestart = \"on-failure\"\n[chassis.aside]\nrestart = \"on-failure\"",
     );
@@ -551,6 +560,32 @@ fn when_the_chassis_of_its_holder_is_lost_the_arm_rests_and_it_moves_again_for_t
         let speed = *knobs.speed_at_power_off.lock().unwrap();
         assert!(speed.is_some_and(|speed| speed < 5e-3), "{at}: {speed:?}");
     }
+}
+
+#[test]
+fn when_the_chassis_of_the_client_interface_is_lost_the_motion_ends_and_the_next_one_can_begin() {
+    let script: Script = |cx, mcs, knobs| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let gone = cx.call(&mcs, to(Target::Joints(GOAL))).await;
+            assert!(gone.is_err_and(|error| error.is_gone()));
+            // Braking takes less than half a second.
+            cx.sleep(Duration::from_millis(500)).await;
+            let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+            assert_eq!(power, Power::Released, "it is still held");
+            let mcs = cx.task("mcs").await?;
+            let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!(stands.at_rest && (stands.joints[0] - GOAL[0]).abs() > 0.01);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    };
+    let app = APP.replace(
+        "handler = \"mcs.client\"\non = \"ws\"",
+        "handler = \"mcs.client\"\non = \"aside\"",
+    );
+    let result = run_app_dying(&app, script, &Arc::default(), &[("aside", 300)]);
+    assert!(result.ok, "{}", result.text);
 }
 
 #[test]

@@ -315,6 +315,10 @@ impl Desk {
         };
         match restarted {
             Ok(()) => Answer::Done {},
+            Err(Fault::NoReply) => error(
+                ErrorCode::Failed,
+                format!("the app ended while `{name}` was being restarted"),
+            ),
             Err(fault) => failed(&fault),
         }
     }
