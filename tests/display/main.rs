@@ -46,7 +46,8 @@ fn scratch() -> Scratch {
 /// The address of a page with its token, from the file that a line of the log names.
 fn opened(line: &str) -> String {
     let (_, file) = line.split_once("open=").unwrap();
-    let text = std::fs::read_to_string(file.split([' ', '\u{1b}']).next().unwrap()).unwrap();
+    let file = file.split([' ', '\n', '\u{1b}']).next().unwrap();
+    let text = std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{file}: {error}"));
     let (_, url) = text.split_once("url=").unwrap();
     url.split('"').next().unwrap().to_owned()
 }
