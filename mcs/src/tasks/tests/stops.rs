@@ -1,0 +1,260 @@
+//! What ends a motion before its end, what is told of it, and how it goes on: stops, a held joint, and the
+//! loss of chassis that the motion needs or does not.
+
+use ctos::simulation::{self, Faults, Mishap, Setup};
+use ctos::time::Instant;
+
+use super::*;
+
+/// Moves to the goal and asks for something else in the midst of it; what the mover was told.
+async fn disturbed<T, C: Command<Reply = T>>(
+    cx: &Context,
+    mcs: &TaskRef,
+    request: C,
+) -> Result<MotionError, HandlerError> {
+    let disturb = async {
+        cx.sleep(Duration::from_millis(300)).await;
+        asked(cx, mcs, request).await
+    };
+    let moving = error_of(cx, mcs, to(Target::Joints(GOAL)));
+    let (disturbed, moved) = futures_util::future::join(disturb, moving).await;
+    disturbed?;
+    moved
+}
+
+#[test]
+fn a_protective_stop_holds_through_release_and_acquisition_until_somebody_resumes() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, Stop {}).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            assert!(told.reason.contains("protective stop"), "{told}");
+            let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!(stands.at_rest);
+            assert!((stands.joints[0] - GOAL[0]).abs() > 0.01);
+            // At once, later, and for whoever comes next.
+            for _ in 0..3 {
+                assert!(asked(&cx, &mcs, Status {}).await?.stopped);
+                let again = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                assert_eq!(again.outcome, Outcome::Stopped);
+                assert!(again.reason.contains("resume"), "{again}");
+                done(&cx, &mcs, Release {}).await?;
+                cx.sleep(Duration::from_secs(10)).await;
+                done(&cx, &mcs, Acquire {}).await?;
+            }
+            let later = asked(&cx, &mcs, ReadPosition {}).await?;
+            for (now, then) in later.joints.iter().zip(&stands.joints) {
+                assert!((now - then).abs() < 1e-3);
+            }
+            asked(&cx, &mcs, Resume {}).await?;
+            assert!(!asked(&cx, &mcs, Status {}).await?.stopped);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn a_stop_of_an_arm_that_stands_holds_too_and_a_reset_ends_it() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            asked(&cx, &mcs, Stop {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            asked(&cx, &mcs, EmergencyStop {}).await?;
+            cx.sleep(Duration::from_millis(20)).await;
+            done(&cx, &mcs, Reset {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn a_cancelled_motion_ends_at_rest_and_the_next_may_begin_at_once() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, Cancel {}).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            assert!(told.reason.contains("cancelled"), "{told}");
+            assert!(asked(&cx, &mcs, ReadPosition {}).await?.at_rest);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn an_emergency_stop_and_a_release_in_mid_motion_are_told_for_what_they_are() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, EmergencyStop {}).await?;
+            assert_eq!(told.outcome, Outcome::Estopped);
+            let again = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(again.outcome, Outcome::Estopped);
+            assert_eq!(
+                error_of(&cx, &mcs, Acquire {}).await?.outcome,
+                Outcome::Estopped
+            );
+            // There is nothing to give back, and that is no error.
+            assert_eq!(done(&cx, &mcs, Release {}).await?, State::Estopped);
+            done(&cx, &mcs, Reset {}).await?;
+            done(&cx, &mcs, Acquire {}).await?;
+            let told = disturbed(&cx, &mcs, Release {}).await?;
+            assert_eq!(told.outcome, Outcome::Stopped);
+            assert_eq!(asked(&cx, &mcs, Status {}).await?.state, State::Cold);
+            Ok(String::new())
+        })
+    });
+}
+
+#[test]
+fn who_holds_the_manipulator_may_acquire_it_again_and_release_what_is_free() {
+    text_of(|cx, mcs, _| {
+        Box::pin(async move {
+            assert_eq!(done(&cx, &mcs, Release {}).await?, State::Cold);
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Active);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(done(&cx, &mcs, Acquire {}).await?, State::Motion);
+            Ok(String::new())
+        })
+    });
+}
+
+/// Runs a script in an app with a chassis `aside` more, while chassis die at these times, ms.
+fn run_dying(script: Script, knobs: &Arc<Knobs>, deaths: &[(&str, u64)]) -> AppResult {
+    run_app_dying(APP, script, knobs, deaths)
+}
+
+fn run_app_dying(
+    app: &str,
+    script: Script,
+    knobs: &Arc<Knobs>,
+    deaths: &[(&str, u64)],
+) -> AppResult {
+    let text = app.replace(
+        "[chassis.ws]",
+        "[chassis.ws]\nrestart = \"on-failure\"\n[chassis.aside]\nrestart = \"on-failure\"",
+    );
+    let app = ctos::config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap();
+    let kills = deaths.iter().map(|(chassis, ms)| Mishap::Kill {
+        chassis: (*chassis).to_owned(),
+        at: Instant::from_nanos(ms * 1_000_000),
+    });
+    let setup = Setup {
+        faults: Faults::of_script("deaths", kills.collect()),
+        ..Setup::default()
+    };
+    let observer: ctos::boot::Observer = Arc::new(|_| {});
+    let run = simulation::run(app, registry(script, knobs), setup, &observer).unwrap();
+    match run.outcome.end {
+        End::Finished(result) => result,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn the_loss_of_a_chassis_that_the_motion_does_not_need_does_not_stop_the_arm() {
+    let script: Script = |cx, mcs, _| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            // Some 1.5 s of motion each.
+            for goal in [GOAL, START, GOAL] {
+                done(&cx, &mcs, to(Target::Joints(goal))).await?;
+            }
+            Ok(String::new())
+        })
+    };
+    let result = run_dying(
+        script,
+        &Arc::default(),
+        &[("aside", 300), ("aside", 1400), ("aside", 2600)],
+    );
+    assert!(result.ok, "{}", result.text);
+}
+
+#[test]
+fn when_the_chassis_of_its_holder_is_lost_the_arm_rests_and_it_moves_again_for_the_next() {
+    for at in [150, 300, 450, 600, 1000] {
+        let knobs = Arc::<Knobs>::default();
+        let script: Script = |cx, mcs, knobs| {
+            Box::pin(async move {
+                let lives = knobs.lives.fetch_add(1, Ordering::Relaxed);
+                if lives > 0 {
+                    // Its predecessor died in the midst of a motion.
+                    let status = asked(&cx, &mcs, Status {}).await?;
+                    assert_eq!((status.state, status.holder), (State::Cold, None));
+                    let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+                    assert_eq!(power, Power::Off);
+                }
+                done(&cx, &mcs, Acquire {}).await?;
+                done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+                done(&cx, &mcs, to(Target::Joints(START))).await?;
+                Ok(format!("life {lives}"))
+            })
+        };
+        let result = run_dying(script, &knobs, &[("ws", at)]);
+        assert!(result.ok, "{at}: {}", result.text);
+        assert_eq!(result.text, "life 1", "{at}");
+        // It braked along its path, and power went off at rest.
+        let speed = *knobs.speed_at_power_off.lock().unwrap();
+        assert!(speed.is_some_and(|speed| speed < 5e-3), "{at}: {speed:?}");
+    }
+}
+
+#[test]
+fn when_the_chassis_of_the_client_interface_is_lost_the_motion_ends_and_the_next_one_can_begin() {
+    let script: Script = |cx, mcs, knobs| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            let gone = cx.call(&mcs, to(Target::Joints(GOAL))).await;
+            assert!(gone.is_err_and(|error| error.is_gone()));
+            // Braking takes less than half a second.
+            cx.sleep(Duration::from_millis(500)).await;
+            let (power, _) = knobs.last_write.lock().unwrap().unwrap();
+            assert_eq!(power, Power::Released, "it is still held");
+            let mcs = cx.task("mcs").await?;
+            let stands = asked(&cx, &mcs, ReadPosition {}).await?;
+            assert!(stands.at_rest && (stands.joints[0] - GOAL[0]).abs() > 0.01);
+            done(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            Ok(String::new())
+        })
+    };
+    let app = APP.replace(
+        "handler = \"mcs.client\"\non = \"ws\"",
+        "handler = \"mcs.client\"\non = \"aside\"",
+    );
+    let result = run_app_dying(&app, script, &Arc::default(), &[("aside", 300)]);
+    assert!(result.ok, "{}", result.text);
+}
+
+#[test]
+fn an_arm_that_something_holds_fast_is_a_fault_and_does_not_push_on() {
+    let knobs = Arc::<Knobs>::default();
+    let script: Script = |cx, mcs, knobs| {
+        Box::pin(async move {
+            done(&cx, &mcs, Acquire {}).await?;
+            knobs.fault.store(4, Ordering::Relaxed);
+            let told = error_of(&cx, &mcs, to(Target::Joints(GOAL))).await?;
+            assert_eq!(told.outcome, Outcome::Fault, "{told}");
+            assert!(told.reason.contains("joint 1"), "{told}");
+            let status = asked(&cx, &mcs, Status {}).await?;
+            assert_eq!(status.state, State::Estopped);
+            let (power, torques) = knobs.last_write.lock().unwrap().unwrap();
+            assert_eq!((power, torques), (Power::Off, [0.0; 6]));
+            Ok(String::new())
+        })
+    };
+    let outcome = run(script, &knobs, &[]);
+    assert!(
+        matches!(&outcome.end, End::Finished(result) if result.ok),
+        "{:?}",
+        outcome.end
+    );
+}
