@@ -138,12 +138,6 @@ fn start_row(
     Ok(tasks)
 }
 
-/// From now on the turns on the processor of `cx` are taken to be brief, whatever its clock says, as they are
-/// elsewhere only while they are: calls and children have their turns within others, even in virtual time.
-pub fn take_turns_to_be_brief(cx: &Context) {
-    cx.processor().take_turns_to_be_brief();
-}
-
 impl Drop for Bench {
     fn drop(&mut self) {
         self.chassis.stop_processors();

@@ -37,7 +37,7 @@ use crate::{
 };
 
 pub(crate) use self::{
-    delivery::{Called, CalledBeside, Question, Sent, WaitFor},
+    delivery::WaitFor,
     links::{Inbound, Outbound},
     tasks::TaskRecord,
 };
@@ -107,9 +107,7 @@ impl Chassis {
         let configured = configured.map_or(&[][..], |configured| &configured.processors);
         let processors = std::iter::once("system".to_owned())
             .chain(configured.iter().map(|one| one.name.clone()))
-            // The configuration allows no more processors than a task id can tell apart.
-            .zip(0..=u8::MAX)
-            .map(|(name, number)| (name, Arc::new(ProcessorHandle::new(number))))
+            .map(|name| (name, Arc::default()))
             .collect();
         Arc::new(Self {
             index,
@@ -319,13 +317,8 @@ impl Chassis {
 
     /// A trace id that no other message of the run has.
     pub(crate) fn fresh_trace(&self) -> u64 {
-        self.fresh_traces(1)
-    }
-
-    /// The first of `count` trace ids that no other message of the run has.
-    fn fresh_traces(&self, count: u64) -> u64 {
         // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
-        (u64::from(self.index) << 56) | self.next_trace.fetch_add(count, Ordering::Relaxed)
+        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
     }
 
     /// The app is being taken down.

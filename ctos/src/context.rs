@@ -11,7 +11,6 @@ use std::{
     collections::BTreeMap,
     fmt,
     future::{Future, poll_fn},
-    marker::PhantomData,
     path::PathBuf,
     rc::Rc,
     sync::Arc,
@@ -26,17 +25,17 @@ use self::{asking::Ask, quiet::Quiet};
 use crate::{
     BlobMut,
     call::{CallError, Fault},
-    chassis::{Chassis, TaskRecord},
+    chassis::{Chassis, TaskRecord, WaitFor},
     config::TaskConfig,
     diagnostic::Finding,
-    message::{Command, CommandInfo, Data, Letter, Message, Tid},
+    message::{Command, CommandInfo, Data, Message, Tid},
     processor::{FutureId, Processor},
     system::{Broke, CommandDescription, Introspect, NotQuiet, Ping, Shutdown, Statistics},
-    task::{Handled, Phase},
+    task::Handled,
     time::Instant,
 };
 
-pub(crate) use self::{asking::Note, beside::Beside};
+pub(crate) use self::beside::Beside;
 pub use self::{
     asking::{Call, Calling, Send, Sending},
     beside::Child,
@@ -61,8 +60,6 @@ pub(crate) struct Inner {
     family: RefCell<Option<Box<Family>>>,
     /// Counts the handlers that the task had.
     incarnation: Cell<u32>,
-    /// The last phase that was entered, while the task rests.
-    pub(crate) phase: Cell<Option<Phase>>,
 }
 
 /// What belongs to a task besides its handler.
@@ -78,42 +75,11 @@ pub(crate) struct Family {
 }
 
 impl Inner {
-    /// That of a task whose handler is not built yet.
-    pub(crate) fn new(
-        record: Arc<TaskRecord>,
-        chassis: Arc<Chassis>,
-        processor: Rc<Processor>,
-        config: Option<Box<TaskConfig>>,
-    ) -> Self {
-        Self {
-            record,
-            chassis,
-            processor,
-            config,
-            family: RefCell::default(),
-            incarnation: Cell::new(0),
-            phase: Cell::new(None),
-        }
-    }
-
-    /// One that is as it was made, and that nobody else has; else it comes back.
-    pub(crate) fn blank(this: Rc<Self>) -> Result<Self, Rc<Self>> {
-        let is_blank = this.family.borrow().is_none()
-            && this.incarnation.get() == 0
-            && this.phase.get().is_none();
-        if is_blank {
-            Rc::try_unwrap(this)
-        } else {
-            Err(this)
-        }
-    }
-
     /// How long a call waits if it does not say.
-    #[inline]
-    fn limit(&self) -> Duration {
+    fn call_deadline(&self) -> Duration {
         let config = self.config.as_ref();
-        let limit = config.and_then(|config| config.call_deadline);
-        limit.unwrap_or(DEFAULT_DEADLINE)
+        let deadline = config.and_then(|config| config.call_deadline);
+        deadline.unwrap_or(DEFAULT_DEADLINE)
     }
 
     /// What belongs to the task.
@@ -145,7 +111,14 @@ impl Context {
         processor: Rc<Processor>,
         config: Option<Box<TaskConfig>>,
     ) -> Self {
-        Self::of(Rc::new(Inner::new(record, chassis, processor, config)))
+        Self::of(Rc::new(Inner {
+            record,
+            chassis,
+            processor,
+            config,
+            family: RefCell::default(),
+            incarnation: Cell::new(0),
+        }))
     }
 
     /// The context of a task, outside of all messages.
@@ -163,7 +136,6 @@ impl Context {
     }
 
     /// From now on it is that for another message.
-    #[inline]
     pub(crate) fn set_trace(&mut self, trace: u64) {
         self.trace = trace;
     }
@@ -237,27 +209,16 @@ impl Context {
     ///
     /// A request that its caller no longer waits for (the deadline passed, the call was dropped) is not
     /// begun any more, wherever the receiver runs.
-    #[inline]
     pub fn call<C: Command>(&self, to: &TaskRef, request: C) -> Call<C> {
-        let from = self.inner.record.tid;
-        let mut message = Message::request(to.tid, from, C::CODE, request).in_trace(self.trace);
-        message
-            .letter
-            .for_sender(self.inner.name_to_keep(to), self.inner.limit());
-        Call {
-            asker: self.inner.clone(),
-            message,
-            command: PhantomData,
-        }
+        let message = self.message(to, C::CODE, Data::of(request));
+        Call::new(self.inner.clone(), to, message)
     }
 
     /// Sends a message that needs no reply, and waits until the receiver's queue has taken it.
     /// A message that was given up before it was taken is not delivered.
-    #[inline]
     pub fn send<C: Command>(&self, to: &TaskRef, request: C) -> Send<C> {
-        Send {
-            call: self.call(to, request),
-        }
+        let message = self.message(to, C::CODE, Data::of(request));
+        Send::new(self.inner.clone(), to, message)
     }
 
     /// Sends only if the receiver is on this chassis and has room now.
@@ -266,10 +227,9 @@ impl Context {
     /// [`Fault::Full`], [`Fault::Elsewhere`] and the like, with both names.
     pub fn try_send<C: Command>(&self, to: &TaskRef, request: C) -> Result<(), CallError> {
         let message = self.message(to, C::CODE, Data::of(request));
-        self.inner
-            .chassis
-            .try_send(&self.inner.processor, message)
-            .map_err(|fault| self.error(to, C::NAME, fault))
+        let inner = self.inner.clone();
+        let deadline = inner.call_deadline();
+        Ask::new(inner, to, C::NAME, message, WaitFor::Nothing, deadline).at_once()
     }
 
     /// Calls with bytes instead of types: the data of `command` and its reply are postcard. For nets
@@ -284,24 +244,11 @@ impl Context {
         data: Vec<u8>,
         deadline: Duration,
     ) -> Result<Vec<u8>, CallError> {
-        let mut message = self.message(to, command.code, Data::Bytes(data));
-        message.letter.for_sender(Some(to.name.clone()), deadline);
-        let mut ask = Ask::new(self.inner.clone(), message);
-        let mut answer = Vec::new();
-        let mut open = |letter: Box<Letter>| {
-            let bytes = letter.open().0.into_bytes();
-            answer = bytes.map_err(|error| Fault::BadPayload {
-                text: error.to_string(),
-            })?;
-            Ok(())
-        };
-        let ended = match ask.begin(command.name) {
-            Ok(Some(letter)) => ask.opened(command.name, open(letter)),
-            Ok(None) => poll_fn(|poll| ask.poll(poll, command.name, &mut open)).await,
-            Err(error) => Err(error),
-        };
-        ended.map_err(|error| *error)?;
-        Ok(answer)
+        let message = self.message(to, command.code, Data::Bytes(data));
+        let inner = self.inner.clone();
+        let mut ask = Ask::new(inner, to, command.name, message, WaitFor::Reply, deadline);
+        let answer = poll_fn(|cx| ask.poll(cx)).await?;
+        answer.into_bytes().map_err(|error| ask.misread(&error))
     }
 
     /// What every task does with a message that its handler does not know: answers [`Ping`],
@@ -340,7 +287,7 @@ impl Context {
             }
             command => {
                 tracing::warn!(task = %self.name(), command, from = %message.from(), "unknown command");
-                if let Some(slot) = message.letter.reply {
+                if let Some(slot) = message.envelope.reply {
                     let names = self.commands().iter();
                     slot.answer(Err(Fault::UnknownCommand {
                         takes: names.map(|command| command.name.to_owned()).collect(),
@@ -351,19 +298,9 @@ impl Context {
         }
     }
 
-    #[inline]
     fn message(&self, to: &TaskRef, command: u16, data: Data) -> Message {
         let from = self.inner.record.tid;
         Message::with_data(to.tid, from, command, data).in_trace(self.trace)
-    }
-
-    fn error(&self, to: &TaskRef, command: &str, fault: Fault) -> CallError {
-        CallError {
-            from: self.name().to_owned(),
-            to: to.name().to_owned(),
-            command: command.to_owned(),
-            fault,
-        }
     }
 
     // -- time -------------------------------------------------------------------------------

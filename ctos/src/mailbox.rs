@@ -6,8 +6,7 @@
 //! are never refused.
 //!
 //! The queue itself ([`TaskQueue`]) belongs to the task's processor and needs no lock. What everybody
-//! else sees of it is the [`Mailbox`]: how much room there is, and the processor to bring messages to.
-//! A sender on another thread claims its place as it brings the message, while nobody else does.
+//! else sees of it is the [`Mailbox`]: its credits, and the processor to bring messages to.
 
 mod gate;
 mod queue;
@@ -17,15 +16,12 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
-use once_cell::race::OnceBox;
-
 pub(crate) use self::{gate::Order, queue::TaskQueue};
 use crate::{
     call::{Fault, ReplySlot},
-    inbox::Refused,
+    credits::Credits,
     message::{Data, Flags, Message, SYSTEM_COMMANDS},
     processor::{Processor, ProcessorHandle},
-    room::Room,
     survey::QueueReport,
 };
 
@@ -37,10 +33,16 @@ pub(crate) enum Acceptance {
     Told(ReplySlot),
 }
 
+impl From<Option<ReplySlot>> for Acceptance {
+    fn from(slot: Option<ReplySlot>) -> Self {
+        slot.map_or(Self::Silent, Self::Told)
+    }
+}
+
 impl Acceptance {
     pub(crate) fn tell(self, result: Result<(), Fault>) {
         if let Self::Told(slot) = self {
-            slot.answer(result.map(|()| Data::Bytes(Vec::new())));
+            slot.answer(result.map(|()| Data::NOTHING));
         }
     }
 
@@ -63,28 +65,26 @@ pub(crate) enum Offered {
     Closed(Message),
 }
 
-/// A message from another thread.
+/// A message on its way to the queue.
 pub(crate) struct Delivery {
     message: Message,
     place: Place,
 }
 
-/// Where a message from another thread goes.
+/// Where a message on its way goes.
 enum Place {
-    /// To the place in the queue that its sender claimed.
-    Claimed,
-    /// To the queue, whether there is room or not.
-    Always,
-    /// To the queue, or to the line of those who wait for room there.
-    Waits(Box<Acceptance>),
+    /// To the queue: it has a credit.
+    Queue,
+    /// To the queue, or to the line of those who wait for a credit.
+    Line(Acceptance),
 }
 
 impl Delivery {
     /// Tells the sender that the task takes nothing more.
     pub(crate) fn refuse(self) {
         let acceptance = match self.place {
-            Place::Waits(acceptance) => *acceptance,
-            Place::Claimed | Place::Always => Acceptance::Silent,
+            Place::Line(acceptance) => acceptance,
+            Place::Queue => Acceptance::Silent,
         };
         refuse(self.message, acceptance, &Fault::Stopping);
     }
@@ -97,17 +97,8 @@ pub(crate) struct Mailbox {
     home: Arc<ProcessorHandle>,
     slot: u16,
     closed: AtomicBool,
-    /// Made for the first message: of very many tasks most may be idle.
-    rooms: OnceBox<Rooms>,
-}
-
-/// Of each priority one. In a line of their own, because the owner writes to them for each message and whoever
-/// made them has other things beside them.
-#[derive(Default)]
-#[repr(align(64))]
-struct Rooms {
-    urgent: Room,
-    normal: Room,
+    urgent: Credits,
+    normal: Credits,
 }
 
 /// Whether a message goes to the high-priority lane, and whether it is one of the runtime's.
@@ -127,56 +118,40 @@ impl Mailbox {
             home,
             slot,
             closed: AtomicBool::new(false),
-            rooms: OnceBox::new(),
+            urgent: Credits::default(),
+            normal: Credits::default(),
         }
     }
 
     /// How many messages of each priority it has room for.
-    #[inline]
     fn capacity(&self) -> usize {
         self.capacity as usize
     }
 
     /// Whether the task takes nothing more.
-    #[inline]
     pub(crate) fn is_closed(&self) -> bool {
         self.closed.load(Ordering::Acquire)
     }
 
-    #[inline]
-    fn room(&self, urgent: bool) -> &Room {
-        let rooms = self.rooms();
-        if urgent { &rooms.urgent } else { &rooms.normal }
-    }
-
-    #[inline]
-    fn rooms(&self) -> &Rooms {
-        self.rooms.get_or_init(Box::default)
+    fn credits(&self, urgent: bool) -> &Credits {
+        if urgent { &self.urgent } else { &self.normal }
     }
 
     /// How much is in it, as senders on other threads see it.
     pub(crate) fn lengths(&self) -> QueueReport {
-        let capacity = self.capacity() as u64;
-        let length = |room: &Room| room.len().saturating_sub(room.waiting()) as u64;
-        let report = |rooms: &Rooms| QueueReport {
-            urgent: length(&rooms.urgent),
-            normal: length(&rooms.normal),
-            waiting: (rooms.urgent.waiting() + rooms.normal.waiting()) as u64,
-            capacity,
-        };
-        let nothing = QueueReport {
-            capacity,
-            ..QueueReport::default()
-        };
-        self.rooms.get().map_or(nothing, report)
+        QueueReport {
+            urgent: self.urgent.taken() as u64,
+            normal: self.normal.taken() as u64,
+            waiting: (self.urgent.waiting() + self.normal.waiting()) as u64,
+            capacity: self.capacity() as u64,
+        }
     }
 
-    /// How many messages are in it, on their way to it or wait for room, and how many of each priority
+    /// How many messages are in it, on their way to it or wait for a credit, and how many of each priority
     /// it holds.
     pub(crate) fn depth(&self) -> (usize, usize) {
-        let rooms = self.rooms.get();
-        let depth = rooms.map_or(0, |rooms| rooms.urgent.len() + rooms.normal.len());
-        (depth, self.capacity())
+        let depth = |credits: &Credits| credits.taken() + credits.waiting();
+        (depth(&self.urgent) + depth(&self.normal), self.capacity())
     }
 
     /// Why a message finds no place.
@@ -186,41 +161,26 @@ impl Mailbox {
         }
     }
 
-    /// Puts a message in if there is room now.
+    /// Puts a message in if there is a credit for it now.
     pub(crate) fn offer(&self, message: Message) -> Offered {
-        match Processor::at_hand(&self.home) {
-            Some(processor) => match processor.queue(self.slot) {
-                Some(queue) => queue.offer(&processor, message),
-                None => Offered::Closed(message),
-            },
-            None => self.offer_from_afar(message),
-        }
-    }
-
-    /// [`Self::offer`] from another thread than the task's.
-    pub(crate) fn offer_from_afar(&self, message: Message) -> Offered {
         if self.is_closed() {
             return Offered::Closed(message);
         }
         let (urgent, system) = is_urgent(&message);
-        let room = self.room(urgent);
-        let place = if system {
-            Place::Always
-        } else if room.looks_free(self.capacity()) {
-            Place::Claimed
-        } else {
+        let credits = self.credits(urgent);
+        if system {
+            credits.take_always();
+        } else if !credits.take(self.capacity()) {
             return Offered::NoRoom(message);
-        };
-        let delivery = Delivery { message, place };
-        let may = || system || room.claim(self.capacity());
-        match self.home.bring_message(self.slot, delivery, may) {
-            Ok(()) => Offered::Taken,
-            Err(Refused::NotNow(delivery)) => Offered::NoRoom(delivery.message),
-            Err(Refused::Closed(delivery)) => Offered::Closed(delivery.message),
         }
+        self.bring(Delivery {
+            message,
+            place: Place::Queue,
+        });
+        Offered::Taken
     }
 
-    /// Puts a message in or lets it wait for room; `acceptance` is told when it is in, or why not. A
+    /// Puts a message in or lets it wait for a credit; `acceptance` is told when it is in, or why not. A
     /// refused message that waits for a reply is answered with the reason.
     pub(crate) fn put(&self, message: Message, acceptance: Acceptance) {
         match self.offer(message) {
@@ -230,36 +190,32 @@ impl Mailbox {
         }
     }
 
-    /// Lets a message for which there was no room wait for some.
-    pub(crate) fn line_up(&self, message: Message, acceptance: Acceptance) {
+    /// Lets a message for which there was no credit wait for one.
+    fn line_up(&self, message: Message, acceptance: Acceptance) {
         let (urgent, _) = is_urgent(&message);
-        if !self.room(urgent).line_up(self.capacity()) {
+        if !self.credits(urgent).line_up(self.capacity()) {
             return refuse(message, acceptance, &self.full());
         }
-        let delivery = Delivery {
+        self.bring(Delivery {
             message,
-            place: Place::Waits(Box::new(acceptance)),
-        };
-        match Processor::at_hand(&self.home)
-            .and_then(|here| here.queue(self.slot).map(|queue| (here, queue)))
-        {
-            Some((processor, queue)) => {
-                queue.take_in(&processor, delivery);
-                queue.end_batch();
-            }
-            None => {
-                let brought = self.home.bring_message(self.slot, delivery, || true);
-                if let Err(Refused::NotNow(delivery) | Refused::Closed(delivery)) = brought {
-                    delivery.refuse();
-                }
-            }
+            place: Place::Line(acceptance),
+        });
+    }
+
+    /// Brings a message to the queue, straight if this thread runs the task's processor.
+    fn bring(&self, delivery: Delivery) {
+        match Processor::at_hand(&self.home) {
+            Some(processor) => match processor.queue(self.slot) {
+                Some(queue) => queue.take_in(&processor, delivery),
+                None => delivery.refuse(),
+            },
+            None => self.home.bring_message(self.slot, delivery),
         }
     }
 
     fn shut(&self, shut: bool) {
-        let rooms = self.rooms();
-        rooms.urgent.shut(shut);
-        rooms.normal.shut(shut);
+        self.urgent.shut(shut);
+        self.normal.shut(shut);
     }
 
     /// Its queue is about to be made, with gates that are closed.

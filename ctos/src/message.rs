@@ -7,26 +7,19 @@
 mod command;
 mod data;
 mod fields;
-mod letter;
 mod shape;
-mod store;
 mod trace;
 
 use std::fmt;
 
 use serde::Serialize;
 
-use crate::{
-    call::{Fault, ReplySlot},
-    time::Instant,
-};
-
-pub(crate) use self::letter::Letter;
 pub(crate) use data::append;
 pub(crate) use shape::Shape;
 
+pub use crate::envelope::{Message, Replier};
 pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
-pub use data::{Data, Parcel, Payload, PayloadError};
+pub use data::{Data, Payload, PayloadError};
 pub use fields::Fields;
 
 /// Task id: 32 bits that route a message. Chassis, processor on it, slot on the processor.
@@ -64,12 +57,6 @@ impl Tid {
     #[must_use]
     pub const fn processor(self) -> u8 {
         (self.0 >> 16) as u8
-    }
-
-    /// Whether both are tasks of the same processor.
-    #[inline]
-    pub(crate) const fn is_beside(self, other: Self) -> bool {
-        (self.0 ^ other.0) >> 16 == 0
     }
 
     /// Which slot of the processor.
@@ -199,195 +186,6 @@ impl Header {
             flags: Flags::from_bits(u16::from_le_bytes([g0, g1])),
             size: u32::from_le_bytes([s0, s1, s2, s3]),
         }
-    }
-}
-
-/// What an event handler is called with.
-#[derive(Debug)]
-pub struct Message {
-    /// A pointer, so that a message costs nothing to pass on.
-    pub(crate) letter: Box<Letter>,
-}
-
-impl Message {
-    /// A request of `from` that nothing led to and that nobody waits for.
-    #[inline(always)]
-    pub(crate) fn request<T: Serialize + Send + 'static>(
-        to: Tid,
-        from: Tid,
-        command: u16,
-        value: T,
-    ) -> Self {
-        let mut message = Self::blank(to, from, command);
-        // The letter is there already, so that the value is written at once where it stays.
-        message.letter.write(Data::of(value));
-        message
-    }
-
-    /// [`Self::request`] with data of any kind.
-    #[inline]
-    pub(crate) fn with_data(to: Tid, from: Tid, command: u16, data: Data) -> Self {
-        let mut message = Self::blank(to, from, command);
-        message.letter.write(data);
-        message
-    }
-
-    /// A message without data.
-    #[inline(always)]
-    fn blank(to: Tid, from: Tid, command: u16) -> Self {
-        let mut letter = Letter::blank();
-        letter.header = Header {
-            to,
-            from,
-            command,
-            flags: Flags::NONE,
-            size: 0,
-        };
-        letter.trace = 0;
-        letter.deadline = None;
-        letter.recorded = 0;
-        Self { letter }
-    }
-
-    /// The same with these flags instead.
-    #[inline]
-    pub(crate) fn flagged(mut self, flags: Flags) -> Self {
-        self.letter.header.flags = flags;
-        self
-    }
-
-    /// The same in this trace; 0 when nothing led to it: it then begins one of its own.
-    #[inline]
-    pub(crate) fn in_trace(mut self, trace: u64) -> Self {
-        self.letter.trace = trace;
-        self
-    }
-
-    /// The same with a moment at which the sender stops waiting.
-    #[inline]
-    pub(crate) fn until(mut self, deadline: Option<Instant>) -> Self {
-        self.letter.deadline = deadline;
-        self
-    }
-
-    /// Ends the call that the message is. Without one, nothing comes of it.
-    pub(crate) fn refuse(self, fault: Fault) {
-        if let (_, Some(slot)) = self.letter.open() {
-            slot.answer(Err(fault));
-        }
-    }
-
-    /// What the sender asks for.
-    #[must_use]
-    #[inline]
-    pub fn command(&self) -> u16 {
-        self.letter.header.command
-    }
-
-    /// The header.
-    #[must_use]
-    pub fn header(&self) -> &Header {
-        &self.letter.header
-    }
-
-    /// Who sent it.
-    #[must_use]
-    pub fn from(&self) -> Tid {
-        self.letter.header.from
-    }
-
-    /// The id that this message shares with whatever led to it and whatever follows from it.
-    #[must_use]
-    pub fn trace(&self) -> u64 {
-        self.letter.trace
-    }
-
-    /// When the sender stops waiting for the reply; `None` when it does not wait for one.
-    #[must_use]
-    pub fn deadline(&self) -> Option<Instant> {
-        let letter = &self.letter;
-        // What stays on its processor carries none: the call itself waits there.
-        let of_call = || letter.reply.as_ref()?.deadline_here();
-        letter.deadline.or_else(of_call)
-    }
-
-    /// Takes the typed request and the right to answer it.
-    ///
-    /// # Errors
-    /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
-    #[inline]
-    pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
-        let mut letter = self.letter;
-        match letter.data.take_out::<C>() {
-            Ok(request) if letter.reply.is_some() => Ok((request, Replier::new(Some(letter)))),
-            Ok(request) => {
-                letter.keep();
-                Ok((request, Replier::new(None)))
-            }
-            Err(error) => {
-                if let Some(slot) = letter.reply.take() {
-                    slot.answer(Err(Fault::BadPayload {
-                        text: error.to_string(),
-                    }));
-                }
-                Err(error)
-            }
-        }
-    }
-}
-
-/// The right to answer one request, now or later. Dropped without an answer, it tells the caller so.
-#[derive(Debug)]
-pub struct Replier<C: Command> {
-    /// What the request came in, and the answer goes back in.
-    letter: Option<Box<Letter>>,
-    command: std::marker::PhantomData<fn() -> C>,
-}
-
-impl<C: Command> Replier<C> {
-    #[inline]
-    fn new(letter: Option<Box<Letter>>) -> Self {
-        Self {
-            letter,
-            command: std::marker::PhantomData,
-        }
-    }
-
-    /// Answers with the reply. `Ok` so that it can end a handler; a one-way message needs no answer
-    /// and gets none.
-    ///
-    /// # Errors
-    /// Never.
-    #[inline]
-    pub fn ok(self, reply: C::Reply) -> crate::task::Handled {
-        if let Some(mut letter) = self.letter {
-            letter.write(Data::of(reply));
-            letter.go_home();
-        }
-        Ok(())
-    }
-
-    /// Refuses: the caller gets [`Fault::Refused`] with `text`.
-    ///
-    /// # Errors
-    /// Never.
-    pub fn fail(self, text: impl fmt::Display) -> crate::task::Handled {
-        if let Some(slot) = self.letter.and_then(|mut letter| letter.reply.take()) {
-            slot.answer(Err(Fault::Refused {
-                text: text.to_string(),
-            }));
-        }
-        Ok(())
-    }
-
-    /// Whether the caller no longer waits (its deadline passed, or it is gone).
-    #[must_use]
-    pub fn is_abandoned(&self) -> bool {
-        let slot = self
-            .letter
-            .as_ref()
-            .and_then(|letter| letter.reply.as_ref());
-        slot.is_some_and(ReplySlot::is_abandoned)
     }
 }
 

@@ -6,19 +6,15 @@
 //! ([`Processor::run`]); in virtual time the simulation polls all processors from one thread through
 //! the small steps that `run` is made of.
 //!
-//! What stays on the processor needs no atomics and no lock: queues of its tasks, calls that its tasks
-//! wait for, futures that are ready. The clock is read once after each poll; that moment counts as the
-//! beginning of whatever comes next.
+//! What stays on the processor needs no lock: queues of its tasks, calls that its tasks wait for, futures that
+//! are ready. The clock is read after each handler and after each poll; that moment counts as the beginning of
+//! whatever comes next.
 
 mod alarm;
 mod calls;
-mod courtesy;
 mod futures;
 mod handle;
-mod handover;
-mod queues;
-mod routes;
-mod stopwatch;
+mod yielding;
 
 use std::{
     any::Any,
@@ -29,23 +25,20 @@ use std::{
     time::Duration,
 };
 
+use crossbeam_channel::Receiver;
+
 use self::{
     alarm::Timed,
-    courtesy::Courtesy,
     futures::{Futures, WakerOf},
     handle::Item,
-    handover::Handovers,
-    queues::Queues,
-    routes::Routes,
-    stopwatch::Stopwatch,
+    yielding::Yielding,
 };
 use crate::{
     call::ReplySlot,
     context::Beside,
-    exchange::{CallKey, Calls},
+    exchange::Calls,
     link::lookout::Glance,
     mailbox::TaskQueue,
-    message::Letter,
     sync::Schedule,
     time::{Clock, Instant},
     timers::Timers,
@@ -54,51 +47,35 @@ use crate::{
 pub(crate) use self::{
     futures::{FutureId, LocalWake},
     handle::ProcessorHandle,
-    handover::Turn,
 };
 
 /// One processor, seen from its own thread.
 pub(crate) struct Processor {
     pub(crate) handle: Arc<ProcessorHandle>,
+    /// What other threads bring, in the order in which they brought it.
+    inbox: Receiver<Item>,
     clock: Clock,
     /// The moment at which the runtime last took over from the code of tasks, or woke up.
     recent: Cell<Instant>,
     /// Whether no code of tasks has run since then.
     fresh: Cell<bool>,
-    /// How rarely it looks at the clock while the code of its tasks is brief.
-    stopwatch: Stopwatch,
-    handovers: Handovers,
-    courtesy: Courtesy,
+    yielding: Yielding,
     futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
     current: Cell<Option<(FutureId, WakerOf)>>,
     timers: RefCell<Timers<Timed>>,
     calls: RefCell<Calls>,
-    /// Calls of the present poll, whose time runs from its end.
-    begun: RefCell<Vec<CallKey>>,
-    /// Slots of calls that were made lately: they have no timers, and nobody sees them who wants to know
-    /// what their tasks wait for.
-    young: RefCell<Vec<u32>>,
-    /// When these are looked after at the latest, if nothing leads to it before.
-    young_until: Cell<Instant>,
-    queues: Queues,
-    /// Tasks of the other processors of the chassis that messages went to.
-    routes: Routes,
-    batch: RefCell<Vec<Item>>,
-    /// Names of its tasks, by slot, as those beside them called them.
-    names: RefCell<Vec<Option<Arc<str>>>>,
+    /// The queues of its tasks, by slot.
+    queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
     /// Its synchronous functions.
     pub(crate) schedule: Schedule,
     /// What its tasks show each other.
     pub(crate) beside: Beside,
-    /// The next trace ids of its tasks, and where they end.
-    traces: Cell<(u64, u64)>,
+    /// The message whose handler is at work; 0: none is.
     handling: Cell<u64>,
     next_serial: Cell<u64>,
     /// Rights to answer that handlers at work have dropped.
     orphans: RefCell<Vec<ReplySlot>>,
-    /// How many tasks were started here.
-    starts: Cell<u32>,
 }
 
 thread_local! {
@@ -119,143 +96,53 @@ impl Processor {
         schedule: Schedule,
     ) -> Rc<Self> {
         Rc::new(Self {
+            inbox: handle.take_outlet(),
             handle,
             recent: Cell::new(clock.now()),
             fresh: Cell::new(false),
-            stopwatch: Stopwatch::new(clock.origin_ns().is_some()),
             clock,
-            handovers: Handovers::default(),
-            courtesy: Courtesy::default(),
+            yielding: Yielding::default(),
             futures: RefCell::default(),
             current: Cell::new(None),
             timers: RefCell::default(),
             calls: RefCell::default(),
-            begun: RefCell::default(),
-            young: RefCell::default(),
-            young_until: Cell::new(Instant::LAST),
-            queues: Queues::default(),
-            routes: Routes::default(),
-            batch: RefCell::default(),
-            names: RefCell::default(),
+            queues: RefCell::default(),
             schedule,
             beside: Beside::default(),
-            traces: Cell::new((0, 0)),
             handling: Cell::new(0),
             next_serial: Cell::new(1),
             orphans: RefCell::default(),
-            starts: Cell::new(0),
         })
     }
 
     /// The present moment.
-    #[inline]
     pub(crate) fn now(&self) -> Instant {
         self.clock.now()
     }
 
     /// The moment at which the runtime last took over from the code of tasks.
-    #[inline]
     pub(crate) fn recent(&self) -> Instant {
         self.recent.get()
     }
 
-    /// Reads the clock where code of a task has just ended.
-    #[inline]
+    /// Reads the clock where the runtime takes over.
     pub(crate) fn look_at_clock(&self) -> Instant {
-        self.measure();
-        self.recent.get()
-    }
-
-    /// Reads the clock where no code of a task has run since the last look: how long tasks are at work is not to
-    /// be learnt from that.
-    fn look_without_turn(&self) -> Instant {
         let now = self.clock.now();
         self.recent.set(now);
         self.fresh.set(true);
         now
     }
 
-    /// Runs what may take long and is no turn of any task.
-    pub(crate) fn beside_turns(&self, code: impl FnOnce()) {
-        let fresh = self.fresh.get();
-        self.look_at_clock();
-        code();
-        self.look_without_turn();
-        // A task whose turn this is in goes on.
-        self.fresh.set(fresh);
-    }
-
-    /// The present moment by `clock`, which is that of the chassis that this thread belongs to. If the thread
-    /// runs a processor, it has looked at its clock then.
-    #[inline]
-    pub(crate) fn look_here(clock: &Clock) -> Instant {
-        match Self::here() {
-            Some(processor) => processor.look_at_clock(),
-            None => clock.now(),
-        }
-    }
-
-    /// The present moment, in the midst of the code of a task, for what is noted of it. What the runtime begins
-    /// before that code goes on ([`Self::leave`]) begins then. None by a virtual clock, which need not be that of
-    /// the record.
-    #[inline]
-    pub(crate) fn look_within(&self) -> Option<Instant> {
-        self.stopwatch.is_real().then(|| self.look_at_clock())
-    }
-
-    /// The moment of the last look, for what is noted of something that was over by then. None by a virtual clock.
-    #[inline]
-    pub(crate) fn seen_at(&self) -> Option<Instant> {
-        self.stopwatch.is_real().then(|| self.recent.get())
-    }
-
-    /// Looks at the clock; what the last of the turns since the look before took, ns.
-    #[inline]
-    fn measure(&self) -> u64 {
-        let now = self.clock.now();
-        let took = self.stopwatch.looked(now.since(self.recent.get()));
-        self.recent.set(now);
-        self.fresh.set(true);
-        took
-    }
-
     /// The moment at which code of a task has ended: that of the last look, if none has run since.
-    #[inline]
-    fn moment(&self) -> Instant {
-        if self.is_exact() {
+    pub(crate) fn moment(&self) -> Instant {
+        if self.fresh.get() {
             self.recent.get()
         } else {
             self.look_at_clock()
         }
     }
 
-    /// Whether the last look at the clock was at this moment.
-    #[inline]
-    fn is_exact(&self) -> bool {
-        self.fresh.get() && !self.stopwatch.is_behind()
-    }
-
-    /// How long a handler took that began at `began` and has just ended, ns: looked up if it must be
-    /// `exact`, else perhaps estimated (see [`Stopwatch`]).
-    #[inline]
-    pub(crate) fn time_since(&self, began: Instant, exact: bool) -> u64 {
-        // One that has waited for others began before the last look.
-        let at_once = began == self.recent.get();
-        self.stopwatch.set_exact(exact);
-        if at_once && self.stopwatch.skips() {
-            self.fresh.set(true);
-            return self.stopwatch.estimate();
-        }
-        let took = self.measure();
-        if at_once {
-            return took;
-        }
-        let took = self.recent.get().since(began).as_nanos();
-        u64::try_from(took).unwrap_or(u64::MAX)
-    }
-
     /// Code of a task is about to run: the last look at the clock will be an old one.
-    #[inline]
     pub(crate) fn leave(&self) {
         self.fresh.set(false);
     }
@@ -263,7 +150,6 @@ impl Processor {
     // -- which processor this thread runs ---------------------------------------------------
 
     /// From now on this thread runs code of this processor.
-    #[inline]
     pub(crate) fn enter(self: &Rc<Self>) {
         let before = HERE.with(|here| {
             let mut here = here.borrow_mut();
@@ -277,7 +163,6 @@ impl Processor {
     }
 
     /// The processor of `handle`, if this thread runs it.
-    #[inline]
     pub(crate) fn here_if(handle: &Arc<ProcessorHandle>) -> Option<Rc<Self>> {
         let here = HERE.try_with(|here| {
             let here = here.borrow();
@@ -289,27 +174,8 @@ impl Processor {
 
     /// [`Self::here_if`], unless something is on the way to it from other threads, which comes before what is to be
     /// given to it now: of two messages of one sender, the first may have been read from their link by another thread.
-    #[inline]
     pub(crate) fn at_hand(handle: &Arc<ProcessorHandle>) -> Option<Rc<Self>> {
-        Self::here_if(handle).filter(|here| !here.handle.inbox.is_filled())
-    }
-
-    /// Gives the answer to a call of the processor that this thread runs, if nobody has looked at the call. The
-    /// letter, when it is to be given in the usual way.
-    #[inline]
-    pub(crate) fn answer_here(letter: Box<Letter>) -> Option<Box<Letter>> {
-        let mut left = Some(letter);
-        // It fails where the thread ends.
-        let _ = HERE.try_with(|here| {
-            if let Ok(here) = here.try_borrow()
-                && let Some(here) = here.as_ref()
-                && let Ok(mut calls) = here.calls.try_borrow_mut()
-                && let Some(letter) = left.take()
-            {
-                left = calls.answer_unseen(&here.handle, letter).err();
-            }
-        });
-        left
+        Self::here_if(handle).filter(|here| here.inbox.is_empty())
     }
 
     /// The processor that this thread runs.
@@ -319,71 +185,57 @@ impl Processor {
 
     // -- queues of tasks --------------------------------------------------------------------
 
-    /// A task is about to be started. Where many are, memory for the next ones is asked for together: the
-    /// allocator of a thread may go to the system for each page (that of glibc does), which takes about as long
-    /// as starting the tasks that are in it.
-    pub(crate) fn prepare_start(&self) {
-        prepare(&self.starts, 512);
+    /// Makes the queue of the task in `slot` known.
+    pub(crate) fn add_queue(&self, slot: u16, queue: Rc<TaskQueue>) {
+        let mut queues = self.queues.borrow_mut();
+        let slot = usize::from(slot);
+        if queues.len() <= slot {
+            queues.resize_with(slot + 1, || None);
+        }
+        if let Some(place) = queues.get_mut(slot) {
+            *place = Some(queue);
+        }
     }
 
-    /// A trace id that no other message of the run has; `more` gives the first of as many new ones.
-    #[inline]
-    pub(crate) fn fresh_trace(&self, more: impl FnOnce(u64) -> u64) -> u64 {
-        /// So many at once, so that the processors of a chassis rarely meet at its counter.
-        const BLOCK: u64 = 256;
-        let (mut next, mut end) = self.traces.get();
-        if next == end {
-            next = more(BLOCK);
-            end = next + BLOCK;
+    /// The queue of the task in `slot`.
+    pub(crate) fn queue(&self, slot: u16) -> Option<Rc<TaskQueue>> {
+        self.queues.borrow().get(usize::from(slot))?.clone()
+    }
+
+    /// Forgets the queue of the task in `slot` and refuses what is in it.
+    pub(crate) fn close_queue(&self, slot: u16) {
+        let mut queues = self.queues.borrow_mut();
+        let queue = queues.get_mut(usize::from(slot)).and_then(Option::take);
+        drop(queues);
+        if let Some(queue) = queue {
+            queue.close(self);
         }
-        self.traces.set((next + 1, end));
-        next
     }
 
     // -- what others bring ------------------------------------------------------------------
 
-    /// Takes in what other threads brought. True when there was something.
+    /// Takes in what other threads have brought by now. True when there was something.
     pub(crate) fn run_jobs(self: &Rc<Self>) -> bool {
-        if !self.handle.inbox.is_filled() {
+        let count = self.inbox.len();
+        if count == 0 {
             return false;
         }
         self.enter();
-        let mut batch = std::mem::take(&mut *self.batch.borrow_mut());
-        self.handle.inbox.swap(&mut batch);
-        let any = !batch.is_empty();
-        // Whoever sends much sends it to the same task.
-        let mut last: Option<(u16, Rc<TaskQueue>)> = None;
-        for item in batch.drain(..) {
-            let Item::Message(slot, delivery) = item else {
-                end_batch(last.take());
-                self.take_in(item);
-                continue;
-            };
-            if last.as_ref().is_none_or(|(of, _)| *of != slot) {
-                end_batch(last.take());
-                last = self.queue(slot).map(|queue| (slot, queue));
-            }
-            match &last {
-                Some((_, queue)) => queue.take_in(self, delivery),
-                None => delivery.refuse(),
-            }
+        // What is noted of it is later than its sending.
+        self.look_at_clock();
+        for item in self.inbox.try_iter().take(count) {
+            self.take_in(item);
         }
-        end_batch(last);
-        *self.batch.borrow_mut() = batch;
-        any
+        true
     }
 
     fn take_in(self: &Rc<Self>, item: Item) {
         match item {
             Item::Message(slot, delivery) => match self.queue(slot) {
-                Some(queue) => {
-                    queue.take_in(self, delivery);
-                    queue.end_batch();
-                }
+                Some(queue) => queue.take_in(self, delivery),
                 None => delivery.refuse(),
             },
-            Item::Answer(ticket, answer) => self.take_answer(ticket, answer),
-            Item::AnswerByKey(key, answer) => self.take_answer_by_key(key, answer),
+            Item::Answer(key, answer) => self.take_answer(key, answer),
             Item::Wake(id) => {
                 if let Some(entry) = self.futures.borrow_mut().entry(id)
                     && let Some(shared) = &entry.shared
@@ -442,31 +294,33 @@ impl Processor {
     /// Waits for something to do: awake for a while if so told, then asleep.
     fn wait(&self) {
         let now = self.moment();
-        self.start_begun(now);
-        if self.spin(now) || self.give_way(now) {
+        if self.spin(now) || self.yield_core(now) {
             return;
         }
-        self.settle_calls();
         let (tick, deadline) = (self.schedule.wake_at(), self.wake_at());
         // The clock was looked at above, or when it last looked for work.
         let now = self.recent.get();
-        if deadline.is_some_and(|deadline| deadline <= now) || !self.handle.inbox.sleep() {
+        let is_due = deadline.is_some_and(|deadline| deadline <= now);
+        if is_due || !self.falls_asleep() {
             return;
         }
-        self.leave();
         self.handle.parker.park(now, deadline);
+        self.handle.asleep.up();
         if self.ready_count() > 0 {
             // What it read at the links was for tasks of its own.
             self.handle.parker.had_work();
         }
-        // What came over a link has led to a look already.
-        if !self.is_exact() {
-            self.look_without_turn();
-        }
-        let now = self.recent.get();
+        let now = self.look_at_clock();
         if let Some(tick) = tick {
             self.schedule.woke(tick, now);
         }
+    }
+
+    /// Announces that it sleeps now, if there is nothing to do.
+    fn falls_asleep(&self) -> bool {
+        let handle = &self.handle;
+        let has_work = || !self.inbox.is_empty() || handle.stop.load(Ordering::Acquire);
+        handle.asleep.fall(has_work)
     }
 
     /// Looks for work without sleeping, as long as the processor was told to: at what other threads brought,
@@ -481,20 +335,19 @@ impl Processor {
         }
         let until = since + spin;
         let deadline = self.wake_at().unwrap_or(Instant::LAST);
-        let deadline = deadline.min(self.young_until.get());
         let handle = &self.handle;
         // What comes over a link may be for others, and a future of this processor is ready when it is not.
         let brings = |glance: Glance| handle.parker.glance(glance) && self.ready_count() > 0;
         loop {
             for _ in 0..LOOKS {
-                if handle.inbox.is_filled() || brings(Glance::AtMemory) {
-                    self.look_without_turn();
+                if !self.inbox.is_empty() || brings(Glance::AtMemory) {
+                    self.look_at_clock();
                     return true;
                 }
                 std::hint::spin_loop();
             }
             let brought = brings(Glance::Everywhere);
-            let now = self.look_without_turn();
+            let now = self.look_at_clock();
             if brought || deadline <= now {
                 return true;
             }
@@ -507,55 +360,33 @@ impl Processor {
     /// Drops every future, so that what they own is released and answered, and takes nothing more.
     pub(crate) fn clear(self: &Rc<Self>) {
         self.enter();
-        let brought = self.handle.inbox.close();
-        for item in brought {
-            match item {
-                // What waits for room or an answer is told; the rest only goes.
-                Item::Message(_, delivery) => delivery.refuse(),
-                item => drop_contained(item),
-            }
-        }
         loop {
+            for item in self.inbox.try_iter() {
+                match item {
+                    // What waits for a credit or an answer is told; the rest only goes.
+                    Item::Message(_, delivery) => delivery.refuse(),
+                    item => drop_contained(item),
+                }
+            }
             let futures = std::mem::take(&mut *self.futures.borrow_mut());
             let cyclics = self.schedule.clear();
-            let queues = self.queues.clear();
+            let queues = std::mem::take(&mut *self.queues.borrow_mut());
             let timers = self.timers.borrow_mut().clear();
-            if futures.entries.is_empty() && !cyclics && queues.is_none() {
+            if futures.entries.is_empty() && !cyclics && queues.is_empty() {
                 break;
             }
             for entry in futures.entries {
                 drop_contained(entry);
             }
             for queue in queues.into_iter().flatten() {
-                drop_contained(queue.take_resting());
                 queue.close(self);
             }
             drop_contained(timers);
         }
-        self.routes.clear();
         self.beside.clear();
         let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
         // Outside the borrow, as in `enter`.
         drop(here);
-    }
-}
-
-/// One more is made of what `made` counts. At every `together`th, memory for as many is asked for.
-fn prepare(made: &Cell<u32>, together: u32) {
-    /// What they take in all, bytes: less than what an allocator makes a mapping of its own for, which would be
-    /// gone when it is given back.
-    const MEMORY: usize = 112 << 10;
-    made.set(made.get().wrapping_add(1));
-    if made.get().is_multiple_of(together) {
-        // What is given back is kept by the allocator.
-        drop(std::hint::black_box(Vec::<u8>::with_capacity(MEMORY)));
-    }
-}
-
-/// The last of some messages for one queue has been taken in.
-fn end_batch(queue: Option<(u16, Rc<TaskQueue>)>) {
-    if let Some((_, queue)) = queue {
-        queue.end_batch();
     }
 }
 

@@ -109,12 +109,6 @@ impl Recent {
         kept.notes.iter().cloned().collect()
     }
 
-    /// Whether somebody has looked.
-    #[inline]
-    pub(crate) fn is_kept(&self) -> bool {
-        self.0.get().is_some()
-    }
-
     /// The handler is called with a message of `from`.
     #[inline]
     pub(crate) fn began(&self, from: Tid, command: u16, began: Instant) {

@@ -15,10 +15,9 @@ use std::{
 use crate::{
     call::{Fault, lock},
     chassis::{Chassis, Inbound, Outbound},
-    exchange::{Brought, CallKey, Ticket},
-    message::{Data, Letter},
-    processor::Processor,
-    time::Instant,
+    exchange::{CallKey, Ticket},
+    message::Data,
+    processor::{Processor, ProcessorHandle},
 };
 
 /// What comes back.
@@ -123,7 +122,7 @@ enum ReplyTo {
 impl ReplyTo {
     fn answer(self, answer: Answer) {
         match self {
-            Self::Local(ticket) => ticket.answer(answer.into()),
+            Self::Local(ticket) => ticket.answer(answer),
             Self::Outside(promise) => promise.fulfil(answer),
             Self::Remote(chassis, request) => chassis.post_reply(&request, answer),
         }
@@ -147,7 +146,7 @@ impl ReplySlot {
         }
     }
 
-    pub(crate) fn local(promise: Arc<Promise>) -> Self {
+    pub(crate) fn outside(promise: Arc<Promise>) -> Self {
         Self {
             to: Some(ReplyTo::Outside(promise)),
             serial: 0,
@@ -161,8 +160,7 @@ impl ReplySlot {
         }
     }
 
-    /// Gives the answer. This is the one place that every answer to a message passes on its way out.
-    #[inline]
+    /// Gives the answer. Every answer to a message passes here on its way out.
     pub(crate) fn answer(mut self, answer: Answer) {
         if let Some(to) = self.to.take() {
             to.answer(answer);
@@ -170,17 +168,8 @@ impl ReplySlot {
     }
 
     /// Whether nobody waits for the answer any more.
-    #[inline]
     pub(crate) fn is_abandoned(&self) -> bool {
         match &self.to {
-            Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
-            to => Self::is_abandoned_elsewhere(to.as_ref()),
-        }
-    }
-
-    #[inline(never)]
-    fn is_abandoned_elsewhere(to: Option<&ReplyTo>) -> bool {
-        match to {
             Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
             Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
             Some(ReplyTo::Remote(_, request)) => request.is_abandoned(),
@@ -198,78 +187,17 @@ impl ReplySlot {
         self.serial
     }
 
-    /// When the caller gives up, if it is a task of the processor that this thread runs.
-    pub(crate) fn deadline_here(&self) -> Option<Instant> {
-        let ticket = self.ticket()?;
-        Processor::here_if(ticket.home())?.call_deadline(ticket.key())
-    }
-
-    /// The right to answer a call of this chassis, if it is one.
-    #[inline]
-    fn ticket(&self) -> Option<&Ticket> {
-        match &self.to {
-            Some(ReplyTo::Local(ticket)) => Some(ticket),
-            _ => None,
-        }
-    }
-
-    /// [`Self::key`] of a call of this chassis: its processor, and which it is.
-    #[inline]
-    pub(crate) fn local_key(&self) -> Option<(u8, CallKey)> {
-        let ticket = self.ticket()?;
-        Some((ticket.processor(), ticket.key()))
-    }
-
     /// What is enough to answer in place of whoever has the slot.
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
-            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.processor(), ticket.key()),
+            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.home().clone(), ticket.key()),
             ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
             ReplyTo::Remote(_, request) => ReplyKey::Remote(request.clone()),
         })
     }
 }
 
-impl Letter {
-    /// Goes back, with the answer as its data, to whoever waits for it. What goes to a call of this
-    /// chassis is not moved: so it passes here and not [`ReplySlot::answer`].
-    #[inline]
-    pub(crate) fn go_home(self: Box<Self>) {
-        if let Some(letter) = Processor::answer_here(self) {
-            letter.go_far_home();
-        }
-    }
-
-    /// [`Self::go_home`] where that takes more than to be laid down.
-    #[inline(never)]
-    fn go_far_home(mut self: Box<Self>) {
-        match self.take_reply().and_then(|mut slot| slot.to.take()) {
-            Some(ReplyTo::Local(ticket)) => ticket.answer(Brought::Data(self)),
-            Some(to) => to.answer(Ok(self.open().0)),
-            None => {}
-        }
-    }
-
-    /// The right to answer the call of this chassis that the letter came with, if it came with one.
-    #[inline(always)]
-    pub(crate) fn ticket(&self) -> Option<&Ticket> {
-        self.reply.as_ref()?.ticket()
-    }
-
-    /// Takes out what [`Self::ticket`] is.
-    #[inline(always)]
-    pub(crate) fn take_ticket(&mut self) -> Option<Ticket> {
-        // Another right stays where it is.
-        self.ticket()?;
-        match self.take_reply().and_then(|mut slot| slot.to.take()) {
-            Some(ReplyTo::Local(ticket)) => Some(ticket),
-            _ => None,
-        }
-    }
-}
-
 impl Drop for ReplySlot {
-    #[inline]
     fn drop(&mut self) {
         if let Some(to) = self.to.take() {
             drop_unanswered(Self {
@@ -301,7 +229,7 @@ impl fmt::Debug for ReplySlot {
 /// has that right, and may have passed it on.
 pub(crate) enum ReplyKey {
     /// To a call of a processor of this chassis.
-    Local(u8, CallKey),
+    Local(Arc<ProcessorHandle>, CallKey),
     /// To somebody in this process who is no task.
     Outside(Arc<Promise>),
     /// Over a link.
@@ -313,20 +241,23 @@ mod tests {
     use std::{rc::Rc, task::Context as PollContext, time::Duration};
 
     use super::*;
-    use crate::{exchange::Looked, time::Clock};
+    use crate::{
+        exchange::Looked,
+        time::{Clock, Instant},
+    };
 
     fn call() -> (Rc<Processor>, ReplySlot, CallKey) {
         let processor = Processor::new(Arc::default(), Clock::virtual_clock());
         processor.enter();
-        let ticket = processor.begin_call(Duration::from_secs(1));
+        let ticket = processor.begin_call(Instant::START, Duration::from_secs(1));
         let key = ticket.key();
         (processor, ReplySlot::call(ticket), key)
     }
 
     fn answer(processor: &Processor, key: CallKey) -> Option<Answer> {
-        match processor.poll_call(key, &mut None, &PollContext::from_waker(Waker::noop())) {
-            Looked::Ended(answer) => Some(answer.into()),
-            Looked::Waiting | Looked::Long(_) | Looked::Late(..) => None,
+        match processor.poll_call(key, &PollContext::from_waker(Waker::noop())) {
+            Looked::Ended(answer) => Some(answer),
+            Looked::Waiting | Looked::Long | Looked::Late(..) => None,
         }
     }
 
@@ -337,15 +268,15 @@ mod tests {
         let first = answer(&processor, key).unwrap().unwrap();
         assert_eq!(first.take::<u8>().unwrap(), 1);
         // The next call uses the same slot.
-        let next = processor.begin_call(Duration::from_secs(1));
-        processor.take_answer_by_key(key, Ok(Data::of(2_u8)).into());
+        let next = processor.begin_call(Instant::START, Duration::from_secs(1));
+        processor.take_answer(key, Ok(Data::of(2_u8)));
         assert!(answer(&processor, next.key()).is_none());
     }
 
     #[test]
     fn the_first_answer_counts() {
         let (processor, slot, key) = call();
-        processor.take_answer_by_key(key, Ok(Data::of(1_u8)).into());
+        processor.take_answer(key, Ok(Data::of(1_u8)));
         slot.answer(Ok(Data::of(2_u8)));
         let first = answer(&processor, key).unwrap().unwrap();
         assert_eq!(first.take::<u8>().unwrap(), 1);
@@ -384,7 +315,7 @@ mod tests {
         assert!(!slot.is_abandoned());
         processor.give_up_call(key);
         assert!(slot.is_abandoned());
-        let next = processor.begin_call(Duration::from_secs(1));
+        let next = processor.begin_call(Instant::START, Duration::from_secs(1));
         assert!(slot.is_abandoned());
         slot.answer(Ok(Data::of(1_u8)));
         assert!(answer(&processor, next.key()).is_none());

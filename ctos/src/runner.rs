@@ -2,23 +2,18 @@
 //! builds the handler anew as `supervise.rs` rules.
 
 mod incarnation;
-mod resting;
 mod serving;
 
-use std::{future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
+use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
 
 use futures_util::{FutureExt, future::LocalBoxFuture};
 
-use self::serving::AtHand;
-pub(crate) use self::{
-    resting::{Built, Resting},
-    serving::{Served, Serving},
-};
+pub(crate) use self::serving::{Served, Serving};
 use crate::{
     call::Fault,
     chassis::{Chassis, TaskRecord},
     config::TaskConfig,
-    context::{Context, Inner, TaskRef},
+    context::{Context, TaskRef},
     mailbox::{Mailbox, TaskQueue},
     message::{Command, Message, SYSTEM_COMMANDS, Tid},
     moving::{self, Arrival, Departed},
@@ -119,34 +114,49 @@ pub(crate) fn start_at(
     spec: TaskSpec,
     origin: Origin,
 ) -> Result<(), HandlerError> {
-    processor.prepare_start();
     let cx = Context::new(spec.record, chassis.clone(), processor.clone(), spec.config);
     let handler = build_contained(&cx)?;
-    let (tid, inner) = (cx.tid(), cx.inner);
-    let resting = match origin {
-        Origin::Boot => match Inner::blank(inner) {
-            Ok(Inner { record, config, .. }) => {
-                processor.add_built(chassis, tid, Built { config, handler });
-                chassis.add_built(record);
-                return Ok(());
-            }
-            Err(inner) => Resting::new(inner, handler, None),
-        },
-        Origin::StartedBy(parent) => Resting::new(inner, handler, Some(parent)),
-        Origin::Moved(arrival) => {
+    let record = cx.inner.record.clone();
+    let (mut parent, mut arrival) = (None, None);
+    let queue = match origin {
+        Origin::Boot => TaskQueue::open(record.clone()),
+        Origin::StartedBy(by) => {
+            parent = Some(by);
+            TaskQueue::open(record.clone())
+        }
+        Origin::Moved(from) => {
+            arrival = Some(Box::new(from));
             let gates = chassis.others().chain([chassis.index()]).collect();
-            let queue = TaskQueue::gated(inner.record.clone(), gates);
-            processor.add_queue(tid.slot(), queue.clone());
-            chassis.add_built(inner.record.clone());
-            let resting = Resting::new(inner, handler, None);
-            queue.set_runner(resting.begin(&queue, Some(Box::new(arrival))));
-            return Ok(());
+            TaskQueue::gated(record.clone(), gates)
         }
     };
-    let queue = resting.wait();
-    let record = queue.task().clone();
-    processor.add_queue(tid.slot(), queue);
-    chassis.add_built(record);
+    processor.add_queue(record.tid.slot(), queue.clone());
+    chassis.add_built(record.clone());
+    let runner = Box::new(Runner {
+        serving: Rc::new(Serving {
+            cx: cx.clone(),
+            activity: record.statistics.activity().clone(),
+            record: record.clone(),
+            queue: queue.clone(),
+            stopped: Cell::new(false),
+        }),
+        cx: cx.clone(),
+        record,
+        queue: queue.clone(),
+        handler: Some(handler),
+        restarts: None,
+        state: State::Running,
+        kept: None,
+        phase: None,
+        parent,
+    });
+    // Panics of the handler are caught where it is called. What is left is its destructor.
+    let on_panic = move |text: String| {
+        cx.fail(&format!("it panicked while it ended: {text}"));
+        cx.cancel_children();
+        cx.chassis().remove_task(cx.tid());
+    };
+    queue.set_runner(processor.spawn(runner.run(arrival), Some(Rc::new(on_panic))));
     Ok(())
 }
 
@@ -171,14 +181,12 @@ impl Runner {
         let serving = self.serving.clone();
         let mut next = None;
         while lives {
-            if next.is_none() && serving.poll_next(&mut next).is_pending() {
-                if self.may_rest() && self.rest() {
-                    return;
-                }
-                next = serving.next().await;
-            }
-            let Some(message) = next.take() else {
-                break;
+            let message = match next.take() {
+                Some(message) => message,
+                None => match serving.next().await {
+                    Some(message) => message,
+                    None => break,
+                },
             };
             let of_tasks = message.command() < SYSTEM_COMMANDS;
             let then = match self.handler.as_deref_mut() {
@@ -262,15 +270,14 @@ impl Runner {
         }
         let serving = self.serving.clone();
         let mut message = message;
-        let at_hand = AtHand::default();
-        serving.begin(&at_hand, &mut message);
+        let at_hand = serving.begin(&mut message);
         let cx = self.cx.within(message.trace());
         let interruptible = !interrupts(message.command());
         let ended = {
             let mut handling = pin!(Some(self.call(&cx, message)));
             poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll)).await
         };
-        match serving.end(&at_hand, ended) {
+        match serving.end(at_hand, ended) {
             Some(text) => {
                 let why = format!("its handler panicked: {text}");
                 self.supervise(Ending::Failure, why).await

@@ -126,9 +126,9 @@ impl TaskStatistics {
         self.activity.get().map(|activity| &activity.waits)
     }
 
-    /// The turn that the handler has on its processor at this moment, if it has one.
-    pub(crate) fn turn(&self) -> Option<u64> {
-        self.activity.get()?.meter.turn()
+    /// The poll of the handler that is under way, if one is.
+    pub(crate) fn poll(&self) -> Option<u64> {
+        self.activity.get()?.meter.poll()
     }
 
     /// Messages by command, and how many took at most the bound of each bucket, and longer than all.
@@ -150,9 +150,9 @@ impl Activity {
             .store(now.as_nanos().saturating_add(1), Ordering::Release);
     }
 
-    /// The handler has returned, after `took` nanoseconds.
-    #[inline]
-    pub(crate) fn end(&self, ok: bool, took: u64) {
+    /// The handler has returned, after `took`.
+    pub(crate) fn end(&self, ok: bool, took: Duration) {
+        let took = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         self.began_ns.store(0, Ordering::Release);
         add(&self.busy_ns, took);
         if took > self.longest_ns.load(Ordering::Relaxed) {
@@ -220,9 +220,9 @@ mod tests {
         activity.entered(Phase::Run, Instant::START);
         activity.begin(7, Instant::START);
         assert_eq!(statistics.read().began, Some(Instant::START));
-        activity.end(true, 30);
+        activity.end(true, Duration::from_nanos(30));
         activity.begin(8, Instant::from_nanos(40));
-        activity.end(false, 10);
+        activity.end(false, Duration::from_nanos(10));
         let counters = statistics.read();
         assert_eq!(
             counters,

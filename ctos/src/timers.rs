@@ -1,181 +1,60 @@
-//! The timers of one processor: a heap in which every timer knows its place, so that one that is no
-//! longer wanted is taken out at once. It knows neither clock nor wakers.
+//! The timers of one processor, in the order in which they are due. It knows neither clock nor wakers.
+
+use std::collections::BTreeMap;
 
 use crate::time::Instant;
 
-/// Timers that each carry a `T`. First the earliest; of one moment, the one that was set first.
+/// Timers, each with a value; those of the same moment in the order in which they were set.
 pub(crate) struct Timers<T> {
-    heap: Vec<Node<T>>,
-    /// Where in the heap the timer of a key stands, or the next free entry.
-    places: Vec<u32>,
-    /// The first free entry of `places`; [`NONE`] when there is none.
-    free: u32,
+    by_moment: BTreeMap<TimerKey, T>,
     next: u64,
 }
 
-const NONE: u32 = u32::MAX;
-
-struct Node<T> {
-    at: Instant,
-    number: u64,
-    place: u32,
-    value: T,
-}
-
-impl<T> Node<T> {
-    fn order(&self) -> (Instant, u64) {
-        (self.at, self.number)
-    }
-}
-
-/// Takes a timer out again. Worth nothing once the timer is out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Names one timer among all that were ever set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct TimerKey {
-    place: u32,
+    at: Instant,
     number: u64,
 }
 
 impl<T> Default for Timers<T> {
     fn default() -> Self {
         Self {
-            heap: Vec::new(),
-            places: Vec::new(),
-            free: NONE,
+            by_moment: BTreeMap::new(),
             next: 0,
         }
     }
 }
 
 impl<T> Timers<T> {
-    /// The moment of the first timer.
-    #[inline]
+    /// When the first timer is due.
     pub(crate) fn first(&self) -> Option<Instant> {
-        self.heap.first().map(|node| node.at)
+        self.by_moment.first_key_value().map(|(key, _)| key.at)
     }
 
     /// Sets a timer.
     pub(crate) fn insert(&mut self, at: Instant, value: T) -> TimerKey {
         let number = self.next;
         self.next += 1;
-        let position = self.heap.len();
-        let place = self.take_place(position);
-        self.heap.push(Node {
-            at,
-            number,
-            place,
-            value,
-        });
-        self.rise(position);
-        TimerKey { place, number }
+        let key = TimerKey { at, number };
+        self.by_moment.insert(key, value);
+        key
     }
 
-    /// Takes a timer out before its time; `None` when it is out already.
+    /// Takes a timer out; none if it was due before.
     pub(crate) fn remove(&mut self, key: TimerKey) -> Option<T> {
-        let position = *self.places.get(key.place as usize)? as usize;
-        let node = self.heap.get(position)?;
-        // A free entry holds no position, and another timer may have the place by now.
-        if node.place != key.place || node.number != key.number {
-            return None;
-        }
-        self.take_out(position)
+        self.by_moment.remove(&key)
     }
 
-    /// Takes out the first timer if it is due.
+    /// Takes out the first timer that is due at `now`.
     pub(crate) fn pop_due(&mut self, now: Instant) -> Option<T> {
-        if self.first()? > now {
-            return None;
-        }
-        self.take_out(0)
+        let first = self.by_moment.first_entry()?;
+        (first.key().at <= now).then(|| first.remove())
     }
 
-    /// Takes out all timers.
+    /// Takes out all.
     pub(crate) fn clear(&mut self) -> Vec<T> {
-        self.places.clear();
-        self.free = NONE;
-        let heap = std::mem::take(&mut self.heap);
-        heap.into_iter().map(|node| node.value).collect()
-    }
-
-    fn take_place(&mut self, position: usize) -> u32 {
-        // Below 2^32 timers at once, by far: each has a future that waits.
-        let position = position as u32;
-        match self.places.get_mut(self.free as usize) {
-            Some(entry) => {
-                let place = self.free;
-                self.free = *entry;
-                *entry = position;
-                place
-            }
-            None => {
-                self.places.push(position);
-                (self.places.len() - 1) as u32
-            }
-        }
-    }
-
-    fn take_out(&mut self, position: usize) -> Option<T> {
-        if position >= self.heap.len() {
-            return None;
-        }
-        let node = self.heap.swap_remove(position);
-        if let Some(entry) = self.places.get_mut(node.place as usize) {
-            *entry = self.free;
-            self.free = node.place;
-        }
-        if position < self.heap.len() {
-            self.note(position);
-            let position = self.rise(position);
-            self.sink(position);
-        }
-        Some(node.value)
-    }
-
-    /// Writes down where the timer at `position` stands.
-    fn note(&mut self, position: usize) {
-        if let Some(node) = self.heap.get(position)
-            && let Some(entry) = self.places.get_mut(node.place as usize)
-        {
-            *entry = position as u32;
-        }
-    }
-
-    fn is_before(&self, one: usize, other: usize) -> bool {
-        match (self.heap.get(one), self.heap.get(other)) {
-            (Some(one), Some(other)) => one.order() < other.order(),
-            _ => false,
-        }
-    }
-
-    fn rise(&mut self, mut position: usize) -> usize {
-        while position > 0 {
-            let parent = (position - 1) / 2;
-            if !self.is_before(position, parent) {
-                break;
-            }
-            self.heap.swap(position, parent);
-            self.note(position);
-            self.note(parent);
-            position = parent;
-        }
-        position
-    }
-
-    fn sink(&mut self, mut position: usize) {
-        loop {
-            let (left, right) = (2 * position + 1, 2 * position + 2);
-            let child = if self.is_before(right, left) {
-                right
-            } else {
-                left
-            };
-            if !self.is_before(child, position) {
-                break;
-            }
-            self.heap.swap(position, child);
-            self.note(position);
-            self.note(child);
-            position = child;
-        }
+        std::mem::take(&mut self.by_moment).into_values().collect()
     }
 }
 

@@ -14,10 +14,10 @@ use super::{Chassis, WaitFor};
 use crate::{
     blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
+    envelope::Envelope,
     link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
-    mailbox::{Acceptance, Offered},
+    mailbox::Acceptance,
     message::{Data, Flags, Header, Message},
-    processor::Processor,
     system,
     time::Instant,
 };
@@ -121,14 +121,12 @@ impl Chassis {
         }
     }
 
-    /// Sends a message to another chassis; `reply` is told what `wait` names. `now` is the present moment, where
-    /// that is known. This is the one place that every message to another chassis passes on its way out.
+    /// Sends a message to another chassis; `reply` is told what `wait` names.
     pub(super) fn post(
         &self,
         message: Message,
         wait: WaitFor,
         reply: Option<ReplySlot>,
-        now: Option<Instant>,
     ) -> Option<Outbound> {
         let failed = |reply: Option<ReplySlot>, fault| {
             if let Some(reply) = reply {
@@ -136,20 +134,24 @@ impl Chassis {
             }
             None
         };
-        let flag = match wait {
-            WaitFor::Reply => Flags::REPLY_WAIT,
-            WaitFor::Acceptance => Flags::ACCEPT_WAIT,
-        };
-        let (mut header, trace, deadline) =
-            (*message.header(), message.trace(), message.deadline());
-        let (data, _) = message.letter.open();
+        let Envelope {
+            mut header,
+            trace,
+            deadline,
+            data,
+            ..
+        } = *message.envelope;
+        let peer = header.to.chassis();
+        if wait == WaitFor::Nothing {
+            let chassis = self.name_of(peer).to_owned();
+            return failed(reply, Fault::Elsewhere { chassis });
+        }
         let body = match body_of(data) {
             Ok(body) => body,
             Err(fault) => return failed(reply, fault),
         };
-        header.flags = header.flags.with(flag).with(Flags::OWNED);
+        header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
         header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
-        let peer = header.to.chassis();
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
             drop(links);
@@ -168,7 +170,7 @@ impl Chassis {
             header,
             call,
             trace,
-            left_ns: self.left_ns(deadline, now),
+            left_ns: self.left_ns(deadline),
             body,
         });
         if let Err(Full { bytes }) = posted {
@@ -180,10 +182,9 @@ impl Chassis {
     }
 
     /// How long it is until `deadline`, for the wire.
-    fn left_ns(&self, deadline: Option<Instant>, now: Option<Instant>) -> u64 {
+    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
         deadline.map_or(NO_DEADLINE, |deadline| {
-            let now = now.unwrap_or_else(|| self.clock.now());
-            let left = deadline.since(now).as_nanos();
+            let left = deadline.since(self.clock.now()).as_nanos();
             u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
         })
     }
@@ -233,8 +234,7 @@ impl Chassis {
         });
     }
 
-    /// Takes a frame that came from chassis `peer` at `now`; the processor that this thread runs, if any, has
-    /// looked at its clock then.
+    /// Takes a frame that came from chassis `peer` at `now`.
     pub(crate) fn receive(self: &Arc<Self>, peer: u8, frame: Frame, now: Instant) {
         let Frame {
             header,
@@ -286,26 +286,10 @@ impl Chassis {
         let mut message = Message::with_data(header.to, header.from, header.command, data)
             .in_trace(trace)
             .until(deadline);
-        message.letter.header = header;
-        message.letter.recorded = recorded;
-        message.letter.reply = reply;
-        self.hand_in(message, acceptance);
-    }
-
-    /// Puts a message from another chassis into the queue of its task.
-    fn hand_in(&self, mut message: Message, acceptance: Acceptance) {
-        let to = message.header().to;
-        // Read by the processor of the task itself, it is put in without a detour, if there is room.
-        if let Some((_, home)) = self.processors.get(usize::from(to.processor()))
-            && let Some(here) = Processor::at_hand(home)
-            && let Some(queue) = here.queue(to.slot())
-        {
-            match queue.offer(&here, message) {
-                Offered::Taken => return acceptance.tell(Ok(())),
-                Offered::NoRoom(refused) | Offered::Closed(refused) => message = refused,
-            }
-        }
-        match self.task(to) {
+        message.envelope.header = header;
+        message.envelope.recorded = recorded;
+        message.envelope.reply = reply;
+        match self.task(header.to) {
             Some(task) => task.mailbox.put(message, acceptance),
             None => {
                 message.refuse(Fault::UnknownTask);

@@ -2,13 +2,12 @@
 //! they are dropped.
 
 use std::{
-    cell::RefCell,
     future::{Future, IntoFuture},
     marker::PhantomData,
     pin::Pin,
     rc::Rc,
     sync::Arc,
-    task::{Context as PollContext, Poll},
+    task::{Context as PollContext, Poll, Waker, ready},
     time::Duration,
 };
 
@@ -16,35 +15,39 @@ use futures_util::future::LocalBoxFuture;
 
 use super::{Context, Inner, TaskRef};
 use crate::{
-    call::{CallError, Fault},
-    chassis::{Called, CalledBeside, Outbound, Question, Sent},
+    call::{CallError, Fault, ReplySlot},
+    chassis::{Outbound, WaitFor},
     circle,
-    exchange::{Brought, CallKey, Looked},
-    message::{Command, Data, Flags, Letter, Message, PayloadError, Tid},
+    exchange::{CallKey, Looked},
+    message::{Command, Data, Flags, Message, PayloadError},
     record::Asked,
-    time::Instant,
 };
 
 /// A call that has not been made yet; `.await` makes it.
 #[must_use = "a call is made when it is awaited"]
 pub struct Call<C: Command> {
-    pub(super) asker: Rc<Inner>,
-    pub(super) message: Message,
-    pub(super) command: PhantomData<fn(C) -> C::Reply>,
+    ask: Ask,
+    command: PhantomData<fn(C) -> C::Reply>,
 }
 
 impl<C: Command> Call<C> {
+    pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
+        let deadline = asker.call_deadline();
+        Self {
+            ask: Ask::new(asker, to, C::NAME, message, WaitFor::Reply, deadline),
+            command: PhantomData,
+        }
+    }
+
     /// Waits at most this long for the reply.
-    #[inline]
     pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.message.letter.limit = deadline;
+        self.ask.deadline = deadline;
         self
     }
 
     /// Overtakes messages of normal priority in the receiver's queue.
     pub fn high_priority(mut self) -> Self {
-        let flags = self.message.header().flags.with(Flags::HIGH_PRIORITY);
-        self.message = self.message.flagged(flags);
+        self.ask.hurry();
         self
     }
 }
@@ -53,10 +56,9 @@ impl<C: Command> IntoFuture for Call<C> {
     type Output = Result<C::Reply, CallError>;
     type IntoFuture = Calling<C>;
 
-    #[inline]
     fn into_future(self) -> Calling<C> {
         Calling {
-            ask: Ask::new(self.asker, self.message),
+            ask: self.ask,
             command: PhantomData,
         }
     }
@@ -74,54 +76,39 @@ impl<C: Command> Unpin for Calling<C> {}
 impl<C: Command> Future for Calling<C> {
     type Output = Result<C::Reply, CallError>;
 
-    #[inline]
-    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let Self { ask, .. } = self.get_mut();
-        match ask.begin(C::NAME) {
-            // One arm for each end: what is passed on in one piece is moved, however little of it there is.
-            Ok(Some(letter)) => match letter.take::<C::Reply>() {
-                Ok(reply) => Poll::Ready(Ok(reply)),
-                Err(error) => Poll::Ready(Err(ask.misread(C::NAME, &error))),
-            },
-            Ok(None) => Self::look(ask, poll),
-            Err(error) => Poll::Ready(Err(*error)),
-        }
-    }
-}
-
-impl<C: Command> Calling<C> {
-    /// Looks for the answer.
-    #[inline(never)]
-    fn look(ask: &mut Ask, poll: &mut PollContext<'_>) -> Poll<<Self as Future>::Output> {
-        let mut reply = None;
-        let mut open = |letter: Box<Letter>| {
-            let taken = letter.take::<C::Reply>();
-            reply = Some(taken.map_err(|error| bad_reply(&error))?);
-            Ok(())
-        };
-        let ended = std::task::ready!(ask.poll(poll, C::NAME, &mut open));
-        ended.map_err(|error| *error)?;
-        // It was opened, or there would be an error.
-        reply.map_or(Poll::Pending, |reply| Poll::Ready(Ok(reply)))
+    fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
+        let ask = &mut self.get_mut().ask;
+        let data = ready!(ask.poll(cx))?;
+        let reply = data.take::<C::Reply>();
+        Poll::Ready(reply.map_err(|error| ask.misread(&error)))
     }
 }
 
 /// A one-way message that has not been sent yet; `.await` sends it.
 #[must_use = "a message is sent when it is awaited"]
 pub struct Send<C: Command> {
-    pub(super) call: Call<C>,
+    ask: Ask,
+    command: PhantomData<fn(C)>,
 }
 
 impl<C: Command> Send<C> {
-    /// Waits at most this long for room in the receiver's queue.
+    pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
+        let deadline = asker.call_deadline();
+        Self {
+            ask: Ask::new(asker, to, C::NAME, message, WaitFor::Acceptance, deadline),
+            command: PhantomData,
+        }
+    }
+
+    /// Waits at most this long for a place in the receiver's queue.
     pub fn deadline(mut self, deadline: Duration) -> Self {
-        self.call.message.letter.limit = deadline;
+        self.ask.deadline = deadline;
         self
     }
 
     /// Overtakes messages of normal priority in the receiver's queue.
     pub fn high_priority(mut self) -> Self {
-        self.call = self.call.high_priority();
+        self.ask.hurry();
         self
     }
 }
@@ -132,7 +119,7 @@ impl<C: Command> IntoFuture for Send<C> {
 
     fn into_future(self) -> Sending<C> {
         Sending {
-            ask: Ask::new(self.call.asker, self.call.message),
+            ask: self.ask,
             command: PhantomData,
         }
     }
@@ -150,111 +137,26 @@ impl<C: Command> Unpin for Sending<C> {}
 impl<C: Command> Future for Sending<C> {
     type Output = Result<(), CallError>;
 
-    fn poll(self: Pin<&mut Self>, poll: &mut PollContext<'_>) -> Poll<Self::Output> {
-        let Self { ask, .. } = self.get_mut();
-        let ended = match ask.begin_send(C::NAME) {
-            Poll::Ready(ended) => Poll::Ready(ended),
-            Poll::Pending => ask.poll(poll, C::NAME, &mut |letter| {
-                letter.open();
-                Ok(())
-            }),
-        };
-        ended.map_err(|error| *error)
+    fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
+        let ask = &mut self.get_mut().ask;
+        ready!(ask.poll(cx))?;
+        Poll::Ready(Ok(()))
     }
 }
 
-/// Who asked whom for what. Kept with the call, so that it can be shown while it waits.
-pub(crate) struct Note {
-    asker: Rc<Inner>,
-    /// The asked task: as its caller names it, and its id; see [`Inner::name_to_keep`].
-    to: Option<Arc<str>>,
-    named: Tid,
-    command: &'static str,
-    asked: Asked,
-    /// The message's number in the record.
-    recorded: u64,
-    /// Where it is shown.
-    place: Option<usize>,
-}
-
-impl Inner {
-    /// The name of a task that is about to be asked, for the error that may come, unless the processor knows
-    /// it: those of tasks of its chassis it keeps, so that a call needs no share of the name.
-    #[inline(always)]
-    pub(super) fn name_to_keep(&self, to: &TaskRef) -> Option<Arc<str>> {
-        if self.record.tid.is_beside(to.tid) && self.processor.knows_name(to.tid.slot(), &to.name) {
-            None
-        } else {
-            self.far_name_to_keep(to)
-        }
-    }
-
-    #[inline(never)]
-    fn far_name_to_keep(&self, to: &TaskRef) -> Option<Arc<str>> {
-        let (own, tid) = (self.record.tid, to.tid);
-        let known = own.chassis() == tid.chassis()
-            && !own.is_beside(tid)
-            && self.processor.knows_far_name(tid, &to.name);
-        if known { None } else { Some(to.name.clone()) }
-    }
-
-    /// The name of a task that was asked.
-    #[cold]
-    fn name_of(&self, kept: Option<&Arc<str>>, asked: Tid) -> Arc<str> {
-        let known = || {
-            if self.record.tid.processor() == asked.processor() {
-                self.processor.known_name(asked.slot())
-            } else {
-                self.processor.far_name(asked)
-            }
-        };
-        // One or the other is there.
-        kept.cloned().or_else(known).unwrap_or_else(|| "".into())
-    }
-}
-
-impl Note {
-    /// The asked task.
-    pub(crate) fn to(&self) -> Tid {
-        self.asked.to()
-    }
-
-    /// Shows the call to whoever wants to know what its task waits for.
-    pub(crate) fn show(&mut self, since: Instant) {
-        if self.place.is_none() {
-            let waits = &self.asker.record.statistics.activity().waits;
-            let to = self.asker.name_of(self.to.as_ref(), self.named);
-            self.place = Some(waits.begin(to, self.asked.to(), self.command, since));
-        }
-    }
-}
-
-impl Drop for Note {
-    #[inline]
-    fn drop(&mut self) {
-        if let Some(place) = self.place {
-            self.asker.record.statistics.activity().waits.end(place);
-        }
-    }
-}
-
-/// Waits for an answer; dropped before, it takes the question back.
+/// Who asks whom for what, from before the message is sent until there is an answer; dropped in between, it takes
+/// the question back.
 pub(super) struct Ask {
     asker: Rc<Inner>,
-    /// Whom it asks.
-    named: Tid,
+    /// The asked task, as its caller names it.
+    to: Arc<str>,
+    command: &'static str,
+    wait: WaitFor,
+    pub(super) deadline: Duration,
     /// The message, until it is sent.
     message: Option<Message>,
-    /// The question, from then until there is an answer.
+    /// The question, from then on.
     waits: Option<Waits>,
-    /// Whether it has been looked for in vain.
-    waited: bool,
-}
-
-/// The search for a circle of tasks that wait for one another; see `circle.rs`.
-enum Circle {
-    LookedFor(LocalBoxFuture<'static, Option<String>>),
-    Found(Option<String>),
 }
 
 /// A question under way.
@@ -262,351 +164,196 @@ struct Waits {
     key: CallKey,
     /// The way to take it back when it went over a link.
     outbound: Option<Outbound>,
-    /// Set once it has waited long. Shared with nobody: but what ends a shared value is no part of the code that
-    /// ends each call.
-    circle: Option<Rc<RefCell<Circle>>>,
+    asked: Asked,
+    /// The message's number in the record.
+    recorded: u64,
+    /// Where it is shown, once it has been looked for in vain.
+    shown: Option<usize>,
+    circle: Circle,
 }
 
-impl Waits {
-    fn new(key: CallKey, outbound: Option<Outbound>) -> Self {
-        Self {
-            key,
-            outbound,
-            circle: None,
-        }
-    }
-}
-
-impl Circle {
-    /// Goes on with the search.
-    fn poll(&mut self, cx: &mut PollContext<'_>) {
-        if let Self::LookedFor(looking) = self
-            && let Poll::Ready(found) = looking.as_mut().poll(cx)
-        {
-            *self = Self::Found(found);
-        }
-    }
+/// The search for a circle of tasks that wait for one another; see `circle.rs`.
+enum Circle {
+    NotLookedFor,
+    LookedFor(LocalBoxFuture<'static, Option<String>>),
+    Found(Option<String>),
 }
 
 impl Ask {
-    /// Will send this.
-    #[inline]
-    pub(super) fn new(asker: Rc<Inner>, message: Message) -> Self {
+    /// Will send `message` to `to` and wait for what `wait` names.
+    pub(super) fn new(
+        asker: Rc<Inner>,
+        to: &TaskRef,
+        command: &'static str,
+        message: Message,
+        wait: WaitFor,
+        deadline: Duration,
+    ) -> Self {
         Self {
             asker,
-            named: Tid::default(),
+            to: to.name.clone(),
+            command,
+            wait,
+            deadline,
             message: Some(message),
             waits: None,
-            waited: false,
         }
     }
 
-    /// Makes the call, if that has not been done yet. The answer, if it is there at once.
-    ///
-    /// # Errors
-    /// When there is no time at all for it.
-    pub(super) fn begin(
-        &mut self,
-        command: &'static str,
-    ) -> Result<Option<Box<Letter>>, Box<CallError>> {
-        let Some(message) = self.message.take() else {
-            return Ok(None);
-        };
-        let limit = message.letter.limit;
-        // Otherwise the processor does not know the name, or there is no time.
-        if message.letter.to.is_some() || limit.is_zero() {
-            return self.begin_in_turn(command, message);
+    fn hurry(&mut self) {
+        if let Some(message) = &mut self.message {
+            let header = &mut message.envelope.header;
+            header.flags = header.flags.with(Flags::HIGH_PRIORITY);
         }
-        self.named = message.header().to;
-        let asker = &*self.asker;
-        let meter = &asker.record.statistics.activity().meter;
-        let (chassis, processor) = (&asker.chassis, &asker.processor);
-        match chassis.call_beside(processor, message, limit, meter) {
-            CalledBeside::Answered(letter) => Ok(Some(letter)),
-            CalledBeside::Begun(key, asked) => {
-                self.wait(command, key, asked);
-                Ok(None)
+    }
+
+    /// Sends the message, if that has not been done yet, and looks for the answer.
+    pub(super) fn poll(&mut self, cx: &mut PollContext<'_>) -> Poll<Result<Data, CallError>> {
+        if let Some(message) = self.message.take() {
+            if self.deadline.is_zero() {
+                let after = self.deadline;
+                return Poll::Ready(Err(self.error(Fault::Deadline { after })));
             }
-            CalledBeside::Unmade(message) => self.begin_in_turn(command, message),
+            self.begin(message);
         }
-    }
-
-    /// The call has been begun with, and waits.
-    #[inline(never)]
-    fn wait(&mut self, command: &'static str, key: CallKey, asked: Asked) {
-        let Self { asker, named, .. } = self;
-        let processor = &asker.processor;
-        processor.note_call(key, true, || Note {
-            asker: asker.clone(),
-            to: None,
-            named: *named,
-            command,
-            asked,
-            recorded: 0,
-            place: None,
-        });
-        processor.time_call(key);
-        processor.leave();
-        self.waits = Some(Waits::new(key, None));
-    }
-
-    /// [`Self::begin`] when it takes more than a turn of a task beside.
-    #[inline(never)]
-    fn begin_in_turn(
-        &mut self,
-        command: &'static str,
-        mut message: Message,
-    ) -> Result<Option<Box<Letter>>, Box<CallError>> {
-        let asker = &self.asker;
-        let to = message.letter.take_to();
-        let (named, limit) = (message.header().to, message.letter.limit);
-        if limit == Duration::ZERO {
-            let fault = Fault::Deadline { after: limit };
-            let name = asker.name_of(to.as_ref(), named);
-            return Err(Box::new(call_error(asker, &name, command, fault)));
-        }
-        // The processor knows the name.
-        let spared = to.is_none();
-        let note = |asked, recorded| Note {
-            asker: asker.clone(),
-            to,
-            named,
-            command,
-            asked,
-            recorded,
-            place: None,
-        };
-        let meter = &asker.record.statistics.activity().meter;
-        let called = asker
-            .chassis
-            .call(&asker.processor, message, limit, meter, spared, note);
-        self.named = named;
-        match called {
-            Called::Answered(letter) => Ok(Some(letter)),
-            Called::Waits(key, outbound) => {
-                self.waits = Some(Waits::new(key, outbound));
-                Ok(None)
-            }
-        }
-    }
-
-    /// What came of opening an answer that was there at once.
-    ///
-    /// # Errors
-    /// What was wrong with it.
-    pub(super) fn opened(
-        &self,
-        command: &'static str,
-        opened: Result<(), Fault>,
-    ) -> Result<(), Box<CallError>> {
-        opened.map_err(|fault| {
-            let to = self.asker.name_of(None, self.named);
-            Box::new(call_error(&self.asker, &to, command, fault))
-        })
-    }
-
-    /// The error of an answer that was there at once and is not what it should be.
-    #[cold]
-    fn misread(&self, command: &'static str, error: &PayloadError) -> CallError {
-        let to = self.asker.name_of(None, self.named);
-        call_error(&self.asker, &to, command, bad_reply(error))
-    }
-
-    /// Sends the message, if that has not been done yet. Pending when its end is still to come.
-    fn begin_send(&mut self, command: &'static str) -> Poll<Result<(), Box<CallError>>> {
-        let Some(mut message) = self.message.take() else {
-            return Poll::Pending;
-        };
-        let asker = &self.asker;
-        let to = message.letter.take_to();
-        let (named, limit) = (message.header().to, message.letter.limit);
-        match asker.chassis.send(&asker.processor, message, limit) {
-            Sent::Ended(Ok(())) => Poll::Ready(Ok(())),
-            Sent::Ended(Err(fault)) => {
-                let name = asker.name_of(to.as_ref(), named);
-                let error = call_error(asker, &name, command, fault);
-                Poll::Ready(Err(Box::new(error)))
-            }
-            Sent::Waits(question) => {
-                let Question {
-                    key,
-                    outbound,
-                    recorded,
-                    asked,
-                } = question;
-                asker.processor.note_call(key, false, || Note {
-                    asker: asker.clone(),
-                    to,
-                    named,
-                    command,
-                    asked,
-                    recorded,
-                    place: None,
-                });
-                self.waits = Some(Waits::new(key, outbound));
-                Poll::Pending
-            }
-        }
-    }
-
-    /// Looks for the answer to `command`; `open` is given it, if there is one, and says what is wrong
-    /// with it.
-    pub(super) fn poll(
-        &mut self,
-        poll: &mut PollContext<'_>,
-        command: &'static str,
-        open: &mut dyn FnMut(Box<Letter>) -> Result<(), Fault>,
-    ) -> Poll<Result<(), Box<CallError>>> {
         let Some(waits) = &mut self.waits else {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
-        let mut note = None;
-        let fault = match self.asker.processor.poll_call(waits.key, &mut note, poll) {
-            Looked::Ended(Brought::Data(letter)) => {
-                if let Some(note) = &note {
-                    self.tell(note, Ok(&letter.data));
-                }
-                self.waits = None;
-                match open(letter) {
-                    Ok(()) => return Poll::Ready(Ok(())),
-                    Err(fault) => fault,
-                }
-            }
+        match self.asker.processor.poll_call(waits.key, cx) {
             Looked::Waiting => {
-                self.waited = true;
-                if let Some(circle) = &waits.circle {
-                    circle.borrow_mut().poll(poll);
+                if let Circle::LookedFor(looking) = &mut waits.circle
+                    && let Poll::Ready(found) = looking.as_mut().poll(cx)
+                {
+                    waits.circle = Circle::Found(found);
                 }
-                return Poll::Pending;
+                self.show();
+                Poll::Pending
             }
-            Looked::Long(to) => {
-                self.waited = true;
-                self.look_for_circle(to, poll);
-                return Poll::Pending;
+            Looked::Long => {
+                self.look_for_circle(cx);
+                Poll::Pending
             }
-            Looked::Ended(Brought::Fault(fault)) => self.failed(note.as_ref(), *fault),
-            Looked::Late(after) => self.late(note.as_ref(), after),
-        };
-        let to = match &note {
-            Some(note) => self.asker.name_of(note.to.as_ref(), note.named),
-            None => self.asker.name_of(None, self.named),
-        };
-        let error = call_error(&self.asker, &to, command, fault);
-        Poll::Ready(Err(Box::new(error)))
+            Looked::Ended(answer) => Poll::Ready(self.end(answer)),
+            Looked::Late(after) => Poll::Ready(self.late(after)),
+        }
     }
 
-    /// Tells whoever records what came of it.
-    #[inline]
-    fn tell(&self, note: &Note, answer: Result<&Data, &Fault>) {
+    fn begin(&mut self, message: Message) {
         let Inner {
             chassis, processor, ..
         } = &*self.asker;
-        let Note {
-            asked, recorded, ..
-        } = note;
-        if !chassis.tap.is_on() {
-            return;
-        }
-        // An answer of the same processor was there before the last look.
-        let to = asked.to();
-        let beside = to.chassis() == chassis.index() && chassis.is_on(to, processor);
-        let at = if answer.is_ok() && beside {
-            processor.seen_at()
-        } else {
-            let now = processor.look_within();
-            processor.leave();
-            now
-        };
-        if self.waited {
-            chassis.tap.answered(*recorded, asked, at, answer);
-        } else {
-            chassis.tap.answered_at_once(*recorded, asked, at, answer);
+        let now = processor.now();
+        let ticket = processor.begin_call(now, self.deadline);
+        let key = ticket.key();
+        let waits = self.wait != WaitFor::Nothing;
+        let message = message.until(waits.then(|| now + self.deadline));
+        let delivered = chassis.deliver(message, self.wait, Some(ReplySlot::call(ticket)));
+        self.waits = Some(Waits {
+            key,
+            outbound: delivered.outbound,
+            asked: delivered.asked,
+            recorded: delivered.recorded,
+            shown: None,
+            circle: Circle::NotLookedFor,
+        });
+    }
+
+    /// Sends the message now, or not at all.
+    ///
+    /// # Errors
+    /// Why it was not taken.
+    pub(super) fn at_once(mut self) -> Result<(), CallError> {
+        match self.poll(&mut PollContext::from_waker(Waker::noop())) {
+            Poll::Ready(ended) => ended.map(drop),
+            // A message that nobody waits for is taken or refused at once.
+            Poll::Pending => Err(self.error(Fault::NoReply)),
         }
     }
 
-    #[cold]
-    fn look_for_circle(&mut self, to: Tid, poll: &mut PollContext<'_>) {
-        let cx = Context {
-            inner: self.asker.clone(),
-            trace: 0,
-        };
-        let mut circle = Circle::LookedFor(Box::pin(circle::look(cx, to)));
-        circle.poll(poll);
+    /// Shows the call to whoever wants to know what its task waits for.
+    fn show(&mut self) {
+        if let Some(waits) = &mut self.waits
+            && waits.shown.is_none()
+        {
+            let shown = &self.asker.record.statistics.activity().waits;
+            let since = self.asker.processor.recent();
+            let to = self.to.clone();
+            waits.shown = Some(shown.begin(to, waits.asked.to(), self.command, since));
+        }
+    }
+
+    fn look_for_circle(&mut self, poll: &mut PollContext<'_>) {
         if let Some(waits) = &mut self.waits {
-            waits.circle = Some(Rc::new(RefCell::new(circle)));
+            let cx = Context::of(self.asker.clone());
+            let mut looking: LocalBoxFuture<'_, _> = Box::pin(circle::look(cx, waits.asked.to()));
+            waits.circle = match looking.as_mut().poll(poll) {
+                Poll::Ready(found) => Circle::Found(found),
+                Poll::Pending => Circle::LookedFor(looking),
+            };
         }
     }
 
-    #[cold]
-    fn late(&mut self, note: Option<&Note>, after: Duration) -> Fault {
-        let circle = self.waits.as_mut().and_then(|waits| waits.circle.take());
-        let found = match circle.map(|circle| circle.replace(Circle::Found(None))) {
-            Some(Circle::Found(found)) => found,
-            _ => None,
-        };
-        let fault = match found {
-            Some(circle) => Fault::Circle { after, circle },
-            None => Fault::Deadline { after },
-        };
-        self.failed(note, fault)
+    /// The question is over: there is nothing to take back.
+    fn end(&mut self, answer: Result<Data, Fault>) -> Result<Data, CallError> {
+        if let Some(waits) = self.waits.take() {
+            self.unshow(&waits);
+            let tap = &self.asker.chassis.tap;
+            let at_once = waits.shown.is_none();
+            if self.wait != WaitFor::Nothing || answer.is_err() {
+                tap.answered(waits.recorded, &waits.asked, at_once, answer.as_ref());
+            }
+        }
+        answer.map_err(|fault| self.error(fault))
     }
 
-    /// Nobody waits for the answer any more.
-    #[cold]
-    fn give_up(&mut self) {
+    fn late(&mut self, after: Duration) -> Result<Data, CallError> {
+        let mut fault = Fault::Deadline { after };
+        if let Some(waits) = &mut self.waits {
+            let circle = std::mem::replace(&mut waits.circle, Circle::NotLookedFor);
+            if let Circle::Found(Some(circle)) = circle {
+                fault = Fault::Circle { after, circle };
+            }
+            if let Some(outbound) = waits.outbound.take() {
+                self.asker.chassis.abandon(outbound);
+            }
+        }
+        self.end(Err(fault))
+    }
+
+    fn unshow(&self, waits: &Waits) {
+        if let Some(place) = waits.shown {
+            self.asker.record.statistics.activity().waits.end(place);
+        }
+    }
+
+    pub(super) fn misread(&self, error: &PayloadError) -> CallError {
+        let text = format!("its reply: {error}");
+        self.error(Fault::BadPayload { text })
+    }
+
+    fn error(&self, fault: Fault) -> CallError {
+        let error = CallError {
+            from: self.asker.record.name.to_string(),
+            to: self.to.to_string(),
+            command: self.command.to_owned(),
+            fault,
+        };
+        if error.is_gone() {
+            self.asker.chassis.directory.forget(&self.to);
+        }
+        error
+    }
+}
+
+impl Drop for Ask {
+    fn drop(&mut self) {
         if let Some(waits) = self.waits.take() {
+            self.unshow(&waits);
             self.asker.processor.give_up_call(waits.key);
             if let Some(outbound) = waits.outbound {
                 self.asker.chassis.abandon(outbound);
             }
-        }
-    }
-
-    /// It came to nothing.
-    #[cold]
-    fn failed(&mut self, note: Option<&Note>, fault: Fault) -> Fault {
-        let waits = self.waits.take();
-        if let Some(note) = note {
-            self.tell(note, Err(&fault));
-        }
-        if let Some(waits) = waits
-            && let Some(outbound) = waits.outbound
-            && matches!(fault, Fault::Deadline { .. } | Fault::Circle { .. })
-        {
-            self.asker.chassis.abandon(outbound);
-        }
-        fault
-    }
-}
-
-#[cold]
-fn bad_reply(error: &PayloadError) -> Fault {
-    Fault::BadPayload {
-        text: format!("its reply: {error}"),
-    }
-}
-
-/// The error that `fault` makes of a call.
-#[cold]
-fn call_error(asker: &Inner, to: &str, command: &str, fault: Fault) -> CallError {
-    let error = CallError {
-        from: asker.record.name.to_string(),
-        to: to.to_owned(),
-        command: command.to_owned(),
-        fault,
-    };
-    if error.is_gone() {
-        asker.chassis.directory.forget(to);
-    }
-    error
-}
-
-impl Drop for Ask {
-    #[inline]
-    fn drop(&mut self) {
-        if self.waits.is_some() {
-            self.give_up();
         }
     }
 }

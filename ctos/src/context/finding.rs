@@ -177,7 +177,7 @@ impl Context {
         Find {
             cx: self,
             name,
-            limit: self.inner.limit(),
+            limit: self.inner.call_deadline(),
             asking: None,
         }
     }

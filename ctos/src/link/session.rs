@@ -43,7 +43,6 @@ use self::{
 use crate::{
     call::lock,
     link::{Counts, Frame, injure::Injury},
-    processor::Processor,
     time::{Clock, Instant},
 };
 
@@ -422,7 +421,7 @@ impl Session {
     /// The present moment. If this thread runs a processor, which slept at the links, the moment is the
     /// processor's from now on as well.
     pub(crate) fn now(&self) -> Instant {
-        Processor::look_here(&self.clock)
+        self.clock.now()
     }
 
     /// Something came over `stream` that is no whole packet yet.

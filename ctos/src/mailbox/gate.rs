@@ -4,7 +4,6 @@
 use std::{
     collections::{BTreeSet, VecDeque},
     future::poll_fn,
-    rc::Rc,
     task::Poll,
 };
 
@@ -62,22 +61,20 @@ impl TaskQueue {
         let is_news = |message: &Message| message.command() == Broke::CODE;
         let (news, kept): (VecDeque<_>, VecDeque<_>) = queue.into_iter().partition(is_news);
         lanes.urgent.queue = kept;
-        self.recount(&lanes);
+        self.count_interruptions(&lanes);
         drop(lanes);
+        self.task.mailbox.credits(true).give(news.len());
         drop(news);
-        // The room they had is for those who wait.
+        // The credits they had are for those who wait.
         self.admit();
     }
 
-    /// The lanes were changed otherwise than by putting in or taking out one message.
-    fn recount(&self, lanes: &Lanes) {
+    /// The urgent lane was changed otherwise than by putting in or taking out one message.
+    fn count_interruptions(&self, lanes: &Lanes) {
         let interrupting = lanes.urgent.queue.iter().map(Message::command);
         let interrupting = interrupting.filter(|command| interrupts(*command));
         self.interruptions
             .set(u32::try_from(interrupting.count()).unwrap_or(u32::MAX));
-        let rooms = self.task.mailbox.rooms();
-        rooms.urgent.set_held(lanes.urgent.queue.len());
-        rooms.normal.set_held(lanes.normal.queue.len());
     }
 
     /// From now on messages of tasks wait and are not taken; those of the runtime are.
@@ -92,32 +89,13 @@ impl TaskQueue {
         lanes.held = false;
         for message in before.into_iter().rev() {
             let (urgent, _) = is_urgent(&message);
+            self.task.mailbox.credits(urgent).take_always();
             lanes.lane(urgent).queue.push_front(message);
         }
-        let mut admitted = Vec::new();
-        let mut given_up = Vec::new();
-        for urgent in [true, false] {
-            let room = self.task.mailbox.room(urgent);
-            let lane = lanes.lane(urgent);
-            while lane.queue.len() < self.task.mailbox.capacity()
-                && let Some((message, acceptance)) = lane.waiting.pop_front()
-            {
-                room.leave_line();
-                if acceptance.is_abandoned() {
-                    given_up.push((message, acceptance));
-                    continue;
-                }
-                lane.queue.push_back(message);
-                admitted.push(acceptance);
-            }
-        }
-        self.recount(&lanes);
+        self.count_interruptions(&lanes);
         drop(lanes);
+        self.admit();
         self.task.mailbox.shut(false);
-        drop(given_up);
-        for acceptance in admitted {
-            acceptance.tell(Ok(()));
-        }
     }
 
     /// Takes out of the queue what tasks sent: the messages that have been accepted.
@@ -127,10 +105,12 @@ impl TaskQueue {
         let urgent = std::mem::take(&mut lanes.urgent.queue);
         let (kept, taken): (VecDeque<_>, VecDeque<_>) = urgent.into_iter().partition(of_runtime);
         lanes.urgent.queue = kept;
-        let mut taken = Vec::from(taken);
-        taken.extend(std::mem::take(&mut lanes.normal.queue));
-        self.recount(&lanes);
-        taken
+        let normal = std::mem::take(&mut lanes.normal.queue);
+        let mailbox = &self.task.mailbox;
+        mailbox.credits(true).give(taken.len());
+        mailbox.credits(false).give(normal.len());
+        self.count_interruptions(&lanes);
+        taken.into_iter().chain(normal).collect()
     }
 
     /// Everything that came while the queue was held: `None` once the queue is closed. For the loop of the
@@ -143,16 +123,17 @@ impl TaskQueue {
             let mut lanes = self.lanes();
             let mut all = Vec::new();
             for urgent in [true, false] {
-                let room = self.task.mailbox.room(urgent);
+                let credits = self.task.mailbox.credits(urgent);
                 let lane = lanes.lane(urgent);
+                credits.give(lane.queue.len());
                 let queued = lane.queue.drain(..);
                 all.extend(queued.map(|message| (message, Acceptance::Silent)));
                 for waiting in lane.waiting.drain(..) {
-                    room.leave_line();
+                    credits.leave_line();
                     all.push(waiting);
                 }
             }
-            self.recount(&lanes);
+            self.count_interruptions(&lanes);
             if all.is_empty() {
                 self.waits_for.set(WaitsFor::Message);
                 return Poll::Pending;
@@ -163,7 +144,7 @@ impl TaskQueue {
     }
 
     /// Does what it is told from elsewhere.
-    pub(crate) fn obey(self: &Rc<Self>, processor: &Processor, order: Order) {
+    pub(crate) fn obey(&self, processor: &Processor, order: Order) {
         match order {
             Order::OpenGate(chassis) => self.open_gate(processor, chassis),
             Order::ForgetGate(chassis) => {
@@ -175,7 +156,8 @@ impl TaskQueue {
         }
     }
 
-    fn open_gate(self: &Rc<Self>, processor: &Processor, chassis: u8) {
+    /// What came from `chassis` waits for credits now. It is bounded: the gate holds no more than may wait.
+    fn open_gate(&self, processor: &Processor, chassis: u8) {
         let mut lanes = self.lanes();
         let Some(gate) = lanes.gate.as_mut() else {
             return;
@@ -185,33 +167,16 @@ impl TaskQueue {
         if all_open {
             lanes.gate = None;
         }
-        let mut admitted = Vec::new();
-        let mut given_up = Vec::new();
         for (message, acceptance) in free {
-            if acceptance.is_abandoned() {
-                given_up.push((message, acceptance));
-                continue;
-            }
             let (urgent, _) = is_urgent(&message);
-            let lane = lanes.lane(urgent);
-            // Those beyond the room wait. They are bounded already: the gate holds no more than may wait.
-            if !lane.is_full(self.task.mailbox.capacity()) {
-                lane.queue.push_back(message);
-                admitted.push(acceptance);
-            } else {
-                self.task.mailbox.room(urgent).join_line();
-                lane.waiting.push_back((message, acceptance));
-            }
+            self.task.mailbox.credits(urgent).join_line();
+            lanes.lane(urgent).waiting.push_back((message, acceptance));
         }
-        self.recount(&lanes);
         let held = lanes.held;
         drop(lanes);
+        self.admit();
         if all_open && !held {
             self.task.mailbox.shut(false);
-        }
-        drop(given_up);
-        for acceptance in admitted {
-            acceptance.tell(Ok(()));
         }
         self.wake_idle(processor);
     }

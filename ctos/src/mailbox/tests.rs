@@ -3,10 +3,8 @@
 use std::{
     cell::Cell,
     future::{Future, poll_fn},
-    pin::Pin,
     rc::Rc,
-    sync::atomic::AtomicU64,
-    task::{Poll, Wake, Waker},
+    task::Poll,
     time::Duration,
 };
 
@@ -14,12 +12,12 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    call::{Answer, Promise, Waiting},
+    call::Answer,
     chassis::TaskRecord,
     exchange::{CallKey, Looked},
     message::{Command, Tid},
     system::StopTask,
-    time::Clock,
+    time::{Clock, Instant},
 };
 
 mod storm;
@@ -55,10 +53,10 @@ struct Waiter {
 impl Waiter {
     fn answer(&self) -> Option<Answer> {
         let cx = std::task::Context::from_waker(std::task::Waker::noop());
-        match self.caller.poll_call(self.key, &mut None, &cx) {
+        match self.caller.poll_call(self.key, &cx) {
             Looked::Waiting => None,
-            Looked::Ended(answer) => Some(answer.into()),
-            Looked::Long(_) | Looked::Late(..) => panic!("no time passes here"),
+            Looked::Ended(answer) => Some(answer),
+            Looked::Long | Looked::Late(..) => panic!("no time passes here"),
         }
     }
 }
@@ -95,7 +93,9 @@ impl Bench {
     }
 
     fn waiting_send(&self, message: Message) -> Waiter {
-        let ticket = self.caller.begin_call(Duration::from_secs(1));
+        let ticket = self
+            .caller
+            .begin_call(Instant::START, Duration::from_secs(1));
         let key = ticket.key();
         let told = Acceptance::Told(ReplySlot::call(ticket));
         self.task.mailbox.put(message, told);
@@ -119,7 +119,7 @@ impl Bench {
         };
         let message = message?;
         self.settle();
-        Some(message.letter.data.take().unwrap())
+        Some(message.envelope.data.take().unwrap())
     }
 
     fn take_all(&self) -> Vec<u32> {
@@ -174,51 +174,6 @@ fn senders_wait_for_room_and_are_told_in_order() {
     }
 }
 
-/// Notes, when it is woken, how many senders are in line.
-struct NotesWaiting {
-    task: Arc<TaskRecord>,
-    waiting: AtomicU64,
-}
-
-impl Wake for NotesWaiting {
-    fn wake(self: Arc<Self>) {
-        let waiting = self.task.mailbox.lengths().waiting;
-        self.waiting.store(waiting, Ordering::SeqCst);
-    }
-}
-
-#[test]
-fn who_is_told_that_there_was_room_finds_nobody_in_line_that_came_with_it() {
-    let bench = Bench::new(4, Senders::Afar);
-    for number in 0..4 {
-        bench.send(message(number, Flags::NONE));
-    }
-    bench.settle();
-    let waiters: Vec<_> = (4..7)
-        .map(|number| {
-            let promise = Arc::new(Promise::default());
-            let told = Acceptance::Told(ReplySlot::local(promise.clone()));
-            bench.task.mailbox.put(message(number, Flags::NONE), told);
-            let notes = Arc::new(NotesWaiting {
-                task: bench.task.clone(),
-                waiting: AtomicU64::new(u64::MAX),
-            });
-            let mut waiting = Waiting::here(promise);
-            let waker = Waker::from(notes.clone());
-            let cx = &mut std::task::Context::from_waker(&waker);
-            assert!(Pin::new(&mut waiting).poll(cx).is_pending());
-            (waiting, notes)
-        })
-        .collect();
-    // What waits comes in where everything before it has been taken.
-    assert!((0..4).all(|_| bench.queue.take().is_some()));
-    bench.settle();
-    for (_, notes) in &waiters {
-        assert_eq!(notes.waiting.load(Ordering::SeqCst), 0);
-    }
-    assert_eq!(bench.take_all(), [4, 5, 6]);
-}
-
 #[test]
 fn more_than_may_wait_is_refused() {
     for senders in BOTH {
@@ -241,7 +196,7 @@ fn messages_of_the_runtime_are_never_refused() {
         let bench = Bench::new(1, senders);
         for number in 0..100 {
             let mut one = message(number, Flags::NONE);
-            one.letter.header.command = SYSTEM_COMMANDS;
+            one.envelope.header.command = SYSTEM_COMMANDS;
             bench.try_send(one).unwrap();
         }
         assert_eq!(bench.take_all(), Vec::from_iter(0..100));
@@ -254,13 +209,15 @@ fn whatever_waits_when_the_task_ends_is_answered() {
         let bench = Bench::new(1, senders);
         bench.send(message(1, Flags::NONE));
         let waiter = bench.waiting_send(message(2, Flags::NONE));
-        let call = bench.caller.begin_call(Duration::from_secs(1));
+        let call = bench
+            .caller
+            .begin_call(Instant::START, Duration::from_secs(1));
         let asked = Waiter {
             caller: bench.caller.clone(),
             key: call.key(),
         };
         let mut question = message(3, Flags::HIGH_PRIORITY);
-        question.letter.reply = Some(ReplySlot::call(call));
+        question.envelope.reply = Some(ReplySlot::call(call));
         bench.send(question);
         bench.task.mailbox.close();
         bench.settle();
@@ -349,86 +306,10 @@ fn a_busy_task_is_woken_by_an_order_to_stop_only() {
         poll_all();
         assert_eq!(polls.get(), 1);
         let mut order = message(3, Flags::HIGH_PRIORITY);
-        order.letter.header.command = StopTask::CODE;
+        order.envelope.header.command = StopTask::CODE;
         bench.send(order);
         poll_all();
         assert_eq!(polls.get(), 2);
-    }
-}
-
-/// A queue of 64 that is full, three senders that wait for room, and handlers that are brief.
-fn full_and_brief(senders: Senders) -> (Bench, [Waiter; 3]) {
-    let bench = Bench::new(64, senders);
-    bench.processor.take_turns_to_be_brief();
-    bench.caller.take_turns_to_be_brief();
-    for number in 0..64 {
-        bench.send(message(number, Flags::NONE));
-    }
-    let waiters = [64, 65, 66].map(|number| bench.waiting_send(message(number, Flags::NONE)));
-    bench.processor.run_jobs();
-    bench.processor.enter();
-    (bench, waiters)
-}
-
-/// How many of them have been told that their messages were taken.
-fn told(bench: &Bench, waiters: &[Waiter; 3]) -> usize {
-    bench.caller.run_jobs();
-    let told = waiters
-        .iter()
-        .filter_map(Waiter::answer)
-        .map(|answer| answer.is_ok());
-    let told = told.filter(|ok| *ok).count();
-    bench.processor.enter();
-    told
-}
-
-#[test]
-fn those_who_wait_for_a_long_queue_of_brief_work_are_let_in_together_and_in_order() {
-    for senders in BOTH {
-        let (bench, waiters) = full_and_brief(senders);
-        for _ in 0..3 {
-            assert!(bench.queue.take().is_some());
-            assert_eq!(told(&bench, &waiters), 0);
-        }
-        // There is room, but nobody overtakes those who wait.
-        bench.caller.enter();
-        let fault = bench.try_send(message(90, Flags::NONE)).unwrap_err();
-        assert_eq!(fault, Fault::Full { capacity: 64 });
-        bench.send(message(67, Flags::NONE));
-        bench.processor.run_jobs();
-        bench.processor.enter();
-        // The fourth place makes a sixteenth.
-        assert!(bench.queue.take().is_some());
-        assert_eq!(told(&bench, &waiters), 3);
-        bench.caller.enter();
-        assert_eq!(bench.take_all(), Vec::from_iter(4..68));
-    }
-}
-
-#[test]
-fn those_who_wait_are_let_in_before_a_handler_that_waits_and_after_a_message_of_the_runtime() {
-    for senders in BOTH {
-        let (bench, waiters) = full_and_brief(senders);
-        assert!(bench.queue.take().is_some());
-        assert_eq!(told(&bench, &waiters), 0);
-        // The handler waits for something else.
-        assert!(bench.queue.interruption().is_none());
-        assert_eq!(told(&bench, &waiters), 1);
-
-        let (bench, waiters) = full_and_brief(senders);
-        assert!(bench.queue.take().is_some());
-        let mut order = message(99, Flags::HIGH_PRIORITY);
-        order.letter.header.command = SYSTEM_COMMANDS;
-        bench.caller.enter();
-        bench.send(order);
-        bench.processor.run_jobs();
-        bench.processor.enter();
-        assert_eq!(told(&bench, &waiters), 0);
-        assert_eq!(
-            bench.queue.take().map(|it| it.command()),
-            Some(SYSTEM_COMMANDS)
-        );
-        assert_eq!(told(&bench, &waiters), 1);
     }
 }
 
@@ -436,17 +317,12 @@ proptest! {
     #[test]
     fn nothing_is_lost_or_reordered_whatever_the_capacity(
         afar: bool,
-        brief: bool,
         capacity in prop_oneof![1_usize..8, 16_usize..40],
         count in 0_u32..128,
         takes in proptest::collection::vec(any::<(bool, bool)>(), 0..128)
     ) {
         let senders = if afar { Senders::Afar } else { Senders::Here };
         let bench = Bench::new(capacity, senders);
-        if brief {
-            bench.processor.take_turns_to_be_brief();
-        bench.caller.take_turns_to_be_brief();
-        }
         let mut accepted = Vec::new();
         let mut received = Vec::new();
         let mut takes = takes.into_iter();
@@ -458,7 +334,7 @@ proptest! {
             }
             // Without settling: what was brought meanwhile is still on its way.
             if takes && let Some(message) = bench.queue.take() {
-                received.push(message.letter.data.take::<u32>().unwrap());
+                received.push(message.envelope.data.take::<u32>().unwrap());
             }
         }
         received.extend(bench.take_all());

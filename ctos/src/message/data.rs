@@ -4,8 +4,6 @@ use std::{any::Any, fmt};
 
 use serde::{Serialize, de::DeserializeOwned};
 
-pub use crate::parcel::Parcel;
-
 use crate::blob::{self, Body};
 
 /// Data that can move as a value and be encoded when it must leave the chassis.
@@ -108,8 +106,8 @@ fn read<T: DeserializeOwned>(body: Body) -> Result<T, PayloadError> {
 
 /// The data of a message: a typed value inside a chassis, bytes from another one.
 pub enum Data {
-    /// A value of the sender's, moved; a small one in place, a large one as a pointer.
-    Typed(Parcel),
+    /// A value of the sender's, moved as a pointer.
+    Typed(Box<dyn Payload>),
     /// Postcard bytes.
     Bytes(Vec<u8>),
     /// Postcard bytes in several pieces, some of which stand where others made them.
@@ -123,15 +121,7 @@ impl Data {
     /// Data that moves `value`.
     #[inline]
     pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
-        Self::Typed(Parcel::new(value))
-    }
-
-    /// Looks at it, and does nothing with it.
-    #[inline]
-    pub(crate) fn glance(&self) {
-        if let Self::Typed(parcel) = self {
-            parcel.glance();
-        }
+        Self::Typed(Box::new(value))
     }
 
     /// The value, moved out or decoded.
@@ -142,46 +132,15 @@ impl Data {
     pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
         let expected = std::any::type_name::<T>();
         match self {
-            Self::Typed(parcel) => parcel.take::<T>().map_err(|_| PayloadError {
-                expected,
-                reason: "the sender passed another type".to_owned(),
-            }),
+            Self::Typed(value) => match (value as Box<dyn Any>).downcast::<T>() {
+                Ok(value) => Ok(*value),
+                Err(_) => Err(PayloadError {
+                    expected,
+                    reason: "the sender passed another type".to_owned(),
+                }),
+            },
             Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
             Self::Parts(body) => read(*body),
-        }
-    }
-
-    /// [`Self::take`] from where the data stands, which spares moving it first. What is left of data that
-    /// was a `T` needs no destructor.
-    ///
-    /// # Errors
-    /// As [`Self::take`].
-    #[inline(always)]
-    pub(crate) fn take_out<T: DeserializeOwned + 'static>(&mut self) -> Result<T, PayloadError> {
-        if let Self::Typed(parcel) = self
-            && let Some(value) = parcel.take_out::<T>()
-        {
-            // A parcel of nothing: there is nothing to drop.
-            std::mem::forget(std::mem::replace(self, Self::NOTHING));
-            return Ok(value);
-        }
-        self.read_out()
-    }
-
-    /// [`Self::take_out`] of what must be read, or is not what was expected.
-    #[inline(never)]
-    fn read_out<T: DeserializeOwned + 'static>(&mut self) -> Result<T, PayloadError> {
-        match self {
-            Self::Typed(_) => Err(PayloadError {
-                expected: std::any::type_name::<T>(),
-                reason: "the sender passed another type".to_owned(),
-            }),
-            Self::Bytes(bytes) => blob::read_from(std::mem::take(bytes), decode::<T>),
-            Self::Parts(body) => {
-                let body = std::mem::take(&mut **body);
-                *self = Self::NOTHING;
-                read(body)
-            }
         }
     }
 
@@ -191,7 +150,7 @@ impl Data {
     /// When a typed value cannot be encoded.
     pub(crate) fn append_to(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
         match self {
-            Self::Typed(parcel) => parcel.payload().encode_into(buffer),
+            Self::Typed(value) => value.encode_into(buffer),
             Self::Bytes(bytes) => {
                 buffer.extend_from_slice(bytes);
                 Ok(())
@@ -209,7 +168,7 @@ impl Data {
     /// When a typed value cannot be encoded.
     pub fn into_bytes(self) -> Result<Vec<u8>, PayloadError> {
         match self {
-            Self::Typed(parcel) => parcel.payload().encode(),
+            Self::Typed(value) => value.encode(),
             Self::Bytes(bytes) => Ok(bytes),
             Self::Parts(body) => Ok(body.into_vec()),
         }
@@ -241,7 +200,7 @@ impl Data {
     /// The bytes that would be put on the wire; the data stays.
     pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
         match self {
-            Self::Typed(parcel) => parcel.payload().encode(),
+            Self::Typed(value) => value.encode(),
             Self::Bytes(bytes) => Ok(bytes.clone()),
             Self::Parts(body) => Ok(body.as_ref().clone().into_vec()),
         }

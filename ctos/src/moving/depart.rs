@@ -200,7 +200,7 @@ impl Drop for Place<'_> {
 
 fn is_given_up(message: &Message) -> bool {
     message
-        .letter
+        .envelope
         .reply
         .as_ref()
         .is_some_and(ReplySlot::is_abandoned)
@@ -208,7 +208,7 @@ fn is_given_up(message: &Message) -> bool {
 
 /// How long the sender of a message waits. What was accepted has to arrive.
 fn wait_of(cx: &Context, message: &Message) -> Duration {
-    match (&message.letter.reply, message.deadline()) {
+    match (&message.envelope.reply, message.deadline()) {
         (Some(_), Some(deadline)) => deadline.since(cx.now()),
         _ => PATIENCE,
     }
@@ -216,7 +216,7 @@ fn wait_of(cx: &Context, message: &Message) -> Duration {
 
 fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
     let body = message
-        .letter
+        .envelope
         .data
         .to_bytes()
         .map_err(|error| Fault::BadPayload {
@@ -230,7 +230,7 @@ fn load_of(cx: &Context, message: &Message) -> Result<Load, Fault> {
         trace: message.trace(),
         left_ns: left.map(|left| u64::try_from(left.as_nanos()).unwrap_or(u64::MAX)),
         body,
-        reply: message.letter.reply.is_some(),
+        reply: message.envelope.reply.is_some(),
     }))
 }
 
@@ -250,7 +250,7 @@ pub(crate) async fn forward(cx: &Context, queue: &TaskQueue, departed: Departed)
     let agent = agent_of(to.chassis());
     for (message, load) in accepted {
         if let Some(load) = load {
-            see_through(cx, message.letter.reply, Acceptance::Silent, load);
+            see_through(cx, message.envelope.reply, Acceptance::Silent, load);
         }
     }
     while let Some(batch) = queue.next_held().await {
@@ -278,7 +278,7 @@ pub(crate) async fn forward(cx: &Context, queue: &TaskQueue, departed: Departed)
 
 /// An order to stop that concerns the new place too; one that stops a chassis ends here.
 fn stop_for(to: Tid, message: Message) -> Option<Message> {
-    let data = message.letter.data.to_bytes().ok();
+    let data = message.envelope.data.to_bytes().ok();
     let order: Option<StopTask> = data.and_then(|bytes| postcard::from_bytes(&bytes).ok());
     if order.is_none_or(|order| order.on.is_none_or(|on| on == to.chassis())) {
         return Some(message);
@@ -300,7 +300,7 @@ async fn send_on(cx: &Context, agent: &TaskRef, to: Tid, message: Message, accep
     };
     let deadline = wait_of(cx, &message);
     let load = begin(cx, agent, to, load, deadline).await;
-    see_through(cx, message.letter.reply, acceptance, load);
+    see_through(cx, message.envelope.reply, acceptance, load);
 }
 
 /// Takes the answer of the new place back to the sender. Outlives the old place.

@@ -28,7 +28,6 @@ impl Processor {
 
     /// The next moment at which something is due without being woken.
     pub(crate) fn next_deadline(&self) -> Option<Instant> {
-        self.settle_calls();
         let timer = self.timers.borrow().first();
         timer.into_iter().chain(self.schedule.next_due()).min()
     }
@@ -43,24 +42,11 @@ impl Processor {
     pub(crate) fn fire_timers(self: &Rc<Self>) {
         self.enter();
         let now = self.look_at_clock();
-        self.settle_calls();
         self.fire_due(now);
     }
 
-    /// Wakes the timers that are due at `now`, and looks after calls that have waited for a while.
-    #[inline]
+    /// Wakes the timers that are due at `now`.
     pub(super) fn fire_due(&self, now: Instant) {
-        let is_due = self.timers.borrow().first().is_some_and(|at| at <= now);
-        if is_due || now >= self.young_until.get() {
-            self.fire(now);
-        }
-    }
-
-    #[cold]
-    fn fire(&self, now: Instant) {
-        if now >= self.young_until.get() {
-            self.settle_calls();
-        }
         loop {
             let Some(due) = self.timers.borrow_mut().pop_due(now) else {
                 return;

@@ -61,7 +61,6 @@ pub(super) struct WakerOf {
 }
 
 impl WakerOf {
-    #[inline]
     fn the(waker: &Waker) -> Self {
         Self {
             data: waker.data(),
@@ -73,10 +72,8 @@ impl WakerOf {
 /// Called with what a child future's panic said.
 pub(super) type PanicHook = Rc<dyn Fn(String)>;
 
-/// What is out of its entry while it is polled. It says itself which future it is, so that it can be passed on as
-/// one pointer: what is moved right after it was written in small pieces is waited for.
+/// What is out of its entry while it is polled.
 pub(super) struct Running {
-    id: FutureId,
     future: Pin<Box<dyn Future<Output = ()>>>,
     waker: Waker,
     on_panic: Option<PanicHook>,
@@ -88,7 +85,7 @@ pub(super) struct Entry {
     /// Whether it is among the ready ones.
     ready: bool,
     taken: bool,
-    running: Option<Box<Running>>,
+    running: Option<Running>,
     pub(super) shared: Option<Arc<FutureWaker>>,
 }
 
@@ -105,7 +102,7 @@ impl Futures {
         (entry.taken && entry.generation == id.generation.get()).then_some(entry)
     }
 
-    fn remove(&mut self, id: FutureId) -> Option<Box<Running>> {
+    fn remove(&mut self, id: FutureId) -> Option<Running> {
         let entry = self.entry(id)?;
         entry.taken = false;
         entry.shared = None;
@@ -140,12 +137,11 @@ impl Processor {
         });
         entry.taken = true;
         entry.ready = true;
-        entry.running = Some(Box::new(Running {
-            id,
+        entry.running = Some(Running {
             future: Box::pin(future),
             waker: Waker::from(shared.clone()),
             on_panic,
-        }));
+        });
         entry.shared = Some(shared);
         futures.ready.push_back(id);
         id
@@ -153,14 +149,12 @@ impl Processor {
 
     /// Drops a future. A future that cancels itself ends at its next await.
     pub(crate) fn cancel(&self, id: FutureId) {
-        self.handovers.count_cancel();
         let running = self.futures.borrow_mut().remove(id);
         // Dropped outside the borrow: destructors may spawn, wake or cancel.
         drop_contained(running);
     }
 
     /// A future is ready to be polled.
-    #[inline]
     pub(crate) fn wake(&self, id: FutureId) {
         let mut futures = self.futures.borrow_mut();
         if let Some(entry) = futures.entry(id)
@@ -171,7 +165,6 @@ impl Processor {
         }
     }
 
-    #[inline]
     pub(super) fn wake_local(&self, wake: LocalWake) {
         match wake {
             LocalWake::Future(id) => self.wake(id),
@@ -180,7 +173,6 @@ impl Processor {
     }
 
     /// What the future polled with `cx` is woken by.
-    #[inline]
     pub(super) fn waits(&self, cx: &PollContext<'_>) -> LocalWake {
         match self.current.get() {
             Some((id, waker)) if waker == WakerOf::the(cx.waker()) => LocalWake::Future(id),
@@ -195,36 +187,31 @@ impl Processor {
 
     /// Polls the `index`-th ready future. False when there is none.
     pub(crate) fn poll_ready(self: &Rc<Self>, index: usize) -> bool {
-        let Some(running) = self.take_ready(index) else {
+        let Some((id, running)) = self.take_ready(index) else {
             return false;
         };
-        let Some(running) = running else {
-            return true;
-        };
-        self.enter();
-        self.handovers.begin_anew(self.recent.get());
-        self.poll_running(running);
+        if let Some(running) = running {
+            self.enter();
+            self.poll_running(id, running);
+        }
         true
     }
 
-    /// Polls a future that was taken out of its entry, and puts it back unless it has ended. Another one may be
-    /// being polled, in the turn of which this is.
-    pub(super) fn poll_running(&self, mut running: Box<Running>) {
-        let id = running.id;
-        let current = (id, WakerOf::the(&running.waker));
-        let outer = self.current.replace(Some(current));
+    /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
+    fn poll_running(&self, id: FutureId, mut running: Running) {
+        self.current.set(Some((id, WakerOf::the(&running.waker))));
         let polled = {
-            let Running { future, waker, .. } = &mut *running;
+            let Running { future, waker, .. } = &mut running;
             let mut cx = PollContext::from_waker(waker);
             self.leave();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
         };
-        self.current.set(outer);
-        self.start_calls();
+        self.current.set(None);
+        self.moment();
         if !matches!(polled, Ok(Poll::Pending)) {
             let Running {
                 future, on_panic, ..
-            } = *running;
+            } = running;
             drop_contained(future);
             self.cancel(id);
             if let (Err(panic), Some(on_panic)) = (polled, on_panic) {
@@ -248,42 +235,13 @@ impl Processor {
         }
     }
 
-    /// Takes a future out of its entry, if nothing is ready to be polled.
-    #[inline]
-    pub(super) fn take_idle(&self, id: FutureId) -> Option<Box<Running>> {
+    fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Running>)> {
         let mut futures = self.futures.borrow_mut();
-        if !futures.ready.is_empty() {
-            return None;
-        }
-        futures.entry(id)?.running.take()
-    }
-
-    /// Takes a future out of its entry, if it is the next one that is to be polled, and not being polled.
-    #[inline]
-    pub(super) fn take_next(&self, id: FutureId) -> Option<Box<Running>> {
-        let mut futures = self.futures.borrow_mut();
-        if futures.ready.front() != Some(&id) {
-            return None;
-        }
-        let entry = futures.entry(id)?;
-        let running = entry.running.take()?;
-        entry.ready = false;
-        futures.ready.pop_front();
-        Some(running)
-    }
-
-    #[inline]
-    fn take_ready(&self, index: usize) -> Option<Option<Box<Running>>> {
-        let mut futures = self.futures.borrow_mut();
-        let id = if index == 0 {
-            futures.ready.pop_front()
-        } else {
-            futures.ready.remove(index)
-        }?;
+        let id = futures.ready.remove(index)?;
         let running = futures.entry(id).and_then(|entry| {
             entry.ready = false;
             entry.running.take()
         });
-        Some(running)
+        Some((id, running))
     }
 }

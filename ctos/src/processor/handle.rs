@@ -2,14 +2,20 @@
 
 use std::{
     rc::Rc,
-    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
     time::Duration,
 };
 
+use crossbeam_channel::{Receiver, Sender};
+
 use super::{FutureId, Processor};
 use crate::{
-    exchange::{Brought, CallKey, Ticket},
-    inbox::{Inbox, Refused},
+    asleep::Asleep,
+    call::{Answer, lock},
+    exchange::CallKey,
     link::lookout::Parker,
     mailbox::{Delivery, Order},
 };
@@ -22,9 +28,7 @@ pub(super) enum Item {
     /// A message for the task in a slot.
     Message(u16, Delivery),
     /// The answer to a call that a task of the processor waits for.
-    Answer(Ticket, Brought),
-    /// The same from somebody who no longer has the ticket.
-    AnswerByKey(CallKey, Brought),
+    Answer(CallKey, Answer),
     /// A future is ready.
     Wake(FutureId),
     /// The task in a slot takes nothing more.
@@ -37,10 +41,11 @@ pub(super) enum Item {
 }
 
 /// The part of a processor that other threads may touch.
-#[derive(Default)]
 pub(crate) struct ProcessorHandle {
-    index: u8,
-    pub(super) inbox: Inbox<Item>,
+    inbox: Sender<Item>,
+    /// The other end, until the processor takes it.
+    outlet: Mutex<Option<Receiver<Item>>>,
+    pub(super) asleep: Asleep,
     /// Where its thread sleeps.
     pub(crate) parker: Parker,
     pub(super) stop: AtomicBool,
@@ -50,18 +55,31 @@ pub(crate) struct ProcessorHandle {
     pub(super) shares_core: AtomicBool,
 }
 
+impl Default for ProcessorHandle {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl ProcessorHandle {
-    /// The handle of the `index`-th processor of a chassis.
-    pub(crate) fn new(index: u8) -> Self {
+    /// That of a processor that has no thread yet.
+    pub(crate) fn new() -> Self {
+        let (inbox, outlet) = crossbeam_channel::unbounded();
         Self {
-            index,
-            ..Self::default()
+            inbox,
+            outlet: Mutex::new(Some(outlet)),
+            asleep: Asleep::default(),
+            parker: Parker::default(),
+            stop: AtomicBool::new(false),
+            spin_ns: AtomicU64::new(0),
+            shares_core: AtomicBool::new(false),
         }
     }
 
-    /// Its number on its chassis.
-    pub(crate) fn index(&self) -> u8 {
-        self.index
+    /// Where what is brought comes out; nothing ever does for a second processor of the same handle.
+    pub(super) fn take_outlet(&self) -> Receiver<Item> {
+        let outlet = lock(&self.outlet).take();
+        outlet.unwrap_or_else(crossbeam_channel::never)
     }
 
     /// Runs `job` on the processor's thread, soon.
@@ -93,26 +111,10 @@ impl ProcessorHandle {
         self.shares_core.store(shares, Ordering::Relaxed);
     }
 
-    /// Brings a message for the task in `slot` if `may` says so, which runs while nobody else brings anything.
-    ///
-    /// # Errors
-    /// The message, when it was not brought.
-    #[inline]
-    pub(crate) fn bring_message(
-        &self,
-        slot: u16,
-        delivery: Delivery,
-        may: impl FnOnce() -> bool,
-    ) -> Result<(), Refused<Delivery>> {
-        match self.inbox.push_if(Item::Message(slot, delivery), may) {
-            Err(Refused::NotNow(Item::Message(_, delivery))) => Err(Refused::NotNow(delivery)),
-            Err(Refused::Closed(Item::Message(_, delivery))) => Err(Refused::Closed(delivery)),
-            // What was refused is what was to be brought.
-            Ok(false) | Err(_) => Ok(()),
-            Ok(true) => {
-                self.parker.unpark();
-                Ok(())
-            }
+    /// Brings a message for the task in `slot`.
+    pub(crate) fn bring_message(&self, slot: u16, delivery: Delivery) {
+        if let Err(Item::Message(_, delivery)) = self.bring(Item::Message(slot, delivery)) {
+            delivery.refuse();
         }
     }
 
@@ -127,17 +129,14 @@ impl ProcessorHandle {
     }
 
     /// Brings the answer to a call. Without a processor nobody waits for it.
-    pub(crate) fn bring_answer(&self, ticket: Ticket, answer: Brought) {
-        drop(self.bring(Item::Answer(ticket, answer)));
+    pub(crate) fn bring_answer(&self, key: CallKey, answer: Answer) {
+        drop(self.bring(Item::Answer(key, answer)));
     }
 
-    /// [`Self::bring_answer`] without the ticket.
-    pub(crate) fn bring_answer_by_key(&self, key: CallKey, answer: Brought) {
-        drop(self.bring(Item::AnswerByKey(key, answer)));
-    }
-
+    /// Brings something, unless the processor is gone.
     pub(super) fn bring(&self, item: Item) -> Result<(), Item> {
-        if self.inbox.push(item)? {
+        self.inbox.send(item).map_err(|refused| refused.0)?;
+        if self.asleep.must_be_woken() {
             self.parker.unpark();
         }
         Ok(())

@@ -334,14 +334,14 @@ impl Stage {
             let promise = Arc::new(Promise::default());
             self.waiting
                 .insert(begun.id, (begun.command, Waiting::here(promise.clone())));
-            ReplySlot::local(promise)
+            ReplySlot::outside(promise)
         });
         let data = Data::Bytes(begun.data);
         let mut message = Message::with_data(self.task.tid, begun.from, begun.command, data)
             .flagged(begun.flags)
             .in_trace(begun.trace)
             .until(begun.deadline);
-        message.letter.reply = reply;
+        message.envelope.reply = reply;
         self.task.mailbox.put(message, Acceptance::Silent);
     }
 

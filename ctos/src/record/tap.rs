@@ -16,7 +16,7 @@ use crate::{
     blob::Body,
     call::Fault,
     chassis::WaitFor,
-    message::{CommandInfo, Data, Flags, Header, Message, Tid},
+    message::{CommandInfo, Data, Header, Message, Tid},
     task::Phase,
     time::Instant,
 };
@@ -60,7 +60,6 @@ impl Asked {
         self.to
     }
 
-    #[inline]
     pub(crate) fn of(message: &Message) -> Self {
         let header = message.header();
         Self {
@@ -84,7 +83,7 @@ impl AtHand {
     pub(crate) fn of(task: Tid, message: &Message, now: Instant) -> Self {
         Self {
             key: Key {
-                id: message.letter.recorded,
+                id: message.envelope.recorded,
                 task,
                 peer: message.from(),
                 command: message.command(),
@@ -146,7 +145,6 @@ impl Tap {
     }
 
     /// The replay that answers in place of the other tasks, if there is one.
-    #[inline]
     pub(crate) fn replay(&self) -> Option<&Arc<Desk>> {
         match self.first.get()? {
             Target::Replay(desk) => Some(desk),
@@ -154,7 +152,6 @@ impl Tap {
         }
     }
 
-    #[inline]
     fn first(&self) -> Option<&Arc<Recorder>> {
         match self.first.get()? {
             Target::Record(recorder) => Some(recorder),
@@ -191,13 +188,11 @@ impl Tap {
     }
 
     /// Whether anything looks on.
-    #[inline]
     pub(crate) fn is_on(&self) -> bool {
         self.watched.load(Ordering::Relaxed)
     }
 
     /// Whether anything is recorded.
-    #[inline]
     pub(crate) fn is_recording(&self) -> bool {
         self.first().is_some() || self.visited.load(Ordering::Relaxed)
     }
@@ -211,7 +206,6 @@ impl Tap {
 
     /// Notes with everybody who records what happened to a message, at `at`, or now; whether somebody took
     /// it.
-    #[inline]
     fn traffic(
         &self,
         place: Tid,
@@ -261,32 +255,15 @@ impl Tap {
         }
     }
 
-    /// A task sends a message, at `at`, or now. The number stands for it in the record; 0 when it is not in it.
-    #[inline]
-    pub(crate) fn sent(
-        &self,
-        message: &Message,
-        wait: Option<WaitFor>,
-        at: Option<Instant>,
-    ) -> u64 {
-        if self.is_recording() {
-            self.note_sent(message, wait, at)
-        } else {
-            0
+    /// A message is sent by a task of this chassis: its number in the record, if it has one.
+    pub(crate) fn sent(&self, message: &Message, wait: WaitFor) -> u64 {
+        if !self.is_recording() {
+            return 0;
         }
-    }
-
-    #[cold]
-    fn note_sent(&self, message: &Message, wait: Option<WaitFor>, at: Option<Instant>) -> u64 {
         let header = message.header();
-        let flag = match wait {
-            Some(WaitFor::Reply) => Flags::REPLY_WAIT,
-            Some(WaitFor::Acceptance) => Flags::ACCEPT_WAIT,
-            None => Flags::NONE,
-        };
         let key = self.fresh_key(header, message.trace());
         let step = Step::Sent {
-            flags: header.flags.with(flag).bits(),
+            flags: header.flags.with(wait.flags()).bits(),
             deadline: message.deadline().map(Instant::as_nanos),
             side: if header.to.chassis() == self.index {
                 Side::Here
@@ -294,8 +271,8 @@ impl Tap {
                 Side::Sender
             },
         };
-        let data = |buffer: &mut Vec<u8>| message.letter.data.append_to(buffer).is_ok();
-        let noted = self.traffic(header.from, at, key, step, data);
+        let data = |buffer: &mut Vec<u8>| message.envelope.data.append_to(buffer).is_ok();
+        let noted = self.traffic(header.from, None, key, step, data);
         if noted { key.id } else { 0 }
     }
 
@@ -334,7 +311,6 @@ impl Tap {
     }
 
     /// A handler is called.
-    #[inline]
     pub(crate) fn began(&self, at_hand: &AtHand) {
         if self.is_recording() {
             let AtHand { key, began } = *at_hand;
@@ -344,7 +320,6 @@ impl Tap {
     }
 
     /// It has returned.
-    #[inline]
     pub(crate) fn ended(&self, at_hand: &AtHand, now: Instant, ending: impl FnOnce() -> Ending) {
         let AtHand { key, began } = *at_hand;
         if let Some(desk) = self.replay() {
@@ -358,37 +333,20 @@ impl Tap {
         self.traffic(key.task, Some(now), key, step, |_| true);
     }
 
-    /// A sender has what it waited for, since `at`, or now.
-    #[inline]
+    /// An answer has come to whoever asked; `at_once`, if nothing happened in between.
     pub(crate) fn answered(
         &self,
         id: u64,
         asked: &Asked,
-        at: Option<Instant>,
+        at_once: bool,
         answer: Result<&Data, &Fault>,
     ) {
         if self.is_recording() {
             let side = self.side_of(asked);
-            self.note_answer(id, asked, side, false, at, answer);
+            self.note_answer(id, asked, side, at_once, answer);
         }
     }
 
-    /// A sender has what it would have waited for in the turn in which it sent.
-    #[inline]
-    pub(crate) fn answered_at_once(
-        &self,
-        id: u64,
-        asked: &Asked,
-        at: Option<Instant>,
-        answer: Result<&Data, &Fault>,
-    ) {
-        if self.is_recording() {
-            let side = self.side_of(asked);
-            self.note_answer(id, asked, side, true, at, answer);
-        }
-    }
-
-    /// Where a sender is, seen from whom it asked.
     fn side_of(&self, asked: &Asked) -> Side {
         if asked.to.chassis() == self.index {
             Side::Here
@@ -412,18 +370,16 @@ impl Tap {
             trace,
         };
         if self.is_recording() {
-            self.note_answer(id, &asked, Side::Receiver, false, None, answer);
+            self.note_answer(id, &asked, Side::Receiver, false, answer);
         }
     }
 
-    #[cold]
     fn note_answer(
         &self,
         id: u64,
         asked: &Asked,
         side: Side,
         at_once: bool,
-        at: Option<Instant>,
         answer: Result<&Data, &Fault>,
     ) {
         let key = Key {
@@ -445,7 +401,7 @@ impl Tap {
         } else {
             asked.by
         };
-        self.traffic(place, at, key, step, |buffer| {
+        self.traffic(place, None, key, step, |buffer| {
             answer.is_ok_and(|data| data.append_to(buffer).is_ok())
         });
     }

@@ -78,8 +78,8 @@ pub struct Lint {
 /// What was seen of a task at earlier looks.
 #[derive(Default)]
 struct Seen {
-    /// A turn on the processor, and when it was seen first.
-    turn: Option<(u64, Instant)>,
+    /// A poll of its handler, and when it was seen first.
+    poll: Option<(u64, Instant)>,
     depths: VecDeque<usize>,
     /// Since when the queue grows.
     growing: Option<Instant>,
@@ -197,17 +197,17 @@ fn handler(
     config: &TaskConfig,
     now: Instant,
 ) -> Found {
-    let turn = task.statistics.turn();
-    seen.turn = turn.map(|turn| match seen.turn {
-        Some((before, since)) if before == turn => (turn, since),
-        _ => (turn, now),
+    let poll = task.statistics.poll();
+    seen.poll = poll.map(|poll| match seen.poll {
+        Some((before, since)) if before == poll => (poll, since),
+        _ => (poll, now),
     });
     let counters = task.statistics.read();
     let began = counters.began?;
     let at_it_s = now.since(began).as_secs_f64();
     let name = &task.name;
     let command = command_name(chassis, config, counters.command);
-    if let Some((_, since)) = seen.turn
+    if let Some((_, since)) = seen.poll
         && now.since(since) >= config.handler_limit.unwrap_or(TURN_LIMIT)
     {
         let processor = format!("{}/{}", config.chassis, config.processor);

@@ -36,7 +36,7 @@ pub(crate) struct TaskMeter {
     /// Messages of other commands, those of the runtime.
     other: Count,
     /// Odd while the handler keeps its processor.
-    turns: AtomicU64,
+    polls: AtomicU64,
 }
 
 /// Messages of one command.
@@ -108,39 +108,25 @@ impl TaskMeter {
         all
     }
 
-    /// The turn that the handler has on its processor at this moment, if it has one.
-    pub(crate) fn turn(&self) -> Option<u64> {
-        let turn = self.turns.load(Ordering::Acquire);
-        (turn % 2 == 1).then_some(turn)
+    /// The poll of the handler that is under way, if one is.
+    pub(crate) fn poll(&self) -> Option<u64> {
+        let poll = self.polls.load(Ordering::Acquire);
+        (poll % 2 == 1).then_some(poll)
     }
 
-    /// Runs code of the handler: a turn that it has on its processor. The code does not panic.
+    /// Polls the handler. The code does not panic.
     #[inline(always)]
-    pub(crate) fn in_turn<T>(&self, code: impl FnOnce() -> T) -> T {
+    pub(crate) fn in_poll<T>(&self, code: impl FnOnce() -> T) -> T {
         self.step();
         let result = code();
         self.step();
         result
     }
 
-    /// Runs code of others within a turn of the handler, which goes on when that has ended. The code does not
-    /// panic.
-    #[inline]
-    pub(crate) fn out_of_turn<T>(&self, code: impl FnOnce() -> T) -> T {
-        if self.turn().is_none() {
-            return code();
-        }
-        self.step();
-        let result = code();
-        self.step();
-        result
-    }
-
-    /// A turn begins or ends.
     #[inline]
     fn step(&self) {
-        let before = self.turns.load(Ordering::Relaxed);
-        self.turns.store(before.wrapping_add(1), Ordering::Release);
+        let before = self.polls.load(Ordering::Relaxed);
+        self.polls.store(before.wrapping_add(1), Ordering::Release);
     }
 }
 
@@ -173,27 +159,10 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_is_seen_while_it_lasts() {
+    fn a_poll_is_seen_while_it_lasts() {
         let meter = TaskMeter::default();
-        assert_eq!(meter.turn(), None);
-        assert!(meter.in_turn(|| meter.turn()).is_some());
-        assert_eq!(meter.turn(), None);
-        assert_eq!(meter.out_of_turn(|| meter.turn()), None);
-        assert_eq!(meter.turn(), None);
-    }
-
-    #[test]
-    fn what_others_do_within_a_turn_is_none_of_it_and_begins_another_one() {
-        let meter = TaskMeter::default();
-        let (before, within, after) = meter.in_turn(|| {
-            let before = meter.turn();
-            let within = meter.out_of_turn(|| meter.turn());
-            (before, within, meter.turn())
-        });
-        assert!(before.is_some() && after.is_some());
-        assert_ne!(before, after);
-        assert_eq!(within, None);
-        let next = meter.in_turn(|| meter.turn());
-        assert!(next.is_some() && next != after);
+        assert_eq!(meter.poll(), None);
+        assert!(meter.in_poll(|| meter.poll()).is_some());
+        assert_eq!(meter.poll(), None);
     }
 }

@@ -172,7 +172,7 @@ mod real {
             Message::request(task.tid, Tid::default(), Block::CODE, Block {}),
             Acceptance::Silent,
         );
-        while task.statistics.turn().is_none() {
+        while task.statistics.poll().is_none() {
             std::thread::yield_now();
         }
         let seen = chassis.clock.now();

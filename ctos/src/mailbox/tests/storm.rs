@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use super::*;
-use crate::call::lock;
+use crate::{call::lock, envelope::Envelope};
 
 const SENDERS: u32 = 3;
 const EACH: u32 = 1500;
@@ -45,9 +45,9 @@ fn labelled(label: Label) -> Message {
 
 /// The answer to a call of `processor`.
 async fn answered(processor: &Processor, key: CallKey) -> Result<(), Fault> {
-    poll_fn(|cx| match processor.poll_call(key, &mut None, cx) {
-        Looked::Ended(answer) => Poll::Ready(Answer::from(answer).map(drop)),
-        Looked::Waiting | Looked::Long(_) => Poll::Pending,
+    poll_fn(|cx| match processor.poll_call(key, cx) {
+        Looked::Ended(answer) => Poll::Ready(answer.map(drop)),
+        Looked::Waiting | Looked::Long => Poll::Pending,
         Looked::Late(_) => panic!("somebody was never told"),
     })
     .await
@@ -75,7 +75,7 @@ async fn take_all(queue: Rc<TaskQueue>, seed: u64, taken: Arc<Mutex<Vec<Label>>>
         let Some(message) = next.take() else {
             return;
         };
-        let (data, reply) = message.letter.open();
+        let Envelope { data, reply, .. } = *message.envelope;
         lock(&taken).push(data.take().unwrap());
         if let Some(reply) = reply {
             reply.answer(Ok(Data::of(())));
@@ -114,11 +114,11 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
             outcomes.insert(label, (way, result));
             continue;
         }
-        let ticket = here.begin_call(LIMIT);
+        let ticket = here.begin_call(here.now(), LIMIT);
         let key = ticket.key();
         let slot = ReplySlot::call(ticket);
         if way == Way::Call {
-            message.letter.reply = Some(slot);
+            message.envelope.reply = Some(slot);
             task.mailbox.put(message, Acceptance::Silent);
         } else {
             task.mailbox.put(message, Acceptance::Told(slot));
@@ -139,7 +139,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
 /// What a queue of `capacity` took, and what became of each message; the task dies once it has taken
 /// `dies_after`, or when all is sent.
 fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, Outcomes) {
-    let home = Arc::new(ProcessorHandle::new(0));
+    let home = Arc::new(ProcessorHandle::new());
     let task = TaskRecord::with_room(capacity, home.clone(), 0);
     let taken: Arc<Mutex<Vec<Label>>> = Arc::default();
     let outcomes: Arc<Mutex<Outcomes>> = Arc::default();
@@ -156,7 +156,7 @@ fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, 
     let senders = (0..SENDERS).map(|sender| {
         let (task, outcomes, left) = (task.clone(), outcomes.clone(), left.clone());
         std::thread::spawn(move || {
-            let handle = Arc::new(ProcessorHandle::new(1));
+            let handle = Arc::new(ProcessorHandle::new());
             let processor = Processor::new(handle.clone(), Clock::real());
             let here = processor.clone();
             let work = async move {

@@ -79,12 +79,17 @@ impl Desk {
 
     /// Takes a message that the replayed chassis sends; `slot` waits for what `wait` names.
     pub(crate) fn dispatch(&self, message: &Message, wait: WaitFor, now: Instant, slot: ReplySlot) {
-        let accepted = || Ok(Data::Bytes(Vec::new()));
+        let accepted = || Ok(Data::NOTHING);
         // What the runtime says in the task's name (progress, results) is not compared.
         if message.header().from != self.task {
             return slot.answer(accepted());
         }
-        match self.output(message, now) {
+        let found = self.output(message, now);
+        if wait == WaitFor::Nothing {
+            let refused = found.and_then(|id| self.refused.get(&id));
+            return slot.answer(refused.map_or_else(accepted, |fault| Err(fault.clone())));
+        }
+        match found {
             Some(id) => match self.at_once.get(&id) {
                 // Before whatever else the task does in this turn, as it was.
                 Some((at, answer)) => {
@@ -103,19 +108,6 @@ impl Desk {
         }
     }
 
-    /// Takes a message whose sender does not wait.
-    ///
-    /// # Errors
-    /// What the record says of it: that there was no room, say.
-    pub(crate) fn try_dispatch(&self, message: &Message, now: Instant) -> Result<(), Fault> {
-        if message.header().from != self.task {
-            return Ok(());
-        }
-        let id = self.output(message, now);
-        let refused = id.and_then(|id| self.refused.get(&id));
-        refused.map_or(Ok(()), |fault| Err(fault.clone()))
-    }
-
     /// Finds a message among the recorded ones: the first that is like it, among those that the task
     /// sent before it was given anything else. Whoever waits for its answer, or its acceptance, is given
     /// that before it sends on, so what stands side by side here was sent by children side by side, in
@@ -123,7 +115,7 @@ impl Desk {
     fn output(&self, message: &Message, now: Instant) -> Option<Number> {
         let mut data = Vec::new();
         // What cannot be encoded is like nothing in the record.
-        let encoded = message.letter.data.append_to(&mut data).is_ok();
+        let encoded = message.envelope.data.append_to(&mut data).is_ok();
         let mut state = lock(&self.state);
         let expected = |index: &usize| state.fates.get(*index) == Some(&Fate::Expected);
         let first = (0..self.outputs.len()).find(expected);
@@ -180,7 +172,7 @@ impl Desk {
             return None;
         }
         let mut data = Vec::new();
-        message.letter.data.append_to(&mut data).ok()?;
+        message.envelope.data.append_to(&mut data).ok()?;
         let FindTid { name, .. } = postcard::from_bytes(&data).ok()?;
         let answer: Result<Tid, Missing> = Ok(self.names.tid(&name)?);
         Some(Ok(Data::of(answer)))

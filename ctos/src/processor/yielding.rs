@@ -13,7 +13,7 @@ use super::Processor;
 use crate::time::Instant;
 
 /// How often it gives way before it sleeps: nobody else may be ready yet.
-const TURNS: u32 = 2;
+const YIELDS: u32 = 2;
 
 /// The way came back at once if it did so within this time.
 const AT_ONCE: Duration = Duration::from_micros(50);
@@ -29,21 +29,21 @@ const FORGIVEN: u32 = 64;
 
 /// When the way may be given.
 #[derive(Default)]
-pub(super) struct Courtesy {
+pub(super) struct Yielding {
     /// Not before this moment.
     from: Cell<Instant>,
     /// How long it was not given the last time.
     pause: Cell<Duration>,
 }
 
-impl Courtesy {
-    fn may_give_way(&self, now: Instant) -> bool {
+impl Yielding {
+    fn may_yield_core(&self, now: Instant) -> bool {
         now >= self.from.get()
     }
 
-    /// The way was given at `gave` and has come back now, or there was nobody to give it to.
-    fn came_back(&self, gave: Instant, now: Instant) {
-        if now.since(gave) <= AT_ONCE {
+    /// The way was given at `yielded` and has come back now, or there was nobody to give it to.
+    fn came_back(&self, yielded: Instant, now: Instant) {
+        if now.since(yielded) <= AT_ONCE {
             let pause = self.pause.get();
             if !pause.is_zero() {
                 let less = pause.max(FIRST_PAUSE) / FORGIVEN;
@@ -60,29 +60,28 @@ impl Courtesy {
 impl Processor {
     /// Lets others have the core, where it has it together with other processors. True when there is
     /// something to do then.
-    pub(super) fn give_way(&self, now: Instant) -> bool {
+    pub(super) fn yield_core(&self, now: Instant) -> bool {
         let handle = &self.handle;
         if !handle.shares_core.load(Ordering::Relaxed)
             || handle.parker.looks_out()
             || !self.schedule.is_idle()
-            || !self.courtesy.may_give_way(now)
+            || !self.yielding.may_yield_core(now)
         {
             return false;
         }
         let deadline = self.wake_at().unwrap_or(Instant::LAST);
-        let deadline = deadline.min(self.young_until.get());
-        let mut gave = now;
-        for _ in 0..TURNS {
+        let mut yielded = now;
+        for _ in 0..YIELDS {
             std::thread::yield_now();
-            let now = self.look_without_turn();
-            self.courtesy.came_back(gave, now);
-            if self.handle.inbox.is_filled() || deadline <= now {
+            let now = self.look_at_clock();
+            self.yielding.came_back(yielded, now);
+            if !self.inbox.is_empty() || deadline <= now {
                 return true;
             }
-            if !self.courtesy.may_give_way(now) {
+            if !self.yielding.may_yield_core(now) {
                 return false;
             }
-            gave = now;
+            yielded = now;
         }
         false
     }
@@ -98,27 +97,27 @@ mod tests {
 
     #[test]
     fn the_way_is_given_as_long_as_it_comes_back_at_once() {
-        let courtesy = Courtesy::default();
+        let yielding = Yielding::default();
         for turn in 0..100 {
-            assert!(courtesy.may_give_way(at(turn)));
-            courtesy.came_back(at(turn), at(turn + 1));
+            assert!(yielding.may_yield_core(at(turn)));
+            yielding.came_back(at(turn), at(turn + 1));
         }
     }
 
     #[test]
     fn it_is_not_given_for_a_while_after_others_kept_it_and_for_longer_each_time() {
-        let courtesy = Courtesy::default();
+        let yielding = Yielding::default();
         let mut now = Instant::START;
         let mut pauses = Vec::new();
         for _ in 0..15 {
-            let gave = now;
-            now = gave + Duration::from_millis(4);
-            courtesy.came_back(gave, now);
-            assert!(!courtesy.may_give_way(now));
-            let pause = courtesy.pause.get();
-            assert!(!courtesy.may_give_way(now + (pause - Duration::from_nanos(1))));
+            let yielded = now;
+            now = yielded + Duration::from_millis(4);
+            yielding.came_back(yielded, now);
+            assert!(!yielding.may_yield_core(now));
+            let pause = yielding.pause.get();
+            assert!(!yielding.may_yield_core(now + (pause - Duration::from_nanos(1))));
             now = now + pause;
-            assert!(courtesy.may_give_way(now));
+            assert!(yielding.may_yield_core(now));
             pauses.push(pause);
         }
         assert!(pauses.is_sorted());
@@ -126,9 +125,9 @@ mod tests {
         assert_eq!(pauses.last(), Some(&LONGEST_PAUSE));
         // Once it comes back at once again and again, all is as before.
         for _ in 0..1000 {
-            courtesy.came_back(now, now);
+            yielding.came_back(now, now);
         }
-        courtesy.came_back(now, now + Duration::from_millis(4));
-        assert_eq!(courtesy.pause.get(), FIRST_PAUSE);
+        yielding.came_back(now, now + Duration::from_millis(4));
+        assert_eq!(yielding.pause.get(), FIRST_PAUSE);
     }
 }
