@@ -65,7 +65,8 @@ const fn key(
 
 /// The top level.
 pub(super) const TOP: &str = "";
-const APP: &str = "app";
+/// `[app]`; `--set` takes its keys as single words.
+pub(super) const APP: &str = "app";
 const TIME: &str = "time";
 const RECORD: &str = "record";
 const METRICS: &str = "metrics";

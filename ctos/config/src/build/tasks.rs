@@ -1,13 +1,13 @@
 //! The tasks of an app: those of `[task]` and those that the tables of others stand for.
 
 use super::super::app::{ChassisConfig, TaskConfig};
+use super::super::expander::{Expander, GeneratedTask};
 use super::super::fields::{Fields, check_name};
 use super::super::node::{Entry, Node};
 use super::super::policies::restart;
-use super::super::{Expander, GeneratedTask};
 use super::{Builder, QUEUE, TASK_KEYS};
 use crate::diagnostic::{Finding, Place};
-use crate::supervise::Policy;
+use crate::settings::Policy;
 
 impl Builder<'_> {
     pub(super) fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {

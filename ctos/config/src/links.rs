@@ -4,14 +4,14 @@
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 
 use super::{
-    ZenohConfig,
     app::ChassisConfig,
     fields::Fields,
     node::{Node, Value},
+    zenoh::ZenohConfig,
 };
 use crate::{
     diagnostic::{Finding, Findings, Place},
-    time::Instant,
+    settings::BOOT_CHASSIS,
 };
 
 /// The keys of `[app]` that are read here.
@@ -67,7 +67,8 @@ impl Default for LinkConfig {
 
 impl LinkConfig {
     /// For how long this process looks before it sleeps.
-    pub(crate) fn spin_here(&self) -> Duration {
+    #[must_use]
+    pub fn spin_here(&self) -> Duration {
         if may_spin() {
             self.spin
         } else {
@@ -114,10 +115,10 @@ pub struct Cut {
     pub one: String,
     /// The other end.
     pub other: String,
-    /// From when.
-    pub at: Instant,
-    /// Until when.
-    pub until: Instant,
+    /// From when, since the start of the app.
+    pub at: Duration,
+    /// Until when, since the start of the app.
+    pub until: Duration,
 }
 
 impl Cut {
@@ -136,10 +137,10 @@ impl Cut {
             Some((at, lasts)) => (at, Some(duration(lasts)?)),
             None => (when, None),
         };
-        let at = Instant::START + duration(at)?;
+        let at = duration(at)?;
         let until = match lasts {
-            Some(lasts) => at + lasts,
-            None => Instant::from_nanos(u64::MAX),
+            Some(lasts) => at.saturating_add(lasts),
+            None => Duration::MAX,
         };
         (one != other).then(|| Self {
             one: one.to_owned(),
@@ -258,7 +259,7 @@ fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> 
     }
     let names = || {
         let names = chassis.iter().map(|chassis| chassis.name.as_str());
-        names.chain([crate::chassis::BOOT_CHASSIS])
+        names.chain([BOOT_CHASSIS])
     };
     let mut cuts = Vec::new();
     for text in node.elements() {
@@ -332,13 +333,13 @@ pub(super) fn is_loopback(address: IpAddr) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::config::load_texts;
+    use crate::load_texts;
 
     use super::*;
 
     const APP: &str = "[task.t]\nhandler = \"h\"\non = \"a\"\n[chassis.a]\n";
 
-    fn app(more: &str) -> crate::config::App {
+    fn app(more: &str) -> crate::App {
         let text = format!("{APP}{more}");
         load_texts(&[("app.toml", &text)], &[], &[])
             .map_err(|found| found.to_string())
@@ -389,9 +390,8 @@ mod tests {
         let ends = injury
             .cuts
             .iter()
-            .map(|cut| (cut.at.as_nanos(), cut.until.as_nanos()));
-        let second = 1_000_000_000;
-        let expected = [(2 * second, 5 * second / 2), (3 * second, u64::MAX)];
+            .map(|cut| (cut.at.as_secs_f64(), cut.until.as_secs_f64()));
+        let expected = [(2.0, 2.5), (3.0, Duration::MAX.as_secs_f64())];
         assert_eq!(ends.collect::<Vec<_>>(), expected);
         assert!(injury.cuts[0].is_between("boot", "a"));
         let security = app.security.unwrap();

@@ -69,11 +69,11 @@ pub(super) fn metrics(mut fields: Fields<'_, '_>) -> Option<SocketAddr> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::load_texts;
+    use crate::load_texts;
 
     const APP: &str = "[chassis.a]\n[task.t]\nhandler = \"h\"\non = \"a\"\n";
 
-    fn load(more: &str) -> Result<crate::config::App, String> {
+    fn load(more: &str) -> Result<crate::App, String> {
         let text = format!("{APP}{more}");
         load_texts(&[("app.toml", &text)], &[], &[]).map_err(|findings| {
             let findings = findings.into_sorted();

@@ -264,7 +264,7 @@ impl App {
 
 #[cfg(test)]
 mod tests {
-    use crate::config::{App, load_texts};
+    use crate::{App, load_texts};
 
     const TASK: &str =
         "[task.t]\nhandler = \"h\"\non = \"a\"\n[task.u]\nhandler = \"h\"\non = \"b\"\n";

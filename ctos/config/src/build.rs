@@ -10,17 +10,17 @@ mod tasks;
 use super::app::{
     App, BarrierConfig, ChassisConfig, HostConfig, ProcessorConfig, SemaphoreConfig, TimeMode,
 };
+use super::expander::Expander;
 use super::fields::{Fields, FlagOr, check_name};
 use super::hosts;
 use super::links;
-use super::node::{Entry, Node};
+use super::node::{Entry, Node, Value};
 use super::observe;
 use super::policies::supervision;
 use super::trail::Trail;
-use super::{Expander, zenoh};
+use super::zenoh;
 use crate::diagnostic::{Finding, Findings, Place};
-use crate::semaphore::Scope;
-use crate::sync::Overrun;
+use crate::settings::{Overrun, Scope};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -259,9 +259,7 @@ impl Builder<'_> {
         let Some(entry) = root.entry(table) else {
             return &[];
         };
-        if entry.value.entries().is_empty()
-            && !matches!(entry.value.value(), super::Value::Table(_))
-        {
+        if entry.value.entries().is_empty() && !matches!(entry.value.value(), Value::Table(_)) {
             let finding = Finding::error(
                 "ctos::config::value",
                 format!("`{table}` holds named tables, found {}", entry.value.kind()),

@@ -1,7 +1,7 @@
 //! What the reader knows, the list of keys, the defaults, the reference page and the schema agree.
 
 use super::*;
-use crate::config::keys::{Kind, PROCESSOR, TABLES, TOP, table};
+use crate::keys::{Kind, PROCESSOR, TABLES, TOP, table};
 
 const PAGE: &str = include_str!("../../../../docs/configuration.md");
 const NOBODYS_KEY: &str = "zzzzzzzzzzzzzzzzzzzzzzzzzzzzzz";
