@@ -6,6 +6,7 @@ use std::{net::IpAddr, path::PathBuf, time::Duration};
 use super::{
     app::ChassisConfig,
     fields::Fields,
+    keys,
     node::{Node, Value},
     zenoh::ZenohConfig,
 };
@@ -13,9 +14,6 @@ use crate::{
     diagnostic::{Finding, Findings, Place},
     settings::BOOT_CHASSIS,
 };
-
-/// The keys of `[app]` that are read here.
-pub(super) const KEYS: [&str; 4] = ["peer_timeout_s", "same_host", "spin_us", "link_room_mib"];
 
 const PEER_TIMEOUT_S: f64 = 2.0;
 const ROOM_MIB: usize = 64;
@@ -208,8 +206,6 @@ pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
     }
 }
 
-const INJURE_KEYS: &[&str] = &["drop", "delay", "cut", "break_bytes"];
-
 /// Reads `[injure]`.
 pub(super) fn injury(
     root: &Node,
@@ -217,7 +213,7 @@ pub(super) fn injury(
     findings: &mut Findings,
 ) -> InjuryConfig {
     let node = root.entry("injure").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[injure]".to_owned(), INJURE_KEYS, findings);
+    let mut fields = Fields::new(node, "[injure]".to_owned(), keys::INJURE, findings);
     let drop = fields.number("drop", 0.0..=0.9).unwrap_or(0.0);
     let late = fields
         .text("delay")
@@ -283,8 +279,6 @@ fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> 
     cuts
 }
 
-const SECURITY_KEYS: &[&str] = &["key", "authority"];
-
 /// Reads `[security]`, and finds chassis that would be open to strangers without it.
 pub(super) fn security(
     root: &Node,
@@ -292,7 +286,7 @@ pub(super) fn security(
     findings: &mut Findings,
 ) -> Option<SecurityConfig> {
     let node = root.entry("security").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[security]".to_owned(), SECURITY_KEYS, findings);
+    let mut fields = Fields::new(node, "[security]".to_owned(), keys::SECURITY, findings);
     if node.is_none_or(|node| node.entries().is_empty()) {
         for one in chassis {
             open_to_strangers(one, root, findings);

@@ -376,7 +376,7 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
     let (left, right) = (&text[..equals], &text[equals + 1..]);
     let mut keys = set_path(left).ok_or_else(|| usage("the part before `=` is not a key"))?;
     if let [(key, _)] = keys.as_slice()
-        && keys::table(keys::APP).iter().any(|known| known.name == key)
+        && keys::names(keys::APP).any(|known| known == key)
     {
         // One word names a key of `[app]`: `--set seed=7`.
         keys.insert(0, ("app".to_owned(), 0..left.len()));

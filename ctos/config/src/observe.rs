@@ -7,9 +7,6 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-pub(super) const RECORD_KEYS: &[&str] = &["file", "max_mb", "keep", "flush_s", "buffer_mb"];
-pub(super) const METRICS_KEYS: &[&str] = &["listen"];
-
 const MAX_MB: u64 = 256;
 const KEEP: usize = 8;
 const FLUSH: Duration = Duration::from_secs(1);
