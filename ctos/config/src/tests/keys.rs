@@ -251,10 +251,7 @@ fn the_schema_and_the_reader_refuse_the_same_keys_and_values() {
                 let value = |code: &&str| {
                     ["ctos::config::value", "ctos::config::unknown_choice"].contains(code)
                 };
-                assert!(
-                    !errors.iter().any(|code| value(&code)),
-                    "reader: [{path}] {line}"
-                );
+                assert!(!errors.iter().any(value), "reader: [{path}] {line}");
             }
         }
     }
