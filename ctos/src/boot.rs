@@ -24,7 +24,6 @@ use crate::{
     config::{App, TimeMode},
     message::{CommandInfo, Tid},
     names::{self, TidServer},
-    placement,
     processor::panic_text,
     realtime::{self, Grant},
     registry::{Recipe, Registry},
@@ -299,8 +298,8 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
     let closed = lock(&gate);
     for (index, (name, handle)) in chassis.processors.iter().enumerate() {
         if let Some(config) = chassis.processor_config(index) {
-            handle.set_spin(placement::spin(&chassis.app, config, cpus));
-            handle.set_shares_core(placement::shares(&chassis.app, config, cpus));
+            handle.set_spin(ctos_config::placement::spin(&chassis.app, config, cpus));
+            handle.set_shares_core(ctos_config::placement::shares(&chassis.app, config, cpus));
         }
         let (home, memory, prepared) = (chassis.clone(), memory.clone(), prepared.clone());
         let gate = gate.clone();

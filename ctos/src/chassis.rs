@@ -42,8 +42,7 @@ pub(crate) use self::{
     tasks::TaskRecord,
 };
 
-/// The name of the chassis that boots the others; its number is 0.
-pub const BOOT_CHASSIS: &str = "boot";
+pub use ctos_config::BOOT_CHASSIS;
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
 

@@ -20,9 +20,7 @@ pub mod bench;
 pub mod boot;
 pub mod call;
 pub mod chassis;
-pub mod config;
 pub mod control;
-pub mod diagnostic;
 pub mod disk;
 pub mod doors;
 pub mod message;
@@ -61,7 +59,6 @@ mod link;
 mod mailbox;
 mod moving;
 mod names;
-mod placement;
 mod processor;
 mod reply;
 mod runner;
@@ -71,10 +68,22 @@ mod waits;
 
 pub use blob::{Blob, BlobMut};
 pub use context::{DEFAULT_DEADLINE, mix};
+pub use ctos_config::diagnostic;
 pub use ctos_derive::handler;
 pub use message::Command;
 pub use statistics::TaskCounters;
 pub use task::Context;
+
+/// Configuration of an app: TOML files, includes, profiles and `--set`, read into checked types.
+pub mod config {
+    pub use ctos_config::{
+        App, BarrierConfig, Bundle, BundleError, ChassisConfig, ChassisRestart, ChassisSupervision,
+        Cut, DEFAULTS, Entry, Expander, GeneratedTask, HostConfig, InjuryConfig, LinkConfig, Node,
+        OnTaskFailure, Origin, ProcessorConfig, RecordConfig, SameHost, SecurityConfig, Selection,
+        SemaphoreConfig, ShownValue, TaskConfig, TimeMode, Value, ZenohConfig, ZenohEndpoint,
+        ZenohEndpointError, ZenohMode, has_zenoh, load, load_texts, schema,
+    };
+}
 
 /// The pages of `docs` whose examples are run as tests.
 #[cfg(doctest)]

@@ -16,7 +16,7 @@ mod ledger;
 pub(crate) mod server;
 mod store;
 
-use std::{fmt, future::IntoFuture, sync::Arc, time::Duration};
+use std::{future::IntoFuture, sync::Arc, time::Duration};
 
 use futures_util::future::LocalBoxFuture;
 use serde::{Deserialize, Serialize};
@@ -29,6 +29,7 @@ use crate::{
     system,
     time::Instant,
 };
+pub use ctos_config::Scope;
 pub use error::SemaphoreError;
 use ledger::{Claim, Hold};
 use server::{AcquireSemaphore, Acquired, ArriveBarrier, Arrived};
@@ -40,15 +41,6 @@ const GRACE: Duration = Duration::from_secs(2);
 
 /// Names that begin so are of app scope, unless the configuration says otherwise.
 const APP_PREFIX: &str = "app/";
-
-/// Who shares a semaphore or a barrier.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Scope {
-    /// The processors of one chassis; each chassis has its own.
-    Chassis,
-    /// All chassis of the app.
-    App,
-}
 
 /// Somebody who holds a permit, or has arrived at a barrier.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -432,15 +424,6 @@ impl Barrier {
                 Err(nobody(cx, &self.name))
             }
         }
-    }
-}
-
-impl fmt::Display for Scope {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Chassis => "chassis",
-            Self::App => "app",
-        })
     }
 }
 

@@ -8,6 +8,8 @@
 
 use std::{collections::VecDeque, time::Duration};
 
+pub use ctos_config::{Policy, When};
+
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -15,42 +17,6 @@ use crate::time::Instant;
 
 /// The longest wait before a restart, however often it doubled.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(30);
-
-/// What is restarted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum When {
-    /// Nothing: it stays down.
-    #[default]
-    Never,
-    /// What failed: a panic of the handler, of a child or of a synchronous function.
-    OnFailure,
-    /// What failed, and what ended in order without the app being stopped (a `shutdown`).
-    Always,
-}
-
-/// `restart`, `max_restarts`, `restart_window_s` and `restart_backoff_s` of the configuration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Policy {
-    /// What is restarted.
-    pub when: When,
-    /// How many restarts there are within the window at most.
-    pub max: u32,
-    /// The window.
-    pub window: Duration,
-    /// The wait before the first restart of a window; it doubles with each further one.
-    pub backoff: Duration,
-}
-
-impl Default for Policy {
-    fn default() -> Self {
-        Self {
-            when: When::Never,
-            max: 3,
-            window: Duration::from_secs(60),
-            backoff: Duration::from_millis(100),
-        }
-    }
-}
 
 /// How something came to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -25,12 +25,12 @@ use std::time::Duration;
 
 use crate::time::Instant;
 
+pub use ctos_config::{Lead, Overrun};
 pub(crate) use directory::Directory;
 pub use directory::{FunctionView, ScheduleView};
 pub use function::{CyclicHandle, Synchronous};
 pub use histogram::Histogram;
-pub use lead::Lead;
-pub use schedule::{Overrun, Schedule, ScheduleSettings};
+pub use schedule::{Schedule, ScheduleSettings};
 pub use signal::Signal;
 pub(crate) use source::Pacemaker;
 pub use source::{TickSource, TickSourceHandle};

@@ -28,7 +28,9 @@ impl Injury {
         }
         let cuts = config.cuts.iter().filter(|cut| cut.is_between(from, to));
         let mut injury = Self {
-            cuts: cuts.map(|cut| (cut.at, cut.until)).collect(),
+            cuts: cuts
+                .map(|cut| (Instant::START + cut.at, Instant::START + cut.until))
+                .collect(),
             rng: ChaCha8Rng::seed_from_u64(mix(seed, &["injuries", from, to])),
             left: usize::MAX,
             config: config.clone(),

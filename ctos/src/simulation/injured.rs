@@ -22,8 +22,8 @@ pub(super) fn mishaps(config: &InjuryConfig, names: &[String]) -> Vec<Mishap> {
         all.push(Mishap::Break {
             one: cut.one.clone(),
             other: cut.other.clone(),
-            at: cut.at,
-            until: cut.until,
+            at: Instant::START + cut.at,
+            until: Instant::START + cut.until,
         });
     }
     all

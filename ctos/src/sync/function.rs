@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Cyclic, CyclicStatistics, Directory, Tick, flow::Flow, grid::Due, schedule::Overrun};
+use super::{Cyclic, CyclicStatistics, Directory, Overrun, Tick, flow::Flow, grid::Due};
 use crate::time::{Clock, Instant};
 
 /// Called with why a function cannot go on, or the app should not.

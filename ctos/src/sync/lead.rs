@@ -6,29 +6,7 @@
 
 use std::{cell::Cell, time::Duration};
 
-/// How long before a tick a processor that sleeps wakes up and spins.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lead {
-    /// So long, and at most half a base period. Zero = it sleeps until the tick.
-    Fixed(Duration),
-    /// As long as its wake-ups were late: at least [`Lead::LEAST`], at most [`Lead::MOST`] and a quarter of a base
-    /// period. A late one counts at once, and is forgotten over some thousands of ticks.
-    Learned,
-}
-
-impl Lead {
-    /// What is learned at least.
-    pub const LEAST: Duration = Duration::from_micros(80);
-    /// What is learned at most. Whoever is later than this was kept from the core for other reasons, which no lead
-    /// would be long enough for.
-    pub const MOST: Duration = Duration::from_micros(500);
-}
-
-impl Default for Lead {
-    fn default() -> Self {
-        Self::Fixed(Duration::ZERO)
-    }
-}
+use ctos_config::Lead;
 
 /// The lead as it is now.
 #[derive(Debug)]

@@ -12,33 +12,20 @@ use std::{
     time::Duration,
 };
 
+use ctos_config::{Lead, Overrun};
+
 use super::{
     CyclicError, CyclicHandle, CyclicStatistics, Directory, ScheduleView, Synchronous, TickSource,
     TickSourceHandle, flow,
     function::{FailureHook, Function, Rate, Turns},
     grid::{Begun, Due, Grid, Node},
-    lead::{Lead, Leading},
+    lead::Leading,
     source::{self, Pacemaker},
 };
 use crate::{
     processor::{drop_contained, panic_text},
     time::{Clock, Instant},
 };
-
-/// What a processor does with base ticks that it could not begin before the next one came due. They are always
-/// skipped and counted, never caught up in a burst; the policies differ in the functions whose turn was
-/// among them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Overrun {
-    /// They wait for their next turn.
-    #[default]
-    Skip,
-    /// They run once, late, in the tick that comes next, however many turns they lost.
-    RunLateOnce,
-    /// They wait for their next turn, and the tasks of the schedule have failed: the app is stopped
-    /// in order, with the schedule still running, so that hardware can come to rest.
-    Stop,
-}
 
 /// What is fixed about a schedule before it has functions.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

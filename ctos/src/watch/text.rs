@@ -1,4 +1,7 @@
 //! Metrics as Prometheus reads them: text exposition format 0.0.4. Names of tasks are labels, ids never.
+//!
+//! Ours, because `prometheus-client` (0.24) writes no summaries, and because it serves what one process counts: the
+//! numbers here come from all chassis by message.
 
 use std::fmt::Write;
 

@@ -1,13 +1,14 @@
 //! The typed app: what the files and `--set` texts of an app say, once nothing is wrong with them.
 
-use super::trail::Trail;
-use super::{LinkConfig, Node, SecurityConfig, Selection};
-use crate::diagnostic::{Findings, Place};
-use crate::semaphore::Scope;
-use crate::supervise::Policy;
-use crate::sync::{Lead, Overrun};
+use super::links::{LinkConfig, SecurityConfig};
+use super::load::SET;
+use super::node::Node;
+use super::selection::Selection;
+use super::trail::{Origin, Trail};
+use crate::diagnostic::{Finding, Findings, Place, Source};
+use crate::settings::{Lead, Overrun, Policy, Scope};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// An app: everything its files and `--set` texts say, checked and in declared order.
@@ -298,6 +299,37 @@ impl App {
             "on" => Some(task.on_place.clone()),
             "args" => task.args.place().cloned(),
             _ => task.args.locate(rest.strip_prefix("args.")?),
+        }
+    }
+
+    /// Reads a data file of the app: `relative` is taken from [`App::folder`]. Checks read files
+    /// through this, so that a [`Bundle`](crate::Bundle) holds every file that the app needs.
+    ///
+    /// # Errors
+    /// A finding without a place when the file cannot be read or is not UTF-8.
+    pub fn read(&self, relative: impl AsRef<Path>) -> Result<Source, Finding> {
+        let relative = relative.as_ref();
+        let source = Source::read(&self.folder.join(relative))?;
+        self.trail.note(&relative.to_string_lossy(), &source);
+        Ok(source)
+    }
+
+    /// Where a value of the tree [`App::root`] comes from.
+    #[must_use]
+    pub fn origin(&self, value: &Node) -> Origin {
+        let Some(place) = value.place() else {
+            return Origin::Default;
+        };
+        if place.source.name() == SET {
+            return Origin::Set(place.clone());
+        }
+        let profiles = self.trail.applied.iter().rev();
+        match profiles.into_iter().find(|profile| profile.holds(place)) {
+            Some(profile) => Origin::Profile {
+                name: profile.name.clone(),
+                place: place.clone(),
+            },
+            None => Origin::File(place.clone()),
         }
     }
 }

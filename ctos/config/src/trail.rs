@@ -1,18 +1,16 @@
 //! What an app was made of: the files that were read, the variables that were asked for, the
 //! profiles that were laid on, and the data files that its checks have opened.
 
-use super::load::{Read, SET};
+use super::load::Read;
 use super::profiles::Profile;
 use super::variables::Used;
-use super::{App, Node};
-use crate::diagnostic::{Finding, Place, Source};
+use crate::diagnostic::{Place, Source};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Kept with an app. Two apps of the same files are equal, whatever was opened since.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Trail {
+pub(crate) struct Trail {
     pub(super) sources: Vec<Read>,
     pub(super) used: Used,
     pub(super) applied: Vec<Profile>,
@@ -45,7 +43,7 @@ impl Trail {
         opened.clone()
     }
 
-    fn note(&self, relative: &str, source: &Source) {
+    pub(super) fn note(&self, relative: &str, source: &Source) {
         let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         opened.insert(relative.to_owned(), source.text().to_owned());
     }
@@ -67,37 +65,4 @@ pub enum Origin {
     },
     /// A `--set`.
     Set(Place),
-}
-
-impl App {
-    /// Reads a data file of the app: `relative` is taken from [`App::folder`]. Checks read files
-    /// through this, so that a [`Bundle`](super::Bundle) holds every file that the app needs.
-    ///
-    /// # Errors
-    /// A finding without a place when the file cannot be read or is not UTF-8.
-    pub fn read(&self, relative: impl AsRef<Path>) -> Result<Source, Finding> {
-        let relative = relative.as_ref();
-        let source = Source::read(&self.folder.join(relative))?;
-        self.trail.note(&relative.to_string_lossy(), &source);
-        Ok(source)
-    }
-
-    /// Where a value of the tree [`App::root`] comes from.
-    #[must_use]
-    pub fn origin(&self, value: &Node) -> Origin {
-        let Some(place) = value.place() else {
-            return Origin::Default;
-        };
-        if place.source.name() == SET {
-            return Origin::Set(place.clone());
-        }
-        let profiles = self.trail.applied.iter().rev();
-        match profiles.into_iter().find(|profile| profile.holds(place)) {
-            Some(profile) => Origin::Profile {
-                name: profile.name.clone(),
-                place: place.clone(),
-            },
-            None => Origin::File(place.clone()),
-        }
-    }
 }

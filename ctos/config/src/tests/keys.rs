@@ -1,7 +1,8 @@
 //! What the reader knows, the list of keys, the defaults, the reference page and the schema agree.
 
 use super::*;
-use crate::config::keys::{Kind, PROCESSOR, TABLES, TOP, table};
+use crate::diagnostic::Severity;
+use crate::keys::{Kind, PROCESSOR, TABLES, TOP, table};
 
 const PAGE: &str = include_str!("../../../../docs/configuration.md");
 const NOBODYS_KEY: &str = "zzzzzzzzzzzzzzzzzzzzzzzzzzzzzz";
@@ -157,8 +158,27 @@ fn the_schema_accepts_what_the_reader_accepts() {
     }
 }
 
+/// The codes of the errors that the reader finds in the last line of a table.
+fn errors_in(header: &str, line: &str) -> Vec<&'static str> {
+    let text = format!("{header}{line}\n");
+    let last = text.lines().count();
+    let Err(findings) = load_one(&text) else {
+        return Vec::new();
+    };
+    let in_line = |finding: &&Finding| {
+        let place = finding.place.as_ref();
+        let line = place.map(|place| place.source.line_column(place.range.start).0);
+        finding.severity == Severity::Error && line == Some(last)
+    };
+    findings
+        .iter()
+        .filter(in_line)
+        .map(|one| one.code)
+        .collect()
+}
+
 #[test]
-fn the_schema_refuses_what_the_reader_refuses_of_keys_and_values() {
+fn the_schema_and_the_reader_refuse_the_same_keys_and_values() {
     let validator = validator();
     for table in TABLES {
         let path = table.path.replace("NAME", "w");
@@ -167,8 +187,15 @@ fn the_schema_refuses_what_the_reader_refuses_of_keys_and_values() {
         } else {
             format!("[{path}]\n")
         };
-        let with = |line: &str| format!("{header}{line}\n");
-        assert!(!accepts(&validator, &with("zzz = 1")), "[{path}]");
+        let refused = |line: &str| {
+            let text = format!("{header}{line}\n");
+            assert!(!accepts(&validator, &text), "schema: [{path}] {line}");
+            assert!(
+                !errors_in(&header, line).is_empty(),
+                "reader: [{path}] {line}"
+            );
+        };
+        refused("zzz = 1");
         if path != TOP {
             assert!(
                 !accepts(&validator, &format!("[profile.p.{path}]\nzzz = 1\n")),
@@ -177,24 +204,54 @@ fn the_schema_refuses_what_the_reader_refuses_of_keys_and_values() {
         }
         for key in table.keys {
             let name = key.name;
-            let wrong = match key.kind {
+            let mut wrong: Vec<String> = match key.kind {
                 Kind::Text => vec!["3", "\"\"", "[]"],
                 Kind::Choice(_) => vec!["3", "\"zzz\""],
                 Kind::Flag | Kind::FlagOr(_) => vec!["1", "\"true\""],
                 Kind::Integer(0, _) => vec!["-1", "1.5", "\"1\""],
-                Kind::Integer(_, most) => {
-                    let above = format!("{name} = {}", most + 1);
-                    assert!(!accepts(&validator, &with(&above)), "[{path}] {above}");
-                    vec!["0", "1.5", "\"1\""]
-                }
+                Kind::Integer(..) => vec!["0", "1.5", "\"1\""],
                 Kind::Number(..) => vec!["-1", "1.5", "\"1\""],
                 Kind::Seconds(_) => vec!["0", "-1.0", "1e9", "\"1\""],
                 Kind::Texts => vec!["3", "[3]"],
                 Kind::One(_) | Kind::Named(_) | Kind::Profiles | Kind::Free => vec!["3", "[]"],
-            };
+            }
+            .into_iter()
+            .map(str::to_owned)
+            .collect();
+            let mut right = Vec::new();
+            match key.kind {
+                Kind::Integer(least, most) => {
+                    right.extend([least.to_string(), most.to_string()]);
+                    wrong.extend(most.checked_add(1).map(|above| above.to_string()));
+                }
+                Kind::Number(least, most) => {
+                    right.extend([format!("{least:?}"), format!("{most:?}")]);
+                    wrong.push(format!("{:?}", most + 0.01));
+                }
+                Kind::Seconds(most) => {
+                    right.extend(["1e-9".to_owned(), format!("{most:?}")]);
+                    wrong.push(format!("{:?}", most + 0.01));
+                }
+                Kind::Choice(words) => {
+                    right.extend(words.iter().map(|word| format!("{word:?}")));
+                }
+                Kind::Flag => right.push("true".to_owned()),
+                Kind::FlagOr(word) => right.extend(["true".to_owned(), format!("{word:?}")]),
+                _ => {}
+            }
             for value in wrong {
+                refused(&format!("{name} = {value}"));
+            }
+            for value in right {
                 let line = format!("{name} = {value}");
-                assert!(!accepts(&validator, &with(&line)), "[{path}] {line}");
+                let text = format!("{header}{line}\n");
+                assert!(accepts(&validator, &text), "schema: [{path}] {line}");
+                let errors = errors_in(&header, &line);
+                // What does not fit to the rest of the app is another matter.
+                let value = |code: &&str| {
+                    ["ctos::config::value", "ctos::config::unknown_choice"].contains(code)
+                };
+                assert!(!errors.iter().any(value), "reader: [{path}] {line}");
             }
         }
     }

@@ -7,9 +7,6 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-pub(super) const RECORD_KEYS: &[&str] = &["file", "max_mb", "keep", "flush_s", "buffer_mb"];
-pub(super) const METRICS_KEYS: &[&str] = &["listen"];
-
 const MAX_MB: u64 = 256;
 const KEEP: usize = 8;
 const FLUSH: Duration = Duration::from_secs(1);
@@ -69,11 +66,11 @@ pub(super) fn metrics(mut fields: Fields<'_, '_>) -> Option<SocketAddr> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::load_texts;
+    use crate::load_texts;
 
     const APP: &str = "[chassis.a]\n[task.t]\nhandler = \"h\"\non = \"a\"\n";
 
-    fn load(more: &str) -> Result<crate::config::App, String> {
+    fn load(more: &str) -> Result<crate::App, String> {
         let text = format!("{APP}{more}");
         load_texts(&[("app.toml", &text)], &[], &[]).map_err(|findings| {
             let findings = findings.into_sorted();

@@ -1,8 +1,8 @@
 //! `${NAME}` in strings.
 
 use super::*;
-use crate::config::load::Texts;
-use crate::config::variables::{Used, escaped, expanded};
+use crate::load::Texts;
+use crate::variables::{Used, escaped, expanded};
 
 const APP: &str = "[chassis.w]\n[task.a]\nhandler = \"h\"\non = \"w\"\n";
 

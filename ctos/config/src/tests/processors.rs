@@ -1,7 +1,7 @@
 //! What a processor's table says of real time and of its synchronous functions.
 
 use super::*;
-use crate::sync::{Lead, Overrun};
+use crate::settings::{Lead, Overrun};
 
 fn processor(line: &str) -> ProcessorConfig {
     let text = format!("[chassis.b.processors.x]\n{line}\n[task.a]\nhandler = \"h\"\non = \"b\"\n");

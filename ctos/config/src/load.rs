@@ -4,7 +4,8 @@
 //! Knows `include`, `app.profile` and `--set`; every other key is left to
 //! [`build`](super::build).
 
-use super::node::Node;
+use super::keys;
+use super::node::{Node, Value};
 use super::profiles::{Chosen, Profiles};
 use super::variables::{self, Used};
 use crate::diagnostic::{Finding, Findings, Place, Source};
@@ -281,7 +282,7 @@ impl Loader<'_> {
                 None => finding,
             }
         };
-        if !matches!(list.value(), super::Value::Array(_)) {
+        if !matches!(list.value(), Value::Array(_)) {
             self.findings.push(wrong(&list));
         }
         for element in list.elements() {
@@ -375,7 +376,7 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
     let (left, right) = (&text[..equals], &text[equals + 1..]);
     let mut keys = set_path(left).ok_or_else(|| usage("the part before `=` is not a key"))?;
     if let [(key, _)] = keys.as_slice()
-        && super::build::APP_KEYS.contains(&key.as_str())
+        && keys::names(keys::APP).any(|known| known == key)
     {
         // One word names a key of `[app]`: `--set seed=7`.
         keys.insert(0, ("app".to_owned(), 0..left.len()));

@@ -12,10 +12,12 @@ mod variables;
 mod zenoh;
 
 use super::*;
-use crate::diagnostic::Finding;
-use crate::supervise::{Policy, When};
+use crate::diagnostic::{Finding, Findings, Source};
+use crate::settings::{Policy, When};
 use proptest::prelude::*;
 use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 const CELL: &str = r#"[app]

@@ -9,6 +9,7 @@ use std::{
 
 use super::{
     fields::Fields,
+    keys,
     links::{SameHost, is_loopback},
     node::{Node, Value},
 };
@@ -19,8 +20,6 @@ use crate::diagnostic::{Finding, Findings, Place};
 pub const fn has_zenoh() -> bool {
     cfg!(feature = "zenoh")
 }
-
-const KEYS: &[&str] = &["mode", "connect", "listen", "multicast"];
 
 /// How the processes of an app take part in a zenoh network.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -120,7 +119,7 @@ pub(super) fn zenoh(
     findings: &mut Findings,
 ) -> Option<ZenohConfig> {
     let node = root.entry("zenoh").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[zenoh]".to_owned(), KEYS, findings);
+    let mut fields = Fields::new(node, "[zenoh]".to_owned(), keys::ZENOH, findings);
     let mode = match fields.choice("mode", &["peer", "client", "router"]) {
         Some("client") => ZenohMode::Client,
         Some("router") => ZenohMode::Router,

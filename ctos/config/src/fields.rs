@@ -1,5 +1,6 @@
 //! Reads the keys of one table one by one, so that all that is wrong in it is found at once.
 
+use super::keys;
 use super::node::{Node, Value};
 use crate::diagnostic::{Finding, Findings, Place};
 use std::fmt::Display;
@@ -23,11 +24,11 @@ pub(super) enum FlagOr {
 }
 
 impl<'n, 'f> Fields<'n, 'f> {
-    /// Looks at `node`, called `what` in messages, and reports the keys that are not `known`.
+    /// Looks at `node`, called `what` in messages, and reports the keys that the list does not have in `table`.
     pub(super) fn new(
         node: Option<&'n Node>,
         what: String,
-        known: &'static [&'static str],
+        table: &'static str,
         findings: &'f mut Findings,
     ) -> Self {
         let mut fields = Self {
@@ -43,13 +44,13 @@ impl<'n, 'f> Fields<'n, 'f> {
             return fields;
         }
         for entry in node.entries() {
-            if !known.contains(&entry.key.as_str()) {
+            if !keys::names(table).any(|known| known == entry.key) {
                 let finding = Finding::error(
                     "ctos::config::unknown_key",
                     format!("unknown key `{}` in {}", entry.key, fields.what),
                 )
                 .label("nobody reads this key")
-                .suggest(&entry.key, known.iter().copied());
+                .suggest(&entry.key, keys::names(table));
                 fields.push(match &entry.key_place {
                     Some(place) => finding.at(place.clone()),
                     None => finding,

@@ -4,18 +4,16 @@
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 
 use super::{
-    ZenohConfig,
     app::ChassisConfig,
     fields::Fields,
+    keys,
     node::{Node, Value},
+    zenoh::ZenohConfig,
 };
 use crate::{
     diagnostic::{Finding, Findings, Place},
-    time::Instant,
+    settings::BOOT_CHASSIS,
 };
-
-/// The keys of `[app]` that are read here.
-pub(super) const KEYS: [&str; 4] = ["peer_timeout_s", "same_host", "spin_us", "link_room_mib"];
 
 const PEER_TIMEOUT_S: f64 = 2.0;
 const ROOM_MIB: usize = 64;
@@ -67,7 +65,8 @@ impl Default for LinkConfig {
 
 impl LinkConfig {
     /// For how long this process looks before it sleeps.
-    pub(crate) fn spin_here(&self) -> Duration {
+    #[must_use]
+    pub fn spin_here(&self) -> Duration {
         if may_spin() {
             self.spin
         } else {
@@ -114,10 +113,10 @@ pub struct Cut {
     pub one: String,
     /// The other end.
     pub other: String,
-    /// From when.
-    pub at: Instant,
-    /// Until when.
-    pub until: Instant,
+    /// From when, since the start of the app.
+    pub at: Duration,
+    /// Until when, since the start of the app.
+    pub until: Duration,
 }
 
 impl Cut {
@@ -136,10 +135,10 @@ impl Cut {
             Some((at, lasts)) => (at, Some(duration(lasts)?)),
             None => (when, None),
         };
-        let at = Instant::START + duration(at)?;
+        let at = duration(at)?;
         let until = match lasts {
-            Some(lasts) => at + lasts,
-            None => Instant::from_nanos(u64::MAX),
+            Some(lasts) => at.saturating_add(lasts),
+            None => Duration::MAX,
         };
         (one != other).then(|| Self {
             one: one.to_owned(),
@@ -207,8 +206,6 @@ pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
     }
 }
 
-const INJURE_KEYS: &[&str] = &["drop", "delay", "cut", "break_bytes"];
-
 /// Reads `[injure]`.
 pub(super) fn injury(
     root: &Node,
@@ -216,7 +213,7 @@ pub(super) fn injury(
     findings: &mut Findings,
 ) -> InjuryConfig {
     let node = root.entry("injure").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[injure]".to_owned(), INJURE_KEYS, findings);
+    let mut fields = Fields::new(node, "[injure]".to_owned(), keys::INJURE, findings);
     let drop = fields.number("drop", 0.0..=0.9).unwrap_or(0.0);
     let late = fields
         .text("delay")
@@ -258,7 +255,7 @@ fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> 
     }
     let names = || {
         let names = chassis.iter().map(|chassis| chassis.name.as_str());
-        names.chain([crate::chassis::BOOT_CHASSIS])
+        names.chain([BOOT_CHASSIS])
     };
     let mut cuts = Vec::new();
     for text in node.elements() {
@@ -282,8 +279,6 @@ fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> 
     cuts
 }
 
-const SECURITY_KEYS: &[&str] = &["key", "authority"];
-
 /// Reads `[security]`, and finds chassis that would be open to strangers without it.
 pub(super) fn security(
     root: &Node,
@@ -291,7 +286,7 @@ pub(super) fn security(
     findings: &mut Findings,
 ) -> Option<SecurityConfig> {
     let node = root.entry("security").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[security]".to_owned(), SECURITY_KEYS, findings);
+    let mut fields = Fields::new(node, "[security]".to_owned(), keys::SECURITY, findings);
     if node.is_none_or(|node| node.entries().is_empty()) {
         for one in chassis {
             open_to_strangers(one, root, findings);
@@ -332,13 +327,13 @@ pub(super) fn is_loopback(address: IpAddr) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::config::load_texts;
+    use crate::load_texts;
 
     use super::*;
 
     const APP: &str = "[task.t]\nhandler = \"h\"\non = \"a\"\n[chassis.a]\n";
 
-    fn app(more: &str) -> crate::config::App {
+    fn app(more: &str) -> crate::App {
         let text = format!("{APP}{more}");
         load_texts(&[("app.toml", &text)], &[], &[])
             .map_err(|found| found.to_string())
@@ -389,9 +384,8 @@ mod tests {
         let ends = injury
             .cuts
             .iter()
-            .map(|cut| (cut.at.as_nanos(), cut.until.as_nanos()));
-        let second = 1_000_000_000;
-        let expected = [(2 * second, 5 * second / 2), (3 * second, u64::MAX)];
+            .map(|cut| (cut.at.as_secs_f64(), cut.until.as_secs_f64()));
+        let expected = [(2.0, 2.5), (3.0, Duration::MAX.as_secs_f64())];
         assert_eq!(ends.collect::<Vec<_>>(), expected);
         assert!(injury.cuts[0].is_between("boot", "a"));
         let security = app.security.unwrap();

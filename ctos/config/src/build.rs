@@ -10,81 +10,23 @@ mod tasks;
 use super::app::{
     App, BarrierConfig, ChassisConfig, HostConfig, ProcessorConfig, SemaphoreConfig, TimeMode,
 };
+use super::expander::Expander;
 use super::fields::{Fields, FlagOr, check_name};
 use super::hosts;
+use super::keys;
 use super::links;
-use super::node::{Entry, Node};
+use super::node::{Entry, Node, Value};
 use super::observe;
 use super::policies::supervision;
 use super::trail::Trail;
-use super::{Expander, zenoh};
+use super::zenoh;
 use crate::diagnostic::{Finding, Findings, Place};
-use crate::semaphore::Scope;
-use crate::sync::Overrun;
+use crate::settings::{Overrun, Scope};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The keys of `[app]`; `--set` takes them as single words.
-pub(super) const APP_KEYS: &[&str] = &[
-    "name",
-    "profile",
-    "seed",
-    "until",
-    "phase_timeout_s",
-    "stop_timeout_s",
-    links::KEYS[0],
-    links::KEYS[1],
-    links::KEYS[2],
-    links::KEYS[3],
-    "listen",
-];
-const TOP_KEYS: &[&str] = &[
-    "include",
-    "app",
-    "time",
-    "chassis",
-    "task",
-    "semaphore",
-    "barrier",
-    "injure",
-    "security",
-    "zenoh",
-    "record",
-    "metrics",
-    "host",
-    "control",
-    "profile",
-];
-const SEMAPHORE_KEYS: &[&str] = &["scope", "permits"];
-const BARRIER_KEYS: &[&str] = &["scope", "parties"];
 const PARTIES_MOST: u32 = 1_000_000;
-const PROCESSOR_KEYS: &[&str] = &[
-    "realtime", "priority", "cpu", "period_s", "overrun", "spin_us",
-];
-const CHASSIS_KEYS: &[&str] = &[
-    "host",
-    "listen",
-    "stop_first",
-    "restart",
-    "max_restarts",
-    "restart_window_s",
-    "restart_backoff_s",
-    "on_task_failure",
-    "processors",
-];
-const TASK_KEYS: &[&str] = &[
-    "handler",
-    "on",
-    "queue",
-    "restart",
-    "max_restarts",
-    "restart_window_s",
-    "restart_backoff_s",
-    "call_deadline_s",
-    "handler_limit_s",
-    "args",
-];
 
 const SEED: u64 = 1;
 const PHASE_TIMEOUT_S: f64 = 20.0;
@@ -130,15 +72,15 @@ pub(super) fn build(
     let time = builder.time(&root);
     let semaphores = builder.semaphores(&root);
     let barriers = builder.barriers(&root);
-    let record = observe::record(builder.fields(&root, "record", observe::RECORD_KEYS));
-    let metrics = observe::metrics(builder.fields(&root, "metrics", observe::METRICS_KEYS));
-    let control = hosts::control(builder.fields(&root, "control", hosts::CONTROL_KEYS));
+    let record = observe::record(builder.fields(&root, keys::RECORD));
+    let metrics = observe::metrics(builder.fields(&root, keys::METRICS));
+    let control = hosts::control(builder.fields(&root, keys::CONTROL));
     let hosts = builder.hosts(&root);
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
     );
-    let mut fields = builder.fields(&root, "app", APP_KEYS);
+    let mut fields = builder.fields(&root, keys::APP);
     let name = fields
         .text("name")
         .map_or(stem, |(name, _)| name.to_owned());
@@ -206,14 +148,9 @@ struct Builder<'f> {
 
 impl Builder<'_> {
     /// The fields of a top-level table, all absent when the table is.
-    fn fields<'n>(
-        &mut self,
-        root: &'n Node,
-        table: &str,
-        known: &'static [&'static str],
-    ) -> Fields<'n, '_> {
+    fn fields<'n>(&mut self, root: &'n Node, table: &'static str) -> Fields<'n, '_> {
         let node = root.entry(table).map(|entry| &entry.value);
-        Fields::new(node, format!("[{table}]"), known, self.findings)
+        Fields::new(node, format!("[{table}]"), table, self.findings)
     }
 
     fn push_at_start(&mut self, finding: Finding) {
@@ -231,7 +168,7 @@ impl Builder<'_> {
         for entry in root.entries() {
             let known = || {
                 let extra = expanders.iter().map(|(table, _)| *table);
-                TOP_KEYS.iter().copied().chain(extra)
+                keys::names(keys::TOP).chain(extra)
             };
             if !known().any(|table| table == entry.key) {
                 let finding = Finding::error(
@@ -247,7 +184,7 @@ impl Builder<'_> {
     }
 
     fn time(&mut self, root: &Node) -> TimeMode {
-        let mut fields = self.fields(root, "time", &["mode"]);
+        let mut fields = self.fields(root, keys::TIME);
         match fields.choice("mode", &["real", "virtual"]) {
             Some("virtual") => TimeMode::Virtual,
             _ => TimeMode::Real,
@@ -259,9 +196,7 @@ impl Builder<'_> {
         let Some(entry) = root.entry(table) else {
             return &[];
         };
-        if entry.value.entries().is_empty()
-            && !matches!(entry.value.value(), super::Value::Table(_))
-        {
+        if entry.value.entries().is_empty() && !matches!(entry.value.value(), Value::Table(_)) {
             let finding = Finding::error(
                 "ctos::config::value",
                 format!("`{table}` holds named tables, found {}", entry.value.kind()),
@@ -329,7 +264,7 @@ impl Builder<'_> {
     fn chassis(&mut self, entry: &Entry) -> ChassisConfig {
         let place = self.place_of(entry);
         let what = format!("chassis `{}`", entry.key);
-        let mut fields = Fields::new(Some(&entry.value), what, CHASSIS_KEYS, self.findings);
+        let mut fields = Fields::new(Some(&entry.value), what, keys::CHASSIS, self.findings);
         let host = fields.text("host").map(|(host, _)| host.to_owned());
         let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:0\"");
         let stop_first = fields.flag("stop_first").unwrap_or(false);
@@ -369,7 +304,7 @@ impl Builder<'_> {
         let place = self.place_of(entry);
         check_name("processor", &entry.key, &place, self.findings);
         let what = format!("processor `{chassis}/{}`", entry.key);
-        let mut fields = Fields::new(Some(&entry.value), what, PROCESSOR_KEYS, self.findings);
+        let mut fields = Fields::new(Some(&entry.value), what, keys::PROCESSOR, self.findings);
         let realtime = fields.flag_or("realtime", "require");
         let required = realtime == Some(FlagOr::Word);
         let realtime = required || realtime == Some(FlagOr::Flag(true));
@@ -418,7 +353,7 @@ impl Builder<'_> {
         let entries = self.named(root, "semaphore").iter();
         let read = entries.map(|entry| {
             let what = format!("semaphore `{}`", entry.key);
-            let mut fields = Fields::new(Some(&entry.value), what, SEMAPHORE_KEYS, self.findings);
+            let mut fields = Fields::new(Some(&entry.value), what, keys::SEMAPHORE, self.findings);
             SemaphoreConfig {
                 name: entry.key.clone(),
                 scope: scope(&mut fields),
@@ -433,7 +368,7 @@ impl Builder<'_> {
         let entries = self.named(root, "barrier").iter();
         let read = entries.map(|entry| {
             let what = format!("barrier `{}`", entry.key);
-            let mut fields = Fields::new(Some(&entry.value), what, BARRIER_KEYS, self.findings);
+            let mut fields = Fields::new(Some(&entry.value), what, keys::BARRIER, self.findings);
             BarrierConfig {
                 name: entry.key.clone(),
                 scope: scope(&mut fields),

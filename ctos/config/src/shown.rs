@@ -1,10 +1,11 @@
 //! An app's configuration as it counts in the end: every value, also those that no file says, each
 //! with where it comes from.
 
+use super::app::App;
 use super::keys::{self, Kind, PROCESSOR, TOP};
 use super::node::{Entry, Node, Value};
+use super::trail::Origin;
 use super::variables::escaped;
-use super::{App, Origin};
 use crate::diagnostic::{Findings, Place, Source};
 use std::fmt::Write;
 

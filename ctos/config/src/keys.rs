@@ -1,8 +1,8 @@
-//! Every key that the runtime reads, as data: what the JSON schema and the merged view are made of.
+//! Every key that the runtime reads, as data: what the readers know, the JSON schema and the merged view are
+//! made of it.
 //!
-//! [`build`](super::build) reads the keys and says what is wrong with them. A test holds the two,
-//! `defaults.toml` and `docs/configuration.md` against each other, so a key is added in all four or
-//! nowhere.
+//! Tests hold this list, what the readers accept, `defaults.toml` and `docs/configuration.md` against each other,
+//! so a key is added in all of them or nowhere.
 
 /// A table of keys.
 pub(super) struct Table {
@@ -63,25 +63,24 @@ const fn key(
     }
 }
 
-/// The top level.
+/// The paths of the tables.
 pub(super) const TOP: &str = "";
-const APP: &str = "app";
-const TIME: &str = "time";
-const RECORD: &str = "record";
-const METRICS: &str = "metrics";
-const CHASSIS: &str = "chassis.NAME";
-/// The processors of a chassis.
+pub(super) const APP: &str = "app";
+pub(super) const TIME: &str = "time";
+pub(super) const RECORD: &str = "record";
+pub(super) const METRICS: &str = "metrics";
+pub(super) const CHASSIS: &str = "chassis.NAME";
 pub(super) const PROCESSOR: &str = "chassis.NAME.processors.NAME";
-const TASK: &str = "task.NAME";
-const SEMAPHORE: &str = "semaphore.NAME";
-const BARRIER: &str = "barrier.NAME";
+pub(super) const TASK: &str = "task.NAME";
+pub(super) const SEMAPHORE: &str = "semaphore.NAME";
+pub(super) const BARRIER: &str = "barrier.NAME";
+pub(super) const INJURE: &str = "injure";
+pub(super) const SECURITY: &str = "security";
+pub(super) const HOST: &str = "host.NAME";
+pub(super) const CONTROL: &str = "control";
+pub(super) const ZENOH: &str = "zenoh";
 
 const SCOPE_DOC: &str = "Shared by the tasks of each chassis, or of the whole app. Default: of the app when the name begins with `app/`, else of the chassis.";
-const INJURE: &str = "injure";
-const SECURITY: &str = "security";
-const HOST: &str = "host.NAME";
-const CONTROL: &str = "control";
-const ZENOH: &str = "zenoh";
 
 /// All tables, outer ones first.
 pub(super) const TABLES: &[Table] = &[
@@ -572,4 +571,9 @@ pub(super) const TABLES: &[Table] = &[
 pub(super) fn table(path: &str) -> &'static [Key] {
     let found = TABLES.iter().find(|table| table.path == path);
     found.map_or(&[], |table| table.keys)
+}
+
+/// The names of its keys.
+pub(super) fn names(path: &str) -> impl Iterator<Item = &'static str> {
+    table(path).iter().map(|key| key.name)
 }

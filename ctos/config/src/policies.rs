@@ -3,7 +3,7 @@
 use super::app::{ChassisRestart, ChassisSupervision, OnTaskFailure};
 use super::fields::Fields;
 use crate::diagnostic::Finding;
-use crate::supervise::{Policy, When};
+use crate::settings::{Policy, When};
 
 /// The keys of a chassis that say what happens when it fails.
 pub(super) fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {

@@ -1,13 +1,14 @@
 //! The tasks of an app: those of `[task]` and those that the tables of others stand for.
 
 use super::super::app::{ChassisConfig, TaskConfig};
+use super::super::expander::{Expander, GeneratedTask};
 use super::super::fields::{Fields, check_name};
+use super::super::keys;
 use super::super::node::{Entry, Node};
 use super::super::policies::restart;
-use super::super::{Expander, GeneratedTask};
-use super::{Builder, QUEUE, TASK_KEYS};
+use super::{Builder, QUEUE};
 use crate::diagnostic::{Finding, Place};
-use crate::supervise::Policy;
+use crate::settings::Policy;
 
 impl Builder<'_> {
     pub(super) fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
@@ -21,7 +22,7 @@ impl Builder<'_> {
     fn task(&mut self, entry: &Entry, chassis: &[ChassisConfig]) -> Option<TaskConfig> {
         let place = self.place_of(entry);
         let what = format!("task `{}`", entry.key);
-        let mut fields = Fields::new(Some(&entry.value), what, TASK_KEYS, self.findings);
+        let mut fields = Fields::new(Some(&entry.value), what, keys::TASK, self.findings);
         let handler = fields.required(
             "handler",
             "add handler = \"NAME\", the handler that this task runs",

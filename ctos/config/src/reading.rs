@@ -1,103 +1,21 @@
-//! Configuration of an app: TOML files, includes, profiles and `--set`, read into checked types.
-//!
-//! All that is wrong is reported at once, each finding with file, line and column. Precedence:
-//! default < include < file < profile < `--set`. The page `docs/configuration.md` lists every key;
-//! [`DEFAULTS`] is the same list as a file.
-//!
-//! Knows nothing of handlers: their arguments stay a [`Node`], which they read themselves.
+//! Reads an app: its files merged, its tables built, and the profiles that were not chosen looked through.
 
-#![allow(
-    clippy::result_large_err,
-    reason = "findings are made when an app is read, never on a path that repeats"
-)]
+use std::{collections::BTreeMap, path::Path};
 
-mod app;
-mod build;
-mod bundle;
-mod de;
-mod fields;
-mod hosts;
-mod keys;
-mod links;
-mod load;
-mod node;
-mod observe;
-mod policies;
-mod profiles;
-mod schema;
-mod shown;
-#[cfg(test)]
-mod tests;
-mod trail;
-mod variables;
-mod zenoh;
-
-pub use app::{
-    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, HostConfig,
-    OnTaskFailure, ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
+use crate::{
+    app::App,
+    build,
+    diagnostic::{Findings, Source},
+    expander::Expander,
+    load::{Disk, Files, Texts, merged},
+    node::Node,
+    profiles,
+    selection::Selection,
+    trail::Trail,
+    variables,
 };
-pub use bundle::{Bundle, BundleError};
-pub use links::{Cut, InjuryConfig, LinkConfig, SameHost, SecurityConfig};
-pub use node::{Entry, Node, Value};
-pub use schema::schema;
-pub use shown::ShownValue;
-pub use trail::Origin;
-pub use zenoh::{ZenohConfig, ZenohEndpoint, ZenohEndpointError, ZenohMode, has_zenoh};
-
-use crate::diagnostic::{Findings, Place, Source};
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use trail::Trail;
-
-/// Every key with its default and what it means, as a TOML text.
-pub const DEFAULTS: &str = include_str!("config/defaults.toml");
-
-/// Makes tasks out of a top-level table of its own, for example the vision tasks out of the list
-/// of services in `[vss]`.
-pub trait Expander {
-    /// Checks the table and returns its tasks; whatever is wrong goes to `findings`.
-    fn expand(&self, table: &Node, findings: &mut Findings) -> Vec<GeneratedTask>;
-}
-
-/// A task made by an [`Expander`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct GeneratedTask {
-    /// Its symbolic name.
-    pub name: String,
-    /// The handler's registered name.
-    pub handler: String,
-    /// `CHASSIS` or `CHASSIS/PROCESSOR`.
-    pub on: String,
-    /// What the handler gets as its arguments.
-    pub args: Node,
-    /// The part of the file that it was made from; findings about the task point there.
-    pub place: Place,
-}
-
-/// Which app: its file, and what the command line chooses and overrides.
-///
-/// The same selection makes the same app in any process with the same environment, so a child
-/// process of an app is given it and reads the app again.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Selection {
-    /// The app's file.
-    pub file: PathBuf,
-    /// The profiles, the later ones on top; without any, `app.profile` chooses one.
-    pub profiles: Vec<String>,
-    /// The `--set` texts, the later ones on top.
-    pub sets: Vec<String>,
-}
 
 impl Selection {
-    /// The app of `file` as it is written.
-    #[must_use]
-    pub fn new(file: impl Into<PathBuf>) -> Self {
-        Self {
-            file: file.into(),
-            ..Self::default()
-        }
-    }
-
     /// Reads the app: its file, everything that file includes, profiles and `--set` texts.
     /// `expanders` are the top-level tables other than the runtime's own, each with what turns it
     /// into tasks.
@@ -106,7 +24,7 @@ impl Selection {
     /// Everything wrong, errors and warnings together. When there are only warnings, the app is
     /// returned and holds them.
     pub fn load(&self, expanders: &[(&'static str, &dyn Expander)]) -> Result<App, Findings> {
-        load_from(&load::Disk, self, expanders)
+        load_from(&Disk, self, expanders)
     }
 
     /// As [`load`](Self::load), from texts in memory given as `(path, text)`, and with these
@@ -120,7 +38,7 @@ impl Selection {
         variables: &BTreeMap<String, String>,
         expanders: &[(&'static str, &dyn Expander)],
     ) -> Result<App, Findings> {
-        load_from(&load::Texts(texts, variables), self, expanders)
+        load_from(&Texts(texts, variables), self, expanders)
     }
 }
 
@@ -159,9 +77,9 @@ pub fn load_texts(
 }
 
 /// Where files and variables come from.
-type Sources<'a> = dyn load::Files + 'a;
+pub(crate) type Sources<'a> = dyn Files + 'a;
 
-fn load_from(
+pub(crate) fn load_from(
     files: &Sources<'_>,
     selection: &Selection,
     expanders: &[(&'static str, &dyn Expander)],
@@ -169,7 +87,7 @@ fn load_from(
     let mut findings = Findings::new();
     let file = &selection.file;
     let (profiles, sets) = (&selection.profiles, &selection.sets);
-    let Some(merged) = load::merged(files, file, profiles, sets, &mut findings) else {
+    let Some(merged) = merged(files, file, profiles, sets, &mut findings) else {
         return Err(findings);
     };
     // What does not parse would only bring findings that are not the person's mistakes.

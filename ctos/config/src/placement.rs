@@ -7,21 +7,23 @@
 
 use std::time::Duration;
 
-use crate::config::{App, ProcessorConfig};
+use crate::app::{App, ProcessorConfig};
 
 /// Looked for on a CPU of its own, unless the configuration says otherwise.
 const SPIN: Duration = Duration::from_micros(20);
 
 /// Whether `processor` of `app` has its CPU together with another one, on a machine with `cpus` CPUs that it
 /// may use.
-pub(crate) fn shares(app: &App, processor: &ProcessorConfig, cpus: usize) -> bool {
+#[must_use]
+pub fn shares(app: &App, processor: &ProcessorConfig, cpus: usize) -> bool {
     let all = || app.chassis.iter().flat_map(|chassis| &chassis.processors);
     let beside = |other: &&ProcessorConfig| processor.cpu.is_some() && other.cpu == processor.cpu;
     all().filter(beside).count() > 1 || (cpus < 2 && all().count() > 1)
 }
 
 /// How long `processor` of `app` looks for messages, on a machine with `cpus` CPUs that it may use.
-pub(crate) fn spin(app: &App, processor: &ProcessorConfig, cpus: usize) -> Duration {
+#[must_use]
+pub fn spin(app: &App, processor: &ProcessorConfig, cpus: usize) -> Duration {
     if cpus < 2 || shares(app, processor, cpus) {
         return Duration::ZERO;
     }
@@ -34,7 +36,7 @@ pub(crate) fn spin(app: &App, processor: &ProcessorConfig, cpus: usize) -> Durat
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::load_texts;
+    use crate::load_texts;
 
     fn spins(processors: &str, cpus: usize) -> Vec<u128> {
         let text =

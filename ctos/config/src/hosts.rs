@@ -9,18 +9,16 @@ use super::{
     App,
     app::{ChassisConfig, HostConfig},
     fields::Fields,
+    keys,
     links::is_loopback,
     node::{Entry, Node},
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
-pub(super) const HOST_KEYS: &[&str] = &["agent"];
-pub(super) const CONTROL_KEYS: &[&str] = &["listen"];
-
 /// Reads the table of one host.
 pub(super) fn host(entry: &Entry, place: Place, findings: &mut Findings) -> Option<HostConfig> {
     let what = format!("host `{}`", entry.key);
-    let mut fields = Fields::new(Some(&entry.value), what, HOST_KEYS, findings);
+    let mut fields = Fields::new(Some(&entry.value), what, keys::HOST, findings);
     let help = "add agent = \"IP:PORT\", where `ctos agent` listens on that host";
     let (_, agent_place) = fields.required("agent", help)?;
     let agent = fields.parsed::<SocketAddr>("agent", "an address such as \"192.168.1.20:7410\"")?;
@@ -264,7 +262,7 @@ impl App {
 
 #[cfg(test)]
 mod tests {
-    use crate::config::{App, load_texts};
+    use crate::{App, load_texts};
 
     const TASK: &str =
         "[task.t]\nhandler = \"h\"\non = \"a\"\n[task.u]\nhandler = \"h\"\non = \"b\"\n";

@@ -1,8 +1,11 @@
 //! A configuration as one value that can be sent to another host: its files, the data files that
 //! its checks read, and what the command line and the environment here had to say.
 
+use super::app::App;
+use super::expander::Expander;
 use super::load::{Texts, lexical};
-use super::{App, Expander, Selection, Sources, load_from};
+use super::reading::{Sources, load_from};
+use super::selection::Selection;
 use crate::diagnostic::{Finding, Findings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -47,9 +50,8 @@ pub enum BundleError {
 }
 
 impl App {
-    /// The app's configuration as one value. Make it after
-    /// [`Registry::check`](crate::registry::Registry::check): it holds the data files that checks
-    /// have read through [`App::read`].
+    /// The app's configuration as one value. Make it after the
+    /// registry has checked the app: it holds the data files that checks have read through [`App::read`].
     ///
     /// # Errors
     /// A file that is named by an absolute path: it would be looked for there on the other host.

@@ -1,7 +1,7 @@
 //! The merged configuration as a file.
 
 use super::*;
-use crate::config::node::Entry;
+use crate::node::Entry;
 
 fn sim() -> App {
     let text = format!(

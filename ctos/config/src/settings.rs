@@ -1,0 +1,103 @@
+//! What a configuration settles for the services of the runtime: plain values and their defaults.
+//!
+//! The services give these types their meaning and publish them under their own names.
+
+use std::{fmt, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+/// The name of the chassis that boots the others; its number is 0.
+pub const BOOT_CHASSIS: &str = "boot";
+
+/// What is restarted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum When {
+    /// Nothing: it stays down.
+    #[default]
+    Never,
+    /// What failed: a panic of the handler, of a child or of a synchronous function.
+    OnFailure,
+    /// What failed, and what ended in order without the app being stopped (a `shutdown`).
+    Always,
+}
+
+/// `restart`, `max_restarts`, `restart_window_s` and `restart_backoff_s` of the configuration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Policy {
+    /// What is restarted.
+    pub when: When,
+    /// How many restarts there are within the window at most.
+    pub max: u32,
+    /// The window.
+    pub window: Duration,
+    /// The wait before the first restart of a window; it doubles with each further one.
+    pub backoff: Duration,
+}
+
+impl Default for Policy {
+    fn default() -> Self {
+        Self {
+            when: When::Never,
+            max: 3,
+            window: Duration::from_secs(60),
+            backoff: Duration::from_millis(100),
+        }
+    }
+}
+
+/// Who shares a semaphore or a barrier.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Scope {
+    /// The processors of one chassis; each chassis has its own.
+    Chassis,
+    /// All chassis of the app.
+    App,
+}
+
+impl fmt::Display for Scope {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Chassis => "chassis",
+            Self::App => "app",
+        })
+    }
+}
+
+/// What a processor does with base ticks that it could not begin before the next one came due. They are always
+/// skipped and counted, never caught up in a burst; the policies differ in the functions whose turn was
+/// among them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Overrun {
+    /// They wait for their next turn.
+    #[default]
+    Skip,
+    /// They run once, late, in the tick that comes next, however many turns they lost.
+    RunLateOnce,
+    /// They wait for their next turn, and the tasks of the schedule have failed: the app is stopped
+    /// in order, with the schedule still running, so that hardware can come to rest.
+    Stop,
+}
+
+/// How long before a tick a processor that sleeps wakes up and spins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lead {
+    /// So long, and at most half a base period. Zero = it sleeps until the tick.
+    Fixed(Duration),
+    /// As long as its wake-ups were late: at least [`Lead::LEAST`], at most [`Lead::MOST`] and a quarter of a base
+    /// period. A late one counts at once, and is forgotten over some thousands of ticks.
+    Learned,
+}
+
+impl Lead {
+    /// What is learned at least.
+    pub const LEAST: Duration = Duration::from_micros(80);
+    /// What is learned at most. Whoever is later than this was kept from the core for other reasons, which no lead
+    /// would be long enough for.
+    pub const MOST: Duration = Duration::from_micros(500);
+}
+
+impl Default for Lead {
+    fn default() -> Self {
+        Self::Fixed(Duration::ZERO)
+    }
+}
