@@ -56,6 +56,7 @@ mod exchange;
 mod fuzz;
 mod inbox;
 mod link;
+mod lock;
 mod mailbox;
 mod moving;
 mod names;
@@ -65,14 +66,16 @@ mod processor;
 mod reply;
 mod room;
 mod runner;
+mod seed;
 mod statistics;
 mod timers;
 mod waits;
 
 pub use blob::{Blob, BlobMut};
-pub use context::{DEFAULT_DEADLINE, mix};
+pub use context::DEFAULT_DEADLINE;
 pub use ctos_derive::handler;
 pub use message::Command;
+pub use seed::mix;
 pub use statistics::TaskCounters;
 pub use task::Context;
 

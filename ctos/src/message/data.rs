@@ -97,23 +97,12 @@ pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadErro
     }
 }
 
-/// Reads exactly one `T` out of several pieces.
-fn read<T: DeserializeOwned>(body: Body) -> Result<T, PayloadError> {
-    match body.read() {
-        Ok(value) => Ok(value),
-        // Something lies across two pieces, or it is no `T`: what is in one piece shows which.
-        Err(_) => decode(&body.into_vec()),
-    }
-}
-
 /// The data of a message: a typed value inside a chassis, bytes from another one.
 pub enum Data {
     /// A value of the sender's, moved; a small one in place, a large one as a pointer.
     Typed(Parcel),
     /// Postcard bytes.
     Bytes(Vec<u8>),
-    /// Postcard bytes in several pieces, some of which stand where others made them.
-    Parts(Box<Body>),
 }
 
 impl Data {
@@ -147,7 +136,6 @@ impl Data {
                 reason: "the sender passed another type".to_owned(),
             }),
             Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
-            Self::Parts(body) => read(*body),
         }
     }
 
@@ -177,11 +165,6 @@ impl Data {
                 reason: "the sender passed another type".to_owned(),
             }),
             Self::Bytes(bytes) => blob::read_from(std::mem::take(bytes), decode::<T>),
-            Self::Parts(body) => {
-                let body = std::mem::take(&mut **body);
-                *self = Self::NOTHING;
-                read(body)
-            }
         }
     }
 
@@ -196,10 +179,6 @@ impl Data {
                 buffer.extend_from_slice(bytes);
                 Ok(())
             }
-            Self::Parts(body) => {
-                body.append_to(buffer);
-                Ok(())
-            }
         }
     }
 
@@ -211,17 +190,13 @@ impl Data {
         match self {
             Self::Typed(parcel) => parcel.payload().encode(),
             Self::Bytes(bytes) => Ok(bytes),
-            Self::Parts(body) => Ok(body.into_vec()),
         }
     }
 }
 
 impl From<Body> for Data {
     fn from(body: Body) -> Self {
-        match body.into_bytes() {
-            Ok(bytes) => Self::Bytes(bytes),
-            Err(body) => Self::Parts(Box::new(body)),
-        }
+        Self::Bytes(body.into_vec())
     }
 }
 
@@ -233,7 +208,6 @@ impl Data {
     pub(crate) fn into_body(self) -> Result<Body, PayloadError> {
         match self {
             Self::Bytes(bytes) => Ok(bytes.into()),
-            Self::Parts(body) => Ok(*body),
             typed @ Self::Typed(_) => blob::body_of(|| typed.into_bytes()),
         }
     }
@@ -243,7 +217,6 @@ impl Data {
         match self {
             Self::Typed(parcel) => parcel.payload().encode(),
             Self::Bytes(bytes) => Ok(bytes.clone()),
-            Self::Parts(body) => Ok(body.as_ref().clone().into_vec()),
         }
     }
 }
@@ -253,7 +226,6 @@ impl fmt::Debug for Data {
         match self {
             Self::Typed(_) => f.write_str("Typed(..)"),
             Self::Bytes(bytes) => write!(f, "Bytes({})", bytes.len()),
-            Self::Parts(body) => write!(f, "Parts({})", body.len()),
         }
     }
 }

@@ -45,8 +45,6 @@ pub(crate) struct Letter {
     pub(crate) to: Option<Arc<str>>,
 }
 
-const _: () = assert!(size_of::<Letter>() == 192 && std::mem::offset_of!(Letter, limit) == 128);
-
 thread_local! {
     /// Blank letters of this thread.
     static SPARE: RefCell<Vec<Box<Letter>>> = const { RefCell::new(Vec::new()) };

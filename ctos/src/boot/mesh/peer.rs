@@ -13,6 +13,7 @@ use crate::{
         Frame,
         session::{DownReason, Receiver, Session, state::Event, state::State},
     },
+    processor::Processor,
     time::Instant,
 };
 
@@ -83,6 +84,8 @@ impl Receiver for PeerReceiver {
 
     fn frame(&self, frame: Frame, now: Instant) {
         if let Some(mesh) = self.mesh.upgrade() {
+            // A processor that slept at the links begins here.
+            Processor::look_here(&mesh.chassis.clock);
             mesh.chassis.receive(self.chassis, frame, now);
         }
     }
