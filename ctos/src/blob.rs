@@ -4,8 +4,7 @@
 //! To everybody else a [`Blob`] looks like a `Vec<u8>`: the same bytes on the wire, the same JSON. But a
 //! vector goes through its serializer number by number, and a blob as a whole; and where a message is
 //! written for a link, a large blob is not even copied: it is written to the link from where it is, and
-//! the receiver's blob is the memory into which the link was read. Between processes that share memory not
-//! even that: a blob that was made in the memory of its chassis ([`BlobMut`]) is read where it stands.
+//! the receiver's blob is the memory in which the frame was put together as it came.
 //!
 //! How: a serializer sees a slice and cannot keep it. So a blob that is being serialized is lent, for
 //! this thread and this moment, to the one who collects the bytes; and what a message is read from is
@@ -15,16 +14,13 @@ use std::{
     cell::RefCell,
     fmt,
     ops::{Deref, DerefMut},
-    sync::Arc,
 };
 
 use bytes::Bytes;
 use serde::{
     Deserialize, Deserializer, Serialize, Serializer,
-    de::{DeserializeOwned, SeqAccess, Visitor},
+    de::{SeqAccess, Visitor},
 };
-
-use crate::link::shm::pool::{Block, Pool};
 
 /// Smaller ones are copied, bytes: that costs less than to keep account of them.
 pub(crate) const LEAST: usize = 16 * 1024;
@@ -51,7 +47,7 @@ thread_local! {
     /// What was collected so far, with where in the other bytes it belongs; `None` when nobody does.
     static COLLECTED: RefCell<Option<Vec<(usize, Bytes)>>> = const { RefCell::new(None) };
     /// What is being read at this moment.
-    static READ: RefCell<Option<Vec<Bytes>>> = const { RefCell::new(None) };
+    static READ: RefCell<Option<Bytes>> = const { RefCell::new(None) };
 }
 
 impl Blob {
@@ -107,36 +103,19 @@ impl fmt::Debug for Blob {
     }
 }
 
-/// Bytes that are written once and then sent. What [`crate::Context::blob`] makes stands in memory that
-/// the other processes of the host can read, so that the data of a [`Blob`] that is made of it is not copied
-/// on its way to them.
-pub struct BlobMut(Place);
-
-enum Place {
-    /// In the chassis's shared memory.
-    Pool(Block),
-    Heap(Vec<u8>),
-}
+/// Bytes that are written once and then sent ([`crate::Context::blob`]).
+pub struct BlobMut(Vec<u8>);
 
 impl BlobMut {
-    /// So many bytes, to be written, in `pool` if there is one that has room.
-    pub(crate) fn of(pool: Option<&Arc<Pool>>, size: usize) -> Self {
-        let block = pool
-            .filter(|_| size >= LEAST)
-            .and_then(|pool| pool.block(size));
-        Self(match block {
-            Some(block) => Place::Pool(block),
-            None => Place::Heap(vec![0; size]),
-        })
+    /// So many bytes, to be written.
+    pub(crate) fn new(size: usize) -> Self {
+        Self(vec![0; size])
     }
 
     /// The blob: nothing is written to it any more.
     #[must_use]
     pub fn freeze(self) -> Blob {
-        Blob(match self.0 {
-            Place::Pool(block) => Bytes::from_owner(block),
-            Place::Heap(bytes) => bytes.into(),
-        })
+        self.0.into()
     }
 }
 
@@ -144,19 +123,13 @@ impl Deref for BlobMut {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
-        match &self.0 {
-            Place::Pool(block) => block,
-            Place::Heap(bytes) => bytes,
-        }
+        &self.0
     }
 }
 
 impl DerefMut for BlobMut {
     fn deref_mut(&mut self) -> &mut [u8] {
-        match &mut self.0 {
-            Place::Pool(block) => block,
-            Place::Heap(bytes) => bytes,
-        }
+        &mut self.0
     }
 }
 
@@ -192,9 +165,8 @@ impl<'de> Deserialize<'de> for Blob {
             fn visit_borrowed_bytes<E>(self, bytes: &'de [u8]) -> Result<Blob, E> {
                 let shared = READ.with_borrow(|read| {
                     let read = read.as_ref().filter(|_| bytes.len() >= LEAST)?;
-                    let mut read = read.iter();
-                    let read = read.find(|read| read.as_ptr_range().contains(&bytes.as_ptr()))?;
-                    Some(read.slice_ref(bytes))
+                    let is_part = read.as_ptr_range().contains(&bytes.as_ptr());
+                    is_part.then(|| read.slice_ref(bytes))
                 });
                 Ok(Blob(
                     shared.unwrap_or_else(|| Bytes::copy_from_slice(bytes)),
@@ -238,14 +210,6 @@ impl Body {
         self.bytes.len() + blobs.sum::<usize>()
     }
 
-    /// Bytes, and blobs with the place in the bytes before which each belongs. None when the places are not
-    /// in order, or not all inside.
-    pub(crate) fn of_parts(bytes: Vec<u8>, blobs: Vec<(usize, Bytes)>) -> Option<Self> {
-        let places = || blobs.iter().map(|(place, _)| *place);
-        let fits = places().is_sorted() && places().all(|place| place <= bytes.len());
-        fits.then_some(Self { bytes, blobs })
-    }
-
     /// The bytes, when they are in one piece.
     ///
     /// # Errors
@@ -279,29 +243,6 @@ impl Body {
             .for_each(|piece| buffer.extend_from_slice(piece));
     }
 
-    /// Reads exactly one `T`, whose blobs are the same memory.
-    ///
-    /// # Errors
-    /// What postcard says, or how many bytes are left.
-    pub(crate) fn read<T: DeserializeOwned>(&self) -> Result<T, BodyError> {
-        let blobs = self.blobs.iter().map(|(_, blob)| blob.clone()).collect();
-        let emptied = Emptied(&READ);
-        READ.set(Some(blobs));
-        let pieces: Vec<&[u8]> = self.pieces().filter(|piece| !piece.is_empty()).collect();
-        let mut reader = postcard::Deserializer::from_flavor(Pieces {
-            now: &[],
-            left: self.len(),
-            later: pieces.into_iter(),
-        });
-        let value = T::deserialize(&mut reader)?;
-        let left = reader.finalize()?;
-        drop(emptied);
-        if left > 0 {
-            return Err(BodyError::Left(left));
-        }
-        Ok(value)
-    }
-
     /// In one piece; without a copy where it is.
     pub(crate) fn into_vec(self) -> Vec<u8> {
         if self.blobs.is_empty() {
@@ -330,68 +271,6 @@ impl Body {
         let first = parts.remove(0);
         parts.retain(|part| !part.is_empty());
         (first, parts)
-    }
-}
-
-/// Data that is not what is expected.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum BodyError {
-    #[error(transparent)]
-    Postcard(#[from] postcard::Error),
-    #[error("{0} bytes too many")]
-    Left(usize),
-}
-
-/// Several pieces, read one after the other. What is borrowed of them lies within one.
-struct Pieces<'de> {
-    now: &'de [u8],
-    left: usize,
-    later: std::vec::IntoIter<&'de [u8]>,
-}
-
-impl Pieces<'_> {
-    /// Goes on to the next piece at the end of one.
-    fn advance(&mut self) {
-        if self.now.is_empty()
-            && let Some(next) = self.later.next()
-        {
-            self.now = next;
-        }
-    }
-}
-
-impl<'de> postcard::de_flavors::Flavor<'de> for Pieces<'de> {
-    type Remainder = usize;
-    type Source = ();
-
-    fn pop(&mut self) -> postcard::Result<u8> {
-        self.advance();
-        let (first, rest) = self
-            .now
-            .split_first()
-            .ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-        self.now = rest;
-        self.left -= 1;
-        Ok(*first)
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        Some(self.left)
-    }
-
-    fn try_take_n(&mut self, count: usize) -> postcard::Result<&'de [u8]> {
-        if count > 0 {
-            self.advance();
-        }
-        let taken = self.now.split_at_checked(count);
-        let (taken, rest) = taken.ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
-        self.now = rest;
-        self.left -= count;
-        Ok(taken)
-    }
-
-    fn finalize(self) -> postcard::Result<usize> {
-        Ok(self.left)
     }
 }
 
@@ -463,7 +342,7 @@ pub(crate) fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T
     }
     let bytes = Bytes::from(bytes);
     let emptied = Emptied(&READ);
-    READ.set(Some(vec![bytes.clone()]));
+    READ.set(Some(bytes.clone()));
     let read = decode(&bytes);
     drop(emptied);
     read
@@ -521,40 +400,6 @@ mod tests {
         let range = wire.as_ptr_range();
         let (_, one, _, other) = Data::Bytes(wire).take::<Pair>().unwrap();
         assert!(range.contains(&one.as_ptr()) && range.contains(&other.as_ptr()));
-    }
-
-    proptest! {
-        #[test]
-        fn pieces_are_read_wherever_they_are_cut(
-            text in ".{0,60}", numbers in proptest::collection::vec(any::<u64>(), 0..20),
-            cuts in proptest::collection::vec(any::<prop::sample::Index>(), 0..6),
-        ) {
-            let value = (text, numbers, 7_u8);
-            let wire = postcard::to_stdvec(&value).unwrap();
-            let mut cuts: Vec<usize> = cuts.iter().map(|cut| cut.index(wire.len() + 1)).collect();
-            cuts.sort_unstable();
-            // Every other piece is lent.
-            let (mut bytes, mut blobs, mut from) = (Vec::new(), Vec::new(), 0);
-            for (number, to) in cuts.into_iter().chain([wire.len()]).enumerate() {
-                if number % 2 == 0 {
-                    bytes.extend_from_slice(&wire[from..to]);
-                } else {
-                    blobs.push((bytes.len(), Bytes::copy_from_slice(&wire[from..to])));
-                }
-                from = to;
-            }
-            let body = Body::of_parts(bytes, blobs).unwrap();
-            prop_assert_eq!(Data::from(body.clone()).take::<(String, Vec<u64>, u8)>().unwrap(), value);
-            prop_assert!(Data::from(body).take::<(String, Vec<u64>)>().is_err());
-        }
-    }
-
-    #[test]
-    fn parts_that_do_not_fit_together_are_none() {
-        let blob = |place: usize| (place, Bytes::from_static(b"x"));
-        assert!(Body::of_parts(vec![1, 2], vec![blob(0), blob(2)]).is_some());
-        assert!(Body::of_parts(vec![1, 2], vec![blob(2), blob(0)]).is_none());
-        assert!(Body::of_parts(vec![1, 2], vec![blob(3)]).is_none());
     }
 
     #[test]

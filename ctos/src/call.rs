@@ -1,13 +1,10 @@
 //! How a call ends: with a reply or with an error that names both tasks. Always.
 
-use std::{
-    fmt,
-    sync::{Mutex, MutexGuard, PoisonError},
-    time::Duration,
-};
+use std::{fmt, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
+pub(crate) use crate::lock::lock;
 pub(crate) use crate::reply::{Answer, Promise, ReplyKey, ReplySlot, Waiting};
 
 /// Why a message did not lead to a reply, without the names of the tasks.
@@ -228,9 +225,3 @@ impl fmt::Display for CallError {
 }
 
 impl std::error::Error for CallError {}
-
-/// A lock that ignores poisoning: no code that holds one of this crate's locks leaves its data
-/// half changed when it panics.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}

@@ -24,7 +24,7 @@ use crate::{
     directory::TaskDirectory,
     disk::Disk,
     doors::Refusals,
-    link::{lookout::Lookout, shm::pool::Pool},
+    link::lookout::Lookout,
     message::{Message, Tid},
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
@@ -78,8 +78,6 @@ pub struct Chassis {
     pub(crate) watch: Watch,
     /// Its links, when they are real ones.
     lookout: OnceLock<Arc<Lookout>>,
-    /// Where data is made that other processes read in place, when there are any.
-    pool: OnceLock<Arc<Pool>>,
     /// What survives it in virtual time.
     pub(crate) disk: OnceLock<Arc<Disk>>,
     /// How many callers, and requests of tools, were refused so far.
@@ -130,7 +128,6 @@ impl Chassis {
             tap: Tap::new(index),
             watch: Watch::default(),
             lookout: OnceLock::new(),
-            pool: OnceLock::new(),
             disk: OnceLock::new(),
             refused: Refusals::default(),
         })
@@ -205,16 +202,6 @@ impl Chassis {
     /// Its processors' threads look at these links when they have nothing else to do.
     pub(crate) fn set_lookout(&self, lookout: Arc<Lookout>) {
         let _ = self.lookout.set(lookout);
-    }
-
-    /// Large data for other processes is made there.
-    pub(crate) fn set_pool(&self, pool: Arc<Pool>) {
-        let _ = self.pool.set(pool);
-    }
-
-    /// Where large data for other processes is made.
-    pub(crate) fn pool(&self) -> Option<&Arc<Pool>> {
-        self.pool.get()
     }
 
     /// The links that the thread of processor `index` looks at: none where something must run in time,

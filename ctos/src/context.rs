@@ -405,12 +405,11 @@ impl Context {
         }
     }
 
-    /// So many bytes of data that is made here and then sent: an image, a scan. From [`BlobMut::freeze`] on
-    /// it goes to other processes of this host without being copied, where shared memory joins them. What
-    /// stands in it at first is of no meaning: it is to be written as a whole.
+    /// So many bytes of data that is made here and then sent: an image, a scan. What stands in it at first is of
+    /// no meaning: it is to be written as a whole.
     #[must_use]
     pub fn blob(&self, size: usize) -> BlobMut {
-        BlobMut::of(self.inner.chassis.pool(), size)
+        BlobMut::new(size)
     }
 
     /// The task's arguments, `[task.NAME.args]` of the configuration.
@@ -445,7 +444,7 @@ impl Context {
 
     /// The seed of [`Self::rng`].
     pub(crate) fn seed_of(&self, stream: &str) -> u64 {
-        mix(self.app().seed, &[self.name(), stream])
+        crate::seed::mix(self.app().seed, &[self.name(), stream])
     }
 
     /// Makes `value` known to the other tasks of this chassis.
@@ -464,14 +463,4 @@ impl fmt::Debug for Context {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Context(`{}`, {})", self.name(), self.tid())
     }
-}
-
-/// Mixes a seed with words (FNV-1a over their bytes), the same on every machine.
-#[must_use]
-pub fn mix(seed: u64, words: &[&str]) -> u64 {
-    let mut hash = 0xcbf2_9ce4_8422_2325_u64 ^ seed;
-    for byte in words.iter().flat_map(|word| word.bytes().chain([0])) {
-        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    }
-    hash ^ seed.rotate_left(32)
 }

@@ -58,7 +58,7 @@ mod tests {
             assert!(is_http(said.as_bytes()), "{said}");
         }
         for said in [
-            &b"ctos\0\0\0\x04"[..],
+            &b"ctos\0\0\0\x05"[..],
             b"ctosagt\0",
             b"{\"token\":\"GET HTTP\"}",
             b"\x16\x03\x01",

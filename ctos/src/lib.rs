@@ -56,21 +56,24 @@ mod exchange;
 #[cfg(test)]
 mod fuzz;
 mod link;
+mod lock;
 mod mailbox;
 mod moving;
 mod names;
 mod processor;
 mod reply;
 mod runner;
+mod seed;
 mod statistics;
 mod timers;
 mod waits;
 
 pub use blob::{Blob, BlobMut};
-pub use context::{DEFAULT_DEADLINE, mix};
+pub use context::DEFAULT_DEADLINE;
 pub use ctos_config::diagnostic;
 pub use ctos_derive::handler;
 pub use message::Command;
+pub use seed::mix;
 pub use statistics::TaskCounters;
 pub use task::Context;
 

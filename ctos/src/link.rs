@@ -5,7 +5,6 @@ pub(crate) mod injure;
 pub(crate) mod lookout;
 pub(crate) mod session;
 pub(crate) mod shm;
-pub(crate) mod simulated;
 pub(crate) mod transport;
 #[cfg(feature = "zenoh")]
 pub(crate) mod zenoh;

@@ -11,6 +11,7 @@ mod happen;
 mod injured;
 mod machine;
 mod mishap;
+mod network;
 mod processes;
 mod profile;
 mod reader;
@@ -31,16 +32,11 @@ use crate::{
     call::lock,
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
-    context::mix,
     disk::Disk,
-    link::{
-        Frame,
-        simulated::{Arrival, InFlight, Network, below},
-    },
-    message::{Flags, SYSTEM_COMMANDS},
     processor::Processor,
     record,
     registry::Registry,
+    seed::mix,
     system,
     time::{Clock, Instant},
     watch,
@@ -51,11 +47,13 @@ use self::{
     events::EventLog,
     happen::{drift_of, schedule},
     machine::Machine,
+    network::{Arrival, InFlight, Network, below},
     processes::{Exits, Orders, watch_exit},
 };
 
 pub use self::{
-    events::EventSink, mishap::Mishap, profile::Faults, script::write_script, shrink::shrink,
+    events::EventSink, mishap::Mishap, network::Breach, profile::Faults, script::write_script,
+    shrink::shrink,
 };
 
 /// The page on time and simulation: its example runs with the documentation's.
@@ -65,29 +63,6 @@ struct Page;
 
 /// So many steps without the clock moving are a task that never waits.
 const STEPS_AT_ONCE: u64 = 10_000_000;
-
-/// A rule of the links that a test breaks, to see that it is noticed. Nobody else has a use for it.
-#[doc(hidden)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Breach {
-    /// Some frames arrive twice.
-    Duplicate,
-    /// Some frames change places with the one before them between the same tasks.
-    Swap,
-    /// Some frames never arrive.
-    Lose,
-    /// Some requests arrive at another task.
-    Misdeliver,
-}
-
-impl Breach {
-    /// Only what tasks send each other is broken: a boot that fails would hide it.
-    pub(crate) fn concerns(self, frame: &Frame) -> bool {
-        let of_the_app = frame.header.command < SYSTEM_COMMANDS;
-        let request = !frame.header.flags.contains(Flags::REPLY);
-        of_the_app && (request || self == Self::Lose)
-    }
-}
 
 /// How an app is simulated.
 pub struct Setup {

@@ -32,7 +32,7 @@ use crate::{
         injure::Injury,
         lookout::Lookout,
         session::{DownReason, Limits, Session, state::Event, state::State},
-        shm::pool::Pool,
+        shm::Shared,
         transport::{Address, Listener},
         zenoh::Fabric,
     },
@@ -134,8 +134,8 @@ struct Inner {
     runtime: Handle,
     /// Who reads what comes over plain sockets and shared memory.
     lookout: Arc<Lookout>,
-    /// What stands in it other processes of the host read in place; without one they are joined by sockets.
-    pool: Option<Arc<Pool>>,
+    /// Whether chassis of this host are joined through shared memory.
+    shares_memory: bool,
     listen: OnceLock<Vec<Address>>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
@@ -188,10 +188,6 @@ impl Mesh {
         let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
         let lookout = lookout.map_err(MeshError::Wait)?;
         chassis.set_lookout(lookout.clone());
-        let pool = pool_of(app.links.same_host);
-        if let Some(pool) = &pool {
-            chassis.set_pool(pool.clone());
-        }
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -201,7 +197,7 @@ impl Mesh {
             fabric,
             runtime: Handle::current(),
             lookout,
-            pool,
+            shares_memory: shares_memory(app.links.same_host),
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
             live: Mutex::default(),
@@ -303,14 +299,12 @@ impl Mesh {
             fabric.close().await;
         }
         self.inner.lookout.close();
-        self.inner.close_pool();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
         self.inner.lookout.close();
-        self.inner.close_pool();
         for door in &self.doors {
             door.abort();
         }
@@ -441,31 +435,22 @@ impl Inner {
         Some(session)
     }
 
-    /// Nothing is lent any more.
-    fn close_pool(&self) {
-        if let Some(pool) = &self.pool {
-            pool.close();
-        }
-    }
-
     fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
         let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
         Injury::of(config, self.chassis.app.seed, from, to)
     }
 }
 
-/// The memory to lend from, where the configuration wants memory to be shared and the system has some.
-fn pool_of(same_host: SameHost) -> Option<Arc<Pool>> {
+/// Whether the configuration wants memory to be shared and the system has some.
+fn shares_memory(same_host: SameHost) -> bool {
     if same_host != SameHost::Shared {
-        return None;
+        return false;
     }
-    match Pool::make() {
-        Ok(pool) => Some(pool),
-        Err(error) => {
-            tracing::warn!(error = %error, "no memory can be shared: the chassis of this host are joined by sockets");
-            None
-        }
+    let made = Shared::make();
+    if let Err(error) = &made {
+        tracing::warn!(error = %error, "no memory can be shared: the chassis of this host are joined by sockets");
     }
+    made.is_ok()
 }
 
 #[cfg(test)]

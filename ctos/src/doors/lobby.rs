@@ -9,7 +9,7 @@ use std::{
 
 use tokio::sync::oneshot;
 
-use crate::call::lock;
+use crate::lock::lock;
 
 /// How long the next caller waits after one was turned out. It bounds how fast strangers can turn out
 /// others: a member has at least as many of these as there are places to show who it is.

@@ -9,7 +9,7 @@ use std::{
 };
 
 use crate::{
-    call::lock,
+    lock::lock,
     time::{Clock, Instant},
 };
 

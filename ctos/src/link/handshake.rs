@@ -12,7 +12,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use crate::link::transport::Address;
 
 /// The first bytes of a caller: the protocol, and its version.
-const GREETING: [u8; 8] = *b"ctos\0\0\0\x04";
+const GREETING: [u8; 8] = *b"ctos\0\0\0\x05";
 
 /// The most that is read before both ends know each other, bytes.
 pub(crate) const HANDSHAKE_LIMIT: usize = 16 * 1024;

@@ -8,7 +8,7 @@ use std::{io, time::Duration};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{config::InjuryConfig, context::mix, time::Instant};
+use crate::{config::InjuryConfig, seed::mix, time::Instant};
 
 /// What goes wrong with what one chassis sends to another.
 pub(crate) struct Injury {

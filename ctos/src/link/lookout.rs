@@ -33,7 +33,7 @@ use rustix::{
 
 pub(crate) use self::parker::Parker;
 use crate::{
-    call::lock,
+    lock::lock,
     time::{Clock, Instant},
 };
 
@@ -288,16 +288,6 @@ impl Lookout {
         if let Some(thread) = self.relief.thread.get() {
             thread.unpark();
         }
-    }
-
-    /// How long to look before sleeping; zero where that would keep the others from their core.
-    pub(crate) fn spin_time(&self) -> Duration {
-        self.spin
-    }
-
-    /// The present moment.
-    pub(crate) fn now(&self) -> Instant {
-        self.clock.now()
     }
 
     fn nudge(&self) {

@@ -5,15 +5,13 @@
 //! time. Packets are numbered and kept until the other end has acknowledged them; a new stream goes on
 //! where the old one broke. Signs of life tell a peer that is frozen or cut off from one that is idle.
 //!
-//! Knows streams only as something that takes bytes ([`Writer`]); who connects to whom is decided
-//! elsewhere.
+//! Knows streams as something that takes bytes ([`Writer`]) and drives them ([`drive`], [`direct`]); who
+//! connects to whom is decided elsewhere.
 
 mod arrive;
 mod direct;
 pub(crate) mod drive;
-mod free;
 mod line;
-mod moment;
 pub(crate) mod packet;
 mod post;
 pub(crate) mod state;
@@ -34,15 +32,14 @@ pub(crate) use self::writer::DirectWrite;
 pub(crate) use self::writer::Writer;
 use self::{
     line::Line,
-    moment::Moment,
-    packet::{Kind, Lend, PacketError},
+    packet::{Kind, PacketError},
     state::{Event, State},
     window::{Incoming, Outgoing, Pumped},
     writer::Socket,
 };
 use crate::{
-    call::lock,
     link::{Counts, Frame, injure::Injury},
+    lock::lock,
     time::{Clock, Instant},
 };
 
@@ -237,19 +234,6 @@ impl Session {
         writer: Writer,
         received: u64,
     ) -> Result<u64, AttachError> {
-        self.attach_lending(writer, received, None)
-    }
-
-    /// [`Self::attach`] for a stream whose other end can read large data in place.
-    ///
-    /// # Errors
-    /// As [`Self::attach`].
-    pub(crate) fn attach_lending(
-        self: &Arc<Self>,
-        writer: Writer,
-        received: u64,
-        lend: Option<Box<dyn Lend>>,
-    ) -> Result<u64, AttachError> {
         let _handing = lock(&self.handing);
         let now = self.clock.now();
         let (stream, first) = {
@@ -263,7 +247,6 @@ impl Session {
                 core.state = next.ok_or(AttachError::State(core.state))?;
             }
             core.outgoing.restart(received)?;
-            core.outgoing.set_lend(lend);
             core.outgoing.cut_into(writer.piece());
             let core = &mut *core;
             core.line.advance(&mut core.outgoing, now);
@@ -311,10 +294,7 @@ impl Session {
         };
         core.state = next;
         match next {
-            State::Broken => {
-                core.writer = None;
-                core.outgoing.set_lend(None);
-            }
+            State::Broken => core.writer = None,
             State::Down => {
                 core.reason.get_or_insert(reason);
                 if event == Event::Silence {
@@ -324,7 +304,6 @@ impl Session {
                 // A last attempt; nobody waits for it.
                 let _ = Self::pump_now(core, self.clock.now());
                 core.writer = None;
-                core.outgoing.set_lend(None);
             }
             // However it ends from here on, this end wanted it.
             State::Closing => _ = core.reason.get_or_insert(reason),
@@ -355,7 +334,7 @@ impl Session {
     }
 
     /// Writes what can be written at once, from whatever thread.
-    fn pump_now<'a>(core: &mut Core, now: impl Into<Moment<'a>>) -> io::Result<Pumped> {
+    fn pump_now(core: &mut Core, now: Instant) -> io::Result<Pumped> {
         let Core {
             outgoing,
             incoming,
@@ -369,8 +348,8 @@ impl Session {
     }
 
     /// Takes packets and writes as far as the stream allows; what is left the driver writes.
-    fn put(&self, put: impl FnOnce(&mut Core, Moment<'_>)) {
-        let now = Moment::by(&self.clock);
+    fn put(&self, put: impl FnOnce(&mut Core, Instant)) {
+        let now = self.clock.now();
         let driver = {
             let mut core = lock(&self.core);
             if core.state == State::Down {
@@ -415,11 +394,10 @@ impl Session {
 
     /// Whether there was too little room.
     fn pump_on(&self, core: &mut Core, stream: u64) -> bool {
-        core.stream == stream && self.pump_or_wake(core, Moment::by(&self.clock))
+        core.stream == stream && self.pump_or_wake(core, self.clock.now())
     }
 
-    /// The present moment. If this thread runs a processor, which slept at the links, the moment is the
-    /// processor's from now on as well.
+    /// The present moment.
     pub(crate) fn now(&self) -> Instant {
         self.clock.now()
     }
@@ -493,10 +471,7 @@ impl Session {
             let limit = self.limits.timeout;
             return self.event(Event::Silence, DownReason::Silence(limit));
         }
-        self.put(|core, _| {
-            core.outgoing.collect();
-            core.outgoing.pulse(Kind::Pulse);
-        });
+        self.put(|core, _| core.outgoing.pulse(Kind::Pulse));
     }
 
     /// Ends in order: what was posted goes out first.

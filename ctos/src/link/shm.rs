@@ -1,5 +1,5 @@
 //! Shared memory between two chassis of one host: a ring of bytes for each direction, and a bell for
-//! each side. Large data need not go through the ring: it stays in the [`pool`] of its sender.
+//! each side.
 //!
 //! The memory has no name: it is a memfd that one side makes and passes over the Unix socket that joins
 //! them, sealed so that neither can make it smaller; the system frees it when both are gone. What is in
@@ -8,7 +8,6 @@
 
 mod memory;
 pub(crate) mod pass;
-pub(crate) mod pool;
 
 use std::{
     io::{self, IoSlice},
@@ -21,10 +20,7 @@ use std::{
 
 use rustix::fs::{MemfdFlags, OFlags, SealFlags};
 
-use self::{
-    memory::Memory,
-    pool::{Foreign, Lending, Pool, Words},
-};
+use self::memory::Memory;
 use crate::link::lookout;
 
 /// Bytes of one ring's data; a power of two.
@@ -34,14 +30,12 @@ const RING: usize = 1 << 20;
 const LINE: usize = 128;
 
 /// Where the fields of a ring stand, in lines from its start: bytes ever written, bytes ever read,
-/// whether the writer waits for room, which parts of the writer's pool are lent (two lines).
+/// whether the writer waits for room.
 const WRITTEN: usize = 0;
 const READ: usize = 1;
 const WANTS_ROOM: usize = 2;
-const LOANS: usize = 3;
 /// Lines of a ring before its data.
-const RING_LINES: usize = 5;
-const _: () = assert!(pool::SLOTS * size_of::<u32>() <= (RING_LINES - LOANS) * LINE);
+const RING_LINES: usize = 3;
 
 /// Lines of a bell: whether anybody sleeps beside it.
 const BELL_LINES: usize = 1;
@@ -88,8 +82,6 @@ pub(crate) struct Shared {
     side: Side,
     /// What wakes the maker, and the guest.
     bells: [OwnedFd; 2],
-    /// What this side lends, and borrows.
-    pools: Option<(Lending, Arc<Foreign>)>,
 }
 
 impl Shared {
@@ -133,29 +125,7 @@ impl Shared {
             memory,
             side,
             bells,
-            pools: None,
         })
-    }
-
-    /// Lends from `pool` what the other side gives back at the end of `pipe`, and borrows from what the other
-    /// side offers.
-    ///
-    /// # Errors
-    /// When that is not what it should be.
-    fn share(&mut self, pool: Arc<Pool>, pipe: OwnedFd, theirs: [OwnedFd; 2]) -> io::Result<()> {
-        let words = |side: Side| Words {
-            memory: self.memory.clone(),
-            start: ring_of(side) + LOANS * LINE,
-        };
-        let lending = Lending::new(pool, words(self.side), pipe);
-        let foreign = Foreign::take(theirs, words(self.side.other()))?;
-        self.pools = Some((lending, foreign));
-        Ok(())
-    }
-
-    /// What this side lends and borrows.
-    pub(crate) fn take_pools(&mut self) -> Option<(Lending, Arc<Foreign>)> {
-        self.pools.take()
     }
 
     /// Both sides in one process, without a file.
@@ -167,7 +137,6 @@ impl Shared {
             memory: memory.clone(),
             side,
             bells: bells.each_ref().map(|bell| bell.try_clone().unwrap()),
-            pools: None,
         };
         (side(Side::Maker), side(Side::Guest))
     }
@@ -179,7 +148,6 @@ impl Shared {
             memory,
             side,
             bells,
-            pools: _,
         } = self;
         let (own, theirs) = match (side, bells) {
             (Side::Maker, [maker, guest]) => (maker, guest),
@@ -371,40 +339,16 @@ impl Receiver {
     /// # Errors
     /// [`Corrupt`] when the other side's position cannot be.
     pub(crate) fn read(&self, into: &mut [u8]) -> Result<usize, Corrupt> {
-        let mut rest = into;
-        self.take(rest.len(), |memory, place, size| {
-            let (part, later) = std::mem::take(&mut rest).split_at_mut(size);
-            memory.copy_out(place, part);
-            rest = later;
-        })
-    }
-
-    /// Appends at most `most` bytes of what has come to `into`.
-    ///
-    /// # Errors
-    /// [`Corrupt`] when the other side's position cannot be.
-    pub(crate) fn read_into(&self, into: &mut Vec<u8>, most: usize) -> Result<usize, Corrupt> {
-        self.take(most, |memory, place, size| {
-            memory.append_to(place, size, into);
-        })
-    }
-
-    /// Takes at most `most` bytes out, in one or two parts.
-    fn take(
-        &self,
-        most: usize,
-        mut copy: impl FnMut(&Memory, usize, usize),
-    ) -> Result<usize, Corrupt> {
         let mut read = self.read.load(Ordering::Relaxed);
         let written = self.ring.field(WRITTEN).load(Ordering::Acquire);
-        let count = Ring::filled(written, read)?.min(most);
-        let mut left = count;
-        while left > 0 {
+        let count = Ring::filled(written, read)?.min(into.len());
+        let (mut rest, _) = into.split_at_mut(count);
+        while !rest.is_empty() {
             let (place, until_wrap) = self.ring.place(read);
-            let part = left.min(until_wrap);
-            copy(&self.ring.memory, place, part);
-            read += part as u64;
-            left -= part;
+            let (part, later) = rest.split_at_mut(rest.len().min(until_wrap));
+            self.ring.memory.copy_out(place, part);
+            read += part.len() as u64;
+            rest = later;
         }
         if count > 0 {
             self.read.store(read, Ordering::Relaxed);

@@ -95,23 +95,12 @@ pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadErro
     }
 }
 
-/// Reads exactly one `T` out of several pieces.
-fn read<T: DeserializeOwned>(body: Body) -> Result<T, PayloadError> {
-    match body.read() {
-        Ok(value) => Ok(value),
-        // Something lies across two pieces, or it is no `T`: what is in one piece shows which.
-        Err(_) => decode(&body.into_vec()),
-    }
-}
-
 /// The data of a message: a typed value inside a chassis, bytes from another one.
 pub enum Data {
     /// A value of the sender's, moved as a pointer.
     Typed(Box<dyn Payload>),
     /// Postcard bytes.
     Bytes(Vec<u8>),
-    /// Postcard bytes in several pieces, some of which stand where others made them.
-    Parts(Box<Body>),
 }
 
 impl Data {
@@ -140,7 +129,6 @@ impl Data {
                 }),
             },
             Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
-            Self::Parts(body) => read(*body),
         }
     }
 
@@ -155,10 +143,6 @@ impl Data {
                 buffer.extend_from_slice(bytes);
                 Ok(())
             }
-            Self::Parts(body) => {
-                body.append_to(buffer);
-                Ok(())
-            }
         }
     }
 
@@ -170,17 +154,13 @@ impl Data {
         match self {
             Self::Typed(value) => value.encode(),
             Self::Bytes(bytes) => Ok(bytes),
-            Self::Parts(body) => Ok(body.into_vec()),
         }
     }
 }
 
 impl From<Body> for Data {
     fn from(body: Body) -> Self {
-        match body.into_bytes() {
-            Ok(bytes) => Self::Bytes(bytes),
-            Err(body) => Self::Parts(Box::new(body)),
-        }
+        Self::Bytes(body.into_vec())
     }
 }
 
@@ -192,7 +172,6 @@ impl Data {
     pub(crate) fn into_body(self) -> Result<Body, PayloadError> {
         match self {
             Self::Bytes(bytes) => Ok(bytes.into()),
-            Self::Parts(body) => Ok(*body),
             typed @ Self::Typed(_) => blob::body_of(|| typed.into_bytes()),
         }
     }
@@ -202,7 +181,6 @@ impl Data {
         match self {
             Self::Typed(value) => value.encode(),
             Self::Bytes(bytes) => Ok(bytes.clone()),
-            Self::Parts(body) => Ok(body.as_ref().clone().into_vec()),
         }
     }
 }
@@ -212,7 +190,6 @@ impl fmt::Debug for Data {
         match self {
             Self::Typed(_) => f.write_str("Typed(..)"),
             Self::Bytes(bytes) => write!(f, "Bytes({})", bytes.len()),
-            Self::Parts(body) => write!(f, "Parts({})", body.len()),
         }
     }
 }

@@ -10,7 +10,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     config::App,
-    context::mix,
+    seed::mix,
     simulation::{
         mishap::Mishap,
         profile::{Faults, Rate},

@@ -10,7 +10,6 @@ use super::{Inner, Member, door::may_be_chassis};
 use crate::{
     call::lock,
     chassis::Chassis,
-    context::mix,
     link::{
         handshake::{Answer, Greeting, HandshakeError, Hello, Token, greet, hear},
         session::{DownReason, Session, drive, state::Event, state::State},
@@ -18,6 +17,7 @@ use crate::{
         transport::{Address, ConnectError, Stream, connect, connect_over},
     },
     security::Keys,
+    seed::mix,
 };
 
 /// How long the other end may take to answer.
@@ -137,13 +137,13 @@ impl Inner {
             self.runtime
                 .spawn(super::peer::watch(session.clone(), process.pid));
         }
-        let carried = match (shared, stream, &self.pool) {
-            (true, Stream::Unix(socket), Some(pool)) => {
-                let made = shm::pass::send(&socket, pool).await;
+        let carried = match (shared, stream) {
+            (true, Stream::Unix(socket)) => {
+                let made = shm::pass::send(&socket).await;
                 let shared = made.map_err(HandshakeError::from)?;
                 drive::drive_shared(session, socket, shared, received, &self.lookout).await
             }
-            (_, stream, _) => drive::drive(session, stream, received, &self.lookout).await,
+            (_, stream) => drive::drive(session, stream, received, &self.lookout).await,
         };
         if let Err(error) = carried {
             tracing::debug!(error = %error, "a stream was not wanted");
@@ -160,7 +160,7 @@ impl Inner {
         let (mut stream, identity) = connect_over(address, keys, fabric).await?;
         may_be_chassis(identity.as_ref())?;
         let shared =
-            self.pool.is_some() && matches!(stream, Stream::Unix(_)) && !session.is_injured();
+            self.shares_memory && matches!(stream, Stream::Unix(_)) && !session.is_injured();
         let greeting = Greeting::Hello {
             token: self.who.token.clone(),
             hello: Hello {

@@ -133,22 +133,22 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         process,
         listen,
     });
-    let may_share = shared && matches!(stream, Stream::Unix(_)) && !session.is_injured();
-    let pool = mesh.pool.as_ref().filter(|_| may_share);
+    let shared =
+        shared && mesh.shares_memory && matches!(stream, Stream::Unix(_)) && !session.is_injured();
     let welcome = Answer::Welcome {
         chassis: mesh.chassis.index(),
         incarnation: mesh.who.incarnation,
         process: mesh.process.clone(),
         received: session.received(),
-        shared: pool.is_some(),
+        shared,
     };
     tokio::time::timeout(STRANGER_LIMIT, say(&mut stream, &welcome))
         .await
         .map_err(|_| HandshakeError::Late)??;
-    let Some(pool) = pool else {
+    if !shared {
         return Ok(drive::drive(&session, stream, received, &mesh.lookout).await?);
-    };
-    let taken = tokio::time::timeout(STRANGER_LIMIT, shm::pass::receive(stream, pool)).await;
+    }
+    let taken = tokio::time::timeout(STRANGER_LIMIT, shm::pass::receive(stream)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;

@@ -234,7 +234,7 @@ fn a_browser_at_the_door_of_a_mesh_is_told_that_it_is_no_page() {
             panic!("not TCP")
         };
         let mut browser = TcpStream::connect(address).await.unwrap();
-        let post = b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\nctos\0\0\0\x04";
+        let post = b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\nctos\0\0\0\x05";
         browser.write_all(post).await.unwrap();
         browser.shutdown().await.unwrap();
         let mut answer = String::new();

@@ -2,12 +2,11 @@
 
 use super::{
     Core, DownReason, Session,
-    moment::Moment,
     packet::{Content, Kind, Packet, PacketError},
     state::{Event, State},
     window::{Arrival, Pumped},
 };
-use crate::{call::lock, time::Instant};
+use crate::{lock::lock, time::Instant};
 
 impl Session {
     /// Something came over `stream`, lately: at `now`. False when nothing more may come over it.
@@ -90,7 +89,7 @@ impl Session {
     }
 
     /// As [`Self::put`], for one that holds the lock and is the driver. Whether there was too little room.
-    pub(super) fn pump_or_wake<'a>(&self, core: &mut Core, now: impl Into<Moment<'a>>) -> bool {
+    pub(super) fn pump_or_wake(&self, core: &mut Core, now: Instant) -> bool {
         let pumped = Self::pump_now(core, now);
         if self.needs_driver(core, &pumped)
             && let Some(driver) = &core.driver

@@ -17,22 +17,20 @@ use tokio::sync::oneshot;
 
 use super::{
     Session,
-    drive::rubbish,
-    free::recv_into,
+    drive::{rubbish, take},
     packet::Decoder,
-    writer::{Patience, Socket},
+    writer::Socket,
 };
 use crate::{
-    call::lock,
     link::{
         lookout::{Happened, Seen, Source},
         shm,
     },
-    time::Instant,
+    lock::lock,
 };
 
-/// How many bytes are read at a time, where they are not the data of one large frame.
-const CHUNK: usize = 16 * 1024;
+/// How many bytes are read at a time.
+const CHUNK: usize = 64 * 1024;
 
 /// How often one stream is read before others have their turn.
 const READS: usize = 64;
@@ -79,7 +77,6 @@ impl DirectStream {
         session: Arc<Session>,
         number: u64,
         carrier: Carrier,
-        decoder: Decoder,
     ) -> (Self, oneshot::Receiver<()>) {
         let (ended, ends) = oneshot::channel();
         let stream = Self {
@@ -87,7 +84,7 @@ impl DirectStream {
             number,
             carrier,
             reading: Mutex::new(Reading {
-                decoder,
+                decoder: Decoder::default(),
                 chunk: vec![0; CHUNK],
                 ended: Some(ended),
             }),
@@ -99,114 +96,46 @@ impl DirectStream {
     /// Reads what there is. Whether frames came, and whether it is over.
     fn read(&self, reading: &mut Reading) -> (bool, bool) {
         let mut frames = false;
-        let mut patience = None;
-        // When the first of it came; the rest follows at once.
-        let mut since = None;
         for _ in 0..READS {
-            let (read, count) = self.read_once(reading);
-            let taken = count.map(|count| {
-                let now = *since.get_or_insert_with(|| self.session.now());
-                self.take(reading, count, now, &mut frames)
-            });
-            match taken {
-                Some(false) => return (frames, true),
-                Some(true) => patience = None,
-                None => {}
-            }
+            let Reading { decoder, chunk, .. } = reading;
+            let (read, count) = self.read_once(chunk);
+            let bytes = chunk.get(..count).unwrap_or_default();
+            let goes_on =
+                count == 0 || take(&self.session, self.number, decoder, bytes, &mut frames);
             match read {
+                _ if !goes_on => return (frames, true),
                 Read::More => {}
-                Read::Drained => {
-                    // The rest of something large is being written at this moment.
-                    if !reading.decoder.is_in_large() || !self.looks_again(&mut patience) {
-                        return (frames, false);
-                    }
-                }
+                Read::Drained => return (frames, false),
                 Read::End => return (frames, true),
             }
         }
         (frames, false)
     }
 
-    fn looks_again(&self, patience: &mut Option<Patience>) -> bool {
-        let Carrier::Socket(socket) = &self.carrier else {
-            return false;
-        };
-        patience.get_or_insert_with(|| socket.patience()).lasts()
-    }
-
-    /// One read; how much lies in the chunk, if it was read there. Data of a large frame goes to where
-    /// it stays.
-    fn read_once(&self, reading: &mut Reading) -> (Read, Option<usize>) {
-        let Reading { decoder, chunk, .. } = reading;
-        let closed = self.closed.load(Ordering::Acquire);
+    /// One read, and how many bytes it gave.
+    fn read_once(&self, chunk: &mut [u8]) -> (Read, usize) {
         match &self.carrier {
             Carrier::Socket(socket) => {
-                let large = decoder.large_body();
-                let is_large = large.is_some();
-                let (result, wanted) = match large {
-                    Some((body, most)) => (recv_into(socket.fd(), body, most), most),
-                    None => {
-                        let (chunk, _) = chunk.split_at_mut(decoder.most(CHUNK));
-                        let read = recv(socket.fd(), &mut *chunk, RecvFlags::DONTWAIT);
-                        (read.map(|(_, count)| count), chunk.len())
-                    }
-                };
-                match result {
-                    Ok(0) => (Read::End, None),
-                    Ok(count) => {
-                        // A socket that gave less than there was place for has no more.
-                        let read = if count < wanted {
-                            Read::Drained
-                        } else {
-                            Read::More
-                        };
-                        (read, Some(if is_large { 0 } else { count }))
-                    }
-                    Err(Errno::AGAIN) => (Read::Drained, None),
-                    Err(Errno::INTR) => (Read::More, None),
-                    Err(_) => (Read::End, None),
+                match recv(socket.fd(), &mut *chunk, RecvFlags::DONTWAIT) {
+                    Ok((_, 0)) => (Read::End, 0),
+                    // A socket that gave less than there was place for has no more.
+                    Ok((_, count)) if count < chunk.len() => (Read::Drained, count),
+                    Ok((_, count)) => (Read::More, count),
+                    Err(Errno::AGAIN) => (Read::Drained, 0),
+                    Err(Errno::INTR) => (Read::More, 0),
+                    Err(_) => (Read::End, 0),
                 }
             }
             Carrier::Shared { receiver, .. } => {
-                let large = decoder.large_body();
-                let is_large = large.is_some();
-                let read = match large {
-                    Some((body, most)) => receiver.read_into(body, most),
-                    None => receiver.read(chunk),
-                };
-                match read {
-                    Ok(0) if closed => (Read::End, None),
-                    Ok(0) => (Read::Drained, None),
-                    Ok(count) => (Read::More, Some(if is_large { 0 } else { count })),
+                let closed = self.closed.load(Ordering::Acquire);
+                match receiver.read(chunk) {
+                    Ok(0) if closed => (Read::End, 0),
+                    Ok(0) => (Read::Drained, 0),
+                    Ok(count) => (Read::More, count),
                     Err(error) => {
                         rubbish(&self.session, &error);
-                        (Read::End, None)
+                        (Read::End, 0)
                     }
-                }
-            }
-        }
-    }
-
-    /// Hands what lies in the chunk, or completes a large frame, to the session. False when nothing more
-    /// may come.
-    fn take(&self, reading: &mut Reading, count: usize, now: Instant, frames: &mut bool) -> bool {
-        let mut bytes = reading.chunk.get(..count).unwrap_or_default();
-        if count == 0 {
-            // A large frame takes long: what has come of it is a sign of life, too.
-            self.session.heard_of(self.number, now);
-        }
-        loop {
-            match reading.decoder.feed(&mut bytes) {
-                Ok(Some(packet)) => {
-                    *frames |= packet.is_frame();
-                    if !self.session.receive(self.number, packet, now) {
-                        return false;
-                    }
-                }
-                Ok(None) => return true,
-                Err(error) => {
-                    rubbish(&self.session, &error);
-                    return false;
                 }
             }
         }

@@ -10,7 +10,6 @@ use std::{
     time::Duration,
 };
 
-use bytes::BufMut;
 use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
@@ -21,7 +20,7 @@ use tokio::{
 use super::{
     AttachError, Session, Writer,
     direct::{Carrier, DirectStream},
-    packet::{Decoder, Lend},
+    packet::Decoder,
     state::Event,
     writer::Socket,
 };
@@ -124,34 +123,33 @@ async fn read_all(
     let mut chunk = vec![0; CHUNK];
     let mut decoder = Decoder::default();
     loop {
-        if let Some((body, most)) = decoder.large_body() {
-            if reader.read_buf(&mut body.limit(most)).await? == 0 {
-                return Ok(());
-            }
-            session.heard_of(number, session.now());
-            if !take(session, number, &mut decoder, &[]) {
-                return Ok(());
-            }
-            continue;
-        }
         let count = reader.read(&mut chunk).await?;
         if count == 0 {
             return Ok(());
         }
         let read = chunk.get(..count).unwrap_or_default();
-        if !take(session, number, &mut decoder, read) {
+        if !take(session, number, &mut decoder, read, &mut false) {
             return Ok(());
         }
     }
 }
 
-/// Hands what was read to the session. False when nothing more may come.
-fn take(session: &Session, number: u64, decoder: &mut Decoder, mut bytes: &[u8]) -> bool {
+/// Hands what was read to the session; whether there were `frames`. False when nothing more may come.
+pub(super) fn take(
+    session: &Session,
+    stream: u64,
+    decoder: &mut Decoder,
+    mut bytes: &[u8],
+    frames: &mut bool,
+) -> bool {
     let now = session.now();
+    // A large frame takes long: what has come of it is a sign of life, too.
+    session.heard_of(stream, now);
     loop {
         match decoder.feed(&mut bytes) {
             Ok(Some(packet)) => {
-                if !session.receive(number, packet, now) {
+                *frames |= packet.is_frame();
+                if !session.receive(stream, packet, now) {
                     return false;
                 }
             }
@@ -176,20 +174,14 @@ pub(super) fn rubbish(session: &Session, error: &impl std::fmt::Display) {
 pub(crate) async fn drive_shared(
     session: &Arc<Session>,
     socket: UnixStream,
-    mut shared: shm::Shared,
+    shared: shm::Shared,
     received: u64,
     lookout: &Arc<Lookout>,
 ) -> Result<(), AttachError> {
-    let pools = shared.take_pools();
     let (sender, receiver, bell) = shared.split();
-    let (lend, foreign) = match pools {
-        Some((lending, foreign)) => (Some(Box::new(lending) as Box<dyn Lend>), Some(foreign)),
-        None => (None, None),
-    };
-    let number = session.attach_lending(Writer::Shared(sender), received, lend)?;
+    let number = session.attach(Writer::Shared(sender), received)?;
     let carrier = Carrier::Shared { receiver, bell };
-    let decoder = Decoder::borrowing(foreign);
-    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier, decoder);
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
     let stream = Arc::new(stream);
     let source = stream.clone();
     let watched = lookout.add(move |_| source);
@@ -223,8 +215,7 @@ async fn drive_socket(
     let socket = Arc::new(socket);
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
     let carrier = Carrier::Socket(socket.clone());
-    let (stream, mut ended) =
-        DirectStream::new(session.clone(), number, carrier, Decoder::default());
+    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
     let watched = lookout.add(move |id| {
         socket.set_id(id);
         Arc::new(stream)

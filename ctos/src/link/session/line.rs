@@ -3,10 +3,7 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use super::{
-    moment::Moment,
-    window::{Lane, NoRoom, Outgoing},
-};
+use super::window::{Lane, NoRoom, Outgoing};
 use crate::{
     link::{Frame, NO_DEADLINE},
     message::{Command, Flags},
@@ -39,13 +36,12 @@ impl Line {
     ///
     /// # Errors
     /// [`NoRoom`] when too many wait already; there is always room for a [`Fence`].
-    pub(super) fn send<'a>(
+    pub(super) fn send(
         &mut self,
         frame: Frame,
         outgoing: &mut Outgoing,
-        now: impl Into<Moment<'a>>,
+        now: Instant,
     ) -> Result<(), NoRoom> {
-        let now = now.into();
         let lane = lane_of_request(&frame);
         let waits = |(other, _): &(Frame, Instant)| {
             lane == Lane::Data || lane_of_request(other) == Lane::Urgent
@@ -60,14 +56,14 @@ impl Line {
         }
     }
 
-    fn join(&mut self, frame: Frame, now: Moment<'_>, held: usize) -> Result<(), NoRoom> {
+    fn join(&mut self, frame: Frame, now: Instant, held: usize) -> Result<(), NoRoom> {
         let size = frame.body.len();
         let too_much = self.bytes > 0 && self.bytes.saturating_add(size) > self.room;
         if (self.waiting.len() >= MOST || too_much) && !is_fence(&frame) {
             return Err(NoRoom { held });
         }
         self.bytes += size;
-        self.waiting.push_back((frame, now.get()));
+        self.waiting.push_back((frame, now));
         Ok(())
     }
 

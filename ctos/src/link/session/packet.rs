@@ -5,14 +5,9 @@
 //! number and whatever else travels with it, and the data. Lengths are believed only up to the limit,
 //! and memory is reserved only as bytes arrive.
 
-use std::sync::Arc;
+use bytes::{Buf, BufMut, BytesMut};
 
-use bytes::{Buf, BufMut, Bytes, BytesMut};
-
-use crate::{
-    blob::Body,
-    link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError, shm::pool::Foreign},
-};
+use crate::link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
 
 /// Length, kind, two numbers.
 pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
@@ -22,13 +17,6 @@ pub(crate) const NOTICE_LIMIT: usize = 64 * 1024;
 
 /// How much memory an announced length reserves before any of it has come, bytes.
 const RESERVE: usize = 64 * 1024;
-
-/// How much more of it is reserved at once when half of [`LARGE`] bytes of it have come, at least, bytes. What is
-/// not written to costs addresses, not memory.
-const RESERVE_MORE: usize = 1024 * 1024;
-
-/// Data of which less is missing goes the way of small packets, bytes.
-const LARGE: usize = 16 * 1024;
 
 /// What a packet is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,61 +33,11 @@ pub(crate) enum Kind {
     Again = 5,
     /// The other end has been given up.
     GivenUp = 6,
-    /// As a frame, with data that stays where it is and is lent: behind the frame's fixed part stand how
-    /// many pieces are lent (4 bytes), for each where it belongs (see [`Place::put`]), and the other data.
-    Lent = 7,
     /// The next bytes of the data of a large frame, which others may come between. The first number: how
     /// many bytes of it came before.
-    Piece = 8,
+    Piece = 7,
     /// A frame with the last bytes of its data; the others have come in pieces.
-    Last = 9,
-}
-
-/// The most pieces of one frame that are lent.
-pub(crate) const MOST_LENT: usize = 16;
-
-/// Where data stands that is lent to a peer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Place {
-    /// Under which number it is lent.
-    pub(crate) slot: u32,
-    /// Where it begins in the lender's pool, bytes.
-    pub(crate) offset: u64,
-    /// How many bytes it is.
-    pub(crate) length: u64,
-}
-
-impl Place {
-    /// Bytes of a place in a packet.
-    const BYTES: usize = 4 + 4 + 8 + 8;
-
-    /// Writes it: before which of the other data it belongs, its slot, offset and length.
-    pub(crate) fn put(&self, into: &mut BytesMut, before: usize) {
-        // Other data is less than a frame may be.
-        into.put_u32_le(u32::try_from(before).unwrap_or(u32::MAX));
-        into.put_u32_le(self.slot);
-        into.put_u64_le(self.offset);
-        into.put_u64_le(self.length);
-    }
-
-    fn get(bytes: &mut &[u8]) -> Option<(usize, Self)> {
-        let before = bytes.try_get_u32_le().ok()?;
-        let place = Self {
-            slot: bytes.try_get_u32_le().ok()?,
-            offset: bytes.try_get_u64_le().ok()?,
-            length: bytes.try_get_u64_le().ok()?,
-        };
-        Some((usize::try_from(before).ok()?, place))
-    }
-}
-
-/// Who lends data to the other end of a stream, so that only its place crosses it.
-pub(crate) trait Lend: Send {
-    /// Keeps `bytes` for the other end until it gives them back. `None` when they must be copied.
-    fn lend(&mut self, bytes: &Bytes) -> Option<Place>;
-
-    /// Takes back what was given back.
-    fn collect(&mut self);
+    Last = 8,
 }
 
 impl Kind {
@@ -111,7 +49,6 @@ impl Kind {
             Self::Pulse,
             Self::Again,
             Self::GivenUp,
-            Self::Lent,
             Self::Piece,
             Self::Last,
         ]
@@ -121,10 +58,7 @@ impl Kind {
 
     /// Whether packets of this kind are numbered, kept until acknowledged and sent again when lost.
     pub(crate) fn is_numbered(self) -> bool {
-        matches!(
-            self,
-            Self::Frame | Self::Notice | Self::Bye | Self::Lent | Self::Last
-        )
+        matches!(self, Self::Frame | Self::Notice | Self::Bye | Self::Last)
     }
 
     /// The bytes that must, and those that may, follow the packet's head.
@@ -132,7 +66,6 @@ impl Kind {
         match self {
             Self::Frame | Self::Last => FRAME_FIXED..=FRAME_LIMIT,
             Self::Piece => 1..=FRAME_LIMIT,
-            Self::Lent => FRAME_FIXED + 4..=FRAME_LIMIT + 4 + MOST_LENT * Place::BYTES,
             Self::Notice => 0..=NOTICE_LIMIT,
             Self::Bye | Self::Pulse | Self::Again | Self::GivenUp => 0..=0,
         }
@@ -179,8 +112,6 @@ pub(crate) enum PacketError {
         least: usize,
         most: usize,
     },
-    #[error("a frame lends data that is not there")]
-    Lent,
     #[error("a piece of a frame begins at byte {at} of its data, of which {come} have come")]
     Piece { at: u64, come: usize },
     #[error(transparent)]
@@ -236,10 +167,6 @@ pub(crate) struct Decoder {
     body: Vec<u8>,
     /// What has come of a frame that comes in pieces.
     pieces: Vec<u8>,
-    /// The last packet was such a piece: most likely another one follows.
-    between: bool,
-    /// Where the other end lends data from.
-    foreign: Option<Arc<Foreign>>,
 }
 
 impl Default for Decoder {
@@ -249,37 +176,11 @@ impl Default for Decoder {
             head: BytesMut::with_capacity(PACKET_HEAD + FRAME_FIXED),
             body: Vec::new(),
             pieces: Vec::new(),
-            between: false,
-            foreign: None,
         }
     }
 }
 
 impl Decoder {
-    /// Of a stream whose other end lends data from there.
-    pub(crate) fn borrowing(foreign: Option<Arc<Foreign>>) -> Self {
-        Self {
-            foreign,
-            ..Self::default()
-        }
-    }
-
-    /// The data of a frame of which some is lent.
-    fn borrow(&self, body: &[u8]) -> Option<Body> {
-        let foreign = self.foreign.as_ref()?;
-        let mut rest = body;
-        let count = usize::try_from(rest.try_get_u32_le().ok()?).ok()?;
-        if count > MOST_LENT {
-            return None;
-        }
-        let mut blobs = Vec::with_capacity(count);
-        for _ in 0..count {
-            let (before, place) = Place::get(&mut rest)?;
-            blobs.push((before, foreign.borrow(place)?));
-        }
-        Body::of_parts(rest.to_vec(), blobs)
-    }
-
     /// Takes what it needs from the front of `bytes`; a packet when one is complete.
     ///
     /// # Errors
@@ -317,7 +218,6 @@ impl Decoder {
                     }
                     if kind == Kind::Piece {
                         self.pieces = std::mem::take(&mut self.body);
-                        self.between = true;
                         self.head.clear();
                         self.stage = Stage::Head;
                         continue;
@@ -347,7 +247,6 @@ impl Decoder {
             .filter(|size| allowed.contains(size))
             .ok_or(wrong)?;
         self.head.clear();
-        self.between = false;
         let before = self.body_before(kind, numbers, size)?;
         self.stage = Stage::Rest {
             kind,
@@ -388,10 +287,6 @@ impl Decoder {
         let body = std::mem::take(&mut self.body);
         let content = match kind {
             Kind::Frame | Kind::Last => Content::Frame(Frame::from_parts(&self.head, body.into())?),
-            Kind::Lent => {
-                let body = self.borrow(&body).ok_or(PacketError::Lent)?;
-                Content::Frame(Frame::from_parts(&self.head, body)?)
-            }
             Kind::Notice => Content::Notice(body),
             Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp | Kind::Piece => Content::Nothing,
         };
@@ -410,58 +305,12 @@ impl Decoder {
     pub(crate) fn reserved(&self) -> usize {
         self.body.capacity()
     }
-
-    /// Whether a large packet has come in part.
-    pub(crate) fn is_in_large(&self) -> bool {
-        self.stage.missing(self.body.len()) >= LARGE
-    }
-
-    /// How much to read at a time at most, where that is not the data of one large frame: between its pieces only
-    /// as much as stands in front of the next one, so that its data need not be copied.
-    pub(crate) fn most(&self, usual: usize) -> usize {
-        if self.between {
-            usual.min(PACKET_HEAD + FRAME_FIXED)
-        } else {
-            usual
-        }
-    }
-
-    /// Where the data of a large packet goes, when much of it is still to come, and how much may be read
-    /// into the free place there at most: that is not copied again. [`Self::feed`], with nothing,
-    /// completes the packet.
-    pub(crate) fn large_body(&mut self) -> Option<(&mut Vec<u8>, usize)> {
-        let Stage::Rest { kind, .. } = self.stage else {
-            return None;
-        };
-        let missing = self.stage.missing(self.body.len());
-        if self.head.len() < fixed_size(kind) || missing < LARGE {
-            return None;
-        }
-        // Grows with what has come: an announcement alone reserves little.
-        let least = if self.body.len() < LARGE / 2 {
-            RESERVE
-        } else {
-            RESERVE_MORE
-        };
-        let grown = self.body.len().max(least);
-        if self.body.capacity() - self.body.len() < missing.min(grown) {
-            // Other pieces will follow this one, and what is there already shall not be moved for them.
-            let more = if kind == Kind::Piece {
-                grown
-            } else {
-                missing.min(grown)
-            };
-            self.body.reserve_exact(more);
-        }
-        let free = self.body.capacity() - self.body.len();
-        Some((&mut self.body, missing.min(free)))
-    }
 }
 
 /// What stands between a packet's head and its data.
 fn fixed_size(kind: Kind) -> usize {
     match kind {
-        Kind::Frame | Kind::Lent | Kind::Last => FRAME_FIXED,
+        Kind::Frame | Kind::Last => FRAME_FIXED,
         Kind::Notice | Kind::Bye | Kind::Pulse | Kind::Again | Kind::GivenUp | Kind::Piece => 0,
     }
 }
@@ -538,93 +387,6 @@ mod tests {
             prop_assert!(reserved <= RESERVE.max(2 * bytes.len()));
         }
 
-        #[test]
-        fn a_large_body_may_be_read_in_place(
-            // So much that it is still large when what came with the head is taken off.
-            size in LARGE + 100..4 * LARGE,
-            step in 1..LARGE,
-        ) {
-            let body: Vec<u8> = (0..size).map(|index| (index % 251) as u8).collect();
-            let frame = Frame::of_body(body);
-            let stream = bytes_of(Kind::Frame, [1, 0], &frame.encode());
-            let mut bytes = stream.as_slice();
-            let mut decoder = Decoder::default();
-            let mut packet = None;
-            let mut in_place = 0;
-            while packet.is_none() {
-                let mut now: &[u8] = &[];
-                if let Some((body, most)) = decoder.large_body() {
-                    prop_assert!(most <= body.capacity() - body.len());
-                    let count = step.min(most).min(bytes.len());
-                    body.extend_from_slice(&bytes[..count]);
-                    bytes = &bytes[count..];
-                    in_place += count;
-                } else {
-                    (now, bytes) = bytes.split_at(step.min(bytes.len()).min(100));
-                }
-                packet = decoder.feed(&mut now).unwrap();
-                prop_assert!(now.is_empty());
-            }
-            prop_assert!(in_place > 0 && bytes.is_empty());
-            prop_assert_eq!(packet.unwrap().content, Content::Frame(frame));
-        }
-
-        #[test]
-        fn the_pieces_of_a_large_body_are_read_in_place_and_never_what_follows_them(
-            sizes in proptest::collection::vec(LARGE..4 * LARGE, 2..6),
-            // More than is missing, too: so much lies ready in a socket.
-            steps in proptest::collection::vec(1..6 * LARGE, 1..10),
-        ) {
-            let size: usize = sizes.iter().sum();
-            let body: Vec<u8> = (0..size).map(|index| (index % 251) as u8).collect();
-            let frame = Frame::of_body(body.clone());
-            let mut stream = Vec::new();
-            let mut ends = Vec::new();
-            let mut at = 0;
-            for (index, size) in sizes.iter().enumerate() {
-                let part = &body[at..at + size];
-                if index + 1 < sizes.len() {
-                    stream.extend(bytes_of(Kind::Piece, [at as u64, 0], part));
-                    ends.push(stream.len());
-                } else {
-                    let last = [&frame.head(), part].concat();
-                    stream.extend(bytes_of(Kind::Last, [1, 0], &last));
-                }
-                at += size;
-            }
-            stream.extend(bytes_of(Kind::Pulse, [1, 0], &[]));
-            let mut bytes = stream.as_slice();
-            let mut decoder = Decoder::default();
-            let mut packets = Vec::new();
-            let mut steps = steps.iter().cycle();
-            const USUAL: usize = 10_000;
-            while packets.len() < 2 {
-                let step = steps.next().copied().unwrap_or(1).min(bytes.len());
-                let mut now: &[u8] = &[];
-                if let Some((body, most)) = decoder.large_body() {
-                    let count = step.min(most);
-                    let capacity = body.capacity();
-                    body.extend_from_slice(&bytes[..count]);
-                    prop_assert_eq!(body.capacity(), capacity, "there was no place for it");
-                    bytes = &bytes[count..];
-                } else {
-                    let most = decoder.most(USUAL);
-                    let before = stream.len() - bytes.len();
-                    let mut ends = ends.iter();
-                    // Within the head of the piece that follows on one.
-                    let between = ends.any(|end| (*end..end + PACKET_HEAD).contains(&before));
-                    prop_assert_eq!(most < USUAL, between, "behind byte {}", before);
-                    (now, bytes) = bytes.split_at(step.min(most).min(100));
-                }
-                while let Some(packet) = decoder.feed(&mut now).unwrap() {
-                    packets.push(packet);
-                }
-                prop_assert!(now.is_empty());
-            }
-            prop_assert!(bytes.is_empty());
-            prop_assert_eq!(&packets[0].content, &Content::Frame(frame));
-            prop_assert_eq!(packets[1].kind, Kind::Pulse);
-        }
     }
 
     #[test]

@@ -1,16 +1,13 @@
 //! What a session keeps: packets until the other end has acknowledged them, and the number up to which
-//! the other end's packets have come. Pure: knows no stream, no clock of its own and no task.
+//! the other end's packets have come. Pure: knows no stream, no clock and no task.
 
 use std::{collections::VecDeque, io, io::IoSlice};
 
 use bytes::{Buf, BufMut, Bytes, BytesMut};
 
-use super::{
-    moment::Moment,
-    packet::{Kind, Lend, MOST_LENT, PACKET_HEAD, PacketError, Place, put_head},
-};
+use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
 use crate::{
-    blob::{self, Body},
+    blob::Body,
     link::{FRAME_FIXED, Frame, injure::Injury},
     time::Instant,
 };
@@ -48,7 +45,7 @@ struct Kept {
     kind: Kind,
     /// The fixed part of a frame.
     head: Option<[u8; FRAME_FIXED]>,
-    /// All its data, where that is little: never lent, nor sent in pieces.
+    /// All its data, where that is little: never sent in pieces.
     small: Vec<u8>,
     /// The beginning of its data, where that is much.
     body: Bytes,
@@ -78,8 +75,8 @@ impl Kept {
     }
 
     /// Whether it may be sent.
-    fn is_ready(&self, now: Moment<'_>) -> bool {
-        self.ready == Instant::START || self.ready <= now.get()
+    fn is_ready(&self, now: Instant) -> bool {
+        self.ready <= now
     }
 
     /// Its data, in parts, where it is much.
@@ -103,39 +100,6 @@ impl Kept {
             left -= end - begin;
             (end > begin).then(|| part.slice(begin..end))
         })
-    }
-
-    /// Writes it with its large parts lent. False when none could be; nothing is written then.
-    fn put_lent(&self, into: &mut BytesMut, numbers: [u64; 2], lend: &mut dyn Lend) -> bool {
-        let mut lent: Vec<(usize, Place)> = Vec::new();
-        let mut other: Vec<&Bytes> = Vec::new();
-        let mut size = 0;
-        for part in self.parts() {
-            let large = part.len() >= blob::LEAST && lent.len() < MOST_LENT;
-            match large.then(|| lend.lend(part)).flatten() {
-                Some(place) => lent.push((size, place)),
-                None => {
-                    size += part.len();
-                    other.push(part);
-                }
-            }
-        }
-        if lent.is_empty() {
-            return false;
-        }
-        let mut table = BytesMut::new();
-        table.put_u32_le(u32::try_from(lent.len()).unwrap_or(u32::MAX));
-        for (before, place) in &lent {
-            place.put(&mut table, *before);
-        }
-        let rest = self.head().len() + table.len() + size;
-        put_head(into, Kind::Lent, numbers, rest);
-        into.put_slice(self.head());
-        into.put_slice(&table);
-        for part in other {
-            into.put_slice(part);
-        }
-        true
     }
 }
 
@@ -178,8 +142,6 @@ pub(crate) struct Outgoing {
     held_urgent: usize,
     held_control: usize,
     injury: Option<Injury>,
-    /// Who lends large data to the other end, where it can be read in place.
-    lend: Option<Box<dyn Lend>>,
 }
 
 impl Outgoing {
@@ -199,25 +161,12 @@ impl Outgoing {
             held_urgent: 0,
             held_control: 0,
             injury,
-            lend: None,
         }
-    }
-
-    /// From now on large data is lent to the other end, or no longer.
-    pub(crate) fn set_lend(&mut self, lend: Option<Box<dyn Lend>>) {
-        self.lend = lend;
     }
 
     /// From now on frames with more data than `piece` bytes are cut.
     pub(crate) fn cut_into(&mut self, piece: usize) {
         self.piece = piece;
-    }
-
-    /// Takes back what the other end has given back.
-    pub(crate) fn collect(&mut self) {
-        if let Some(lend) = &mut self.lend {
-            lend.collect();
-        }
     }
 
     /// Whether `size` more bytes have room. A lane that is empty takes a packet of any size.
@@ -242,19 +191,14 @@ impl Outgoing {
     }
 
     /// Takes a frame; the caller has asked for room.
-    pub(crate) fn put_frame<'a>(&mut self, frame: Frame, lane: Lane, now: impl Into<Moment<'a>>) {
+    pub(crate) fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
         let head = frame.head();
-        self.put(Kind::Frame, Some(head), frame.body, lane, now.into());
+        self.put(Kind::Frame, Some(head), frame.body, lane, now);
     }
 
     /// Takes a message of the mesh, or the last packet of all.
-    pub(crate) fn put_control<'a>(
-        &mut self,
-        kind: Kind,
-        body: Vec<u8>,
-        now: impl Into<Moment<'a>>,
-    ) {
-        self.put(kind, None, body.into(), Lane::Control, now.into());
+    pub(crate) fn put_control(&mut self, kind: Kind, body: Vec<u8>, now: Instant) {
+        self.put(kind, None, body.into(), Lane::Control, now);
     }
 
     fn put(
@@ -263,11 +207,11 @@ impl Outgoing {
         head: Option<[u8; FRAME_FIXED]>,
         body: Body,
         lane: Lane,
-        now: Moment<'_>,
+        now: Instant,
     ) {
         let earliest = self.kept.back().map_or(Instant::START, |last| last.ready);
         let ready = match &mut self.injury {
-            Some(injury) => injury.delayed(now.get()).max(earliest),
+            Some(injury) => injury.delayed(now).max(earliest),
             None => Instant::START,
         };
         let small = body.len() <= COPIED.min(self.piece);
@@ -385,13 +329,12 @@ impl Outgoing {
     ///
     /// # Errors
     /// What `write` says, other than that it would block.
-    pub(crate) fn pump<'a>(
+    pub(crate) fn pump(
         &mut self,
         received: u64,
-        now: impl Into<Moment<'a>>,
+        now: Instant,
         mut write: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
     ) -> io::Result<Pumped> {
-        let now = now.into();
         loop {
             if !self.is_staged() {
                 self.stage(received, now);
@@ -461,7 +404,7 @@ impl Outgoing {
     }
 
     /// Makes the next packets ready to be written, when nothing is.
-    fn stage(&mut self, received: u64, now: Moment<'_>) {
+    fn stage(&mut self, received: u64, now: Instant) {
         let mut small = std::mem::take(&mut self.small);
         let mut size = 0;
         while size < BATCH {
@@ -480,7 +423,6 @@ impl Outgoing {
                 break;
             };
             if self.injury.is_none()
-                && self.lend.is_none()
                 && kept.kind == Kind::Frame
                 && kept.lane != Lane::Urgent
                 && (kept.cut > 0 || kept.data() > self.piece)
@@ -493,13 +435,6 @@ impl Outgoing {
             self.known = self.known.max(number);
             size += kept.size();
             if self.injury.as_mut().is_some_and(Injury::loses) {
-                continue;
-            }
-            if let Some(lend) = &mut self.lend
-                && kept.kind == Kind::Frame
-                && kept.rest() >= blob::LEAST
-                && kept.put_lent(&mut small, [number, received], &mut **lend)
-            {
                 continue;
             }
             put_head(&mut small, kept.kind, [number, received], kept.rest());

@@ -18,10 +18,7 @@ use tokio::{
 };
 
 use super::window::{PIECE, PIECE_NEARBY};
-use crate::{
-    link::{lookout::Lookout, shm},
-    time::Instant,
-};
+use crate::link::{lookout::Lookout, shm};
 
 /// A stream that takes what it has room for from whatever thread.
 pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
@@ -112,12 +109,7 @@ pub(crate) struct Socket {
     id: AtomicU64,
     /// The lookout waits for room.
     wants_room: AtomicBool,
-    /// The last write took less than it was given: there is no room, and no need to ask.
-    short: AtomicBool,
 }
-
-/// So much to be written is worth looking for room for a while, bytes: whoever reads it does so meanwhile.
-const MUCH: usize = 16 * 1024;
 
 impl Socket {
     /// A socket that does not block.
@@ -129,14 +121,7 @@ impl Socket {
             id: AtomicU64::new(0),
             // The lookout begins with it.
             wants_room: AtomicBool::new(true),
-            short: AtomicBool::new(false),
         }
-    }
-
-    /// For how long to look for more of something large, which the other end reads or writes at this
-    /// moment, before the thread sleeps: a wake-up on another core takes longer.
-    pub(super) fn patience(&self) -> Patience {
-        Patience::new(self.lookout.upgrade())
     }
 
     pub(super) fn set_id(&self, id: u64) {
@@ -148,39 +133,18 @@ impl Socket {
     }
 
     fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
-        let size: usize = slices.iter().map(|slice| slice.len()).sum();
-        let mut patience = (size >= MUCH).then(|| self.patience());
-        loop {
-            // Mostly it was not, and a look costs less than a change.
-            let short = self.short.load(Ordering::Relaxed);
-            let written = if short && self.short.swap(false, Ordering::Relaxed) {
-                Err(io::ErrorKind::WouldBlock.into())
-            } else {
-                self.write_once(slices)
-            };
-            match written {
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    if !patience.as_mut().is_some_and(Patience::lasts) {
-                        self.set_wants_room(true);
-                        return Err(error);
-                    }
-                }
-                Ok(written) => {
-                    self.short.store(written < size, Ordering::Relaxed);
-                    return Ok(written);
-                }
-                Err(error) => return Err(error),
-            }
-        }
-    }
-
-    fn write_once(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
         let flags = SendFlags::NOSIGNAL | SendFlags::DONTWAIT;
         let written = match slices {
             [only] => send(&self.fd, only, flags),
             slices => sendmsg(&self.fd, slices, &mut SendAncillaryBuffer::default(), flags),
         };
-        written.map_err(io::Error::from)
+        let written = written.map_err(io::Error::from);
+        if let Err(error) = &written
+            && error.kind() == io::ErrorKind::WouldBlock
+        {
+            self.set_wants_room(true);
+        }
+        written
     }
 
     /// There is room, or there shall be some.
@@ -190,37 +154,5 @@ impl Socket {
         {
             lookout.wants_room(self.fd(), self.id.load(Ordering::Acquire), wants);
         }
-    }
-}
-
-/// A while in which a thread looks again instead of sleeping; none where all threads share one core.
-pub(super) struct Patience {
-    lookout: Option<Arc<Lookout>>,
-    until: Option<Instant>,
-}
-
-impl Patience {
-    fn new(lookout: Option<Arc<Lookout>>) -> Self {
-        Self {
-            lookout: lookout.filter(|lookout| !lookout.spin_time().is_zero()),
-            until: None,
-        }
-    }
-
-    /// Whether to look once more. Waits a moment first.
-    pub(super) fn lasts(&mut self) -> bool {
-        const PAUSES: u32 = 64;
-        let Some(lookout) = &self.lookout else {
-            return false;
-        };
-        let now = lookout.now();
-        let until = *self.until.get_or_insert(now + lookout.spin_time());
-        if now >= until {
-            return false;
-        }
-        for _ in 0..PAUSES {
-            std::hint::spin_loop();
-        }
-        true
     }
 }

@@ -11,8 +11,7 @@
 //! the test of the ring holds that under Miri. A dishonest process may write at any moment: that is
 //! outside of this program's memory model, as with any device, and the copy then holds some bytes or
 //! others, which are checked after they were copied as everything from a network is. The file is sealed
-//! against shrinking, so no access can fault. The one exception are the slices of a [`super::pool`], whose
-//! argument stands there.
+//! against shrinking, so no access can fault.
 
 #![allow(
     unsafe_code,
@@ -44,15 +43,7 @@ unsafe impl Sync for Memory {}
 impl Memory {
     /// Maps the first `size` bytes of a file.
     pub(super) fn of_file(file: BorrowedFd<'_>, size: usize) -> io::Result<Self> {
-        Self::map(file, size, ProtFlags::READ | ProtFlags::WRITE)
-    }
-
-    /// Maps the first `size` bytes of a file, of which nothing may be written.
-    pub(super) fn of_file_to_read(file: BorrowedFd<'_>, size: usize) -> io::Result<Self> {
-        Self::map(file, size, ProtFlags::READ)
-    }
-
-    fn map(file: BorrowedFd<'_>, size: usize, protection: ProtFlags) -> io::Result<Self> {
+        let protection = ProtFlags::READ | ProtFlags::WRITE;
         // SAFETY: a new mapping at an address of the system's choice touches nothing that exists.
         let start = unsafe {
             rustix::mm::mmap(ptr::null_mut(), size, protection, MapFlags::SHARED, file, 0)
@@ -98,41 +89,6 @@ impl Memory {
         unsafe { AtomicU64::from_ptr(self.start.add(place).cast().as_ptr()) }
     }
 
-    /// How many bytes it is.
-    pub(super) fn size(&self) -> usize {
-        self.size
-    }
-
-    /// Where `bytes` stand, if they stand in it.
-    pub(super) fn place_of(&self, bytes: &[u8]) -> Option<usize> {
-        let place = bytes.as_ptr().addr().checked_sub(self.start.addr().get())?;
-        (place <= self.size && self.size - place >= bytes.len()).then_some(place)
-    }
-
-    /// The `size` bytes at `place`, to be read.
-    ///
-    /// # Safety
-    /// Nobody writes to them while they are borrowed.
-    pub(super) unsafe fn bytes(&self, place: usize, size: usize) -> &[u8] {
-        assert!(place <= self.size && self.size - place >= size);
-        // SAFETY: in bounds, and every byte of a mapping has a value; the rest is for the caller.
-        unsafe { std::slice::from_raw_parts(self.start.add(place).as_ptr(), size) }
-    }
-
-    /// The `size` bytes at `place`, to be written.
-    ///
-    /// # Safety
-    /// The mapping may be written to, and nobody else reads or writes them while they are borrowed.
-    #[allow(
-        clippy::mut_from_ref,
-        reason = "the caller says that nobody else has them"
-    )]
-    pub(super) unsafe fn bytes_mut(&self, place: usize, size: usize) -> &mut [u8] {
-        assert!(place <= self.size && self.size - place >= size);
-        // SAFETY: as above.
-        unsafe { std::slice::from_raw_parts_mut(self.start.add(place).as_ptr(), size) }
-    }
-
     /// Copies `bytes` to `place`.
     pub(super) fn copy_in(&self, place: usize, bytes: &[u8]) {
         assert!(place <= self.size && self.size - place >= bytes.len());
@@ -152,20 +108,6 @@ impl Memory {
                 bytes.as_mut_ptr(),
                 bytes.len(),
             );
-        }
-    }
-
-    /// Appends the `size` bytes at `place` to `bytes`.
-    pub(super) fn append_to(&self, place: usize, size: usize, bytes: &mut Vec<u8>) {
-        assert!(place <= self.size && self.size - place >= size);
-        bytes.reserve(size);
-        let length = bytes.len();
-        // SAFETY: in bounds on both sides, as there is place for `size` more bytes; an ordinary vector
-        // does not overlap the mapping. The bytes up to the new length are written before it is set.
-        unsafe {
-            let end = bytes.as_mut_ptr().add(length);
-            ptr::copy_nonoverlapping(self.start.add(place).as_ptr(), end, size);
-            bytes.set_len(length + size);
         }
     }
 }

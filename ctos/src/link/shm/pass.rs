@@ -1,10 +1,9 @@
-//! Passing shared memory, its bells and the pools over the Unix socket that joins two chassis.
+//! Passing shared memory and its bells over the Unix socket that joins two chassis.
 
 use std::{
     io::{self, IoSlice, IoSliceMut},
     mem::MaybeUninit,
-    os::fd::{AsFd, BorrowedFd, OwnedFd},
-    sync::Arc,
+    os::fd::{AsFd, OwnedFd},
 };
 
 use rustix::net::{
@@ -13,49 +12,41 @@ use rustix::net::{
 };
 use tokio::{io::Interest, net::UnixStream};
 
-use super::{Shared, pool::Pool};
+use super::Shared;
 use crate::link::transport::Stream;
 
 /// The byte that file descriptors come with.
 const BYTE: u8 = b'm';
 
-/// The most file descriptors that are passed at once: memory, two bells, pool, pipe.
-const MOST: usize = 5;
+/// How many file descriptors are passed: memory and two bells.
+const COUNT: usize = 3;
 
-/// Makes the memory and passes it, with what the other side needs to borrow from `pool`; returns when the
-/// other side has it and has offered its own pool.
+/// Makes the memory and passes it.
 ///
 /// # Errors
-/// What the system says, or when the other side does not take it.
-pub(crate) async fn send(socket: &UnixStream, pool: &Arc<Pool>) -> io::Result<Shared> {
-    let (mut shared, [file, maker, guest]) = Shared::make()?;
-    let (pipe, [ours, end]) = pool.offer()?;
-    pass(socket, &[file, maker, guest, ours, end]).await?;
-    let theirs = take(socket).await?;
-    shared.share(pool.clone(), pipe, theirs)?;
+/// What the system says.
+pub(crate) async fn send(socket: &UnixStream) -> io::Result<Shared> {
+    let (shared, passed) = Shared::make()?;
+    pass(socket, &passed).await?;
     Ok(shared)
 }
 
-/// Takes the memory that the other side passes, and offers `pool` to it.
+/// Takes the memory that the other side passes.
 ///
 /// # Errors
 /// When it passes something else.
-pub(crate) async fn receive(stream: Stream, pool: &Arc<Pool>) -> io::Result<(UnixStream, Shared)> {
+pub(crate) async fn receive(stream: Stream) -> io::Result<(UnixStream, Shared)> {
     let Stream::Unix(socket) = stream else {
         return Err(io::ErrorKind::Unsupported.into());
     };
-    let [file, maker, guest, theirs, end] = take(&socket).await?;
-    let mut shared = Shared::take([file, maker, guest])?;
-    let (pipe, offered) = pool.offer()?;
-    shared.share(pool.clone(), pipe, [theirs, end])?;
-    pass(&socket, &offered).await?;
+    let shared = Shared::take(take(&socket).await?)?;
     Ok((socket, shared))
 }
 
-async fn pass(socket: &UnixStream, passed: &[OwnedFd]) -> io::Result<()> {
-    let fds: Vec<BorrowedFd<'_>> = passed.iter().map(AsFd::as_fd).collect();
+async fn pass(socket: &UnixStream, passed: &[OwnedFd; COUNT]) -> io::Result<()> {
+    let fds = passed.each_ref().map(AsFd::as_fd);
     let sends = || {
-        let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(MOST))];
+        let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(COUNT))];
         let mut control = SendAncillaryBuffer::new(&mut space);
         control.push(SendAncillaryMessage::ScmRights(&fds));
         let byte = [IoSlice::new(&[BYTE])];
@@ -65,9 +56,9 @@ async fn pass(socket: &UnixStream, passed: &[OwnedFd]) -> io::Result<()> {
     socket.async_io(Interest::WRITABLE, sends).await
 }
 
-async fn take<const N: usize>(socket: &UnixStream) -> io::Result<[OwnedFd; N]> {
+async fn take(socket: &UnixStream) -> io::Result<[OwnedFd; COUNT]> {
     let takes = || {
-        let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(MOST))];
+        let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(COUNT))];
         let mut control = RecvAncillaryBuffer::new(&mut space);
         let mut byte = [0];
         let into = &mut [IoSliceMut::new(&mut byte)];

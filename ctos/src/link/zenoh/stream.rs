@@ -26,11 +26,11 @@ use tokio::{
 
 use super::pipe::{Broken, Pipe, Read};
 use crate::{
-    call::lock,
     link::{
         session::{DirectWrite, Writer},
         transport::Bytes,
     },
+    lock::lock,
 };
 
 /// How long a stream whose user has gone waits for the other end to take the rest.

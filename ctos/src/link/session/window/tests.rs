@@ -1,17 +1,11 @@
 //! Two ends joined by streams that lose, break and are had anew, as pure state machines through memory.
 
-use std::{io::IoSlice, sync::Arc};
+use std::io::IoSlice;
 
 use proptest::prelude::*;
 
 use super::{super::packet::*, *};
-use crate::{
-    config::InjuryConfig,
-    link::shm::pool::{
-        Pool,
-        tests::{is_free, lent_to_a_peer, private},
-    },
-};
+use crate::config::InjuryConfig;
 
 const MANY: usize = 1 << 30;
 
@@ -50,8 +44,6 @@ struct End {
     /// On their way to the other end.
     wire: VecDeque<u8>,
     posted: u64,
-    /// Where it lends large data from, if it does.
-    pool: Option<Arc<Pool>>,
     /// The numbers of the frames that were handed over.
     heard: Vec<u64>,
 }
@@ -64,7 +56,6 @@ impl End {
             decoder: Decoder::default(),
             wire: VecDeque::new(),
             posted: 0,
-            pool: None,
             heard: Vec::new(),
         }
     }
@@ -152,19 +143,6 @@ impl Pair {
             end.decoder = Decoder::default();
             end.outgoing.restart(received).unwrap();
         }
-        self.join();
-    }
-
-    /// Joins the pools, if there are any, as a new stream does.
-    fn join(&mut self) {
-        for index in 0..2 {
-            let (lender, borrower) = self.both(index);
-            if let Some(pool) = &lender.pool {
-                let (lending, foreign) = lent_to_a_peer(pool);
-                lender.outgoing.set_lend(Some(Box::new(lending)));
-                borrower.decoder = Decoder::borrowing(Some(foreign));
-            }
-        }
     }
 
     fn make(&mut self, step: &Step) {
@@ -220,12 +198,9 @@ fn injury(drop: f64, break_bytes: usize, seed: u64, from: &str) -> Option<Injury
 
 fn play(steps: &[Step], drop: f64, break_bytes: usize, seed: u64) {
     let end = |name| End::new(injury(drop, break_bytes, seed, name));
-    play_between([end("a"), end("b")], steps);
-}
-
-fn play_between(ends: [End; 2], steps: &[Step]) {
-    let mut pair = Pair { ends };
-    pair.join();
+    let mut pair = Pair {
+        ends: [end("a"), end("b")],
+    };
     for step in steps {
         pair.make(step);
     }
@@ -234,8 +209,6 @@ fn play_between(ends: [End; 2], steps: &[Step]) {
         let (hearer, poster) = pair.both(index);
         assert_eq!(hearer.heard, (1..=poster.posted).collect::<Vec<_>>());
         assert_eq!(poster.outgoing.bytes(), 0);
-        poster.outgoing.collect();
-        assert!(poster.pool.as_ref().is_none_or(|pool| is_free(pool)));
     }
 }
 
@@ -253,14 +226,6 @@ proptest! {
         break_bytes in prop_oneof![Just(0_usize), 1_000..20_000_usize],
     ) {
         play(&steps, drop, break_bytes, seed);
-    }
-
-    #[test]
-    fn what_is_lent_over_streams_that_break_arrives_once_and_comes_back(
-        steps in proptest::collection::vec(step(), 0..200),
-    ) {
-        let end = || End { pool: Some(private()), ..End::new(None) };
-        play_between([end(), end()], &steps);
     }
 
     #[test]

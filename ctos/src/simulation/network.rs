@@ -1,4 +1,4 @@
-//! Links of a simulated app: frames take a seeded time on the virtual clock and keep their order.
+//! The links of a simulated app: frames take a seeded time on the virtual clock and keep their order.
 //!
 //! What is modelled is a stream with a session above it, as the real links are: a frame that is lost
 //! is sent again and comes late, and so does everything behind it; a link that breaks and heals goes
@@ -17,11 +17,34 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     call::lock,
-    context::mix,
     link::{Frame, Full, Link},
-    simulation::Breach,
+    message::{Flags, SYSTEM_COMMANDS},
+    seed::mix,
     time::{Clock, Instant},
 };
+
+/// A rule of the links that a test breaks, to see that it is noticed. Nobody else has a use for it.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Breach {
+    /// Some frames arrive twice.
+    Duplicate,
+    /// Some frames change places with the one before them between the same tasks.
+    Swap,
+    /// Some frames never arrive.
+    Lose,
+    /// Some requests arrive at another task.
+    Misdeliver,
+}
+
+impl Breach {
+    /// Only what tasks send each other is broken: a boot that fails would hide it.
+    pub(crate) fn concerns(self, frame: &Frame) -> bool {
+        let of_the_app = frame.header.command < SYSTEM_COMMANDS;
+        let request = !frame.header.flags.contains(Flags::REPLY);
+        of_the_app && (request || self == Self::Lose)
+    }
+}
 
 /// Shortest time a frame takes.
 const DELAY_MIN: Duration = Duration::from_micros(50);
