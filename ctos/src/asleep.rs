@@ -10,7 +10,8 @@ impl Asleep {
     /// The processor sleeps now, unless `has_work`. Whoever brings something sees the announcement, or the
     /// processor sees what was brought: of the two fences one comes first.
     pub(crate) fn fall(&self, has_work: impl FnOnce() -> bool) -> bool {
-        self.0.store(true, Ordering::SeqCst);
+        // A swap here and below: so that each change comes after the one that it saw.
+        self.0.swap(true, Ordering::SeqCst);
         fence(Ordering::SeqCst);
         let sleeps = !has_work();
         if !sleeps {
@@ -21,7 +22,7 @@ impl Asleep {
 
     /// The processor is awake.
     pub(crate) fn up(&self) {
-        self.0.store(false, Ordering::SeqCst);
+        self.0.swap(false, Ordering::SeqCst);
     }
 
     /// Something was brought: whether the caller must wake the processor. Only one is told so.

@@ -18,18 +18,19 @@ mod asleep;
 mod credits;
 
 use loom::{
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, Notify},
     thread,
 };
 
 use asleep::Asleep;
 use credits::Credits;
 
-/// A processor's inbox, with its announcement.
-#[derive(Default)]
+/// A processor's inbox, with its announcement and its bed, which keeps a call that comes too early. (Loom's
+/// `unpark` is lost to a thread that waits for a lock.)
 struct Inbox {
     items: Mutex<Vec<u32>>,
     asleep: Asleep,
+    bed: Notify,
 }
 
 impl Inbox {
@@ -41,7 +42,7 @@ impl Inbox {
             if taken.len() < wanted {
                 let has_work = || !self.items.lock().unwrap().is_empty();
                 if self.asleep.fall(has_work) {
-                    thread::park();
+                    self.bed.wait();
                     self.asleep.up();
                 }
             }
@@ -52,15 +53,21 @@ impl Inbox {
 
 #[test]
 fn a_processor_that_goes_to_sleep_is_woken_for_whatever_comes() {
-    loom::model(|| {
-        let inbox = Arc::new(Inbox::default());
-        let reader = thread::current();
+    // All interleavings take minutes.
+    let mut model = loom::model::Builder::new();
+    model.preemption_bound = Some(2);
+    model.check(|| {
+        let inbox = Arc::new(Inbox {
+            items: Mutex::default(),
+            asleep: Asleep::default(),
+            bed: Notify::new(),
+        });
         let bring = |number: u32| {
-            let (inbox, reader) = (inbox.clone(), reader.clone());
+            let inbox = inbox.clone();
             thread::spawn(move || {
                 inbox.items.lock().unwrap().push(number);
                 if inbox.asleep.must_be_woken() {
-                    reader.unpark();
+                    inbox.bed.notify();
                 }
             })
         };
