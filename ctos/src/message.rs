@@ -25,6 +25,7 @@ pub(crate) use self::letter::Letter;
 pub(crate) use data::append;
 pub(crate) use shape::Shape;
 
+pub(crate) use command::FENCE;
 pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
 pub use data::{Data, Parcel, Payload, PayloadError};
 pub use fields::Fields;

@@ -14,7 +14,7 @@ use super::{Chassis, WaitFor};
 use crate::{
     blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
-    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
+    frame::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::{Acceptance, Offered},
     message::{Data, Flags, Header, Message},
     processor::Processor,

@@ -10,8 +10,8 @@ use super::{FutureId, Processor};
 use crate::{
     exchange::{Brought, CallKey, Ticket},
     inbox::{Inbox, Refused},
-    link::lookout::Parker,
     mailbox::{Delivery, Order},
+    park::Parker,
 };
 
 /// Work brought to a processor from another thread.
