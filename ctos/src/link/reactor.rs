@@ -412,7 +412,7 @@ impl Reactor {
 
     /// Looks once, without sleeping, and hands on what has come.
     fn glance(&self, glance: Glance) -> Seen {
-        let come = read(&self.sources).values().any(|source| has_come(source));
+        let come = read(&self.sources).values().any(has_come);
         if !come && glance == Glance::AtMemory {
             return Seen::Nothing;
         }
