@@ -37,10 +37,8 @@ use crate::{
 };
 
 pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer, StopStep};
-pub use crate::link::{
-    Counts,
-    transport::{Address, AddressError},
-};
+pub use crate::frame::Counts;
+pub use crate::link::transport::{Address, AddressError};
 pub use crate::simulation::Mishap;
 pub use child::{ChildError, run_chassis};
 
@@ -315,8 +313,8 @@ pub(crate) fn start_processors(chassis: &Arc<Chassis>) -> std::io::Result<Vec<Pr
                 drop(prepared);
                 drop(lock(&gate));
                 if let Some(processor) = home.processor(index) {
-                    if let Some(lookout) = home.lookout_of(index) {
-                        processor.handle.parker.look_out(lookout);
+                    if let Some(place) = home.park_of(index) {
+                        processor.handle.parker.set(place);
                     }
                     drop(home);
                     processor.run();

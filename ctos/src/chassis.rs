@@ -24,8 +24,8 @@ use crate::{
     directory::TaskDirectory,
     disk::Disk,
     doors::Refusals,
-    link::lookout::Lookout,
     message::{Message, Tid},
+    park::Park,
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
     record::Tap,
@@ -45,6 +45,9 @@ pub(crate) use self::{
 pub use ctos_config::BOOT_CHASSIS;
 
 type OnExit = Box<dyn FnOnce(i32) + Send>;
+
+/// Makes a place where one thread sleeps and looks at the links.
+pub(crate) type MakePark = Box<dyn Fn() -> Arc<dyn Park> + Send + Sync>;
 
 /// Sees each message that a task of the chassis begins to handle.
 pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
@@ -76,8 +79,8 @@ pub struct Chassis {
     pub(crate) tap: Tap,
     /// What it has seen of itself.
     pub(crate) watch: Watch,
-    /// Its links, when they are real ones.
-    lookout: OnceLock<Arc<Lookout>>,
+    /// Makes places where threads sleep that look at its links, when these are real ones.
+    parks: OnceLock<MakePark>,
     /// What survives it in virtual time.
     pub(crate) disk: OnceLock<Arc<Disk>>,
     /// How many callers, and requests of tools, were refused so far.
@@ -127,7 +130,7 @@ impl Chassis {
             realtime: Mutex::default(),
             tap: Tap::new(index),
             watch: Watch::default(),
-            lookout: OnceLock::new(),
+            parks: OnceLock::new(),
             disk: OnceLock::new(),
             refused: Refusals::default(),
         })
@@ -199,19 +202,19 @@ impl Chassis {
         let _ = self.disk.set(disk);
     }
 
-    /// Its processors' threads look at these links when they have nothing else to do.
-    pub(crate) fn set_lookout(&self, lookout: Arc<Lookout>) {
-        let _ = self.lookout.set(lookout);
+    /// Its processors' threads sleep there when they have nothing else to do, and look at its links.
+    pub(crate) fn set_parks(&self, make: MakePark) {
+        let _ = self.parks.set(make);
     }
 
-    /// The links that the thread of processor `index` looks at: none where something must run in time,
+    /// Where the thread of processor `index` sleeps and looks at links: nowhere where something must run in time,
     /// and the runtime's own processor only where there is no other.
-    pub(crate) fn lookout_of(&self, index: usize) -> Option<Arc<Lookout>> {
+    pub(crate) fn park_of(&self, index: usize) -> Option<Arc<dyn Park>> {
         let may = match self.processor_config(index) {
             Some(config) => !config.realtime && config.period.is_none(),
             None => self.processors.len() == 1,
         };
-        self.lookout.get().filter(|_| may).cloned()
+        self.parks.get().filter(|_| may).map(|make| make())
     }
 
     /// The synchronous functions that run here, by `task.function`, with what is known of each.

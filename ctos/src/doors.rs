@@ -8,6 +8,7 @@ mod pages;
 mod refusals;
 mod secret;
 
+pub(crate) use crate::link::transport::{NO_PAGE, is_http};
 pub(crate) use lobby::{Lobby, Turned};
 pub use pages::{OpenError, Pages};
 pub use refusals::Refusals;
@@ -21,26 +22,6 @@ pub(crate) const STRANGER_LIMIT: std::time::Duration = std::time::Duration::from
 
 /// How long to wait after an `accept` that failed: no file descriptors for the moment, perhaps.
 pub(crate) const ACCEPT_PAUSE: std::time::Duration = std::time::Duration::from_millis(20);
-
-/// What a browser is told at a port that is no page.
-pub(crate) const NO_PAGE: &str = "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\n\
-    Content-Length: 23\r\nConnection: close\r\n\r\nthis port is no page.\r\n";
-
-/// Whether a caller's first words are those of HTTP. A browser writes to whatever port a page of any
-/// site tells it to.
-pub(crate) fn is_http(said: &[u8]) -> bool {
-    const METHODS: [&str; 9] = [
-        "GET ", "POST ", "PUT ", "HEAD ", "OPTIONS ", "PATCH ", "DELETE ", "CONNECT ", "TRACE ",
-    ];
-    let begins = |with: &str| {
-        let start = said.get(..with.len());
-        start.is_some_and(|start| start.eq_ignore_ascii_case(with.as_bytes()))
-    };
-    let line = said.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    METHODS.into_iter().any(begins)
-        || begins("Host:")
-        || line.windows(6).any(|part| part == b" HTTP/")
-}
 
 #[cfg(test)]
 mod tests {

@@ -8,8 +8,8 @@ use mutate::Mutator;
 
 use crate::{
     config::load_texts,
+    frame::Frame,
     link::{
-        Frame,
         handshake::{Answer, hear, hear_greeting},
         session::packet::Decoder,
         transport::Address,

@@ -18,6 +18,7 @@ pub(crate) use data::append;
 pub(crate) use shape::Shape;
 
 pub use crate::envelope::{Message, Replier};
+pub(crate) use command::FENCE;
 pub use command::{Command, CommandInfo, SYSTEM_COMMANDS, ToJson, trimmed};
 pub use data::{Data, Payload, PayloadError};
 pub use fields::Fields;

@@ -24,13 +24,13 @@ use serde::{Deserialize, Serialize};
 use tokio::{runtime::Handle, sync::mpsc};
 
 use crate::{
-    call::lock,
+    call::{Fault, lock},
     chassis::Chassis,
     config::{App, InjuryConfig, SameHost},
     link::{
         handshake::{Process, Token},
         injure::Injury,
-        lookout::Lookout,
+        reactor::{LinkParker, Reactor},
         session::{DownReason, Limits, Session, state::Event, state::State},
         shm::Shared,
         transport::{Address, Listener},
@@ -133,7 +133,7 @@ struct Inner {
     fabric: Option<Arc<Fabric>>,
     runtime: Handle,
     /// Who reads what comes over plain sockets and shared memory.
-    lookout: Arc<Lookout>,
+    reactor: Arc<Reactor>,
     /// Whether chassis of this host are joined through shared memory.
     shares_memory: bool,
     listen: OnceLock<Vec<Address>>,
@@ -185,9 +185,10 @@ impl Mesh {
             error,
         })?;
         let spin = app.links.spin_here();
-        let lookout = Lookout::new(chassis.name(), chassis.clock.clone(), spin);
-        let lookout = lookout.map_err(MeshError::Wait)?;
-        chassis.set_lookout(lookout.clone());
+        let reactor = Reactor::new(chassis.name(), chassis.clock.clone(), spin);
+        let reactor = reactor.map_err(MeshError::Wait)?;
+        let links = reactor.clone();
+        chassis.set_parks(Box::new(move || Arc::new(LinkParker::new(links.clone()))));
         let (sender, events) = mpsc::unbounded_channel();
         let inner = Arc::new(Inner {
             chassis: chassis.clone(),
@@ -196,7 +197,7 @@ impl Mesh {
             keys,
             fabric,
             runtime: Handle::current(),
-            lookout,
+            reactor,
             shares_memory: shares_memory(app.links.same_host),
             listen: OnceLock::from(addresses),
             state: Mutex::default(),
@@ -298,13 +299,13 @@ impl Mesh {
         if let Some(fabric) = &self.inner.fabric {
             fabric.close().await;
         }
-        self.inner.lookout.close();
+        self.inner.reactor.close();
     }
 }
 
 impl Drop for Mesh {
     fn drop(&mut self) {
-        self.inner.lookout.close();
+        self.inner.reactor.close();
         for door in &self.doors {
             door.abort();
         }
@@ -417,6 +418,8 @@ impl Inner {
         let limits = Limits {
             timeout: app.links.peer_timeout,
             room: app.links.room,
+            // A fault is plain data; should it fail to encode, the empty body is read as one.
+            full: |bytes| postcard::to_stdvec(&Fault::LinkFull { bytes }).unwrap_or_default(),
         };
         let injury = self.injury(&app.links.injury, chassis);
         let receiver = peer::PeerReceiver {

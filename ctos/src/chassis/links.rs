@@ -15,7 +15,7 @@ use crate::{
     blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
     envelope::Envelope,
-    link::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
+    frame::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
     mailbox::Acceptance,
     message::{Data, Flags, Header, Message},
     system,

@@ -9,7 +9,7 @@ use std::{fmt, io};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
-use crate::link::transport::Address;
+use crate::link::address::Address;
 
 /// The first bytes of a caller: the protocol, and its version.
 const GREETING: [u8; 8] = *b"ctos\0\0\0\x05";

@@ -3,7 +3,7 @@
 
 use std::{io, sync::Arc};
 
-use crate::{config::App, link::transport::Bytes};
+use crate::{config::App, link::session::Bytes};
 
 /// There is none.
 pub(crate) enum Fabric {}

@@ -4,16 +4,14 @@
 //! One session joins this chassis to one incarnation of one peer, over any number of streams, one at a
 //! time. Packets are numbered and kept until the other end has acknowledged them; a new stream goes on
 //! where the old one broke. Signs of life tell a peer that is frozen or cut off from one that is idle.
-//!
-//! Knows streams as something that takes bytes ([`Writer`]) and drives them ([`drive`], [`direct`]); who
-//! connects to whom is decided elsewhere.
+//! All that is in [`core`]; here it is shared by threads, joined to a stream that takes bytes
+//! ([`Writer`]) and to a [`Receiver`]. Who connects to whom is decided elsewhere.
 
-mod arrive;
+mod core;
 mod direct;
 pub(crate) mod drive;
 mod line;
 pub(crate) mod packet;
-mod post;
 pub(crate) mod state;
 mod window;
 mod writer;
@@ -27,69 +25,24 @@ use std::{
 
 use tokio::sync::watch;
 
+pub(crate) use self::core::{AttachError, Limits};
+pub(crate) use self::state::DownReason;
 #[cfg(feature = "zenoh")]
 pub(crate) use self::writer::DirectWrite;
-pub(crate) use self::writer::Writer;
+pub(crate) use self::writer::{Bytes, Writer};
 use self::{
-    line::Line,
-    packet::{Kind, PacketError},
+    core::Core,
+    packet::Content,
     state::{Event, State},
-    window::{Incoming, Outgoing, Pumped},
+    window::Pumped,
     writer::Socket,
 };
 use crate::{
-    link::{Counts, Frame, injure::Injury},
+    frame::{Counts, Frame, Full, Link},
+    link::injure::Injury,
     lock::lock,
     time::{Clock, Instant},
 };
-
-/// How often a session says that it lives, as a part of the time after which silence counts.
-const PULSES: u32 = 4;
-
-/// How often an injured session looks after what was lost.
-const INJURED_PULSE: Duration = Duration::from_millis(20);
-
-/// Why a session is down.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum DownReason {
-    /// Nothing was heard for so long.
-    Silence(Duration),
-    /// The peer's process has ended.
-    Ended,
-    /// Nobody listens where the peer did; what the system says.
-    Deserted(String),
-    /// Another chassis, or another life of this one, answers where the peer did.
-    Replaced,
-    /// The peer said that it ends.
-    Bye,
-    /// The peer has given this chassis up.
-    GivenUp,
-    /// What the peer sent cannot be read.
-    Rubbish(String),
-    /// This end wanted it.
-    Closed,
-}
-
-impl fmt::Display for DownReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Silence(limit) => {
-                write!(
-                    f,
-                    "nothing was heard of it for {:.3} s",
-                    limit.as_secs_f64()
-                )
-            }
-            Self::Ended => f.write_str("its process has ended"),
-            Self::Deserted(why) => write!(f, "nobody listens there any more: {why}"),
-            Self::Replaced => f.write_str("another chassis answers there"),
-            Self::Bye => f.write_str("it said goodbye"),
-            Self::GivenUp => f.write_str("it has given this chassis up"),
-            Self::Rubbish(what) => write!(f, "it sent what no peer may send: {what}"),
-            Self::Closed => f.write_str("this end closed the link"),
-        }
-    }
-}
 
 /// Who takes what a session brings. Called in order, never twice at a time.
 pub(crate) trait Receiver: Send + Sync {
@@ -103,40 +56,11 @@ pub(crate) trait Receiver: Send + Sync {
     fn down(&self, reason: &DownReason);
 }
 
-/// What a session holds to.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Limits {
-    /// A peer that is silent for so long is down.
-    pub(crate) timeout: Duration,
-    /// How many bytes of requests, and of answers, may be under way.
-    pub(crate) room: usize,
-}
-
-struct Core {
-    state: State,
-    outgoing: Outgoing,
-    /// Requests that wait for room.
-    line: Line,
-    incoming: Incoming,
-    writer: Option<Writer>,
-    /// Which stream: what is left of an earlier one is not listened to.
-    stream: u64,
-    driver: Option<Waker>,
-    /// When anything was heard last.
-    heard: Instant,
-    /// When the keeper was to look next: a process that was frozen must not blame its peers.
-    due: Instant,
-    reason: Option<DownReason>,
-    greeted: bool,
-    counts: Counts,
-}
-
-/// One end of a session.
+/// One end of a session, shared by the threads that post to it and read its streams.
 pub(crate) struct Session {
     clock: Clock,
-    limits: Limits,
     injured: bool,
-    core: Mutex<Core>,
+    joined: Mutex<Joined>,
     /// Held while something is handed to the receiver, so that one stream's last packet comes before
     /// the next one's first.
     handing: Mutex<()>,
@@ -144,15 +68,64 @@ pub(crate) struct Session {
     state: watch::Sender<State>,
 }
 
-/// The stream is of no use to the session.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum AttachError {
-    #[error("the session is {0:?}")]
-    State(State),
-    #[error(transparent)]
-    Packet(#[from] PacketError),
-    #[error("the link is cut on purpose")]
-    Cut,
+/// The core of a session, joined to its stream.
+struct Joined {
+    core: Core,
+    writer: Option<Writer>,
+    driver: Option<Waker>,
+}
+
+/// What came of bytes that were read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Read {
+    /// There were frames among them.
+    pub(super) frames: bool,
+    /// More may come over the stream.
+    pub(super) goes_on: bool,
+}
+
+impl Joined {
+    /// Writes what can be written at once, from whatever thread.
+    fn pump(&mut self, now: Instant) -> io::Result<Pumped> {
+        match &self.writer {
+            Some(writer) => self.core.pump(now, |slices| writer.try_write(slices)),
+            None => Ok(Pumped::Idle),
+        }
+    }
+
+    /// Whether the driver must go on: a stream that fails is found by it, and of room that comes only it
+    /// may be told.
+    fn needs_driver(&self, pumped: &io::Result<Pumped>) -> bool {
+        match pumped {
+            Ok(Pumped::Idle) => self.core.is_injured(),
+            Ok(Pumped::Blocked) => !self.writer.as_ref().is_some_and(Writer::is_watched),
+            Err(_) => true,
+        }
+    }
+
+    /// Writes, or lets the driver write. Whether there was too little room.
+    fn pump_or_wake(&mut self, now: Instant) -> bool {
+        let pumped = self.pump(now);
+        if self.needs_driver(&pumped)
+            && let Some(driver) = &self.driver
+        {
+            driver.wake_by_ref();
+        }
+        matches!(pumped, Ok(Pumped::Blocked))
+    }
+
+    /// The state is another one: a stream that is of no more use is let go.
+    fn settle(&mut self, now: Instant) {
+        match self.core.state() {
+            State::Broken => self.writer = None,
+            State::Down => {
+                // A last attempt; nobody waits for it.
+                let _ = self.pump(now);
+                self.writer = None;
+            }
+            State::Waiting | State::Up | State::Draining | State::Closing => {}
+        }
+    }
 }
 
 impl Session {
@@ -163,27 +136,15 @@ impl Session {
         injury: Option<Injury>,
         receiver: Box<dyn Receiver>,
     ) -> Arc<Self> {
-        let now = clock.now();
-        let injured = injury.is_some();
-        let core = Core {
-            state: State::Waiting,
-            outgoing: Outgoing::new(limits.room, injury),
-            line: Line::new(limits.room),
-            incoming: Incoming::default(),
-            writer: None,
-            stream: 0,
-            driver: None,
-            heard: now,
-            due: now,
-            reason: None,
-            greeted: false,
-            counts: Counts::default(),
-        };
+        let core = Core::new(limits, injury, clock.now());
         Arc::new(Self {
             clock,
-            limits,
-            injured,
-            core: Mutex::new(core),
+            injured: core.is_injured(),
+            joined: Mutex::new(Joined {
+                core,
+                writer: None,
+                driver: None,
+            }),
             handing: Mutex::new(()),
             receiver,
             state: watch::Sender::new(State::Waiting),
@@ -206,7 +167,7 @@ impl Session {
 
     /// Whether it has had no stream at all.
     pub(crate) fn was_never_up(&self) -> bool {
-        !lock(&self.core).greeted
+        lock(&self.joined).core.stream() == 0
     }
 
     /// Whether it is injured on purpose.
@@ -216,13 +177,15 @@ impl Session {
 
     /// Whether its streams are cut on purpose at the moment.
     pub(crate) fn is_cut(&self) -> bool {
-        lock(&self.core).outgoing.is_cut(self.clock.now())
+        lock(&self.joined).core.is_cut(self.clock.now())
     }
 
     /// The number up to which everything of the peer has come; said when a stream begins.
     pub(crate) fn received(&self) -> u64 {
-        lock(&self.core).incoming.received()
+        lock(&self.joined).core.received()
     }
+
+    // -- its streams ------------------------------------------------------------------------
 
     /// Goes on over a new stream, whose other end has received everything up to `received`. The number
     /// is the stream's; what comes from it must be handed in under that number.
@@ -235,200 +198,104 @@ impl Session {
         received: u64,
     ) -> Result<u64, AttachError> {
         let _handing = lock(&self.handing);
-        let now = self.clock.now();
-        let (stream, first) = {
-            let mut core = lock(&self.core);
-            if core.outgoing.is_cut(now) {
-                return Err(AttachError::Cut);
-            }
-            // A newer stream takes the place of one that has not been seen to break.
-            if core.state != State::Up {
-                let next = core.state.after(Event::Attached);
-                core.state = next.ok_or(AttachError::State(core.state))?;
-            }
-            core.outgoing.restart(received)?;
-            core.outgoing.cut_into(writer.piece());
-            let core = &mut *core;
-            core.line.advance(&mut core.outgoing, now);
-            core.writer = Some(writer);
-            core.stream += 1;
-            core.counts.streams += 1;
-            core.heard = now;
-            let first = !std::mem::replace(&mut core.greeted, true);
-            (core.stream, first)
+        let attached = {
+            let mut joined = lock(&self.joined);
+            let now = self.clock.now();
+            let attached = joined.core.attach(received, writer.piece(), now)?;
+            joined.writer = Some(writer);
+            attached
         };
         self.state.send_replace(State::Up);
-        if first {
+        if attached.first {
             self.receiver.up(self.clone());
         }
         self.wake_driver();
-        Ok(stream)
-    }
-
-    /// Something happened. Down is told to the receiver, once.
-    pub(crate) fn event(&self, event: Event, reason: DownReason) {
-        let changed = {
-            let mut core = lock(&self.core);
-            self.change(&mut core, event, reason)
-        };
-        if changed {
-            self.announce();
-        }
+        Ok(attached.stream)
     }
 
     /// The session of `stream` lost it.
     pub(crate) fn lost(&self, stream: u64) {
-        let changed = {
-            let mut core = lock(&self.core);
-            core.stream == stream && self.change(&mut core, Event::StreamLost, DownReason::Ended)
-        };
-        if changed {
-            self.announce();
-        }
+        self.change(|core, _| core.lost(stream));
     }
 
-    /// Makes the transition; whether there was one. The caller announces it without the lock.
-    fn change(&self, core: &mut Core, event: Event, reason: DownReason) -> bool {
-        let Some(next) = core.state.after(event) else {
-            return false;
-        };
-        core.state = next;
-        match next {
-            State::Broken => core.writer = None,
-            State::Down => {
-                core.reason.get_or_insert(reason);
-                if event == Event::Silence {
-                    // If it can hear again, it shall know.
-                    core.outgoing.pulse(Kind::GivenUp);
-                }
-                // A last attempt; nobody waits for it.
-                let _ = Self::pump_now(core, self.clock.now());
-                core.writer = None;
-            }
-            // However it ends from here on, this end wanted it.
-            State::Closing => _ = core.reason.get_or_insert(reason),
-            State::Waiting | State::Up | State::Draining => {}
-        }
-        true
-    }
-
-    /// Tells the present state to those who watch it, and to the receiver when it is the last.
-    fn announce(&self) {
-        let (state, reason) = {
-            let mut core = lock(&self.core);
-            let down = core.state == State::Down;
-            (core.state, if down { core.reason.take() } else { None })
-        };
-        if let Some(reason) = reason {
-            self.receiver.down(&reason);
-        }
-        self.state.send_replace(state);
-        self.wake_driver();
-    }
-
-    fn wake_driver(&self) {
-        let driver = lock(&self.core).driver.take();
-        if let Some(driver) = driver {
-            driver.wake();
-        }
-    }
-
-    /// Writes what can be written at once, from whatever thread.
-    fn pump_now(core: &mut Core, now: Instant) -> io::Result<Pumped> {
-        let Core {
-            outgoing,
-            incoming,
-            writer: Some(writer),
-            ..
-        } = core
-        else {
-            return Ok(Pumped::Idle);
-        };
-        outgoing.pump(incoming.received(), now, |slices| writer.try_write(slices))
-    }
-
-    /// Takes packets and writes as far as the stream allows; what is left the driver writes.
-    fn put(&self, put: impl FnOnce(&mut Core, Instant)) {
+    /// Bytes came over `stream`.
+    pub(super) fn read(&self, stream: u64, mut bytes: &[u8]) -> Read {
         let now = self.clock.now();
-        let driver = {
-            let mut core = lock(&self.core);
-            if core.state == State::Down {
-                return;
+        let mut frames = false;
+        let _handing = lock(&self.handing);
+        loop {
+            let heard = {
+                let mut joined = lock(&self.joined);
+                let heard = joined.core.read(stream, &mut bytes, now);
+                if heard.writes {
+                    joined.pump_or_wake(now);
+                }
+                if heard.changed {
+                    joined.settle(now);
+                }
+                heard
+            };
+            frames |= matches!(heard.content, Content::Frame(_));
+            self.hand_over(heard.content, now);
+            if heard.changed {
+                self.announce();
             }
-            put(&mut core, now);
-            let pumped = Self::pump_now(&mut core, now);
-            if self.needs_driver(&core, &pumped) {
-                core.driver.take()
-            } else {
-                None
+            if bytes.is_empty() || !heard.goes_on {
+                let goes_on = heard.goes_on;
+                return Read { frames, goes_on };
             }
-        };
-        if let Some(driver) = driver {
-            driver.wake();
         }
     }
 
-    /// Whether the driver must go on: a stream that fails is found by it, and of room that comes only it
-    /// may be told.
-    fn needs_driver(&self, core: &Core, pumped: &io::Result<Pumped>) -> bool {
-        match pumped {
-            Ok(Pumped::Idle) => self.injured,
-            Ok(Pumped::Blocked) => !core.writer.as_ref().is_some_and(Writer::is_watched),
-            Err(_) => true,
+    fn hand_over(&self, content: Content, now: Instant) {
+        match content {
+            Content::Frame(frame) => {
+                trace(&frame, "in");
+                self.receiver.frame(frame, now);
+            }
+            Content::Notice(bytes) => self.receiver.notice(bytes),
+            Content::Nothing => {}
         }
     }
 
     /// Goes on writing to `stream`, which may have room again.
-    pub(crate) fn pump(&self, stream: u64) {
-        self.pump_on(&mut lock(&self.core), stream);
+    pub(super) fn pump(&self, stream: u64) {
+        let mut joined = lock(&self.joined);
+        if joined.core.stream() == stream {
+            joined.pump_or_wake(self.clock.now());
+        }
     }
 
     /// [`Self::pump`] for a stream over `socket`, which is asked about room as long as there is too little.
     pub(super) fn pump_socket(&self, stream: u64, socket: &Socket) {
-        let mut core = lock(&self.core);
-        if !self.pump_on(&mut core, stream) {
+        let mut joined = lock(&self.joined);
+        let blocked = joined.core.stream() == stream && joined.pump_or_wake(self.clock.now());
+        if !blocked {
             // Whoever finds too little later asks behind this: under the lock, too.
             socket.set_wants_room(false);
         }
     }
 
-    /// Whether there was too little room.
-    fn pump_on(&self, core: &mut Core, stream: u64) -> bool {
-        core.stream == stream && self.pump_or_wake(core, self.clock.now())
-    }
-
-    /// The present moment.
-    pub(crate) fn now(&self) -> Instant {
-        self.clock.now()
-    }
-
-    /// Something came over `stream` that is no whole packet yet.
-    pub(crate) fn heard_of(&self, stream: u64, now: Instant) {
-        let mut core = lock(&self.core);
-        if core.stream == stream {
-            core.heard = now;
-        }
-    }
-
     /// Writes from the driver of `stream`; ends only with an error, or when another stream has taken
     /// its place.
-    pub(crate) fn poll_pump(&self, cx: &mut PollContext<'_>, stream: u64) -> Poll<io::Error> {
+    pub(super) fn poll_pump(&self, cx: &mut PollContext<'_>, stream: u64) -> Poll<io::Error> {
         let now = self.clock.now();
-        let mut core = lock(&self.core);
-        let core = &mut *core;
-        if core.stream != stream || core.outgoing.is_cut(now) {
-            return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
-        }
-        let Some(writer) = &mut core.writer else {
+        let mut joined = lock(&self.joined);
+        let Joined {
+            core,
+            writer: Some(writer),
+            driver,
+        } = &mut *joined
+        else {
             return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
         };
-        core.driver = Some(cx.waker().clone());
-        let received = core.incoming.received();
-        let pumped = core.outgoing.pump(received, now, |slices| {
-            match writer.poll_write(cx, slices) {
-                Poll::Ready(written) => written,
-                Poll::Pending => Err(io::ErrorKind::WouldBlock.into()),
-            }
+        if core.stream() != stream || core.is_cut(now) {
+            return Poll::Ready(io::ErrorKind::ConnectionAborted.into());
+        }
+        *driver = Some(cx.waker().clone());
+        let pumped = core.pump(now, |slices| match writer.poll_write(cx, slices) {
+            Poll::Ready(written) => written,
+            Poll::Pending => Err(io::ErrorKind::WouldBlock.into()),
         });
         match pumped {
             Err(error) => Poll::Ready(error),
@@ -439,59 +306,115 @@ impl Session {
         }
     }
 
-    /// A message to the peer's mesh.
-    pub(crate) fn notify(&self, bytes: Vec<u8>) {
-        self.put(|core, now| core.outgoing.put_control(Kind::Notice, bytes, now));
+    fn wake_driver(&self) {
+        let driver = lock(&self.joined).driver.take();
+        if let Some(driver) = driver {
+            driver.wake();
+        }
+    }
+
+    // -- what happens to it -----------------------------------------------------------------
+
+    /// Something happened. Down is told to the receiver, once.
+    pub(crate) fn event(&self, event: Event, reason: DownReason) {
+        self.change(|core, _| core.event(event, reason));
+    }
+
+    /// The peer sent what no peer may send.
+    pub(super) fn rubbish(&self, what: &impl fmt::Display) {
+        self.event(Event::Rubbish, DownReason::Rubbish(what.to_string()));
     }
 
     /// How often [`Self::keep`] is to be called.
     pub(crate) fn pulse_every(&self) -> Duration {
-        let pulse = self.limits.timeout / PULSES;
-        if self.injured {
-            pulse.min(INJURED_PULSE)
-        } else {
-            pulse
-        }
+        lock(&self.joined).core.pulse_every()
     }
 
     /// Says that this end lives, and sees whether the other one does.
     pub(crate) fn keep(&self) {
-        let now = self.clock.now();
-        let silent = {
-            let mut core = lock(&self.core);
-            let late = now.since(core.due);
-            core.due = now + self.pulse_every();
-            if late > self.pulse_every() {
-                // This process itself stood still: what the peer said meanwhile has not been read yet.
-                core.heard = core.heard + late;
-            }
-            now.since(core.heard) >= self.limits.timeout
-        };
-        if silent {
-            let limit = self.limits.timeout;
-            return self.event(Event::Silence, DownReason::Silence(limit));
-        }
-        self.put(|core, _| core.outgoing.pulse(Kind::Pulse));
+        self.change(Core::keep);
+        self.put(|_, _| {});
     }
 
     /// Ends in order: what was posted goes out first.
     pub(crate) fn close(&self) {
-        self.put(|core, now| {
-            if core.state == State::Up {
-                core.outgoing.put_control(Kind::Bye, Vec::new(), now);
-            }
-        });
-        self.event(Event::Close, DownReason::Closed);
+        self.change(Core::close);
+        self.put(|_, _| {});
     }
 
-    /// What went over it.
-    pub(crate) fn counts(&self) -> Counts {
-        let core = lock(&self.core);
-        Counts {
-            bytes_under_way: core.outgoing.bytes() as u64,
-            ..core.counts
+    /// Makes a change, and tells others if the state is another one then.
+    fn change(&self, change: impl FnOnce(&mut Core, Instant) -> bool) {
+        let now = self.clock.now();
+        let changed = {
+            let mut joined = lock(&self.joined);
+            let changed = change(&mut joined.core, now);
+            if changed {
+                joined.settle(now);
+            }
+            changed
+        };
+        if changed {
+            self.announce();
         }
     }
+
+    /// Tells the present state to those who watch it, and to the receiver when it is the last.
+    fn announce(&self) {
+        let (state, reason) = {
+            let mut joined = lock(&self.joined);
+            (joined.core.state(), joined.core.take_reason())
+        };
+        if let Some(reason) = reason {
+            self.receiver.down(&reason);
+        }
+        self.state.send_replace(state);
+        self.wake_driver();
+    }
+
+    // -- what is sent over it ---------------------------------------------------------------
+
+    /// A message to the peer's mesh.
+    pub(crate) fn notify(&self, bytes: Vec<u8>) {
+        self.put(|core, now| core.notify(bytes, now));
+    }
+
+    /// Puts something in and writes as far as the stream allows; what is left the driver writes.
+    fn put<T>(&self, put: impl FnOnce(&mut Core, Instant) -> T) -> T {
+        let now = self.clock.now();
+        let (put, driver) = {
+            let mut joined = lock(&self.joined);
+            let put = put(&mut joined.core, now);
+            let pumped = joined.pump(now);
+            let driver = joined.needs_driver(&pumped);
+            (put, if driver { joined.driver.take() } else { None })
+        };
+        if let Some(driver) = driver {
+            driver.wake();
+        }
+        put
+    }
+}
+
+impl Link for Session {
+    fn post(&self, frame: Frame) -> Result<(), Full> {
+        trace(&frame, "out");
+        self.put(|core, now| core.post(frame, now))
+    }
+
+    fn counts(&self) -> Counts {
+        lock(&self.joined).core.counts()
+    }
+}
+
+fn trace(frame: &Frame, way: &'static str) {
+    tracing::trace!(
+        target: "ctos::link",
+        from = %frame.header.from,
+        to = %frame.header.to,
+        command = frame.header.command,
+        bytes = frame.body.len(),
+        "{way}"
+    );
 }
 
 impl fmt::Debug for Session {

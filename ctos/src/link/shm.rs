@@ -6,7 +6,6 @@
 //! it was written by another process and is believed nowhere: positions are checked, bytes are copied
 //! out before anybody looks at them.
 
-mod memory;
 pub(crate) mod pass;
 
 use std::{
@@ -18,10 +17,12 @@ use std::{
     },
 };
 
-use rustix::fs::{MemfdFlags, OFlags, SealFlags};
+use rustix::{
+    event::{EventfdFlags, eventfd},
+    fs::{MemfdFlags, OFlags, SealFlags},
+};
 
-use self::memory::Memory;
-use crate::link::lookout;
+use crate::shared_memory::Memory;
 
 /// Bytes of one ring's data; a power of two.
 const RING: usize = 1 << 20;
@@ -94,7 +95,7 @@ impl Shared {
         let file = rustix::fs::memfd_create("ctos-link", flags)?;
         rustix::fs::ftruncate(&file, SIZE as u64)?;
         rustix::fs::fcntl_add_seals(&file, SEALS)?;
-        let bells = [lookout::bell()?, lookout::bell()?];
+        let bells = [bell()?, bell()?];
         let [maker, guest] = &bells;
         let passed = [file.try_clone()?, maker.try_clone()?, guest.try_clone()?];
         let shared = Self::map(file.as_fd(), bells, Side::Maker)?;
@@ -120,7 +121,7 @@ impl Shared {
     }
 
     fn map(file: BorrowedFd<'_>, bells: [OwnedFd; 2], side: Side) -> io::Result<Self> {
-        let memory = Arc::new(Memory::of_file(file, SIZE)?);
+        let memory = Arc::new(Memory::new(file, SIZE)?);
         Ok(Self {
             memory,
             side,
@@ -132,7 +133,7 @@ impl Shared {
     #[cfg(test)]
     fn pair() -> (Self, Self) {
         let memory = Arc::new(Memory::private(SIZE));
-        let bells = [lookout::bell().unwrap(), lookout::bell().unwrap()];
+        let bells = [bell().unwrap(), bell().unwrap()];
         let side = |side| Self {
             memory: memory.clone(),
             side,
@@ -184,6 +185,26 @@ fn ring_of(side: Side) -> usize {
     2 * BELL_LINES * LINE + side.index() * (RING_LINES * LINE + RING)
 }
 
+/// A field. All of them lie inside and are aligned: the memory has [`SIZE`] bytes.
+fn long(memory: &Memory, at: usize) -> &AtomicU64 {
+    static NOWHERE: AtomicU64 = AtomicU64::new(0);
+    memory.long(at).unwrap_or(&NOWHERE)
+}
+
+/// As [`long`], of 32 bits.
+fn short(memory: &Memory, at: usize) -> &AtomicU32 {
+    static NOWHERE: AtomicU32 = AtomicU32::new(0);
+    memory.short(at).unwrap_or(&NOWHERE)
+}
+
+/// Something that wakes whoever waits at the links: each write to it is an event.
+///
+/// # Errors
+/// What the system says.
+pub(crate) fn bell() -> io::Result<OwnedFd> {
+    Ok(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?)
+}
+
 /// Neither side can make the memory smaller under the other one.
 const SEALS: SealFlags = SealFlags::SHRINK.union(SealFlags::GROW);
 
@@ -203,7 +224,7 @@ impl Sleeper {
     }
 
     fn sleeps(&self) -> &AtomicU32 {
-        self.memory.word(self.start)
+        short(&self.memory, self.start)
     }
 }
 
@@ -235,7 +256,7 @@ struct Ring {
 
 impl Ring {
     fn field(&self, line: usize) -> &AtomicU64 {
-        self.memory.long(self.start + line * LINE)
+        long(&self.memory, self.start + line * LINE)
     }
 
     fn data(&self) -> usize {

@@ -5,91 +5,29 @@
 
 use std::{
     ffi::OsStr,
-    fmt, io,
+    io,
     net::SocketAddr,
     os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt},
     path::{Path, PathBuf},
     pin::Pin,
-    str::FromStr,
     sync::Arc,
     task::{Context, Poll},
 };
 
-use serde::{Deserialize, Serialize};
 use tokio::{
     io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf},
     net::{TcpListener, TcpStream, UnixListener, UnixStream},
 };
 use tokio_rustls::TlsStream;
 
+pub use crate::link::address::{Address, AddressError};
 use crate::{
-    doors,
-    link::{session::Writer, zenoh},
+    link::{
+        session::{Bytes, Writer},
+        zenoh,
+    },
     security::{Identity, KeyError, Keys},
 };
-
-/// Where a chassis can be reached.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub enum Address {
-    /// A port of a host.
-    Tcp(SocketAddr),
-    /// A socket in the file system of this host.
-    Unix(PathBuf),
-    /// A key of the zenoh network that the app's processes have joined.
-    Zenoh(String),
-}
-
-impl fmt::Display for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Tcp(address) => write!(f, "tcp:{address}"),
-            Self::Unix(path) => write!(f, "unix:{}", path.display()),
-            Self::Zenoh(key) => write!(f, "zenoh:{key}"),
-        }
-    }
-}
-
-/// A text that is no address.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is not an address; write tcp:IP:PORT, unix:/PATH or zenoh:KEY")]
-pub struct AddressError(String);
-
-impl FromStr for Address {
-    type Err = AddressError;
-
-    fn from_str(text: &str) -> Result<Self, AddressError> {
-        let wrong = || AddressError(text.to_owned());
-        if let Some(path) = text.strip_prefix("unix:") {
-            let path = PathBuf::from(path);
-            return if path.is_absolute() {
-                Ok(Self::Unix(path))
-            } else {
-                Err(wrong())
-            };
-        }
-        if let Some(key) = text.strip_prefix("zenoh:") {
-            let key = is_plain_key(key).then(|| Self::Zenoh(key.to_owned()));
-            return key.ok_or_else(wrong);
-        }
-        let address = text.strip_prefix("tcp:").unwrap_or(text);
-        address.parse().map(Self::Tcp).map_err(|_| wrong())
-    }
-}
-
-/// Whether it is a key of a zenoh network that stands for itself only: no wildcards, no empty parts.
-pub(crate) fn is_plain_key(key: &str) -> bool {
-    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-.%/".contains(&byte);
-    key.len() <= 1024 && key.bytes().all(plain) && key.split('/').all(|part| !part.is_empty())
-}
-
-/// What a stream must be able to do.
-pub(crate) trait Bytes: AsyncRead + AsyncWrite + Send + Unpin + 'static {
-    /// The half that is read, and the half that is written.
-    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
-        let (reader, writer) = tokio::io::split(self);
-        (Box::new(reader), Writer::Other(Box::new(writer)))
-    }
-}
 
 impl<S: AsyncRead + AsyncWrite + Send + Unpin + 'static> Bytes for TlsStream<S> {}
 
@@ -321,6 +259,26 @@ impl Call {
     }
 }
 
+/// What a browser is told at a port that is no page.
+pub(crate) const NO_PAGE: &str = "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\n\
+    Content-Length: 23\r\nConnection: close\r\n\r\nthis port is no page.\r\n";
+
+/// Whether a caller's first words are those of HTTP. A browser writes to whatever port a page of any
+/// site tells it to.
+pub(crate) fn is_http(said: &[u8]) -> bool {
+    const METHODS: [&str; 9] = [
+        "GET ", "POST ", "PUT ", "HEAD ", "OPTIONS ", "PATCH ", "DELETE ", "CONNECT ", "TRACE ",
+    ];
+    let begins = |with: &str| {
+        let start = said.get(..with.len());
+        start.is_some_and(|start| start.eq_ignore_ascii_case(with.as_bytes()))
+    };
+    let line = said.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    METHODS.into_iter().any(begins)
+        || begins("Host:")
+        || line.windows(6).any(|part| part == b" HTTP/")
+}
+
 /// Tells a browser that this is no page.
 ///
 /// # Errors
@@ -329,10 +287,10 @@ async fn refuse_browser(stream: &mut TcpStream) -> Result<(), KeyError> {
     let mut first = [0; 64];
     // Whoever calls a port of ours speaks first.
     let length = stream.peek(&mut first).await?;
-    if !doors::is_http(first.get(..length).unwrap_or_default()) {
+    if !is_http(first.get(..length).unwrap_or_default()) {
         return Ok(());
     }
-    stream.write_all(doors::NO_PAGE.as_bytes()).await?;
+    stream.write_all(NO_PAGE.as_bytes()).await?;
     stream.shutdown().await?;
     // What it has said and nobody reads would take the answer with it when the stream is closed.
     let mut rest = [0; 1024];
@@ -509,34 +467,6 @@ mod tests {
     use super::*;
 
     impl Bytes for tokio::io::DuplexStream {}
-
-    #[test]
-    fn addresses_survive_their_text() {
-        for text in [
-            "tcp:127.0.0.1:80",
-            "tcp:[::1]:1",
-            "unix:/run/x.sock",
-            "zenoh:ctos/cell/a-0f",
-        ] {
-            assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
-        }
-        assert_eq!(
-            "127.0.0.1:80".parse::<Address>().unwrap().to_string(),
-            "tcp:127.0.0.1:80"
-        );
-        for text in [
-            "",
-            "unix:",
-            "unix:relative",
-            "tcp:host",
-            "127.0.0.1",
-            "zenoh:",
-            "zenoh:a//b",
-            "zenoh:ctos/**",
-        ] {
-            assert!(text.parse::<Address>().is_err(), "{text}");
-        }
-    }
 
     #[tokio::test]
     async fn only_a_stream_whose_other_end_is_known_to_be_on_this_host_is_nearby() {

@@ -32,7 +32,7 @@ use self::{
     settings::{Part, settings},
     stream::{End, StreamKeys},
 };
-use crate::{config::App, link::transport::is_plain_key, lock::lock, security};
+use crate::{config::App, link::address::is_plain_key, lock::lock, security};
 
 /// Every key begins so.
 const ROOT: &str = "ctos";

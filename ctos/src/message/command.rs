@@ -48,6 +48,9 @@ pub trait Command: Serialize + DeserializeOwned + Send + 'static {
 /// Codes from here on belong to the runtime.
 pub const SYSTEM_COMMANDS: u16 = 0xff00;
 
+/// The one command of the runtime that follows requests on a link; the others have room of their own.
+pub(crate) const FENCE: u16 = 0xff6a;
+
 /// What is known of a command without its types.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CommandInfo {

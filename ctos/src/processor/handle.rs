@@ -16,8 +16,8 @@ use crate::{
     asleep::Asleep,
     call::{Answer, lock},
     exchange::CallKey,
-    link::lookout::Parker,
     mailbox::{Delivery, Order},
+    park::Parker,
 };
 
 /// Work brought to a processor from another thread.

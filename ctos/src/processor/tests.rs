@@ -12,7 +12,10 @@ use std::{
 use super::*;
 use crate::{
     call::{Promise, Waiting, lock},
-    link::lookout::{Happened, Lookout, Seen, Source, bell},
+    link::{
+        reactor::{Happened, LinkParker, Reactor, Seen, Source, Visible},
+        shm::bell,
+    },
     message::Data,
     sync::{Lead, ScheduleSettings, Synchronous, Tick},
 };
@@ -215,18 +218,20 @@ impl Source for Shows {
         }
     }
 
+    fn fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+
+    fn visible(&self) -> Option<&dyn Visible> {
+        self.visible.then_some(self)
+    }
+}
+
+impl Visible for Shows {
     fn has_come(&self) -> bool {
         let left = self.looks_left.load(Ordering::SeqCst).saturating_sub(1);
         self.looks_left.store(left, Ordering::SeqCst);
         left == 0
-    }
-
-    fn is_visible(&self) -> bool {
-        self.visible
-    }
-
-    fn fd(&self) -> BorrowedFd<'_> {
-        self.fd.as_fd()
     }
 
     fn set_asleep(&self, _: bool) {}
@@ -235,15 +240,18 @@ impl Source for Shows {
 /// Spins for as long as it takes until a link has brought something.
 fn spins_until_a_link_brings_something(visible: bool) -> Arc<Shows> {
     let clock = Clock::real();
-    let lookout = Lookout::new("test", clock.clone(), Duration::ZERO).unwrap();
-    // Once the relief is gone nobody but the processor looks.
-    lookout.close();
-    while Arc::strong_count(&lookout) > 1 {
+    let reactor = Reactor::new("test", clock.clone(), Duration::ZERO).unwrap();
+    // Once the standby is gone nobody but the processor looks.
+    reactor.close();
+    while Arc::strong_count(&reactor) > 1 {
         std::thread::yield_now();
     }
     let processor = Processor::new(Arc::default(), clock);
     processor.enter();
-    processor.handle.parker.look_out(lookout.clone());
+    processor
+        .handle
+        .parker
+        .set(Arc::new(LinkParker::new(reactor.clone())));
     processor.handle.set_spin(Duration::from_secs(600));
     let wakes = Arc::new(Mutex::new(None));
     let keeps = wakes.clone();
@@ -265,7 +273,7 @@ fn spins_until_a_link_brings_something(visible: bool) -> Arc<Shows> {
         wakes: Mutex::new(lock(&wakes).take()),
     });
     let shown = source.clone();
-    let watched = lookout.add(move |_| shown).unwrap();
+    let watched = reactor.add(move |_| shown).unwrap();
     assert!(processor.spin(processor.now()), "nothing has come");
     assert_eq!(processor.ready_count(), 1);
     drop(watched);

@@ -17,7 +17,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     call::lock,
-    link::{Frame, Full, Link},
+    frame::{Frame, Full, Link},
     message::{Flags, SYSTEM_COMMANDS},
     seed::mix,
     time::{Clock, Instant},

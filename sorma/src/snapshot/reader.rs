@@ -3,7 +3,7 @@
 
 use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, REPLACED, STATE};
 use super::layout::{Layout, ORIGIN, WRITING};
-use super::memory::{Page, View};
+use super::memory::{self, Page, View};
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Taken};
 use super::{Snapshot, SnapshotError, bell, nap};
@@ -320,7 +320,7 @@ impl Reader {
     }
 
     fn sleep(&self, until: Instant, clock: &Clock, is_there: impl Fn() -> bool) -> Waited {
-        let bell = self.page.as_ref().and_then(|page| page.bell(BELL));
+        let bell = self.page.as_ref().and_then(|page| memory::bell(page, BELL));
         let is_written = || self.view.load(STATE) == WRITING;
         loop {
             if is_there() {

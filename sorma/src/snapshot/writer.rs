@@ -2,7 +2,7 @@
 
 use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, ORIGIN, PID, PID_START};
 use super::layout::{Layout, REPLACED, STATE, WRITING};
-use super::memory::Page;
+use super::memory::{self, Page};
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Store};
 use super::{SnapshotError, bell, host_ns, nap};
@@ -148,7 +148,7 @@ impl Writer {
             let _ = std::fs::remove_file(&unfinished);
         } else if let Some(old) = old_page {
             old.store(STATE, REPLACED);
-            if let Some(word) = old.bell(BELL) {
+            if let Some(word) = memory::bell(&old, BELL) {
                 bell::ring(word);
             }
         }
@@ -250,7 +250,7 @@ impl Writer {
     }
 
     fn ring_bell(&self) {
-        if let Some(word) = self.page.bell(BELL) {
+        if let Some(word) = memory::bell(&self.page, BELL) {
             bell::ring(word);
         }
     }

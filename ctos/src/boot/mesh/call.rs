@@ -141,9 +141,9 @@ impl Inner {
             (true, Stream::Unix(socket)) => {
                 let made = shm::pass::send(&socket).await;
                 let shared = made.map_err(HandshakeError::from)?;
-                drive::drive_shared(session, socket, shared, received, &self.lookout).await
+                drive::drive_shared(session, socket, shared, received, &self.reactor).await
             }
-            (_, stream) => drive::drive(session, stream, received, &self.lookout).await,
+            (_, stream) => drive::drive(session, stream, received, &self.reactor).await,
         };
         if let Err(error) = carried {
             tracing::debug!(error = %error, "a stream was not wanted");

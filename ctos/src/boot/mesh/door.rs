@@ -146,13 +146,13 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         .await
         .map_err(|_| HandshakeError::Late)??;
     if !shared {
-        return Ok(drive::drive(&session, stream, received, &mesh.lookout).await?);
+        return Ok(drive::drive(&session, stream, received, &mesh.reactor).await?);
     }
     let taken = tokio::time::timeout(STRANGER_LIMIT, shm::pass::receive(stream)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;
-    Ok(drive::drive_shared(&session, socket, shared, received, &mesh.lookout).await?)
+    Ok(drive::drive_shared(&session, socket, shared, received, &mesh.reactor).await?)
 }
 
 impl Inner {

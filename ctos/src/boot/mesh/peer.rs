@@ -9,10 +9,8 @@ use tokio::io::{Interest, unix::AsyncFd};
 use super::{Inner, MeshEvent};
 use crate::{
     call::lock,
-    link::{
-        Frame,
-        session::{DownReason, Receiver, Session, state::Event, state::State},
-    },
+    frame::Frame,
+    link::session::{DownReason, Receiver, Session, state::Event, state::State},
     time::Instant,
 };
 

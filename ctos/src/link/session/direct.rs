@@ -3,10 +3,7 @@
 
 use std::{
     os::fd::{AsFd, BorrowedFd, OwnedFd},
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Mutex},
 };
 
 use rustix::{
@@ -15,15 +12,10 @@ use rustix::{
 };
 use tokio::sync::oneshot;
 
-use super::{
-    Session,
-    drive::{rubbish, take},
-    packet::Decoder,
-    writer::Socket,
-};
+use super::{Session, writer::Socket};
 use crate::{
     link::{
-        lookout::{Happened, Seen, Source},
+        reactor::{Happened, Seen, Source, Visible},
         shm,
     },
     lock::lock,
@@ -55,20 +47,17 @@ enum Read {
 }
 
 struct Reading {
-    decoder: Decoder,
     chunk: Vec<u8>,
     /// Told, once, that the stream is over.
     ended: Option<oneshot::Sender<()>>,
 }
 
-/// A stream of a session, as the lookout sees it.
+/// A stream of a session, as the reactor sees it.
 pub(super) struct DirectStream {
     session: Arc<Session>,
     number: u64,
     carrier: Carrier,
     reading: Mutex<Reading>,
-    /// The process at the other end is gone: what is there is the last.
-    pub(super) closed: AtomicBool,
 }
 
 impl DirectStream {
@@ -84,60 +73,61 @@ impl DirectStream {
             number,
             carrier,
             reading: Mutex::new(Reading {
-                decoder: Decoder::default(),
                 chunk: vec![0; CHUNK],
                 ended: Some(ended),
             }),
-            closed: AtomicBool::new(false),
         };
         (stream, ends)
     }
 
-    /// Reads what there is. Whether frames came, and whether it is over.
-    fn read(&self, reading: &mut Reading) -> (bool, bool) {
+    /// Reads what there is, up to the end if the other end has `closed`. Whether frames came, and whether it is over.
+    fn read(&self, chunk: &mut [u8], closed: bool) -> (bool, bool) {
         let mut frames = false;
         for _ in 0..READS {
-            let Reading { decoder, chunk, .. } = reading;
-            let (read, count) = self.read_once(chunk);
-            let bytes = chunk.get(..count).unwrap_or_default();
-            let goes_on =
-                count == 0 || take(&self.session, self.number, decoder, bytes, &mut frames);
-            match read {
-                _ if !goes_on => return (frames, true),
+            let (end, count) = self.read_once(chunk, closed);
+            if count > 0 {
+                let bytes = chunk.get(..count).unwrap_or_default();
+                let read = self.session.read(self.number, bytes);
+                frames |= read.frames;
+                if !read.goes_on {
+                    return (frames, true);
+                }
+            }
+            match end {
                 Read::More => {}
                 Read::Drained => return (frames, false),
                 Read::End => return (frames, true),
             }
         }
+        if let Carrier::Socket(socket) = &self.carrier {
+            socket.tell_again();
+        }
         (frames, false)
     }
 
     /// One read, and how many bytes it gave.
-    fn read_once(&self, chunk: &mut [u8]) -> (Read, usize) {
+    fn read_once(&self, chunk: &mut [u8], closed: bool) -> (Read, usize) {
         match &self.carrier {
             Carrier::Socket(socket) => {
                 match recv(socket.fd(), &mut *chunk, RecvFlags::DONTWAIT) {
                     Ok((_, 0)) => (Read::End, 0),
-                    // A socket that gave less than there was place for has no more.
-                    Ok((_, count)) if count < chunk.len() => (Read::Drained, count),
+                    // A socket that gave less than there was place for has no more, but perhaps its end.
+                    Ok((_, count)) if count < chunk.len() && !closed => (Read::Drained, count),
                     Ok((_, count)) => (Read::More, count),
                     Err(Errno::AGAIN) => (Read::Drained, 0),
                     Err(Errno::INTR) => (Read::More, 0),
                     Err(_) => (Read::End, 0),
                 }
             }
-            Carrier::Shared { receiver, .. } => {
-                let closed = self.closed.load(Ordering::Acquire);
-                match receiver.read(chunk) {
-                    Ok(0) if closed => (Read::End, 0),
-                    Ok(0) => (Read::Drained, 0),
-                    Ok(count) => (Read::More, count),
-                    Err(error) => {
-                        rubbish(&self.session, &error);
-                        (Read::End, 0)
-                    }
+            Carrier::Shared { receiver, .. } => match receiver.read(chunk) {
+                Ok(0) if closed => (Read::End, 0),
+                Ok(0) => (Read::Drained, 0),
+                Ok(count) => (Read::More, count),
+                Err(error) => {
+                    self.session.rubbish(&error);
+                    (Read::End, 0)
                 }
-            }
+            },
         }
     }
 }
@@ -147,7 +137,7 @@ impl Source for DirectStream {
         let mut seen = Seen::Nothing;
         if happened.came {
             let mut reading = lock(&self.reading);
-            let (frames, over) = self.read(&mut reading);
+            let (frames, over) = self.read(&mut reading.chunk, happened.closed);
             if over {
                 if let Some(ended) = reading.ended.take() {
                     // The driver may be gone.
@@ -174,17 +164,6 @@ impl Source for DirectStream {
         seen
     }
 
-    fn has_come(&self) -> bool {
-        match &self.carrier {
-            Carrier::Socket(_) => false,
-            Carrier::Shared { receiver, .. } => receiver.has_work(),
-        }
-    }
-
-    fn is_visible(&self) -> bool {
-        matches!(self.carrier, Carrier::Shared { .. })
-    }
-
     fn fd(&self) -> BorrowedFd<'_> {
         match &self.carrier {
             Carrier::Socket(socket) => socket.fd(),
@@ -192,9 +171,20 @@ impl Source for DirectStream {
         }
     }
 
-    fn set_asleep(&self, asleep: bool) {
-        if let Carrier::Shared { receiver, .. } = &self.carrier {
-            receiver.set_asleep(asleep);
+    fn visible(&self) -> Option<&dyn Visible> {
+        match &self.carrier {
+            Carrier::Socket(_) => None,
+            Carrier::Shared { receiver, .. } => Some(receiver),
         }
+    }
+}
+
+impl Visible for shm::Receiver {
+    fn has_come(&self) -> bool {
+        self.has_work()
+    }
+
+    fn set_asleep(&self, asleep: bool) {
+        shm::Receiver::set_asleep(self, asleep);
     }
 }

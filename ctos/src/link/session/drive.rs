@@ -1,14 +1,6 @@
 //! Drivers: what moves bytes between a session and one stream, until the stream ends.
 
-use std::{
-    future::poll_fn,
-    io,
-    os::fd::OwnedFd,
-    pin::pin,
-    sync::{Arc, atomic::Ordering},
-    task::Poll,
-    time::Duration,
-};
+use std::{future::poll_fn, io, os::fd::OwnedFd, pin::pin, sync::Arc, task::Poll, time::Duration};
 
 use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
@@ -20,11 +12,9 @@ use tokio::{
 use super::{
     AttachError, Session, Writer,
     direct::{Carrier, DirectStream},
-    packet::Decoder,
-    state::Event,
     writer::Socket,
 };
-use crate::link::{lookout::Lookout, session::DownReason, shm, transport::Stream};
+use crate::link::{reactor::Reactor, shm, transport::Stream};
 
 /// How much a Unix socket holds that has not been read, bytes; TCP finds its own measure.
 const SEND_BUFFER: usize = 1 << 20;
@@ -39,7 +29,7 @@ const INJURED_TICK: Duration = Duration::from_millis(1);
 const LAST_WORDS_LIMIT: Duration = Duration::from_millis(500);
 
 /// Carries `session` over `stream` until that ends; `received` is what the other end has. Plain sockets are
-/// read by `lookout`.
+/// read by `reactor`.
 ///
 /// # Errors
 /// When the session does not want the stream.
@@ -47,7 +37,7 @@ pub(crate) async fn drive(
     session: &Arc<Session>,
     stream: Stream,
     received: u64,
-    lookout: &Arc<Lookout>,
+    reactor: &Arc<Reactor>,
 ) -> Result<(), AttachError> {
     let stream = match stream {
         // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
@@ -57,8 +47,8 @@ pub(crate) async fn drive(
             let is_nearby = stream.is_nearby();
             return match fd_of(stream) {
                 Ok(fd) => {
-                    let socket = Socket::new(fd, is_nearby, Arc::downgrade(lookout));
-                    drive_socket(session, socket, received, lookout).await
+                    let socket = Socket::new(fd, is_nearby, Arc::downgrade(reactor));
+                    drive_socket(session, socket, received, reactor).await
                 }
                 Err(error) => {
                     broke(&error);
@@ -121,49 +111,16 @@ async fn read_all(
     reader: &mut (impl AsyncRead + Unpin),
 ) -> io::Result<()> {
     let mut chunk = vec![0; CHUNK];
-    let mut decoder = Decoder::default();
     loop {
         let count = reader.read(&mut chunk).await?;
         if count == 0 {
             return Ok(());
         }
         let read = chunk.get(..count).unwrap_or_default();
-        if !take(session, number, &mut decoder, read, &mut false) {
+        if !session.read(number, read).goes_on {
             return Ok(());
         }
     }
-}
-
-/// Hands what was read to the session; whether there were `frames`. False when nothing more may come.
-pub(super) fn take(
-    session: &Session,
-    stream: u64,
-    decoder: &mut Decoder,
-    mut bytes: &[u8],
-    frames: &mut bool,
-) -> bool {
-    let now = session.now();
-    // A large frame takes long: what has come of it is a sign of life, too.
-    session.heard_of(stream, now);
-    loop {
-        match decoder.feed(&mut bytes) {
-            Ok(Some(packet)) => {
-                *frames |= packet.is_frame();
-                if !session.receive(stream, packet, now) {
-                    return false;
-                }
-            }
-            Ok(None) => return true,
-            Err(error) => {
-                rubbish(session, &error);
-                return false;
-            }
-        }
-    }
-}
-
-pub(super) fn rubbish(session: &Session, error: &impl std::fmt::Display) {
-    session.event(Event::Rubbish, DownReason::Rubbish(error.to_string()));
 }
 
 /// Carries `session` through shared memory until the socket by which it came is closed: that is how the
@@ -176,15 +133,13 @@ pub(crate) async fn drive_shared(
     socket: UnixStream,
     shared: shm::Shared,
     received: u64,
-    lookout: &Arc<Lookout>,
+    reactor: &Arc<Reactor>,
 ) -> Result<(), AttachError> {
     let (sender, receiver, bell) = shared.split();
     let number = session.attach(Writer::Shared(sender), received)?;
     let carrier = Carrier::Shared { receiver, bell };
     let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
-    let stream = Arc::new(stream);
-    let source = stream.clone();
-    let watched = lookout.add(move |_| source);
+    let watched = reactor.add(move |_| Arc::new(stream));
     match watched {
         Ok(watched) => {
             tokio::select! {
@@ -194,7 +149,6 @@ pub(crate) async fn drive_shared(
                 }
                 () = hung_up(&socket) => {
                     // What is still there is read.
-                    stream.closed.store(true, Ordering::Release);
                     watched.serve();
                 }
             }
@@ -205,19 +159,19 @@ pub(crate) async fn drive_shared(
     Ok(())
 }
 
-/// Carries `session` over a plain socket that the lookout reads.
+/// Carries `session` over a plain socket that the reactor reads.
 async fn drive_socket(
     session: &Arc<Session>,
     socket: Socket,
     received: u64,
-    lookout: &Arc<Lookout>,
+    reactor: &Arc<Reactor>,
 ) -> Result<(), AttachError> {
     let socket = Arc::new(socket);
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
     let carrier = Carrier::Socket(socket.clone());
     let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
-    let watched = lookout.add(move |id| {
-        socket.set_id(id);
+    let watched = reactor.add(move |token| {
+        socket.set_token(token);
         Arc::new(stream)
     });
     match watched {

@@ -5,9 +5,8 @@ use std::{collections::VecDeque, time::Duration};
 
 use super::window::{Lane, NoRoom, Outgoing};
 use crate::{
-    link::{Frame, NO_DEADLINE},
-    message::{Command, Flags},
-    system::Fence,
+    frame::{Frame, NO_DEADLINE},
+    message::{FENCE, Flags},
     time::Instant,
 };
 
@@ -35,7 +34,7 @@ impl Line {
     /// overtakes those of normal priority.
     ///
     /// # Errors
-    /// [`NoRoom`] when too many wait already; there is always room for a [`Fence`].
+    /// [`NoRoom`] when too many wait already; there is always room for a [`FENCE`].
     pub(super) fn send(
         &mut self,
         frame: Frame,
@@ -115,7 +114,7 @@ pub(super) fn lane_of_request(frame: &Frame) -> Lane {
 
 /// Whether this follows requests to where a task was: it must not overtake them.
 pub(super) fn is_fence(frame: &Frame) -> bool {
-    frame.header.command == Fence::CODE
+    frame.header.command == FENCE
 }
 
 /// Whether this says that a sender has given up.
@@ -198,7 +197,7 @@ mod tests {
             |line: &mut Line, frame: Frame| line.send(frame, &mut outgoing, Instant::START);
         while send(&mut line, request(1, 90)).is_ok() {}
         let mut fence = request(2, 1);
-        fence.header.command = Fence::CODE;
+        fence.header.command = FENCE;
         fence.header.flags = Flags::HIGH_PRIORITY;
         send(&mut line, fence).unwrap();
         assert_eq!(line.waiting.back().map(|(frame, _)| frame.call), Some(2));

@@ -7,7 +7,7 @@
 
 use bytes::{Buf, BufMut, BytesMut};
 
-use crate::link::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
+use crate::frame::{FRAME_FIXED, FRAME_LIMIT, Frame, FrameError};
 
 /// Length, kind, two numbers.
 pub(crate) const PACKET_HEAD: usize = 4 + 1 + 8 + 8;
@@ -91,10 +91,14 @@ pub(crate) enum Content {
     Notice(Vec<u8>),
 }
 
-impl Packet {
-    /// Whether it carries something for a task.
-    pub(crate) fn is_frame(&self) -> bool {
-        matches!(self.content, Content::Frame(_))
+impl Content {
+    /// How many bytes of data it is.
+    pub(crate) fn size(&self) -> usize {
+        match self {
+            Self::Nothing => 0,
+            Self::Frame(frame) => frame.body.len(),
+            Self::Notice(bytes) => bytes.len(),
+        }
     }
 }
 

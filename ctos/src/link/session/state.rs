@@ -2,6 +2,8 @@
 //!
 //! Knows no stream, no clock and no frame: what moves the session is told to it as an event.
 
+use std::{fmt, time::Duration};
+
 /// Where a session with one peer stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum State {
@@ -78,6 +80,48 @@ impl Event {
             Self::Rubbish => "rubbish",
             Self::Close => "close",
             Self::Flushed => "flushed",
+        }
+    }
+}
+
+/// Why a session is down.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum DownReason {
+    /// Nothing was heard for so long.
+    Silence(Duration),
+    /// The peer's process has ended.
+    Ended,
+    /// Nobody listens where the peer did; what the system says.
+    Deserted(String),
+    /// Another chassis, or another life of this one, answers where the peer did.
+    Replaced,
+    /// The peer said that it ends.
+    Bye,
+    /// The peer has given this chassis up.
+    GivenUp,
+    /// What the peer sent cannot be read.
+    Rubbish(String),
+    /// This end wanted it.
+    Closed,
+}
+
+impl fmt::Display for DownReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Silence(limit) => {
+                write!(
+                    f,
+                    "nothing was heard of it for {:.3} s",
+                    limit.as_secs_f64()
+                )
+            }
+            Self::Ended => f.write_str("its process has ended"),
+            Self::Deserted(why) => write!(f, "nobody listens there any more: {why}"),
+            Self::Replaced => f.write_str("another chassis answers there"),
+            Self::Bye => f.write_str("it said goodbye"),
+            Self::GivenUp => f.write_str("it has given this chassis up"),
+            Self::Rubbish(what) => write!(f, "it sent what no peer may send: {what}"),
+            Self::Closed => f.write_str("this end closed the link"),
         }
     }
 }

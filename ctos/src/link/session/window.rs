@@ -8,7 +8,8 @@ use bytes::{Buf, BufMut, Bytes, BytesMut};
 use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
 use crate::{
     blob::Body,
-    link::{FRAME_FIXED, Frame, injure::Injury},
+    frame::{FRAME_FIXED, Frame},
+    link::injure::Injury,
     time::Instant,
 };
 

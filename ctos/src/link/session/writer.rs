@@ -6,19 +6,20 @@ use std::{
     pin::Pin,
     sync::{
         Arc, Weak,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     task::{Context as PollContext, Poll},
 };
 
+use mio::Token;
 use rustix::net::{SendAncillaryBuffer, SendFlags, send, sendmsg};
 use tokio::{
-    io::AsyncWrite,
+    io::{AsyncRead, AsyncWrite},
     net::{tcp, unix},
 };
 
 use super::window::{PIECE, PIECE_NEARBY};
-use crate::link::{lookout::Lookout, shm};
+use crate::link::{reactor::Reactor, shm};
 
 /// A stream that takes what it has room for from whatever thread.
 pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
@@ -29,11 +30,20 @@ pub(crate) trait DirectWrite: AsyncWrite + Send + Unpin {
     fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize>;
 }
 
+/// What a stream must be able to do.
+pub(crate) trait Bytes: AsyncRead + AsyncWrite + Send + Unpin + 'static {
+    /// The half that is read, and the half that is written.
+    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
+        let (reader, writer) = tokio::io::split(self);
+        (Box::new(reader), Writer::Other(Box::new(writer)))
+    }
+}
+
 /// Where a session writes.
 pub(crate) enum Writer {
     Tcp(tcp::OwnedWriteHalf),
     Unix(unix::OwnedWriteHalf),
-    /// A socket at which the chassis's own lookout waits.
+    /// A socket at which the chassis's own reactor waits.
     Socket(Arc<Socket>),
     Shared(shm::Sender),
     #[cfg_attr(
@@ -68,7 +78,7 @@ impl Writer {
         if is_nearby { PIECE_NEARBY } else { PIECE }
     }
 
-    /// Whether room that comes is told to the lookout, so that the driver need not ask for it.
+    /// Whether room that comes is told to the reactor, so that the driver need not ask for it.
     pub(super) fn is_watched(&self) -> bool {
         matches!(self, Self::Socket(_) | Self::Shared(_))
     }
@@ -104,28 +114,28 @@ pub(crate) struct Socket {
     fd: OwnedFd,
     /// The other end is a process of this host.
     is_nearby: bool,
-    lookout: Weak<Lookout>,
-    /// Its number at the lookout; 0 until it has one.
-    id: AtomicU64,
-    /// The lookout waits for room.
+    reactor: Weak<Reactor>,
+    /// Its token at the reactor; 0 until it has one.
+    token: AtomicUsize,
+    /// The reactor waits for room.
     wants_room: AtomicBool,
 }
 
 impl Socket {
     /// A socket that does not block.
-    pub(super) fn new(fd: OwnedFd, is_nearby: bool, lookout: Weak<Lookout>) -> Self {
+    pub(super) fn new(fd: OwnedFd, is_nearby: bool, reactor: Weak<Reactor>) -> Self {
         Self {
             fd,
             is_nearby,
-            lookout,
-            id: AtomicU64::new(0),
-            // The lookout begins with it.
+            reactor,
+            token: AtomicUsize::new(0),
+            // The reactor begins with it.
             wants_room: AtomicBool::new(true),
         }
     }
 
-    pub(super) fn set_id(&self, id: u64) {
-        self.id.store(id, Ordering::Release);
+    pub(super) fn set_token(&self, token: Token) {
+        self.token.store(token.0, Ordering::Release);
     }
 
     pub(super) fn fd(&self) -> BorrowedFd<'_> {
@@ -149,10 +159,21 @@ impl Socket {
 
     /// There is room, or there shall be some.
     pub(super) fn set_wants_room(&self, wants: bool) {
-        if self.wants_room.swap(wants, Ordering::SeqCst) != wants
-            && let Some(lookout) = self.lookout.upgrade()
-        {
-            lookout.wants_room(self.fd(), self.id.load(Ordering::Acquire), wants);
+        if self.wants_room.swap(wants, Ordering::SeqCst) != wants {
+            self.tell(wants);
+        }
+    }
+
+    /// More has come than was read: it is to be told again.
+    pub(super) fn tell_again(&self) {
+        self.wants_room.store(true, Ordering::SeqCst);
+        self.tell(true);
+    }
+
+    fn tell(&self, room: bool) {
+        if let Some(reactor) = self.reactor.upgrade() {
+            let token = Token(self.token.load(Ordering::Acquire));
+            reactor.tell(self.fd(), token, room);
         }
     }
 }

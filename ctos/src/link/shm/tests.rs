@@ -9,7 +9,7 @@ fn write(sender: &Sender, bytes: &[u8]) -> io::Result<usize> {
     sender.try_write(&[IoSlice::new(bytes)])
 }
 
-/// Sleeps at the bell until there is work, as the lookout does.
+/// Sleeps at the bell until there is work, as the reactor does.
 fn wait(receiver: &Receiver, bell: &OwnedFd) {
     receiver.set_asleep(true);
     fence(Ordering::SeqCst);
@@ -151,7 +151,7 @@ fn memory_that_was_passed_is_the_same_and_memory_that_could_shrink_is_refused() 
     assert_eq!(receiver.read(&mut chunk).unwrap(), 5);
     assert_eq!(&chunk[..5], b"hello");
     assert!(rustix::fs::ftruncate(&file, 0).is_err());
-    let with = |file: OwnedFd| [file, lookout::bell().unwrap(), lookout::bell().unwrap()];
+    let with = |file: OwnedFd| [file, bell().unwrap(), bell().unwrap()];
     let loose = rustix::fs::memfd_create("loose", MemfdFlags::ALLOW_SEALING).unwrap();
     rustix::fs::ftruncate(&loose, SIZE as u64).unwrap();
     assert!(Shared::take(with(loose)).is_err());

@@ -26,10 +26,7 @@ use tokio::{
 
 use super::pipe::{Broken, Pipe, Read};
 use crate::{
-    link::{
-        session::{DirectWrite, Writer},
-        transport::Bytes,
-    },
+    link::session::{Bytes, DirectWrite, Writer},
     lock::lock,
 };
 

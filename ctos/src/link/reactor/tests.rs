@@ -1,4 +1,4 @@
-//! Who has the turn, and that no wake-up is lost.
+//! Who leads, and that no wake-up is lost.
 
 use std::{
     os::{fd::AsFd, unix::net::UnixStream},
@@ -12,7 +12,7 @@ use super::*;
 struct Pipe {
     stream: UnixStream,
     served: mpsc::Sender<ThreadId>,
-    handles: Option<Arc<Parker>>,
+    handles: Option<Arc<LinkParker>>,
 }
 
 impl Source for Pipe {
@@ -28,35 +28,32 @@ impl Source for Pipe {
         Seen::Frames
     }
 
-    fn has_come(&self) -> bool {
-        false
-    }
-
-    fn is_visible(&self) -> bool {
-        false
-    }
-
     fn fd(&self) -> BorrowedFd<'_> {
         self.stream.as_fd()
     }
-
-    fn set_asleep(&self, _: bool) {}
 }
 
 struct Joined {
-    lookout: Arc<Lookout>,
+    reactor: Arc<Reactor>,
     other_end: UnixStream,
     served: mpsc::Receiver<ThreadId>,
     watched: Watched,
 }
 
-fn joined(handles: Option<Arc<Parker>>) -> Joined {
-    let lookout = Lookout::new("test", Clock::real(), Duration::ZERO).unwrap();
+fn reactor() -> Arc<Reactor> {
+    Reactor::new("test", Clock::real(), Duration::ZERO).unwrap()
+}
+
+fn parker(reactor: &Arc<Reactor>) -> Arc<LinkParker> {
+    Arc::new(LinkParker::new(reactor.clone()))
+}
+
+fn joined(reactor: Arc<Reactor>, handles: Option<Arc<LinkParker>>) -> Joined {
     let (stream, other_end) = UnixStream::pair().unwrap();
     stream.set_nonblocking(true).unwrap();
     let (sender, served) = mpsc::channel();
-    let watched = lookout.add(|id| {
-        assert!(id > NUDGE);
+    let watched = reactor.add(|token| {
+        assert!(token != WAKER && token != TIMER);
         Arc::new(Pipe {
             stream,
             served: sender,
@@ -65,9 +62,9 @@ fn joined(handles: Option<Arc<Parker>>) -> Joined {
     });
     let watched = watched.unwrap();
     // As a socket's writer does when there is nothing to be written.
-    lookout.wants_room(watched.source.fd(), watched.id, false);
+    reactor.tell(watched.source.fd(), Token(watched.id), false);
     Joined {
-        lookout,
+        reactor,
         other_end,
         served,
         watched,
@@ -79,37 +76,37 @@ fn write_to(mut stream: &UnixStream) {
 }
 
 #[test]
-fn while_nobody_else_is_at_the_links_the_relief_serves_them() {
-    let joined = joined(None);
+fn while_nobody_else_leads_the_standby_does() {
+    let joined = joined(reactor(), None);
     for _ in 0..3 {
         write_to(&joined.other_end);
         let by = joined.served.recv().unwrap();
         assert_ne!(by, std::thread::current().id());
     }
     drop(joined.watched);
-    joined.lookout.close();
+    joined.reactor.close();
 }
 
 #[test]
-fn an_idle_processor_takes_the_turn_from_the_relief_and_serves_what_comes_itself() {
-    let parker = Arc::new(Parker::default());
-    let joined = joined(Some(parker.clone()));
-    // The relief has the turn.
+fn an_idle_processor_takes_the_lead_from_the_standby_and_serves_what_comes_itself() {
+    let reactor = reactor();
+    let parker = parker(&reactor);
+    let joined = joined(reactor, Some(parker.clone()));
+    // The standby leads.
     write_to(&joined.other_end);
     joined.served.recv().unwrap();
-    parker.take_nudge();
-    let (lookout, sits) = (joined.lookout.clone(), parker.clone());
+    parker.nudges.thread.take_nudge();
+    let sits = parker.clone();
     let done = Arc::new(AtomicBool::new(false));
     let ends = done.clone();
     let processor = std::thread::spawn(move || {
         sits.sit_down();
-        sits.look_out(lookout);
-        // The relief wakes it once when it has left the turn to it.
+        // The standby wakes it once when it has left the lead to it.
         while !ends.load(Ordering::SeqCst) {
             sits.park(Instant::START, None);
         }
     });
-    while !joined.lookout.manned.load(Ordering::SeqCst) {
+    while !joined.reactor.is_led.load(Ordering::SeqCst) {
         std::thread::yield_now();
     }
     write_to(&joined.other_end);
@@ -117,23 +114,22 @@ fn an_idle_processor_takes_the_turn_from_the_relief_and_serves_what_comes_itself
     done.store(true, Ordering::SeqCst);
     parker.unpark();
     processor.join().unwrap();
-    joined.lookout.close();
+    joined.reactor.close();
 }
 
 #[test]
 fn wake_ups_are_never_lost_wherever_the_thread_sleeps() {
     // Each round puts both to sleep, one of them at the links; a lost wake-up would hang the test.
     const ROUNDS: u64 = 5_000;
-    let lookout = Lookout::new("test", Clock::real(), Duration::ZERO).unwrap();
-    let parkers: [Arc<Parker>; 2] = Default::default();
+    let reactor = reactor();
+    let parkers = [parker(&reactor), parker(&reactor)];
     let turn = Arc::new(AtomicU64::new(0));
     let players: Vec<_> = (0..2)
         .map(|mine: usize| {
-            let (lookout, parkers, turn) = (lookout.clone(), parkers.clone(), turn.clone());
+            let (parkers, turn) = (parkers.clone(), turn.clone());
             std::thread::spawn(move || {
                 let [own, other] = [&parkers[mine], &parkers[1 - mine]];
                 own.sit_down();
-                own.look_out(lookout);
                 loop {
                     let now = turn.load(Ordering::SeqCst);
                     if now >= ROUNDS {
@@ -153,16 +149,15 @@ fn wake_ups_are_never_lost_wherever_the_thread_sleeps() {
     for player in players {
         player.join().unwrap();
     }
-    lookout.close();
+    reactor.close();
 }
 
 #[test]
 fn a_wait_ends_at_its_time() {
-    let clock = Clock::real();
-    let lookout = Lookout::new("test", clock.clone(), Duration::ZERO).unwrap();
-    let parker = Parker::default();
+    let reactor = reactor();
+    let clock = reactor.clock.clone();
+    let parker = parker(&reactor);
     parker.sit_down();
-    parker.look_out(lookout.clone());
     let park_until = |end: Instant| {
         while clock.now() < end {
             parker.park(clock.now(), Some(end));
@@ -175,7 +170,7 @@ fn a_wait_ends_at_its_time() {
     let nudged = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| {
-            while !lookout.manned.load(Ordering::SeqCst) {
+            while !reactor.is_led.load(Ordering::SeqCst) {
                 std::thread::yield_now();
             }
             nudged.store(true, Ordering::SeqCst);
@@ -187,5 +182,5 @@ fn a_wait_ends_at_its_time() {
         }
     });
     park_until(clock.now() + Duration::from_millis(1));
-    lookout.close();
+    reactor.close();
 }
