@@ -1,9 +1,9 @@
-//! What a token costs that goes to another net, beside a message call to the same place: a net on the same
+//! What a token costs that goes to another net, against a message call to the same place: a net on the same
 //! processor, on another one of the same chassis, and in another process.
 //!
 //! A command is answered when two tokens have moved: to another net and back, or through two places of the
 //! same net. Half of the difference is what it costs that a token is remote. `--pin` keeps both processes on
-//! one core, `--pin2` gives each a core of its own; with `--beside` there is one row, of the net on the same
+//! one core, `--pin2` gives each a core of its own; with `--local` there is one row, of the net on the same
 //! processor.
 
 #![allow(
@@ -257,7 +257,7 @@ fn main() {
         () if words.contains(&"--pin2") => "0,1",
         () => "",
     };
-    let places = if words.contains(&"--beside") {
+    let places = if words.contains(&"--local") {
         1
     } else {
         PLACES.len()

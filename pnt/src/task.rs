@@ -16,7 +16,6 @@ mod firing;
 mod journal;
 mod load;
 mod messages;
-mod neighbours;
 mod once;
 mod publish;
 mod quiet;
@@ -113,9 +112,9 @@ impl<S: 'static> NetTask<S> {
     }
 
     fn of(engine: Engine<S>) -> Self {
-        let engine = Rc::new(engine);
-        engine.show_beside();
-        Self { engine }
+        Self {
+            engine: Rc::new(engine),
+        }
     }
 
     /// The same, with the net and the rule for conflicts from the task's arguments (`net`,

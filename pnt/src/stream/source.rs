@@ -146,14 +146,6 @@ impl Source {
         self.ended.iter().chain(&self.failed).sum()
     }
 
-    /// When the latest event was; the beginning, if there was none.
-    #[inline]
-    pub(crate) fn at(&self) -> Instant {
-        let latest = self.kept.get(place(self.seq));
-        let latest = latest.map_or(self.run, |kept| kept.at_ns);
-        Instant::from_nanos(latest)
-    }
-
     /// Notes an event, after which the net is as `execution`.
     pub(crate) fn note(&mut self, now: Instant, trace: u64, what: Happened, execution: &Execution) {
         let at_ns = now.as_nanos();

@@ -18,7 +18,6 @@ use super::{
     by_net::ByNet,
     engine::Engine,
     messages::{Tokens, Transfer},
-    neighbours::{Known, Neighbour},
     routes::Bundle,
     settings::settings,
     transfers::Ready,
@@ -35,8 +34,6 @@ const COME_BACK: Duration = Duration::from_secs(5);
 #[derive(Default)]
 pub(super) struct Carrying {
     partners: ByNet<Partner>,
-    /// Nets beside this one that have something to go on with.
-    going_on: VecDeque<Rc<dyn Neighbour>>,
 }
 
 /// One of them.
@@ -45,8 +42,6 @@ struct Partner {
     carrier: Carrier,
     /// Whether it survives its process, once somebody has looked.
     durable: Option<bool>,
-    /// The net itself, where it is on this processor.
-    beside: Known,
     /// The contexts of transfers on their way, by number, oldest first.
     traces: VecDeque<(u64, Context)>,
 }
@@ -61,29 +56,6 @@ enum Carrier {
     Busy,
     /// It waits until there is something to carry.
     Waiting(Waker),
-}
-
-impl Carrying {
-    /// A net that is on the processor of `cx`.
-    #[inline]
-    pub(super) fn neighbour(&mut self, cx: &Context, net: &Arc<str>) -> Option<Rc<dyn Neighbour>> {
-        self.partners.of(net).beside.find(cx, net)
-    }
-
-    /// A net beside this one has got something.
-    #[inline]
-    pub(super) fn goes_on(&mut self, neighbour: Rc<dyn Neighbour>) {
-        let is_latest = |latest| Rc::ptr_eq(latest, &neighbour);
-        if !self.going_on.back().is_some_and(is_latest) {
-            self.going_on.push_back(neighbour);
-        }
-    }
-
-    /// The first of those that have got something.
-    #[inline]
-    pub(super) fn next_to_go_on(&mut self) -> Option<Rc<dyn Neighbour>> {
-        self.going_on.pop_front()
-    }
 }
 
 /// Why transfers were not taken.
@@ -102,12 +74,8 @@ impl<S: 'static> Engine<S> {
         }
     }
 
-    /// Puts a transfer where it is to go, or keeps it: then it goes when the change that it came with is
-    /// stored.
+    /// Keeps a transfer for a net; it goes when the change that it came with is stored.
     pub(super) fn post_to(self: &Rc<Self>, cx: &Context, net: &Arc<str>, transfer: &Arc<Transfer>) {
-        if self.put_beside(cx, net, transfer) {
-            return;
-        }
         {
             let mut core = self.core.borrow_mut();
             let change = core.changes;

@@ -24,7 +24,6 @@ use super::{
     durable::Durable,
     journal::Journal,
     messages::{Output, PutOnce, PutTape, RequestId, Snapshot, TapeAnswer, Tokens, Transfer},
-    neighbours::Coming,
     once::{Known, Once},
     quiet::{BEING_STOPPED, Requests},
     replace::Replacing,
@@ -52,13 +51,8 @@ pub(super) struct Engine<S> {
     pub(super) core: RefCell<Core>,
     /// What waits until the changes that led to it are stored.
     pub(super) durable: Durable<S>,
-    /// Whether tokens are put into nets on this processor without messages. Not in virtual time, where a run
-    /// with some seed must be the same whether it is recorded or not.
-    pub(super) puts_beside: Cell<bool>,
     /// Whether the app is about to be stopped.
     pub(super) stopping: Cell<bool>,
-    /// Whether it is firing, or waits for those beside it to do so.
-    pub(super) at_work: Cell<bool>,
 }
 
 /// Who waits for the answer to a command.
@@ -113,7 +107,6 @@ pub(super) struct Core {
     /// What other nets get and got.
     pub(super) transfers: Transfers,
     pub(super) carrying: Carrying,
-    pub(super) coming: Coming,
     pub(super) routes: Routes,
     /// The output tape: answers that nobody was there to take.
     pub(super) output: VecDeque<Output>,
@@ -150,9 +143,7 @@ impl<S: 'static> Engine<S> {
         let race = Race::new(&execution, cx.rng("race"));
         Self {
             view,
-            puts_beside: Cell::new(cx.chassis().clock().origin_ns().is_some()),
             stopping: Cell::new(false),
-            at_work: Cell::new(false),
             core: RefCell::new(Core {
                 conflicts,
                 journal: Journal::new(Source::new(Arc::clone(&net), cx.now())),
@@ -164,7 +155,6 @@ impl<S: 'static> Engine<S> {
                 notes: Rc::default(),
                 transfers: Transfers::new(new_stream(&cx)),
                 carrying: Carrying::default(),
-                coming: Coming::default(),
                 routes: Routes::new(&net),
                 output: VecDeque::new(),
                 outputs: 0,
@@ -495,7 +485,7 @@ impl Core {
     }
 
     /// Counts and notes a transfer that was taken in, with where its tokens were put.
-    pub(super) fn has_taken(
+    fn has_taken(
         &mut self,
         (from, stream, number): (&Arc<str>, u64, u64),
         (transfer, put): (&Transfer, exec::Tokens),
@@ -514,8 +504,7 @@ impl Core {
     }
 
     /// Puts one transfer, all or nothing; the tokens, or nothing when a tape has no room for it.
-    #[inline]
-    pub(super) fn take_in(
+    fn take_in(
         &mut self,
         transfer: &Transfer,
         room: usize,

@@ -24,16 +24,9 @@ const MOST_AT_ONCE: u32 = 100_000;
 impl<S: 'static> Engine<S> {
     /// Fires until nothing is enabled but what waits for actions, tokens or commands. All of it belongs
     /// to the trace of `cx`: of the message that made it possible; what a command on the tape begins, to
-    /// that command's. Then the nets that got tokens do the same, and this one again with what comes back from
-    /// them, as long as their turns may be within this one.
+    /// that command's.
     pub(super) fn advance(self: &Rc<Self>, cx: &Context) {
-        let mut next = Some(cx.clone());
-        let _at_work = self.at_work();
-        while let Some(cx) = next {
-            self.fire_enabled(cx);
-            self.let_neighbours_go_on();
-            next = self.news();
-        }
+        self.fire_enabled(cx.clone());
         self.core.borrow_mut().requests.look_again();
     }
 

@@ -27,21 +27,10 @@ impl<S: 'static> Engine<S> {
     /// Notes what happened, and publishes it once the change that it came with is stored. Whoever changes
     /// something counts that first.
     pub(super) fn note(self: &Rc<Self>, core: &mut Core, cx: &Context, what: Happened) {
-        self.note_at(core, (cx.now(), cx.trace()), cx, what);
-    }
-
-    /// The same of what happened at `at`, within a trace.
-    pub(super) fn note_at(
-        self: &Rc<Self>,
-        core: &mut Core,
-        (at, trace): (Instant, u64),
-        cx: &Context,
-        what: Happened,
-    ) {
         let Core {
             journal, execution, ..
         } = core;
-        journal.stream.note(at, trace, what, execution);
+        journal.stream.note(cx.now(), cx.trace(), what, execution);
         self.published(core, cx);
     }
 

@@ -1,9 +1,9 @@
 //! Whole apps of nets in virtual time, over several chassis.
 
-mod beside;
 mod by_hand;
 mod lines;
 mod objects;
+mod placement;
 mod seen_and_asked;
 mod stopping;
 mod survival;

@@ -98,17 +98,6 @@ impl Transfers {
         outbox.last
     }
 
-    /// Lets a net have the next transfer at once, which need not be kept then. `takes` is told its stream and
-    /// number, and not asked if the net lacks one before it. Returns whether the net has it.
-    pub(super) fn pass(&mut self, net: &Arc<str>, takes: impl FnOnce(u64, u64) -> bool) -> bool {
-        let outbox = self.out.of(net);
-        let passed = outbox.waiting.is_empty() && takes(self.stream, outbox.last + 1);
-        if passed {
-            outbox.last += 1;
-        }
-        passed
-    }
-
     /// The oldest transfers to a net, as far as the changes that they came to be with are stored.
     pub(super) fn ready(&self, net: &Arc<str>, stored: u64) -> Option<Ready> {
         let waiting = &self.out.get(net)?.waiting;
@@ -198,10 +187,6 @@ mod tests {
         },
         /// An old message comes once more, as after a retransmission.
         Repeat,
-        /// A transfer is put where it is to go at once, if there is nothing before it.
-        Pass {
-            takes: bool,
-        },
         /// The sender, or the receiver, goes on from what was stored.
         Restart,
     }
@@ -211,7 +196,6 @@ mod tests {
             3 => Just(Happens::Post),
             4 => (any::<bool>(), any::<bool>()).prop_map(|(arrives, answered)| Happens::Send { arrives, answered }),
             1 => Just(Happens::Repeat),
-            2 => any::<bool>().prop_map(|takes| Happens::Pass { takes }),
             1 => Just(Happens::Restart),
         ]
     }
@@ -257,20 +241,6 @@ mod tests {
                     Happens::Repeat => {
                         if let Some(ready) = &old {
                             receive(&mut receiver, ready, &mut got);
-                        }
-                    }
-                    Happens::Pass { takes } => {
-                        let passed = sender.pass(&net("b"), |stream, number| {
-                            assert_eq!(receiver.known(&net("a"), stream, number), Ok(0));
-                            if takes {
-                                receiver.take(&net("a"), stream, number);
-                            }
-                            takes
-                        });
-                        if passed {
-                            let transfer = token(posted.len() as u32);
-                            got.push(transfer.clone());
-                            posted.push(transfer);
                         }
                     }
                     Happens::Restart => {
