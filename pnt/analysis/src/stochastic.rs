@@ -13,10 +13,12 @@
 //! the same probability. Knows no clock and no task.
 
 mod chain;
+mod error;
 mod exact;
 mod levels;
 mod markings;
 mod model;
+mod report;
 mod simulate;
 mod student;
 
@@ -25,218 +27,13 @@ mod tests;
 
 use std::sync::Arc;
 
-use serde::Serialize;
-use thiserror::Error;
-
-pub use markings::MOST_MARKINGS;
+pub use error::{NotExact, PerfError};
 use model::{Busy, Model};
 use pnt_language::net::{Net, Servers};
-pub use simulate::Interval;
-
-/// What to compute.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
-    /// Simulated seconds; without it, as many as a million firings of timed transitions take.
-    pub time_s: Option<f64>,
-    /// Probability that an interval holds the true value, above 0 and below 1.
-    pub confidence: f64,
-    /// Of all chance.
-    pub seed: u64,
-    /// Markings that the exact solution may have, [`MOST_MARKINGS`] at most.
-    pub markings: usize,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            time_s: None,
-            confidence: 0.95,
-            seed: 1,
-            markings: MOST_MARKINGS,
-        }
-    }
-}
-
-/// Why there is no answer.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum PerfError {
-    /// Nothing takes any time.
-    #[error(
-        "nothing in the net takes time: give transitions a line such as `time exponential 2 s`"
-    )]
-    NothingTimed,
-    /// Transitions fire for ever without any time between them.
-    #[error("transitions fire in a circle that takes no time, from {marking}")]
-    Timeless {
-        /// A marking of the circle, in words.
-        marking: String,
-    },
-    /// Nothing can fire any more, so that there is no steady state but that.
-    #[error("the net stops: nothing can fire at {marking}, so it has no steady state to speak of")]
-    Stops {
-        /// The marking, in words.
-        marking: String,
-    },
-    /// A place got more tokens than can be counted.
-    #[error("a place overflows: {0}")]
-    Overflow(String),
-    /// An option makes no sense.
-    #[error("{0}")]
-    Option(String),
-    /// A net has what the model cannot say.
-    #[error(
-        "transition `{transition}` empties the place `{place}`, in which actions are kept room: that can be analysed for places of small capacity, when the transition takes no time, or an exponential one with one server"
-    )]
-    ResetOfPromised {
-        /// The transition with the reset arc.
-        transition: String,
-        /// The place.
-        place: String,
-    },
-}
-
-/// Why there is no exact solution, while simulation may give an answer.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum NotExact {
-    /// A time is not exponential.
-    #[error("the time of transition `{0}` is not exponential")]
-    NotExponential(String),
-    /// There are too many markings, perhaps without end.
-    #[error("there are more than {0} markings")]
-    TooMany(usize),
-    /// What the net does in the long run depends on chance early on.
-    #[error(
-        "the net ends in one of {classes} separate sets of markings, such as {first} and {second}"
-    )]
-    Parts {
-        /// How many sets.
-        classes: usize,
-        /// A marking of the first.
-        first: String,
-        /// A marking of the second.
-        second: String,
-    },
-    /// The iteration did not come to an end.
-    #[error("the solution did not converge in {sweeps} sweeps (change {change:e})")]
-    NoConvergence {
-        /// Sweeps done.
-        sweeps: usize,
-        /// Relative change of the last one.
-        change: f64,
-    },
-    /// It cannot be answered at all.
-    #[error(transparent)]
-    Never(#[from] PerfError),
-}
-
-/// A value from both ways.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Figure {
-    /// The exact value, if there is an exact solution.
-    pub exact: Option<f64>,
-    /// From simulation.
-    pub simulated: Interval,
-}
-
-impl Figure {
-    /// Whether the exact value lies in the interval, up to rounding; nothing without an exact value.
-    #[must_use]
-    pub fn agrees(&self) -> Option<bool> {
-        let exact = self.exact?;
-        let rounding = 1e-9 * exact.abs().max(1e-9);
-        Some((exact - self.simulated.mean).abs() <= self.simulated.half_width + rounding)
-    }
-}
-
-/// Of one place.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PlaceFigures {
-    /// Its name, with the net's when there are several.
-    pub place: String,
-    /// Mean number of tokens.
-    pub tokens: Figure,
-    /// Part of the time that it is marked.
-    pub marked: Figure,
-}
-
-/// Of one transition.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct TransitionFigures {
-    /// Its name, with the net's when there are several.
-    pub transition: String,
-    /// Firings per second, counted at their ends.
-    pub throughput_per_s: Figure,
-    /// Mean number of firings that go on; for those that take time.
-    pub busy: Option<Figure>,
-    /// The same per server; for those with a limited number of servers.
-    pub utilisation: Option<Figure>,
-}
-
-/// How the exact values were found.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Solved {
-    /// Markings in which time passes.
-    pub markings: usize,
-    /// Those that the net returns to for ever.
-    pub recurrent: usize,
-    /// Cycles and sweeps of the iteration; none when it was solved by elimination.
-    pub sweeps: usize,
-}
-
-/// How long was simulated.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Simulated {
-    /// Simulated seconds, after those that were left out to forget the beginning.
-    pub time_s: f64,
-    /// Firings of timed transitions in it.
-    pub firings: u64,
-    /// Equal parts of the time whose means give the intervals.
-    pub batches: usize,
-    /// Probability that an interval holds the true value.
-    pub confidence: f64,
-    /// Of all chance.
-    pub seed: u64,
-}
-
-/// The answer.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
-    /// Names of the nets.
-    pub nets: Vec<String>,
-    /// How the exact values were found.
-    pub solved: Option<Solved>,
-    /// Why there are none.
-    pub not_exact: Option<String>,
-    /// How long was simulated.
-    pub simulated: Simulated,
-    /// Places in declared order.
-    pub places: Vec<PlaceFigures>,
-    /// Transitions in declared order.
-    pub transitions: Vec<TransitionFigures>,
-    /// What was taken for granted of these nets.
-    pub notes: Vec<String>,
-}
-
-impl Report {
-    /// How many figures have both values, and in how many of them the exact one lies in the interval.
-    #[must_use]
-    pub fn agreement(&self) -> (usize, usize) {
-        let places = self
-            .places
-            .iter()
-            .flat_map(|p| [Some(p.tokens), Some(p.marked)]);
-        let transitions = self
-            .transitions
-            .iter()
-            .flat_map(|t| [Some(t.throughput_per_s), t.busy]);
-        let agree: Vec<bool> = places
-            .chain(transitions)
-            .flatten()
-            .filter_map(|figure| figure.agrees())
-            .collect();
-        (agree.len(), agree.iter().filter(|agrees| **agrees).count())
-    }
-}
+pub use report::{
+    Figure, Interval, MOST_MARKINGS, Options, PlaceFigures, Report, Simulated, Solved,
+    TransitionFigures,
+};
 
 /// The performance of nets that work together.
 ///

@@ -12,7 +12,7 @@ use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 
 use crate::{
     draft::{Draft, DraftAction, DraftArc, DraftCoordinator, Word},
-    format::enough,
+    enough::enough,
     net::{
         Action, Arc, Command, CommandId, Net, Outputs, Part, Partner, Place, PlaceId, RemoteArc,
         Role, Servers, Transition, When,

@@ -1,80 +1,20 @@
 //! Nets in files, whatever their form: net text, PNML, TINA's `.net`. The form is seen from the
 //! content, never from the file's name. Nothing is half read: a file gives a whole net or findings.
 
-use std::{collections::BTreeMap, fmt, fs, io::Read as _, path::Path};
+pub(crate) mod file;
+
+use std::{fs, io::Read as _, path::Path};
 
 use ctos::diagnostic::{Finding, Findings, Source};
 
-use crate::{compile, draft::Draft, net::Net, pnml, text, tina};
+use crate::{net::Net, pnml, text, tina};
+pub use file::{Format, NetFile, Positions};
 
 /// The longest file that is read, bytes.
 const LONGEST: u64 = 256 << 20;
 
 /// The longest line of net text or TINA text, bytes; people and programs write shorter ones.
 const LONGEST_LINE: usize = 1 << 20;
-
-/// The form of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// Net text (`docs/net-text.md`).
-    Text,
-    /// Place/transition nets of ISO/IEC 15909-2, and the dialects that tools write.
-    Pnml,
-    /// The textual form of TINA.
-    Tina,
-}
-
-impl fmt::Display for Format {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Text => "net text",
-            Self::Pnml => "PNML",
-            Self::Tina => "TINA text",
-        })
-    }
-}
-
-/// Where the nodes of a picture stand: x to the right, y down, in the file's own unit.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Positions {
-    /// Places, by name.
-    pub places: BTreeMap<String, [f64; 2]>,
-    /// Transitions, by name.
-    pub transitions: BTreeMap<String, [f64; 2]>,
-    /// Points that an arc passes, by the names of its two ends; the first is a place's if `true`.
-    pub arcs: BTreeMap<(bool, String, String), Vec<[f64; 2]>>,
-}
-
-/// What a file holds.
-#[derive(Debug, Clone)]
-pub struct NetFile {
-    /// Its form.
-    pub format: Format,
-    /// The net.
-    pub draft: Draft,
-    /// Positions, if it has any.
-    pub positions: Positions,
-    /// What of a PNML file is no part of the net and is written back.
-    pub kept: pnml::Kept,
-    /// What should be known about it.
-    pub warnings: Findings,
-}
-
-impl NetFile {
-    /// The net of a file, ready to be analysed.
-    ///
-    /// # Errors
-    /// All findings about names used twice or not known in this net.
-    pub fn compile(&self) -> Result<Net, Findings> {
-        let net = compile::compile(&self.draft)?;
-        let findings = compile::without_transitions(&net);
-        if findings.has_errors() {
-            Err(findings)
-        } else {
-            Ok(net)
-        }
-    }
-}
 
 /// The net of a file of any form, ready to be analysed, and what should be known about it.
 ///
@@ -183,15 +123,6 @@ pub fn sniff(text: &str) -> Format {
         }
     }
     Format::Text
-}
-
-/// So many findings about one file are enough: nobody reads more, and each costs as much as it has
-/// before it.
-const MOST_FINDINGS: usize = 200;
-
-/// Whether reading on is of no use to anybody.
-pub(crate) fn enough(findings: &Findings) -> bool {
-    findings.iter().nth(MOST_FINDINGS).is_some()
 }
 
 fn endless_line(source: &Source) -> Option<Finding> {

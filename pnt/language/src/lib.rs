@@ -14,6 +14,7 @@ pub mod builder;
 pub mod compile;
 mod digest;
 pub mod draft;
+mod enough;
 pub mod exec;
 pub mod format;
 #[cfg(test)]

@@ -3,6 +3,7 @@
 
 mod format;
 pub mod grammar;
+mod keywords;
 mod line;
 pub mod outline;
 mod subnet;
@@ -18,60 +19,20 @@ use crate::{
         Draft, DraftAction, DraftCommand, DraftCoordinator, DraftPlace, DraftServes,
         DraftTransition, DraftWhen, InText, Word,
     },
-    format::enough,
+    enough::enough,
 };
 pub use format::formatted;
+pub(crate) use keywords::is_keyword;
+use keywords::{CLAUSES, DECLARATIONS};
 pub use subnet::Include;
 use subnet::{Expansion, Line, Subnets};
 pub(crate) use words::MOST_TOKENS;
 use words::Words;
 
-/// Keywords that begin a line of the net itself.
-const DECLARATIONS: [&str; 11] = [
-    "net",
-    "place",
-    "command",
-    "coordinator",
-    "serves",
-    "safe",
-    "transition",
-    "subnet",
-    "use",
-    "end",
-    "include",
-];
-
-/// Keywords that begin a line of a transition.
-const CLAUSES: [&str; 18] = [
-    "in",
-    "read",
-    "inhibit",
-    "reset",
-    "tape",
-    "when",
-    "do",
-    "ask",
-    "send",
-    "idempotent",
-    "out",
-    "fail",
-    "write",
-    "priority",
-    "weight",
-    "time",
-    "servers",
-    "within",
-];
-
 /// A name as net text has it: as it is, or in quotes where it is no identifier.
 #[must_use]
 pub fn name_in_text(name: &str) -> String {
     InText(name).to_string()
-}
-
-/// Whether lines of net text begin with `word`.
-pub(crate) fn is_keyword(word: &str) -> bool {
-    DECLARATIONS.contains(&word) || CLAUSES.contains(&word)
 }
 
 /// Parses one net that includes no files.

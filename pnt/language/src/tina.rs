@@ -8,7 +8,7 @@ use ctos::diagnostic::{Finding, Findings, Source};
 
 use crate::{
     draft::{Draft, DraftArc, DraftPlace, DraftTransition, Word},
-    format::enough,
+    enough::enough,
     text::MOST_TOKENS,
     timing::Timing,
 };

@@ -1,25 +1,32 @@
 //! The event handler that runs one net: commands come to its input tape, tokens from other nets to
-//! its places; actions run beside it as children; tokens for other nets go out as messages that are
+//! its places; actions run as its children; tokens for other nets go out as messages that are
 //! acknowledged. What cannot be delivered stops the net and tells whoever waits for an answer.
 //!
 //! A net's task bears the net's name: that is how other nets find its places.
 
+mod acting;
 mod action;
 mod ask;
 mod breaks;
 mod by_net;
 mod carry;
+mod carrying;
 mod control;
 mod durable;
 mod engine;
 mod firing;
+mod held;
 mod journal;
 mod load;
+mod manual;
 mod messages;
 mod once;
+mod other;
 mod publish;
 mod quiet;
 mod replace;
+mod replacing;
+mod requests;
 mod routes;
 mod settings;
 mod transfers;
@@ -31,7 +38,7 @@ use std::rc::Rc;
 
 use ctos::{
     diagnostic::Findings,
-    message::{Command as _, CommandInfo, Message},
+    message::{Command as _, Message},
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
@@ -43,27 +50,15 @@ use crate::{
     stream::{Describe, Follow},
 };
 pub use ask::put_once;
-pub use control::check_breakpoint;
 use engine::{Asker, Engine};
 pub use load::{check_app, check_args, check_messages, check_nets, load, net_tasks, nets};
+pub use manual::check_breakpoint;
 pub use messages::{
-    Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId, Snapshot,
-    TapeAnswer, Tokens, Transfer,
+    COMMANDS, Control, FiringEvent, Marking, Order, Output, PutOnce, PutTape, ReadTape, RequestId,
+    Snapshot, TapeAnswer, Tokens, Transfer,
 };
 use pnt_language::{exec::Conflicts, net::Net};
 pub use settings::{KEYS, Settings, args, args_of, settings};
-
-/// The commands of every net task, for registration.
-pub const COMMANDS: [CommandInfo; 8] = [
-    PutTape::INFO,
-    PutOnce::INFO,
-    Tokens::INFO,
-    Marking::INFO,
-    Control::INFO,
-    ReadTape::INFO,
-    Describe::INFO,
-    Follow::INFO,
-];
 
 /// Registers a handler that runs a net with the functions of `library`, whose only arguments are those
 /// of [`settings`], with all checks: of the task, and of all nets of the app together.
@@ -253,7 +248,7 @@ impl<S: 'static> EventHandler for NetTask<S> {
     async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
         let lost = |net: &str| {
             let task = cx.app().task(net);
-            task.is_some_and(|task| task.chassis == chassis) && !carry::is_durable(cx, net)
+            task.is_some_and(|task| task.chassis == chassis) && !other::is_durable(cx, net)
         };
         if let Some(net) = self.engine.partners().into_iter().find(|net| lost(net)) {
             self.engine

@@ -6,6 +6,7 @@
 mod growth;
 mod levels;
 mod path;
+mod reached;
 mod rules;
 mod worker;
 
@@ -25,6 +26,7 @@ use super::{
 };
 pub use growth::Growth;
 use levels::Levels;
+pub use reached::{DEAD_KEPT, Reached};
 pub(super) use rules::{Rules, Scratch};
 use worker::{Padded, Queue, Record, Round, Tally, TooWide, Worker};
 
@@ -42,9 +44,6 @@ const LOOKED_UP_FROM: usize = if cfg!(test) { 4 } else { 1 << 10 };
 
 /// Numbers that a thread gets at most beyond those that it waits for.
 const MORE: usize = 1 << 10;
-
-/// Dead markings that are kept; the others are only counted.
-pub const DEAD_KEPT: usize = 1000;
 
 /// How far to look, and with what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,15 +93,6 @@ pub struct Progress {
     pub bytes: usize,
     /// Whether only dead markings are looked for, by stubborn sets.
     pub for_deadlock: bool,
-}
-
-/// A marking and its distance from the initial one.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Reached {
-    /// Firings on a shortest way to it.
-    pub distance: usize,
-    /// The marking.
-    pub marking: Vec<u32>,
 }
 
 /// What was found.

@@ -1,10 +1,11 @@
 //! The exact steady state of a model whose times are all exponential.
 
 use super::{
-    NotExact, PerfError, Solved,
     chain::{NoConvergence, final_classes, steady_state},
+    error::{NotExact, PerfError},
     markings::{self, Markings},
     model::{Busy, Model, Origin},
+    report::Solved,
 };
 
 /// Mean values in steady state, per place and per transition of the model.

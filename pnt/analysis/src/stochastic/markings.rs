@@ -5,12 +5,11 @@
 
 use hashbrown::{HashMap, HashTable};
 
-use super::{NotExact, PerfError, model::Model};
+use super::{
+    error::{NotExact, PerfError},
+    model::Model,
+};
 use pnt_language::net::{Servers, Timing, Transition};
-
-/// Tangible markings that the exact solution may have at most. A marking of twenty places takes about
-/// 300 bytes with its edges.
-pub const MOST_MARKINGS: usize = 1_000_000;
 
 /// Vanishing markings between two tangible ones.
 const MOST_VANISHING: usize = 100_000;

@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use super::PerfError;
+use super::error::PerfError;
 use pnt_language::net::{
     self, CommandId, Net, Outputs, Place, PlaceId, Role, Servers, Timing, Transition,
 };

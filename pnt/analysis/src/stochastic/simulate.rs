@@ -3,11 +3,11 @@
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
 
 use super::{
-    Options, PerfError, Simulated,
+    error::PerfError,
     model::{Busy, Model},
+    report::{Interval, Options, Simulated},
     student,
 };
 use pnt_language::{
@@ -32,26 +32,6 @@ const PILOT: u64 = 10_000;
 
 /// Firings in a row without time after which the net is taken to run in a circle.
 const MOST_AT_ONCE: u32 = 1_000_000;
-
-/// A mean and how far the true value may be from it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Interval {
-    /// The mean over all batches.
-    pub mean: f64,
-    /// Half the width of the confidence interval.
-    pub half_width: f64,
-}
-
-impl Interval {
-    /// That of a multiple.
-    #[must_use]
-    pub fn scaled(self, by: f64) -> Self {
-        Self {
-            mean: self.mean * by,
-            half_width: self.half_width * by,
-        }
-    }
-}
 
 /// The intervals of one run.
 #[derive(Debug)]

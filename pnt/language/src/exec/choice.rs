@@ -3,7 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::{Execution, enabling::Enabling, wiring::Wiring};
+use super::{enabling::Enabling, execution::Execution, wiring::Wiring};
 use crate::net::{TransitionId, When};
 
 /// Who wins when several transitions of the same priority are enabled.

@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Execution, FiringId};
+use super::{execution::Execution, running::FiringId};
 use crate::net::{Arc, CommandId, Net, PlaceId, RemoteArc, TransitionId};
 
 /// One event.

@@ -1,8 +1,9 @@
 //! What comes into a net from outside: tokens and commands.
 
 use super::{
-    Execution, FireError, error,
+    error::{self, FireError},
     events::{Entry, Kind},
+    execution::Execution,
 };
 use smallvec::{SmallVec, smallvec};
 

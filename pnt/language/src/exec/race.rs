@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Exp1, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::Execution;
+use super::execution::Execution;
 use crate::net::{Servers, Timing, TransitionId, When};
 
 /// How often a normally distributed time below zero is drawn again. Its mean is not below zero, so

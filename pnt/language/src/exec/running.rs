@@ -6,8 +6,21 @@ use std::{
     collections::{BinaryHeap, VecDeque},
 };
 
-use super::FiringId;
+use serde::{Deserialize, Serialize};
+
 use crate::net::TransitionId;
+
+/// Number of one firing of a transition, counted from the start of the execution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct FiringId(pub(super) u64);
+
+impl FiringId {
+    /// The number.
+    #[must_use]
+    pub fn number(self) -> u64 {
+        self.0
+    }
+}
 
 /// A firing between start and end.
 #[derive(Debug, Clone, Copy)]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{Execution, FiringId, tape::Tape};
+use super::{execution::Execution, running::FiringId, tape::Tape};
 use crate::net::{Net, TransitionId};
 
 /// A firing that was going on.

@@ -2,13 +2,15 @@ mod model;
 #[path = "../../../tests/shared/random_nets.rs"]
 mod random_nets;
 
+use std::sync::Arc;
+
 use ctos::diagnostic::Source;
 use proptest::{collection::vec, prelude::*};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::compile;
+use crate::{compile, net::TransitionId};
 use random_nets::{random_net, random_transitions};
 
 fn execution(text: &str) -> Execution {

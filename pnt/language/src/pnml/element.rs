@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use ctos::diagnostic::{Finding, Findings, Source};
 use roxmltree::Node;
 
-use crate::format::enough;
+use crate::enough::enough;
 
 use super::{
     label::{is_ours, kept, short},

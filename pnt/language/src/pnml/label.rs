@@ -6,7 +6,7 @@ use ctos::diagnostic::{Finding, Findings, Source};
 use roxmltree::Node;
 
 use super::{
-    TOOL,
+    kept::TOOL,
     xml::{attribute, elements, name, opening, raw, text, text_range},
 };
 use crate::text::MOST_TOKENS;

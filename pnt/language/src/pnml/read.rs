@@ -9,14 +9,15 @@ use ctos::diagnostic::{Finding, Findings, Place as At, Source};
 use roxmltree::Node;
 
 use super::{
-    Kept, KeptElement,
     element::{Elements, End},
+    kept::{Kept, KeptElement, TYPE},
     label::{self, Label, is_ours, kept, kept_of_label, label, number, only, positions, short},
     xml::{self, attribute, attribute_range, elements, name, opening, text},
 };
 use crate::{
     draft::{Draft, DraftArc, DraftPlace, DraftTransition, Word},
-    format::{Format, NetFile, Positions, enough},
+    enough::enough,
+    format::file::{Format, NetFile, Positions},
     text::{self as net_text, MOST_TOKENS},
     timing::{Servers, Timing},
 };
@@ -119,7 +120,7 @@ fn check_type(source: &Source, net: Node<'_, '_>, findings: &mut Findings) {
                 format!("the type `{shown}` is read as a place/transition net"),
             )
             .at(at)
-            .help(format!("the standard's type is {}", super::TYPE)),
+            .help(format!("the standard's type is {}", TYPE)),
         );
     } else {
         findings.push(
@@ -128,10 +129,7 @@ fn check_type(source: &Source, net: Node<'_, '_>, findings: &mut Findings) {
                 format!("the net type `{shown}` is not known"),
             )
             .at(at)
-            .help(format!(
-                "a place/transition net has the type {}",
-                super::TYPE
-            )),
+            .help(format!("a place/transition net has the type {}", TYPE)),
         );
     }
 }

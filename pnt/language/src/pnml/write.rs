@@ -7,10 +7,10 @@ use std::{
 
 use ctos::diagnostic::{Finding, Findings};
 
-use super::{Kept, KeptElement, NAMESPACE, TOOL, TYPE};
+use super::kept::{Kept, KeptElement, NAMESPACE, TOOL, TYPE};
 use crate::{
     draft::{Draft, DraftArc, DraftPlace, DraftTransition, Word},
-    format::{NetFile, Positions},
+    format::file::{NetFile, Positions},
 };
 
 /// Writes a net. What PNML has no words for stands in `toolspecific` sections of tool `pnt`; inhibitor

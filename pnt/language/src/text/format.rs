@@ -4,10 +4,10 @@
 use ctos::diagnostic::{Finding, Findings, Source};
 
 use super::{
-    CLAUSES,
+    keywords::CLAUSES,
     line::{self, Symbol, Token},
 };
-use crate::format::enough;
+use crate::enough::enough;
 
 /// Blanks per level.
 const INDENT: usize = 2;

@@ -1,7 +1,7 @@
 //! What every keyword of net text is for, in one table: for editors, and held against
 //! `docs/net-text.md` by a test.
 
-use super::{CLAUSES, DECLARATIONS};
+use super::keywords::{CLAUSES, DECLARATIONS};
 
 /// A keyword, a line with it, and what the line says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -290,7 +290,7 @@ impl Walk {
         let parameters = std::mem::take(&mut self.parameters);
         self.push(Kind::Keyword, keyword, range, false);
         self.parameters = parameters;
-        if super::CLAUSES.contains(&keyword) {
+        if super::keywords::CLAUSES.contains(&keyword) {
             self.clause(keyword, &mut rest);
         } else {
             self.open = None;

@@ -13,7 +13,7 @@ use ctos::diagnostic::{Finding, Findings, Source};
 use super::line::{self, Symbol, Token};
 use crate::{
     draft::{Draft, DraftArc, DraftTransition, Word},
-    format::enough,
+    enough::enough,
 };
 
 /// The most lines that all instances of a net have together.

@@ -2,7 +2,7 @@
 //! neighbours as strongly as its order allows: the least squares under an order, solved exactly by pooling
 //! neighbours that would change places (Ayer and others 1955).
 
-use super::{Point, layers::Layers};
+use super::{layers::Layers, point::Point};
 
 /// Px between two layers, and between two vertices of one, beside their own sizes.
 const BETWEEN_LAYERS: f64 = 34.0;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Point, layered, place::place};
+use super::{layered::layered, place::place, point::Point};
 use crate::stream::{ArcView, NetView, RemoteView, RouteView, Side, TransitionView};
 
 /// How much of a net is drawn.

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Point;
+use super::point::Point;
 
 /// Distance of spots, px.
 const SPOT: (f64, f64) = (84.0, 54.0);

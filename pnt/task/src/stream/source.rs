@@ -1,9 +1,10 @@
 //! The end of the stream in the net's task: the latest events in a short form, and those who wait for the
-//! next ones. It knows no task and no timer; [`crate::task`] calls it and answers in its name.
+//! next ones. It knows no task and no timer: the task says what time it is and when to answer.
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-use ctos::{message::Replier, record::Number, task::HandlerError, time::Instant};
+use ctos::{message::Replier, record::Number, time::Instant};
+use thiserror::Error;
 
 use super::{
     Batch, Event, EventPhase, Follow, MOST_EVENTS, MOST_FOLLOWERS, MOST_PATIENCE_MS, Mark, Running,
@@ -58,6 +59,11 @@ pub(crate) struct Reached {
     mark: Mark,
     whole: Option<Box<State>>,
 }
+
+/// As many follow a net as may.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("net `{0}` is followed by {MOST_FOLLOWERS} displays already")]
+pub(crate) struct TooManyFollowers(String);
 
 struct Follower {
     after: Option<Mark>,
@@ -314,29 +320,25 @@ impl Source {
 
     // -- those who follow -------------------------------------------------------------------
 
-    /// Takes in one who follows; it is answered by [`Self::answer`].
+    /// Whether one more may follow.
     ///
     /// # Errors
-    /// There are too many already; they have been answered so.
-    pub(crate) fn follow(
-        &mut self,
-        now: Instant,
-        request: &Follow,
-        reply: Replier<Follow>,
-    ) -> Result<(), HandlerError> {
-        if self.followers.len() >= MOST_FOLLOWERS {
-            return reply.fail(format!(
-                "net `{}` is followed by {MOST_FOLLOWERS} displays already",
-                self.net.name()
-            ));
+    /// [`TooManyFollowers`].
+    pub(crate) fn may_be_followed(&self) -> Result<(), TooManyFollowers> {
+        if self.followers.len() < MOST_FOLLOWERS {
+            return Ok(());
         }
+        Err(TooManyFollowers(self.net.name().to_owned()))
+    }
+
+    /// Takes in one who follows; it is answered by [`Self::answer`].
+    pub(crate) fn follow(&mut self, now: Instant, request: &Follow, reply: Replier<Follow>) {
         let patience = request.patience_ms.min(MOST_PATIENCE_MS);
         self.followers.push(Follower {
             after: request.after,
             until: now + Duration::from_millis(patience.into()),
             reply,
         });
-        Ok(())
     }
 
     /// When those who follow are to be answered, if there is something to answer and nobody is on the

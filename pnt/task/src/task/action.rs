@@ -8,15 +8,16 @@ use ctos::{
     message::Fields,
     task::{Context, HandlerError},
 };
-use futures_util::future::{AbortHandle, AbortRegistration, Abortable, Aborted};
+use futures_util::future::{AbortRegistration, Abortable, Aborted};
 
 use super::{
+    acting::Ended,
     ask::put_once,
-    carry,
     engine::Engine,
     journal::Phase,
     messages::{PutOnce, RequestId, TapeAnswer},
-    quiet::BEING_STOPPED,
+    other::is_durable,
+    requests::BEING_STOPPED,
 };
 use crate::{
     library::{Acted, Action, Local},
@@ -299,42 +300,7 @@ pub(super) fn is_asked_once(cx: &Context, action: &net::Action) -> bool {
         return false;
     };
     let unknown = || cx.registry().command_of(cx.app(), task, command).is_err();
-    is_net(cx, task) && carry::is_durable(cx, task) && unknown()
-}
-
-/// An action that is going on, as it is seen from outside.
-pub(super) struct Acting {
-    handle: AbortHandle,
-    ended: Ended,
-}
-
-/// How an action is ended from outside.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ended {
-    /// By hand, as completed.
-    Completed,
-    /// By hand, as failed.
-    Cancelled,
-    /// As failed, because it did not end while the app was being stopped.
-    TooLate,
-}
-
-impl Acting {
-    /// With what the action looks at.
-    pub(super) fn new() -> (AbortRegistration, Self) {
-        let (handle, registration) = AbortHandle::new_pair();
-        let acting = Self {
-            handle,
-            ended: Ended::Cancelled,
-        };
-        (registration, acting)
-    }
-
-    /// Ends it.
-    pub(super) fn end(&mut self, ended: Ended) {
-        self.ended = ended;
-        self.handle.abort();
-    }
+    is_net(cx, task) && is_durable(cx, task) && unknown()
 }
 
 /// Whether a task takes what nets take.

@@ -9,8 +9,8 @@ use ctos::{
 };
 
 use super::{
-    carry::{self, Failed, may_succeed},
     messages::{PutOnce, TapeAnswer},
+    other::{Failed, is_durable, may_succeed},
 };
 
 /// The wait before a net that may have died is asked again.
@@ -29,7 +29,7 @@ pub async fn put_once(
     limit: Duration,
 ) -> Result<TapeAnswer, HandlerError> {
     let until = cx.now() + limit;
-    let durable = carry::is_durable(cx, net);
+    let durable = is_durable(cx, net);
     loop {
         match ask(cx, net, put, (until, durable)).await {
             Ok(answer) => return Ok(answer),

@@ -14,7 +14,7 @@ use ctos::{
 };
 use serde::Deserialize;
 
-use super::{control::check_breakpoint, engine::Engine, settings::Settings};
+use super::{engine::Engine, manual::check_breakpoint, settings::Settings};
 use pnt_language::net::Net;
 
 /// A file of the simulated host.

@@ -1,7 +1,6 @@
 //! Transfers to other nets, over messages: sent again until the other net says that it has them.
 
 use std::{
-    collections::VecDeque,
     future::poll_fn,
     rc::Rc,
     sync::Arc,
@@ -9,17 +8,14 @@ use std::{
     time::Duration,
 };
 
-use ctos::{
-    call::{CallError, Fault},
-    task::{Context, NameError},
-};
+use ctos::task::{Context, NameError};
 
 use super::{
-    by_net::ByNet,
+    carrying::Carrier,
     engine::Engine,
     messages::{Tokens, Transfer},
+    other::{Failed, is_durable, may_succeed},
     routes::Bundle,
-    settings::settings,
     transfers::Ready,
 };
 
@@ -29,42 +25,6 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
 /// How long a net is waited for that is not there, before it is looked for again.
 const COME_BACK: Duration = Duration::from_secs(5);
-
-/// The nets to which something was carried.
-#[derive(Default)]
-pub(super) struct Carrying {
-    partners: ByNet<Partner>,
-}
-
-/// One of them.
-#[derive(Default)]
-struct Partner {
-    carrier: Carrier,
-    /// Whether it survives its process, once somebody has looked.
-    durable: Option<bool>,
-    /// The contexts of transfers on their way, by number, oldest first.
-    traces: VecDeque<(u64, Context)>,
-}
-
-/// The child that carries to a net.
-#[derive(Default)]
-enum Carrier {
-    /// Nothing was carried yet.
-    #[default]
-    None,
-    /// It has all that is needed to go on by itself.
-    Busy,
-    /// It waits until there is something to carry.
-    Waiting(Waker),
-}
-
-/// Why transfers were not taken.
-pub(super) enum Failed {
-    /// They may be taken when they are sent again.
-    NotNow,
-    /// They never will.
-    Never(String),
-}
 
 impl<S: 'static> Engine<S> {
     /// Sends tokens to their nets.
@@ -209,27 +169,5 @@ impl<S: 'static> Engine<S> {
         };
         let answer = cx.call(&to, message).await;
         answer.map_err(|error| may_succeed(&error, durable))
-    }
-}
-
-/// Whether the net of a task goes on where it was when its process has died.
-pub(super) fn is_durable(cx: &Context, net: &str) -> bool {
-    let task = cx.app().task(net);
-    task.is_some_and(|task| settings(task).is_ok_and(|settings| settings.durable))
-}
-
-/// Whether a call that failed may succeed when it is made again. A net that is not durable has lost its
-/// marking with its handler: sending it more would only hide that.
-pub(super) fn may_succeed(error: &CallError, durable: bool) -> Failed {
-    match error.fault {
-        Fault::Refused { .. } | Fault::BadPayload { .. } | Fault::UnknownCommand { .. } => {
-            Failed::Never(error.to_string())
-        }
-        Fault::PeerDown { .. } | Fault::UnknownTask | Fault::Stopping | Fault::Panicked { .. }
-            if !durable =>
-        {
-            Failed::Never(error.to_string())
-        }
-        _ => Failed::NotNow,
     }
 }

@@ -8,12 +8,7 @@
 //! What is stored is the state itself, not a log: a net's state is small, and reading it back is all there
 //! is to a restart.
 
-use std::{
-    cell::{Cell, RefCell},
-    collections::VecDeque,
-    rc::Rc,
-    sync::Arc,
-};
+use std::{collections::VecDeque, rc::Rc, sync::Arc};
 
 use ctos::{
     diagnostic::Source,
@@ -29,7 +24,7 @@ use super::{
     once::Once,
     transfers::Transfers,
 };
-use crate::store::{Contents, Store};
+use crate::store::Contents;
 use pnt_language::{
     compile,
     exec::{Execution, FiringId, State},
@@ -39,48 +34,6 @@ use pnt_language::{
 /// Under which names a store has the state of a net, and the text of a net that was put in its place.
 const STATE: &str = "state";
 pub(super) const NET: &str = "net";
-
-type Effect<S> = Box<dyn FnOnce(&Rc<Engine<S>>)>;
-
-/// Effects of changes that are not stored yet.
-pub(super) struct Durable<S> {
-    store: Option<Arc<Store>>,
-    /// The change with which each came, in order.
-    held: RefCell<VecDeque<(u64, Effect<S>)>>,
-    /// The last change that is stored.
-    stored: Cell<u64>,
-    /// Whether a child is committing.
-    committing: Cell<bool>,
-    /// Whether a commit has failed: nothing will be stored any more.
-    broken: Cell<bool>,
-    /// The text of a net that was put in place and is not stored yet.
-    new_net: RefCell<Option<Vec<u8>>>,
-}
-
-impl<S> Durable<S> {
-    pub(super) fn new(store: Option<Arc<Store>>) -> Self {
-        // What nobody stores need not be waited for.
-        let stored = if store.is_some() { 0 } else { u64::MAX };
-        Self {
-            store,
-            held: RefCell::default(),
-            stored: Cell::new(stored),
-            committing: Cell::new(false),
-            broken: Cell::new(false),
-            new_net: RefCell::default(),
-        }
-    }
-
-    /// Whether there is a store at all.
-    pub(super) fn is_kept(&self) -> bool {
-        self.store.is_some()
-    }
-
-    /// Changes up to this one are stored.
-    pub(super) fn stored(&self) -> u64 {
-        self.stored.get()
-    }
-}
 
 /// The state of a net as it is stored.
 #[derive(Deserialize)]

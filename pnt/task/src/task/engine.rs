@@ -18,15 +18,15 @@ use ctos::{
 };
 
 use super::{
-    action::Acting,
-    carry::Carrying,
-    control::Manual,
-    durable::Durable,
+    acting::Acting,
+    carrying::Carrying,
+    held::Durable,
     journal::Journal,
+    manual::Manual,
     messages::{Output, PutOnce, PutTape, RequestId, Snapshot, TapeAnswer, Tokens, Transfer},
     once::{Known, Once},
-    quiet::{BEING_STOPPED, Requests},
-    replace::Replacing,
+    replacing::Replacing,
+    requests::{BEING_STOPPED, Requests},
     routes::Routes,
     settings::Settings,
     transfers::Transfers,
@@ -52,7 +52,7 @@ pub(super) struct Engine<S> {
     pub(super) view: RefCell<NetView>,
     pub(super) core: RefCell<Core>,
     /// What waits until the changes that led to it are stored.
-    pub(super) durable: Durable<S>,
+    pub(super) durable: Durable<Self>,
     /// Whether the app is about to be stopped.
     pub(super) stopping: Cell<bool>,
 }

@@ -200,7 +200,7 @@ impl<S: 'static> Engine<S> {
             },
             command,
         };
-        let (registration, acting) = super::action::Acting::new();
+        let (registration, acting) = super::acting::Acting::new();
         core.acting.insert(firing, acting);
         drop(core);
         let engine = Rc::clone(self);

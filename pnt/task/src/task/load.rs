@@ -10,12 +10,12 @@ use ctos::{
 
 use super::{
     breaks,
+    messages::COMMANDS,
     settings::{self, settings},
 };
 use crate::{
     layout::{LayoutFile, beside},
     stream::NetView,
-    task::COMMANDS,
 };
 use pnt_analysis::check::{self, FunctionNames, Limits, Report, objects};
 use pnt_language::{

@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
+use ctos::message::{Command as _, CommandInfo};
 use serde::{Deserialize, Serialize};
+
+use crate::stream::{Describe, Follow};
 
 /// The answer to a command on the input tape.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -217,3 +220,15 @@ ctos::command! {
         pub arguments: Vec<String>,
     } => TapeAnswer, 0x0006, "put_once"
 }
+
+/// The commands of every net task, for registration.
+pub const COMMANDS: [CommandInfo; 8] = [
+    PutTape::INFO,
+    PutOnce::INFO,
+    Tokens::INFO,
+    Marking::INFO,
+    Control::INFO,
+    ReadTape::INFO,
+    Describe::INFO,
+    Follow::INFO,
+];

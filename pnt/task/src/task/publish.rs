@@ -75,7 +75,10 @@ impl<S: 'static> Engine<S> {
     pub(super) fn follow(self: &Rc<Self>, request: &Follow, reply: Replier<Follow>) -> Handled {
         let now = self.cx.now();
         let mut core = self.core.borrow_mut();
-        core.journal.stream.follow(now, request, reply)?;
+        if let Err(full) = core.journal.stream.may_be_followed() {
+            return reply.fail(full.to_string());
+        }
+        core.journal.stream.follow(now, request, reply);
         if core.journal.stream.watch() {
             let engine = Rc::clone(self);
             self.cx.spawn(async move { engine.watch_patience().await });

@@ -14,6 +14,7 @@ use super::{
     engine::{Core, Engine, objects_of},
     load,
     messages::Control,
+    replacing::Replacing,
     routes::Routes,
 };
 use crate::stream::{EventPhase, Happened, NetView};
@@ -23,17 +24,6 @@ use pnt_language::{
     exec::{Execution, State},
     net::{CommandId, Net},
 };
-
-/// A net that waits to be put in place.
-pub(super) struct Replacing {
-    number: u64,
-    file: String,
-    text: String,
-    /// Who wants it.
-    by: String,
-    net: Arc<Net>,
-    pub(super) reply: Replier<Control>,
-}
 
 impl<S: 'static> Engine<S> {
     /// Checks a net, and puts it in place at the next safe marking.

@@ -9,7 +9,7 @@ use ctos::{
 };
 use serde::de::DeserializeOwned;
 
-use super::control::check_breakpoint;
+use super::manual::check_breakpoint;
 use pnt_language::net::Net;
 
 /// The keys of [`Settings`] in a task's arguments.

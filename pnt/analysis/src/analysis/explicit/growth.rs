@@ -6,8 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
     super::model::{PlaceNumber, TransitionNumber},
-    Rules, Search,
+    Search,
     path::Lookup,
+    rules::Rules,
     worker::Record,
 };
 

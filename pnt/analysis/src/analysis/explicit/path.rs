@@ -7,8 +7,10 @@ use super::{
         model::TransitionNumber,
         store::Store,
     },
-    Explored, Reached, Rules, Scratch,
+    Explored,
     levels::Levels,
+    reached::Reached,
+    rules::{Rules, Scratch},
 };
 
 /// All that was found, to look markings up in.

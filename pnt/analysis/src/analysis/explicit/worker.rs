@@ -15,7 +15,8 @@ use super::{
         model::{PlaceNumber, TransitionNumber},
         store::{BATCH, Share, Store},
     },
-    DEAD_KEPT, Reached, Rules, Scratch,
+    reached::{DEAD_KEPT, Reached},
+    rules::{Rules, Scratch},
 };
 
 /// A firing would put more into a place than its field holds. `u32::MAX` tokens stand for more than
