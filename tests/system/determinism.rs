@@ -115,7 +115,7 @@ fn sources() -> Vec<(PathBuf, String)> {
 /// (CLOCK_REALTIME, the system time) nobody may ask: stepping it must not matter to an app.
 const CLOCKS: [(&str, &[&str]); 9] = [
     // A test that looks for the word.
-    ("SystemTime", &["pnt/tests/core.rs"]),
+    ("SystemTime", &["pnt/language/tests/core.rs"]),
     ("UNIX_EPOCH", &[]),
     ("ClockId::Realtime", &[]),
     ("chrono::", &[]),
@@ -127,7 +127,7 @@ const CLOCKS: [(&str, &[&str]); 9] = [
         &[
             "ctos/src/time.rs",
             "ctos/benches/",
-            "pnt/benches/",
+            "pnt/analysis/benches/",
             "tests/peers/",
         ],
     ),
