@@ -2,12 +2,13 @@
 
 use std::io::IsTerminal;
 
+use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
 use terminal_size::{Width, terminal_size_of};
 
 /// How wide a table may be where nobody says.
 const WIDE: usize = 160;
-/// No column is made narrower than this.
-const NARROW: usize = 6;
+/// Blanks between columns.
+const GAP: u16 = 2;
 
 /// A column.
 #[derive(Debug, Clone, Copy)]
@@ -56,8 +57,7 @@ pub fn width() -> usize {
     terminal_size_of(stdout).map_or(80, |(Width(columns), _)| usize::from(columns))
 }
 
-/// The rows below their titles, no line wider than `width`: what does not fit is cut and ends in `…`,
-/// in the widest columns first.
+/// The rows below their titles, no line wider than `width`: what does not fit is cut and ends in `…`.
 pub fn lines(columns: &[Column], rows: &[Vec<String>], width: usize) -> Vec<String> {
     let says_something = |index: &usize| {
         let rare = columns.get(*index).is_some_and(|column| column.rare);
@@ -69,43 +69,34 @@ pub fn lines(columns: &[Column], rows: &[Vec<String>], width: usize) -> Vec<Stri
         .iter()
         .filter_map(|at| columns.get(*at).copied())
         .collect();
-    let columns = columns.as_slice();
-    let titles: Vec<String> = columns.iter().map(|one| one.title.to_owned()).collect();
-    let rows = rows
-        .iter()
-        .map(|row| kept.iter().filter_map(|at| row.get(*at).cloned()).collect());
-    let all: Vec<Vec<String>> = std::iter::once(titles).chain(rows).collect();
-    let mut widths: Vec<usize> = columns
-        .iter()
-        .enumerate()
-        .map(|(index, _)| {
-            let cells = all.iter().filter_map(|row| row.get(index));
-            cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
-        })
-        .collect();
-    let gaps = 2 * columns.len().saturating_sub(1);
-    while widths.iter().sum::<usize>() + gaps > width {
-        let Some(widest) = widths.iter_mut().max().filter(|widest| **widest > NARROW) else {
-            break;
-        };
-        *widest -= 1;
+    let mut table = Table::new();
+    table
+        .load_style(presets::NOTHING)
+        .set_truncation_indicator("…")
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        // The gap after the last column is cut off below.
+        .set_width(u16::try_from(width).map_or(u16::MAX, |width| width.saturating_add(GAP)));
+    table.set_header(line(columns.iter().map(|column| column.title)));
+    for row in rows {
+        table.add_row(line(kept.iter().filter_map(|at| row.get(*at))));
     }
-    let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(columns).zip(&widths);
-        let cells: Vec<String> = cells
-            .map(|((cell, column), width)| {
-                let width = *width;
-                let cell = fitted(cell, width);
-                if column.right {
-                    format!("{cell:>width$}")
-                } else {
-                    format!("{cell:<width$}")
-                }
-            })
-            .collect();
-        cells.join("  ").trim_end().to_owned()
-    };
-    all.iter().map(line).collect()
+    for (shown, column) in table.column_iter_mut().zip(&columns) {
+        shown.set_padding((0, GAP));
+        if column.right {
+            shown.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+        .lines()
+        .map(|line| line.trim_end().to_owned())
+        .collect()
+}
+
+/// A row of one line, whatever its cells hold.
+fn line<T: ToString>(cells: impl Iterator<Item = T>) -> Row {
+    let mut line = Row::from(cells.collect::<Vec<T>>());
+    line.max_height(1);
+    line
 }
 
 /// `text`, cut to `width` letters.

@@ -1,25 +1,39 @@
 //! `ctos net lsp`: net text in editors, over the Language Server Protocol on standard input and output.
 
 mod document;
+mod offered;
 mod workspace;
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashMap},
+    fmt,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
 use cli_common::{exit, show};
-use ctos::{
-    config::Selection,
-    diagnostic::Source,
-    registry::{Registry, Vocabulary},
-};
+use ctos::{diagnostic::Source, registry::Registry};
 use lsp_server::{Connection, ErrorCode, Message, Notification, Request, Response};
-use serde_json::{Value, json};
+use lsp_types::{
+    CompletionItem, CompletionOptions, Diagnostic, DidChangeTextDocumentParams,
+    DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentSymbolParams,
+    GotoDefinitionResponse, Hover, HoverProviderCapability, Location, OneOf, PrepareRenameResponse,
+    PublishDiagnosticsParams, Range, RenameOptions, ServerCapabilities, TextDocumentPositionParams,
+    TextDocumentSyncKind, TextEdit, Uri, WorkDoneProgressOptions, WorkspaceEdit, WorkspaceFolder,
+    notification::{
+        DidChangeTextDocument, DidCloseTextDocument, DidOpenTextDocument, Notification as _,
+        PublishDiagnostics,
+    },
+    request::{
+        self, Completion, DocumentSymbolRequest, Formatting, GotoDefinition, HoverRequest,
+        PrepareRenameRequest, References, Rename, Request as _,
+    },
+};
+use serde_json::Value;
 
 use crate::ReadApp;
 use document::{Document, line_at, path_of, uri_of};
+use offered::Offered;
 use workspace::{Spot, Workspace};
 
 /// Serve an editor: findings as you type, completion, hover, rename, go to definition, layout
@@ -34,62 +48,6 @@ pub struct LspArgs {
     /// Configuration of the app whose tasks and commands are offered
     #[arg(long, value_name = "FILE")]
     pub app: Option<PathBuf>,
-}
-
-/// What can be offered beside the words of the text itself.
-#[derive(Debug, Default)]
-pub struct Offered {
-    /// Commands of each task, with their help.
-    pub tasks: BTreeMap<String, Vec<(String, String)>>,
-    /// The functions of each net, which is called as its task is.
-    pub functions: BTreeMap<String, Vocabulary>,
-}
-
-impl Offered {
-    fn of(
-        app: Option<&PathBuf>,
-        registry: &Registry,
-        read: ReadApp,
-    ) -> Result<Self, ctos::diagnostic::Findings> {
-        let Some(file) = app else {
-            return Ok(Self::default());
-        };
-        let app = read(&Selection {
-            file: file.clone(),
-            profiles: Vec::new(),
-            sets: Vec::new(),
-        })?;
-        let commands = |handler: &str| {
-            let kind = registry.kind(handler)?;
-            let shown = |command: &ctos::message::CommandInfo| {
-                (command.name.to_owned(), command.doc.to_owned())
-            };
-            Some(kind.commands().iter().map(shown).collect())
-        };
-        let tasks = app.tasks.iter().map(|task| {
-            let commands = commands(&task.handler).unwrap_or_default();
-            (task.name.clone(), commands)
-        });
-        let functions = app.tasks.iter().filter_map(|task| {
-            let words = registry.kind(&task.handler)?.vocabulary(task);
-            Some((task.name.clone(), words))
-        });
-        Ok(Self {
-            tasks: tasks.collect(),
-            functions: functions.collect(),
-        })
-    }
-
-    /// The functions of one kind that a net may use; all that are known if it is none of the app's.
-    pub fn functions(&self, net: Option<&str>, what: &str) -> BTreeSet<&str> {
-        let own = net.and_then(|net| self.functions.get(net));
-        let all = self.functions.values().filter(|_| own.is_none());
-        let words = own
-            .into_iter()
-            .chain(all)
-            .filter_map(|words| words.get(what));
-        words.flatten().map(String::as_str).collect()
-    }
 }
 
 /// Runs the command.
@@ -120,23 +78,30 @@ pub fn run(args: &LspArgs, registry: &Registry, read: ReadApp) -> u8 {
     }
 }
 
-fn capabilities() -> Value {
-    json!({
+fn capabilities() -> ServerCapabilities {
+    ServerCapabilities {
         // The whole text with every change: nets are small.
-        "textDocumentSync": 1,
-        "completionProvider": { "triggerCharacters": [" ", ".", "@"] },
-        "hoverProvider": true,
-        "definitionProvider": true,
-        "referencesProvider": true,
-        "documentSymbolProvider": true,
-        "documentFormattingProvider": true,
-        "renameProvider": { "prepareProvider": true },
-    })
+        text_document_sync: Some(TextDocumentSyncKind::FULL.into()),
+        completion_provider: Some(CompletionOptions {
+            trigger_characters: Some([" ", ".", "@"].map(str::to_owned).to_vec()),
+            ..CompletionOptions::default()
+        }),
+        hover_provider: Some(HoverProviderCapability::Simple(true)),
+        definition_provider: Some(OneOf::Left(true)),
+        references_provider: Some(OneOf::Left(true)),
+        document_symbol_provider: Some(OneOf::Left(true)),
+        document_formatting_provider: Some(OneOf::Left(true)),
+        rename_provider: Some(OneOf::Right(RenameOptions {
+            prepare_provider: Some(true),
+            work_done_progress_options: WorkDoneProgressOptions::default(),
+        })),
+        ..ServerCapabilities::default()
+    }
 }
 
 /// Answers until the editor says that it is enough.
-fn serve(connection: &Connection, offered: &Offered) -> Result<(), lsp_server::ProtocolError> {
-    let client = connection.initialize(capabilities())?;
+fn serve(connection: &Connection, offered: &Offered) -> Result<(), ServeError> {
+    let client = connection.initialize(serde_json::to_value(capabilities())?)?;
     let mut editor = Editor {
         documents: BTreeMap::new(),
         folders: folders(&client),
@@ -152,7 +117,8 @@ fn serve(connection: &Connection, offered: &Offered) -> Result<(), lsp_server::P
                 let _ = connection.sender.send(response.into());
             }
             Message::Notification(notification) => {
-                for told in editor.take(&notification) {
+                for told in editor.take(notification) {
+                    let told = Notification::new(PublishDiagnostics::METHOD.to_owned(), told);
                     let _ = connection.sender.send(told.into());
                 }
             }
@@ -162,69 +128,110 @@ fn serve(connection: &Connection, offered: &Offered) -> Result<(), lsp_server::P
     Ok(())
 }
 
-/// The folders that an editor works in, by what it says of itself.
+/// Why an editor is served no more.
+#[derive(Debug, thiserror::Error)]
+enum ServeError {
+    #[error(transparent)]
+    Protocol(#[from] lsp_server::ProtocolError),
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+}
+
+/// The folders that an editor works in, by what it says of itself; what else it says is not looked at.
 fn folders(client: &Value) -> Vec<PathBuf> {
-    let listed = client["workspaceFolders"].as_array();
-    let listed = listed.into_iter().flatten().map(|folder| &folder["uri"]);
-    let mut folders: Vec<PathBuf> = listed.filter_map(|uri| path_of(uri.as_str()?)).collect();
+    let listed = serde_json::from_value(client["workspaceFolders"].clone());
+    let listed: Vec<WorkspaceFolder> = listed.unwrap_or_default();
+    let mut folders: Vec<PathBuf> = listed
+        .iter()
+        .filter_map(|folder| path_of(folder.uri.as_str()))
+        .collect();
     if folders.is_empty() {
         folders.extend(client["rootUri"].as_str().and_then(path_of));
     }
     folders
 }
 
-fn published(uri: &str, findings: &[Value]) -> Notification {
-    let params = json!({ "uri": uri, "diagnostics": findings });
-    Notification::new("textDocument/publishDiagnostics".to_owned(), params)
+fn published(uri: &Uri, diagnostics: Vec<Diagnostic>) -> PublishDiagnosticsParams {
+    PublishDiagnosticsParams::new(uri.clone(), diagnostics, None)
+}
+
+/// Why a request is not answered.
+struct Refused(ErrorCode, String);
+
+impl Refused {
+    fn invalid(reason: impl fmt::Display) -> Self {
+        Self(ErrorCode::InvalidParams, reason.to_string())
+    }
+}
+
+/// Checks that what is answered is what the protocol wants there.
+fn answered<R: request::Request>(answer: R::Result) -> Result<Value, Refused> {
+    serde_json::to_value(answer)
+        .map_err(|error| Refused(ErrorCode::InternalError, error.to_string()))
 }
 
 /// What an editor has open.
 struct Editor {
     /// By their addresses.
-    documents: BTreeMap<String, Document>,
+    documents: BTreeMap<Uri, Document>,
     /// Where it works.
     folders: Vec<PathBuf>,
 }
 
 impl Editor {
     /// Takes what the editor tells about a document; the findings about it, and about those that include it.
-    fn take(&mut self, told: &Notification) -> Vec<Notification> {
-        let params = &told.params;
-        let Some(uri) = params["textDocument"]["uri"].as_str() else {
-            return Vec::new();
-        };
-        let text = match told.method.as_str() {
-            "textDocument/didOpen" => &params["textDocument"]["text"],
-            "textDocument/didChange" => {
-                let changes = params["contentChanges"].as_array();
-                changes
-                    .and_then(|changes| changes.last())
-                    .map_or(&Value::Null, |last| &last["text"])
+    fn take(&mut self, told: Notification) -> Vec<PublishDiagnosticsParams> {
+        let Notification { method, params } = told;
+        // What cannot be read is told to nobody: a notification has no answer.
+        match method.as_str() {
+            DidOpenTextDocument::METHOD => {
+                let read = serde_json::from_value(params);
+                let Ok(DidOpenTextDocumentParams { text_document }) = read else {
+                    return Vec::new();
+                };
+                self.changed(text_document.uri, &text_document.text)
             }
-            "textDocument/didClose" => {
-                let closed = self.documents.remove(uri);
-                let mut told = vec![published(uri, &[])];
+            DidChangeTextDocument::METHOD => {
+                let read = serde_json::from_value(params);
+                let Ok(DidChangeTextDocumentParams {
+                    text_document,
+                    content_changes,
+                }) = read
+                else {
+                    return Vec::new();
+                };
+                let last = content_changes.last();
+                last.map_or_else(Vec::new, |last| self.changed(text_document.uri, &last.text))
+            }
+            DidCloseTextDocument::METHOD => {
+                let read = serde_json::from_value(params);
+                let Ok(DidCloseTextDocumentParams { text_document }) = read else {
+                    return Vec::new();
+                };
+                let closed = self.documents.remove(&text_document.uri);
+                let mut told = vec![published(&text_document.uri, Vec::new())];
                 // From now on what is on disk counts.
                 told.extend(closed.into_iter().flat_map(|closed| self.users(&closed)));
-                return told;
+                told
             }
-            _ => return Vec::new(),
-        };
-        let Some(text) = text.as_str() else {
+            _ => Vec::new(),
+        }
+    }
+
+    /// A document as it is from now on.
+    fn changed(&mut self, uri: Uri, text: &str) -> Vec<PublishDiagnosticsParams> {
+        self.documents
+            .insert(uri.clone(), Document::new(&uri, text));
+        let Some(document) = self.documents.get(&uri) else {
             return Vec::new();
         };
-        let document = Document::new(uri, text);
-        self.documents.insert(uri.to_owned(), document);
-        let Some(document) = self.documents.get(uri) else {
-            return Vec::new();
-        };
-        let mut told = vec![published(uri, &document.findings(&self.open()))];
+        let mut told = vec![published(&uri, document.findings(&self.open()))];
         told.extend(self.users(document));
         told
     }
 
     /// The findings about the open documents that include one.
-    fn users(&self, document: &Document) -> Vec<Notification> {
+    fn users(&self, document: &Document) -> Vec<PublishDiagnosticsParams> {
         let open = self.open();
         let mut texts = open.clone();
         // Also of one that was closed a moment ago.
@@ -234,7 +241,7 @@ impl Editor {
         let documents = self.documents.iter();
         documents
             .filter(|(_, user)| users.contains(user.path()))
-            .map(|(uri, user)| published(uri, &user.findings(&open)))
+            .map(|(uri, user)| published(uri, user.findings(&open)))
             .collect()
     }
 
@@ -248,33 +255,72 @@ impl Editor {
 
     fn answer(&self, request: Request, offered: &Offered) -> Response {
         let Request { id, method, params } = request;
-        let uri = params["textDocument"]["uri"].as_str().unwrap_or_default();
-        let Some(document) = self.documents.get(uri) else {
-            let text = format!("`{uri}` is not open");
-            return Response::new_err(id, ErrorCode::InvalidParams as i32, text);
-        };
-        let at = document.offset(&params["position"]);
-        let result = match method.as_str() {
-            "textDocument/completion" => Ok(self.completions(document, at, offered)),
-            "textDocument/hover" => Ok(self.hover(document, at)),
-            "textDocument/definition" => Ok(self.definition(document, at)),
-            "textDocument/references" => Ok(self.references(document, at)),
-            "textDocument/documentSymbol" => Ok(document.symbols()),
-            "textDocument/formatting" => Ok(document.formatted()),
-            "textDocument/prepareRename" => Ok(document.renamed_range(at)),
-            "textDocument/rename" => {
-                let name = params["newName"].as_str().unwrap_or_default();
-                self.rename(document, at, name)
+        match self.result(&method, params, offered) {
+            Ok(value) => Response::new_ok(id, value),
+            Err(Refused(code, reason)) => Response::new_err(id, code as i32, reason),
+        }
+    }
+
+    fn result(&self, method: &str, params: Value, offered: &Offered) -> Result<Value, Refused> {
+        match method {
+            Completion::METHOD => {
+                let (document, at) = self.place(params)?;
+                answered::<Completion>(Some(self.completions(document, at, offered).into()))
+            }
+            HoverRequest::METHOD => {
+                let (document, at) = self.place(params)?;
+                answered::<HoverRequest>(self.hover(document, at))
+            }
+            GotoDefinition::METHOD => {
+                let (document, at) = self.place(params)?;
+                answered::<GotoDefinition>(self.definition(document, at))
+            }
+            References::METHOD => {
+                let (document, at) = self.place(params)?;
+                answered::<References>(self.references(document, at))
+            }
+            DocumentSymbolRequest::METHOD => {
+                let symbols = self.document(params)?.symbols();
+                answered::<DocumentSymbolRequest>(Some(symbols.into()))
+            }
+            Formatting::METHOD => answered::<Formatting>(self.document(params)?.formatted()),
+            PrepareRenameRequest::METHOD => {
+                let (document, at) = self.place(params)?;
+                let range = document.renamed_range(at).map(PrepareRenameResponse::Range);
+                answered::<PrepareRenameRequest>(range)
+            }
+            Rename::METHOD => {
+                let name = params["newName"].as_str().unwrap_or_default().to_owned();
+                let (document, at) = self.place(params)?;
+                let edit = self.rename(document, at, &name);
+                let edit = edit.map_err(|reason| Refused(ErrorCode::RequestFailed, reason))?;
+                answered::<Rename>(Some(edit))
             }
             other => {
-                let text = format!("`{other}` is not served");
-                return Response::new_err(id, ErrorCode::MethodNotFound as i32, text);
+                let reason = format!("`{other}` is not served");
+                Err(Refused(ErrorCode::MethodNotFound, reason))
             }
-        };
-        match result {
-            Ok(value) => Response::new_ok(id, value),
-            Err(text) => Response::new_err(id, ErrorCode::RequestFailed as i32, text),
         }
+    }
+
+    /// The document that a request is about. What else the request says is not looked at.
+    fn document(&self, params: Value) -> Result<&Document, Refused> {
+        let params: DocumentSymbolParams =
+            serde_json::from_value(params).map_err(Refused::invalid)?;
+        self.opened(&params.text_document.uri)
+    }
+
+    /// The document that a request is about, and the byte. What else the request says is not looked at.
+    fn place(&self, params: Value) -> Result<(&Document, usize), Refused> {
+        let params: TextDocumentPositionParams =
+            serde_json::from_value(params).map_err(Refused::invalid)?;
+        let document = self.opened(&params.text_document.uri)?;
+        Ok((document, document.offset(params.position)))
+    }
+
+    fn opened(&self, uri: &Uri) -> Result<&Document, Refused> {
+        let document = self.documents.get(uri);
+        document.ok_or_else(|| Refused::invalid(format!("`{}` is not open", uri.as_str())))
     }
 
     // -- what is looked for in more files than one ------------------------------------------
@@ -284,7 +330,7 @@ impl Editor {
         Workspace::around(document.path(), &self.folders, self.open())
     }
 
-    fn hover(&self, document: &Document, at: usize) -> Value {
+    fn hover(&self, document: &Document, at: usize) -> Option<Hover> {
         let around = self.around(document);
         let spot = document.spot(at);
         let declared = spot.map_or_else(BTreeSet::new, |spot| around.declarations(&spot));
@@ -296,83 +342,85 @@ impl Editor {
         document.hover(at, elsewhere)
     }
 
-    fn completions(&self, document: &Document, at: usize, offered: &Offered) -> Value {
+    fn completions(
+        &self,
+        document: &Document,
+        at: usize,
+        offered: &Offered,
+    ) -> Vec<CompletionItem> {
         let around = self.around(document);
         match around.whole(document.path()) {
             Some((net, whole)) => document.completions(at, offered, (net, whole)),
-            None => json!([]),
+            None => Vec::new(),
         }
     }
 
     /// Where the word at a byte is declared: in one place, or in each net that includes its file.
-    fn definition(&self, document: &Document, at: usize) -> Value {
+    fn definition(&self, document: &Document, at: usize) -> Option<GotoDefinitionResponse> {
         let around = self.around(document);
         if let Some(file) = document.included(at) {
-            let there = around.text(&file).is_some();
-            let start = json!({ "line": 0, "character": 0 });
-            let range = json!({ "start": start, "end": start });
-            return if there {
-                json!({ "uri": self.uri(&file), "range": range })
-            } else {
-                Value::Null
-            };
+            around.text(&file)?;
+            let there = Location::new(self.uri(&file)?, Range::default());
+            return Some(there.into());
         }
         let spot = document.spot(at);
         let declared = spot.map(|spot| around.declarations(&spot));
         let mut places = self.locations(&around, declared.unwrap_or_default());
         match places.len() {
-            0 => Value::Null,
-            1 => places.remove(0),
-            _ => Value::Array(places),
+            0 => None,
+            1 => Some(places.remove(0).into()),
+            _ => Some(places.into()),
         }
     }
 
     /// Everywhere where the word at a byte stands for the same thing.
-    fn references(&self, document: &Document, at: usize) -> Value {
+    fn references(&self, document: &Document, at: usize) -> Option<Vec<Location>> {
         let around = self.around(document);
-        let Some(spot) = document.spot(at) else {
-            return Value::Null;
-        };
-        Value::Array(self.locations(&around, around.same(&spot)))
+        let spot = document.spot(at)?;
+        Some(self.locations(&around, around.same(&spot)))
     }
 
     /// The edits by which the word at a byte gets another name wherever it stands for the same thing.
-    fn rename(&self, document: &Document, at: usize, name: &str) -> Result<Value, String> {
+    #[allow(
+        clippy::mutable_key_type,
+        reason = "the protocol's type; an address does not change"
+    )]
+    fn rename(&self, document: &Document, at: usize, name: &str) -> Result<WorkspaceEdit, String> {
         let around = self.around(document);
         let spot = document.spot(at).ok_or("there is no name here")?;
         if name.trim().is_empty() {
             return Err("a name is not empty".to_owned());
         }
         let new = pnt::text::name_in_text(name);
-        let mut changes: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+        let mut changes: HashMap<Uri, Vec<TextEdit>> = HashMap::new();
         for place in self.locations(&around, around.renamed(&spot, name)?) {
-            let uri = place["uri"].as_str().unwrap_or_default().to_owned();
-            let edit = json!({ "range": place["range"], "newText": new });
-            changes.entry(uri).or_default().push(edit);
+            let edit = TextEdit::new(place.range, new.clone());
+            changes.entry(place.uri).or_default().push(edit);
         }
-        Ok(json!({ "changes": changes }))
+        Ok(WorkspaceEdit::new(changes))
     }
 
     /// A file's address: as the editor has it, where it is open.
-    fn uri(&self, file: &Path) -> String {
+    fn uri(&self, file: &Path) -> Option<Uri> {
         let mut open = self.documents.iter();
         let open = open.find(|(_, document)| document.path() == file);
-        open.map_or_else(|| uri_of(file), |(uri, _)| uri.clone())
+        open.map_or_else(|| uri_of(file), |(uri, _)| Some(uri.clone()))
     }
 
     /// Places as the protocol has them.
-    fn locations(&self, around: &Workspace, spots: BTreeSet<Spot>) -> Vec<Value> {
-        let mut read: BTreeMap<PathBuf, (String, Document)> = BTreeMap::new();
+    fn locations(&self, around: &Workspace, spots: BTreeSet<Spot>) -> Vec<Location> {
+        let mut read: BTreeMap<PathBuf, (Uri, Document)> = BTreeMap::new();
         let mut places = Vec::new();
         for spot in spots {
-            if !read.contains_key(&spot.file) {
-                let uri = self.uri(&spot.file);
+            if !read.contains_key(&spot.file)
+                && let Some(uri) = self.uri(&spot.file)
+            {
                 let text = around.text(&spot.file).map_or("", Source::text);
                 let document = Document::new(&uri, text);
                 read.insert(spot.file.clone(), (uri, document));
             }
             if let Some((uri, document)) = read.get(&spot.file) {
-                places.push(json!({ "uri": uri, "range": document.range(&spot.range()) }));
+                places.push(Location::new(uri.clone(), document.range(&spot.range())));
             }
         }
         places

@@ -3,12 +3,17 @@
 
 use std::{
     collections::BTreeMap,
-    ops::Range,
+    ops,
     path::{Path, PathBuf},
     sync::Arc,
 };
 
 use ctos::diagnostic::{Finding, Findings, Severity, Source};
+use lsp_types::{
+    CompletionItem, CompletionItemKind as Item, Diagnostic, DiagnosticSeverity, DocumentSymbol,
+    Hover, HoverContents, MarkupContent, MarkupKind, NumberOrString, Position, Range, SymbolKind,
+    TextEdit, Uri,
+};
 use pnt::{
     check::{self, FunctionNames, Limits, Rule},
     compile,
@@ -18,11 +23,10 @@ use pnt::{
         outline::{Kind, Occurrence, Outline},
     },
 };
-use serde_json::{Value, json};
 
 use super::{
-    Offered,
-    workspace::{Spot, plain},
+    offered::Offered,
+    workspace::{Spot, name_of, plain},
 };
 
 /// An open text.
@@ -65,7 +69,8 @@ fn soundness(net: Net) -> Findings {
 
 impl Document {
     /// A text as the editor has it.
-    pub fn new(uri: &str, text: &str) -> Self {
+    pub fn new(uri: &Uri, text: &str) -> Self {
+        let uri = uri.as_str();
         let path = path_of(uri).map_or_else(|| PathBuf::from(uri), |path| plain(&path));
         let source = Source::new(path.display().to_string(), text);
         Self {
@@ -101,17 +106,15 @@ impl Document {
     // -- positions --------------------------------------------------------------------------
 
     /// The byte of a position; the end of its line or text when it lies behind that.
-    pub fn offset(&self, position: &Value) -> usize {
-        let number = |key: &str| {
-            let number = position[key].as_u64().unwrap_or_default();
-            usize::try_from(number).unwrap_or(usize::MAX)
-        };
+    pub fn offset(&self, position: Position) -> usize {
+        let number = |number: u32| usize::try_from(number).unwrap_or(usize::MAX);
+        let (wanted, column) = (number(position.line), number(position.character));
         let mut start = 0;
         for (line, text) in self.text().split_inclusive('\n').enumerate() {
-            if line == number("line") {
+            if line == wanted {
                 let mut units = 0;
                 for (at, character) in text.trim_end_matches(['\n', '\r']).char_indices() {
-                    if units >= number("character") {
+                    if units >= column {
                         return start + at;
                     }
                     units += character.len_utf16();
@@ -123,7 +126,7 @@ impl Document {
         self.text().len()
     }
 
-    fn position(&self, offset: usize) -> Value {
+    fn position(&self, offset: usize) -> Position {
         let before = self.text().get(..offset).unwrap_or(self.text());
         let line = before.matches('\n').count();
         let start = before.rfind('\n').map_or(0, |at| at + 1);
@@ -132,18 +135,19 @@ impl Document {
             .unwrap_or_default()
             .encode_utf16()
             .count();
-        json!({ "line": line, "character": column })
+        let number = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
+        Position::new(number(line), number(column))
     }
 
-    pub fn range(&self, range: &Range<usize>) -> Value {
-        json!({ "start": self.position(range.start), "end": self.position(range.end) })
+    pub fn range(&self, range: &ops::Range<usize>) -> Range {
+        Range::new(self.position(range.start), self.position(range.end))
     }
 
     // -- findings ---------------------------------------------------------------------------
 
     /// What is wrong with the text, as the protocol has it. What it includes is read as it is in `open`, or else
     /// from disk.
-    pub fn findings(&self, open: &BTreeMap<PathBuf, Source>) -> Vec<Value> {
+    pub fn findings(&self, open: &BTreeMap<PathBuf, Source>) -> Vec<Diagnostic> {
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let mut include = |file: &str| {
             let path = folder.join(file);
@@ -169,7 +173,7 @@ impl Document {
             .collect()
     }
 
-    fn finding(&self, finding: &Finding) -> Value {
+    fn finding(&self, finding: &Finding) -> Diagnostic {
         let here = finding
             .place
             .as_ref()
@@ -182,17 +186,17 @@ impl Document {
         if let Some(help) = &finding.help {
             message = format!("{message}\n{help}");
         }
-        let severity = match finding.severity {
-            Severity::Error => 1,
-            Severity::Warning => 2,
-        };
-        json!({
-            "range": self.range(&range),
-            "severity": severity,
-            "code": finding.code,
-            "source": "ctos",
-            "message": message,
-        })
+        Diagnostic {
+            range: self.range(&range),
+            severity: Some(match finding.severity {
+                Severity::Error => DiagnosticSeverity::ERROR,
+                Severity::Warning => DiagnosticSeverity::WARNING,
+            }),
+            code: Some(NumberOrString::String(finding.code.to_string())),
+            source: Some("ctos".to_owned()),
+            message,
+            ..Diagnostic::default()
+        }
     }
 
     // -- words ------------------------------------------------------------------------------
@@ -207,7 +211,7 @@ impl Document {
         at: usize,
         offered: &Offered,
         (net, whole): (Option<&str>, &Outline),
-    ) -> Value {
+    ) -> Vec<CompletionItem> {
         let start = self
             .text()
             .get(..at)
@@ -232,45 +236,45 @@ impl Document {
             .filter(|word| !word.is_empty())
         else {
             let keywords = grammar::keywords(open.is_some());
-            let shown = keywords.map(|keyword| item(keyword.word, 14, keyword.form));
-            return Value::Array(shown.collect());
+            let shown = keywords.map(|keyword| item(keyword.word, Item::KEYWORD, keyword.form));
+            return shown.collect();
         };
-        let names = |kind: Kind, code: u8, detail: &str| -> Vec<Value> {
+        let names = |kind: Kind, code: Item, detail: &str| -> Vec<CompletionItem> {
             let names = whole.names(kind, &scope);
             names
                 .iter()
                 .map(|name| item(&in_text(name), code, detail))
                 .collect()
         };
-        let functions = |kind: Kind, what: &str| -> Vec<Value> {
+        let functions = |kind: Kind, what: &str| -> Vec<CompletionItem> {
             let of_app = offered.functions(net, what);
-            let mut items: Vec<Value> = of_app
+            let mut items: Vec<CompletionItem> = of_app
                 .iter()
-                .map(|name| item(&in_text(name), 3, what))
+                .map(|name| item(&in_text(name), Item::FUNCTION, what))
                 .collect();
-            items.extend(names(kind, 3, what));
+            items.extend(names(kind, Item::FUNCTION, what));
             items
         };
         let words = before.split_whitespace().count();
         let items = match keyword {
             "in" | "read" | "inhibit" | "reset" | "out" | "fail" | "safe" => {
                 if before.ends_with('@') {
-                    names(Kind::Net, 9, "net")
+                    names(Kind::Net, Item::MODULE, "net")
                 } else {
-                    names(Kind::Place, 6, "place")
+                    names(Kind::Place, Item::VARIABLE, "place")
                 }
             }
-            "tape" => names(Kind::Symbol, 20, "symbol of the input tape"),
-            "write" => names(Kind::Answer, 20, "symbol of the output tape"),
-            "do" if before.contains('(') => names(Kind::Data, 5, "data object"),
+            "tape" => names(Kind::Symbol, Item::ENUM_MEMBER, "symbol of the input tape"),
+            "write" => names(Kind::Answer, Item::ENUM_MEMBER, "symbol of the output tape"),
+            "do" if before.contains('(') => names(Kind::Data, Item::FIELD, "data object"),
             "do" => functions(Kind::Function, FunctionNames::LOCAL),
             "when" => {
                 let mut items = functions(Kind::Enabling, FunctionNames::ENABLING);
-                items.extend((words == 1).then(|| item("not", 14, "negation")));
+                items.extend((words == 1).then(|| item("not", Item::KEYWORD, "negation")));
                 items
             }
-            "ask" if words == 1 => names(Kind::Net, 9, "coordinator"),
-            "ask" => names(Kind::Request, 23, "request"),
+            "ask" if words == 1 => names(Kind::Net, Item::MODULE, "coordinator"),
+            "ask" => names(Kind::Request, Item::EVENT, "request"),
             "send" => match before.trim_start_matches("send").trim().strip_suffix('.') {
                 Some(task) => {
                     let of_app = offered
@@ -278,34 +282,35 @@ impl Document {
                         .get(task.trim_matches('"'))
                         .into_iter()
                         .flatten();
-                    let mut items: Vec<Value> =
-                        of_app.map(|(name, help)| item(name, 2, help)).collect();
-                    items.extend(names(Kind::Command, 2, "command"));
+                    let mut items: Vec<CompletionItem> = of_app
+                        .map(|(name, help)| item(name, Item::METHOD, help))
+                        .collect();
+                    items.extend(names(Kind::Command, Item::METHOD, "command"));
                     items
                 }
-                None if before.contains('(') => names(Kind::Data, 5, "data object"),
+                None if before.contains('(') => names(Kind::Data, Item::FIELD, "data object"),
                 None => {
-                    let mut items: Vec<Value> = offered
+                    let mut items: Vec<CompletionItem> = offered
                         .tasks
                         .keys()
-                        .map(|task| item(&in_text(task), 9, "task"))
+                        .map(|task| item(&in_text(task), Item::MODULE, "task"))
                         .collect();
-                    items.extend(names(Kind::Task, 9, "task"));
+                    items.extend(names(Kind::Task, Item::MODULE, "task"));
                     items
                 }
             },
-            "use" if words == 1 => names(Kind::Subnet, 7, "subnet"),
-            "use" => names(Kind::Place, 6, "place"),
+            "use" if words == 1 => names(Kind::Subnet, Item::CLASS, "subnet"),
+            "use" => names(Kind::Place, Item::VARIABLE, "place"),
             "time" => vec![
-                item("exponential", 14, "by its mean"),
-                item("normal", 14, "by mean and spread"),
+                item("exponential", Item::KEYWORD, "by its mean"),
+                item("normal", Item::KEYWORD, "by mean and spread"),
             ],
-            "servers" => vec![item("many", 14, "as many as its tokens allow")],
+            "servers" => vec![item("many", Item::KEYWORD, "as many as its tokens allow")],
             _ => Vec::new(),
         };
         let mut seen = std::collections::BTreeSet::new();
-        let once = |item: &Value| seen.insert(item["label"].to_string());
-        Value::Array(items.into_iter().filter(once).collect())
+        let once = |item: &CompletionItem| seen.insert(item.label.clone());
+        items.into_iter().filter(once).collect()
     }
 
     /// The subnet whose lines hold a byte.
@@ -343,18 +348,22 @@ impl Document {
     }
 
     /// What is known about a word; where it is declared in another file, that file and the line there.
-    pub fn hover(&self, at: usize, elsewhere: Option<(&Path, &str)>) -> Value {
-        let Some(word) = self.word(at) else {
-            return Value::Null;
-        };
-        let text = match word.kind {
-            Kind::Keyword => match grammar::keyword_called(&word.name) {
-                Some(keyword) => format!("`{}`\n\n{}", keyword.form, keyword.meaning),
-                None => return Value::Null,
-            },
+    pub fn hover(&self, at: usize, elsewhere: Option<(&Path, &str)>) -> Option<Hover> {
+        let word = self.word(at)?;
+        let value = match word.kind {
+            Kind::Keyword => {
+                let keyword = grammar::keyword_called(&word.name)?;
+                format!("`{}`\n\n{}", keyword.form, keyword.meaning)
+            }
             kind => self.told(word, kind, elsewhere),
         };
-        json!({ "contents": { "kind": "markdown", "value": text }, "range": self.range(&word.range) })
+        Some(Hover {
+            contents: HoverContents::Markup(MarkupContent {
+                kind: MarkupKind::Markdown,
+                value,
+            }),
+            range: Some(self.range(&word.range)),
+        })
     }
 
     /// The word, the line that declares it, and the transitions that use it.
@@ -384,37 +393,45 @@ impl Document {
     }
 
     /// Places, transitions and subnets, for an overview.
-    pub fn symbols(&self) -> Value {
+    #[allow(deprecated, reason = "the type has a field that is not set any more")]
+    pub fn symbols(&self) -> Vec<DocumentSymbol> {
         let shown = |word: &Occurrence| {
             let kind = match word.kind {
-                Kind::Place => 8,
-                Kind::Transition => 12,
-                Kind::Subnet => 5,
-                Kind::Symbol => 24,
+                Kind::Place => SymbolKind::FIELD,
+                Kind::Transition => SymbolKind::FUNCTION,
+                Kind::Subnet => SymbolKind::CLASS,
+                Kind::Symbol => SymbolKind::EVENT,
                 _ => return None,
             };
             let range = self.range(&word.range);
-            word.declared.then(|| json!({ "name": word.name, "kind": kind, "range": range, "selectionRange": range }))
+            word.declared.then(|| DocumentSymbol {
+                name: word.name.clone(),
+                detail: None,
+                kind,
+                tags: None,
+                deprecated: None,
+                range,
+                selection_range: range,
+                children: None,
+            })
         };
-        Value::Array(self.outline.words().iter().filter_map(shown).collect())
+        self.outline.words().iter().filter_map(shown).collect()
     }
 
     /// The whole text laid out; nothing when it cannot be read.
-    pub fn formatted(&self) -> Value {
-        match text::formatted(&self.source) {
-            Ok(text) if text != self.text() => {
-                let whole = self.range(&(0..self.text().len()));
-                json!([{ "range": whole, "newText": text }])
-            }
-            Ok(_) => json!([]),
-            Err(_) => Value::Null,
+    pub fn formatted(&self) -> Option<Vec<TextEdit>> {
+        let text = text::formatted(&self.source).ok()?;
+        if text == self.text() {
+            return Some(Vec::new());
         }
+        let whole = self.range(&(0..self.text().len()));
+        Some(vec![TextEdit::new(whole, text)])
     }
 
     /// What would be renamed here.
-    pub fn renamed_range(&self, at: usize) -> Value {
+    pub fn renamed_range(&self, at: usize) -> Option<Range> {
         let word = self.word(at).filter(|word| word.kind != Kind::Keyword);
-        word.map_or(Value::Null, |word| self.range(&word.range))
+        word.map(|word| self.range(&word.range))
     }
 }
 
@@ -426,8 +443,11 @@ pub(super) fn line_at(text: &str, offset: usize) -> &str {
     rest.unwrap_or_default()
 }
 
-fn item(label: &str, kind: u8, detail: &str) -> Value {
-    json!({ "label": label, "kind": kind, "detail": detail })
+fn item(label: &str, kind: Item, detail: &str) -> CompletionItem {
+    CompletionItem {
+        kind: Some(kind),
+        ..CompletionItem::new_simple(label.to_owned(), detail.to_owned())
+    }
 }
 
 /// A name as net text has it.
@@ -435,29 +455,8 @@ fn in_text(name: &str) -> String {
     text::name_in_text(name)
 }
 
-/// What a kind of name is called.
-pub(super) fn name_of(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Keyword => "keyword",
-        Kind::Net => "net",
-        Kind::Place | Kind::Argument => "place",
-        Kind::Transition => "transition",
-        Kind::Symbol => "symbol of the input tape",
-        Kind::Answer => "symbol of the output tape",
-        Kind::Request => "request",
-        Kind::Function => "local function",
-        Kind::Enabling => "enabling function",
-        Kind::Task => "task",
-        Kind::Command => "command",
-        Kind::Data => "data object",
-        Kind::Subnet => "subnet",
-        Kind::Instance => "instance",
-        Kind::Parameter => "parameter",
-    }
-}
-
 /// The `file:` address of a path.
-pub fn uri_of(path: &Path) -> String {
+pub fn uri_of(path: &Path) -> Option<Uri> {
     let mut uri = "file://".to_owned();
     for byte in path.display().to_string().bytes() {
         match byte {
@@ -466,7 +465,7 @@ pub fn uri_of(path: &Path) -> String {
             byte => uri += &format!("%{byte:02X}"),
         }
     }
-    uri
+    uri.parse().ok()
 }
 
 /// The path of a `file:` address.

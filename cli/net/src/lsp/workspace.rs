@@ -258,7 +258,7 @@ impl Workspace {
                         && word.name != name
                 });
                 if let Some(file) = other.and_then(|other| whole.files.get(other.file)) {
-                    let what = super::document::name_of(kind);
+                    let what = name_of(kind);
                     let file = file.file_name().unwrap_or_default().to_string_lossy();
                     return Some(format!("there is a {what} `{name}` already, in {file}"));
                 }
@@ -276,6 +276,27 @@ fn kind_of(kind: Kind) -> Kind {
     match kind {
         Kind::Argument => Kind::Place,
         other => other,
+    }
+}
+
+/// What a kind of name is called.
+pub fn name_of(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Keyword => "keyword",
+        Kind::Net => "net",
+        Kind::Place | Kind::Argument => "place",
+        Kind::Transition => "transition",
+        Kind::Symbol => "symbol of the input tape",
+        Kind::Answer => "symbol of the output tape",
+        Kind::Request => "request",
+        Kind::Function => "local function",
+        Kind::Enabling => "enabling function",
+        Kind::Task => "task",
+        Kind::Command => "command",
+        Kind::Data => "data object",
+        Kind::Subnet => "subnet",
+        Kind::Instance => "instance",
+        Kind::Parameter => "parameter",
     }
 }
 
