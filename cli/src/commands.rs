@@ -1,46 +1,35 @@
-//! The commands of `ctos`, a file each.
+//! The commands of `ctos`, a file each; those on running apps are in `cli/running`, those on nets in `cli/net`, and
+//! `ctos display` and `ctos net draw` in `cli/display`.
 
 pub mod agent;
+pub mod args;
 pub mod boot;
 pub mod breakpoints;
 pub mod chassis;
 pub mod check;
 pub mod completions;
 pub mod config;
-pub mod display;
 pub mod doctor;
 pub mod explain;
 pub mod keys;
 pub mod log;
-pub mod logs;
-pub mod move_task;
 pub mod net;
 pub mod new;
-pub mod ps;
-pub mod record;
-pub mod remote;
 pub mod replay;
-pub mod restart;
 pub mod sim;
-pub mod status;
-pub mod stop;
-pub mod top;
 
 mod detach;
-mod progress;
-mod table;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
-
-use ctos::{config::Selection, registry::Registry};
-
-use crate::{
+use clap::{CommandFactory as _, Parser, Subcommand};
+use cli_common::{
     exit,
-    log::{LogFormat, LogSetting},
     show::{self, Colour},
 };
+use cli_display::watch as display;
+use cli_running::{logs, move_task, ps, record, restart, status, stop, top};
+use ctos::registry::Registry;
 
 const EXAMPLES: &str = "Examples:
   ctos new my-app
@@ -130,49 +119,6 @@ pub enum Command {
     Chassis(chassis::ChassisArgs),
 }
 
-/// Which app, with what changed.
-#[derive(Debug, Clone, Args)]
-pub struct AppArgs {
-    /// Configuration of the app
-    pub file: PathBuf,
-    /// Override a value of the configuration, for example `--set time.mode="virtual"` (can be repeated)
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub sets: Vec<String>,
-    /// Lay `[profile.NAME]` of the configuration over it, in place of what `app.profile` says (can be repeated)
-    #[arg(long = "profile", value_name = "NAME")]
-    pub profiles: Vec<String>,
-}
-
-impl AppArgs {
-    /// What to read the app by.
-    #[must_use]
-    pub fn selection(&self) -> Selection {
-        Selection {
-            file: self.file.clone(),
-            profiles: self.profiles.clone(),
-            sets: self.sets.clone(),
-        }
-    }
-}
-
-/// How much to say.
-#[derive(Debug, Clone, Args)]
-pub struct LogArgs {
-    /// Show more: `-v` net transitions as they fire, `-vv` what the runtime does (can be repeated)
-    #[arg(short, long, action = clap::ArgAction::Count, conflicts_with = "quiet")]
-    pub verbose: u8,
-    /// Show results and errors only
-    #[arg(short, long)]
-    pub quiet: bool,
-    /// Filter of the log in the form of RUST_LOG, where a name is a module's or a task's, for example
-    /// `warn,arm=debug`; overrides `-v`
-    #[arg(long, value_name = "FILTER")]
-    pub log: Option<String>,
-    /// How log lines look
-    #[arg(long, value_enum, value_name = "FORMAT", default_value_t)]
-    pub log_format: LogFormat,
-}
-
 /// Runs the command line of this process for the event handlers of `registry`.
 #[must_use]
 pub fn main(registry: Registry) -> ExitCode {
@@ -201,29 +147,8 @@ pub fn main(registry: Registry) -> ExitCode {
         Command::Restart(args) => restart::run(&args),
         Command::Move(args) => move_task::run(&args),
         Command::Top(args) => top::run(&args),
-        Command::Completions(args) => completions::run(&args),
+        Command::Completions(args) => completions::run(&args, &mut Cli::command()),
         Command::Chassis(args) => chassis::run(&args, registry),
     };
     ExitCode::from(code)
-}
-
-/// Starts logging or says why it cannot; the exit code then.
-fn start_log(args: &LogArgs, clock: ctos::time::Clock, ansi: bool) -> Result<(), u8> {
-    let level = match (args.quiet, args.verbose) {
-        (true, _) => "error",
-        (false, 0) => "warn",
-        (false, 1) => "info",
-        (false, 2) => "debug",
-        (false, _) => "trace",
-    };
-    let setting = LogSetting {
-        level,
-        filter: args.log.as_deref(),
-        format: args.log_format,
-        ansi,
-    };
-    crate::log::start(&setting, clock).map_err(|error| {
-        show::say(&format!("error: {error}"));
-        exit::USAGE
-    })
 }

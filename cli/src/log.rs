@@ -1,6 +1,11 @@
-//! Where log lines go: standard error, as text or as JSON, with the app's own time; and the record.
+//! Where log lines go: standard error, as text or as JSON, with the app's own time; the record; and a file of this user.
 
-use std::{collections::BTreeMap, fmt};
+use std::{
+    collections::BTreeMap,
+    fmt,
+    os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt},
+    path::Path,
+};
 
 use clap::ValueEnum;
 use ctos::{record::RecordLayer, time::Clock};
@@ -16,7 +21,7 @@ use tracing_subscriber::{
     registry::LookupSpan,
 };
 
-use crate::show::colours;
+use cli_common::show::colours;
 
 /// How log lines look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -201,6 +206,22 @@ where
             .with_span_list(false)
             .boxed(),
     }
+}
+
+/// Opens a log that this user alone may read, also when it was begun otherwise.
+pub(crate) fn private_file(path: &Path) -> std::io::Result<std::fs::File> {
+    let file = std::fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .read(true)
+        .mode(0o600)
+        .open(path)?;
+    let found = file.metadata()?;
+    // Nobody else's file, and no terminal or pipe, is changed.
+    if found.is_file() && found.uid() == rustix::process::geteuid().as_raw() {
+        file.set_permissions(std::fs::Permissions::from_mode(0o600))?;
+    }
+    Ok(file)
 }
 
 #[cfg(test)]

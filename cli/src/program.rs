@@ -1,6 +1,6 @@
 //! What configurations can name: every event handler, channel driver, frame source and expander.
 
-use crate::{display, panel, scott::services};
+use cli_scott::{panel, services};
 use ctos::{
     config::{App, Expander, Selection},
     diagnostic::Findings,
@@ -20,7 +20,7 @@ pub fn registry() -> Registry {
     mcs::register(&mut registry, drivers);
     vss::register(&mut registry, sources);
     coordinators::register(&mut registry);
-    display::register(&mut registry);
+    cli_display::register(&mut registry);
     panel::register(&mut registry);
     // It cannot be wrong: a test reads it.
     let shipped = services::shipped().unwrap_or_default();

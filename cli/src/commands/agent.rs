@@ -1,10 +1,6 @@
 //! `ctos agent`: waits on a host for boots.
 
-use std::{
-    net::SocketAddr,
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::{net::SocketAddr, path::PathBuf, sync::Arc};
 
 use clap::Args;
 use ctos::{
@@ -13,9 +9,11 @@ use ctos::{
     time::Clock,
 };
 
-use crate::{
-    commands::{LogArgs, detach, start_log},
-    exit, show,
+use cli_common::{exit, remote::authority_beside, show};
+
+use crate::commands::{
+    args::{LogArgs, start_log},
+    detach,
 };
 
 /// Wait on this host for boots of other hosts, and run their chassis
@@ -48,11 +46,6 @@ pub struct AgentArgs {
     /// How much to say
     #[command(flatten)]
     pub log: LogArgs,
-}
-
-/// The authority's certificate beside a key.
-pub(crate) fn authority_beside(key: &Path) -> PathBuf {
-    key.with_file_name("ca.pem")
 }
 
 /// Runs the command.

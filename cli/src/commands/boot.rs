@@ -4,7 +4,6 @@ use std::{
     ffi::OsString,
     io::Write,
     net::SocketAddr,
-    os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt},
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex, PoisonError,
@@ -18,15 +17,17 @@ use ctos::diagnostic::Findings;
 use ctos::registry::Registry;
 use ctos::task::Phase;
 
+use cli_common::{exit, show};
+use cli_running::{progress::Display, record};
+
 use crate::{
     commands::{
-        AppArgs, LogArgs,
+        args::{AppArgs, LogArgs, start_log},
         breakpoints::{Breakpoints, Released},
         detach,
-        progress::Display,
-        record, start_log,
     },
-    exit, program, show,
+    log::private_file,
+    program,
 };
 
 /// Check an app, start it, wait for its result and stop it
@@ -102,12 +103,12 @@ impl InjureArgs {
     }
 }
 
-/// Where `--display` serves its page: the text of [`crate::display::DEFAULT_LISTEN`].
+/// Where `--display` serves its page: the text of [`cli_display::DEFAULT_LISTEN`].
 const DISPLAY: &str = "127.0.0.1:8108";
 
 /// What a display is, as `--set` texts, which reach every chassis.
 fn display_sets(listen: SocketAddr, allow_control: bool) -> [String; 2] {
-    let handler = crate::display::HANDLER;
+    let handler = cli_display::HANDLER;
     let args = format!("{{ listen = \"{listen}\", allow_control = {allow_control} }}");
     [
         "chassis.display={}".to_owned(),
@@ -271,22 +272,6 @@ fn not_started(args: &BootArgs, findings: Findings) -> u8 {
     exit::CONFIG
 }
 
-/// Opens a log that this user alone may read, also when it was begun otherwise.
-pub(crate) fn private_log(path: &Path) -> std::io::Result<std::fs::File> {
-    let file = std::fs::OpenOptions::new()
-        .create(true)
-        .append(true)
-        .read(true)
-        .mode(0o600)
-        .open(path)?;
-    let found = file.metadata()?;
-    // Nobody else's file, and no terminal or pipe, is changed.
-    if found.is_file() && found.uid() == rustix::process::geteuid().as_raw() {
-        file.set_permissions(std::fs::Permissions::from_mode(0o600))?;
-    }
-    Ok(file)
-}
-
 /// A file that the logs of the chassis go to.
 struct LogFile {
     file: Mutex<std::fs::File>,
@@ -296,7 +281,7 @@ struct LogFile {
 
 impl LogFile {
     fn open(path: &Path) -> std::io::Result<Self> {
-        let file = private_log(path)?;
+        let file = private_file(path)?;
         Ok(Self {
             file: Mutex::new(file),
             told: AtomicBool::new(false),

@@ -5,9 +5,11 @@ use ctos::boot::Address;
 use ctos::registry::Registry;
 use ctos::time::Clock;
 
+use cli_common::{exit, show};
+
 use crate::{
-    commands::{AppArgs, LogArgs, start_log},
-    exit, program, show,
+    commands::args::{AppArgs, LogArgs, start_log},
+    program,
 };
 
 /// Run one chassis of an app

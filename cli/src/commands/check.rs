@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use ctos::{config::Selection, registry::Registry};
 
-use crate::{commands::AppArgs, exit, program, show};
+use cli_common::{exit, show};
+
+use crate::{commands::args::AppArgs, program};
 
 /// Check apps without starting anything
 #[derive(Debug, Args)]

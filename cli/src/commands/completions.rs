@@ -1,9 +1,8 @@
 //! `ctos completions`.
 
-use clap::{Args, CommandFactory};
+use clap::{Args, Command};
 use clap_complete::Shell;
-
-use crate::{commands::Cli, exit};
+use cli_common::exit;
 
 /// Print completions for a shell
 #[derive(Debug, Args)]
@@ -14,11 +13,11 @@ pub struct CompletionsArgs {
     pub shell: Shell,
 }
 
-/// Runs the command.
+/// Runs the command, for all that `program` has.
 #[must_use]
-pub fn run(args: &CompletionsArgs) -> u8 {
+pub fn run(args: &CompletionsArgs, program: &mut Command) -> u8 {
     let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "ctos", &mut text);
+    clap_complete::generate(args.shell, program, "ctos", &mut text);
     // A closed pipe means that the reader has what it wanted.
     let _ = std::io::Write::write_all(&mut std::io::stdout(), &text);
     exit::OK

@@ -3,7 +3,9 @@
 use clap::{Args, Subcommand};
 use ctos::config::{DEFAULTS, Origin, ShownValue};
 
-use crate::{commands::AppArgs, exit, program, show};
+use cli_common::{exit, show};
+
+use crate::{commands::args::AppArgs, program};
 
 /// Show what a configuration comes to, every key there is, or the schema for editors
 #[derive(Debug, Args)]

@@ -12,7 +12,9 @@ use std::{
 
 use ctos::{config::App, control, task::Phase};
 
-use crate::{commands::boot::private_log, exit, show};
+use cli_common::{exit, show};
+
+use crate::log::private_file;
 
 /// Where a service manager, or [`run`], waits to be told that the app is ready.
 const NOTIFY: &str = "NOTIFY_SOCKET";
@@ -54,7 +56,7 @@ fn start(app: &App, arguments: &[OsString], log: Option<&Path>, until: Phase) ->
         Some(log) => std::path::absolute(log)?,
         None => default_log(&app.name)?,
     };
-    let file = private_log(&log)?;
+    let file = private_file(&log)?;
     let began = file.metadata()?.len();
     let mut child = Command::new(std::env::current_exe()?)
         .args(arguments)

@@ -19,7 +19,9 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use crate::{exit, program, show};
+use cli_common::{exit, show};
+
+use crate::program;
 
 /// The real-time priority that is tried: that of a processor that names none.
 const PRIORITY: u8 = 80;

@@ -5,7 +5,7 @@
 use clap::Args;
 use ctos::diagnostic::Finding;
 
-use crate::{exit, show};
+use cli_common::{exit, show};
 
 const PAGE: &str = include_str!("../../../docs/diagnostics.md");
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use ctos::security::{KeyError, Listed, Role, list_keys, make_key};
 
-use crate::{exit, show};
+use cli_common::{exit, show};
 
 /// Make and list keys for connections beyond this host
 ///

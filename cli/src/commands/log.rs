@@ -8,7 +8,7 @@ use ctos::{
     time::Instant,
 };
 
-use crate::{exit, show};
+use cli_common::{exit, show};
 
 /// Look into records (MCAP) of apps
 ///

@@ -1,15 +1,11 @@
-//! `ctos net`: the tools of whoever writes nets, a file each.
-
-pub mod check;
-pub mod control;
-pub mod convert;
-pub mod draw;
-pub mod fmt;
-pub mod lsp;
-pub mod perf;
+//! `ctos net`: the tools of whoever writes nets, gathered from their crates.
 
 use clap::{Args, Subcommand};
+use cli_display::draw;
+use cli_net::{check, control, convert, fmt, lsp, perf};
 use ctos::registry::Registry;
+
+use crate::program;
 
 /// Check nets, and other tools of whoever writes them
 #[derive(Debug, Args)]
@@ -79,7 +75,7 @@ pub enum NetCommand {
 #[must_use]
 pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
     match &args.command {
-        NetCommand::Check(args) => check::run(args, registry),
+        NetCommand::Check(args) => check::run(args, registry, program::app),
         NetCommand::Convert(args) => convert::run(args),
         NetCommand::Fire(args) => control::fire(args),
         NetCommand::Put(args) => control::put(args),
@@ -95,7 +91,7 @@ pub fn run(args: &NetArgs, registry: &Registry) -> u8 {
         NetCommand::Marking(args) => control::marking(args),
         NetCommand::Draw(args) => draw::run(args),
         NetCommand::Fmt(args) => fmt::run(args),
-        NetCommand::Lsp(args) => lsp::run(args, registry),
+        NetCommand::Lsp(args) => lsp::run(args, registry, program::app),
         NetCommand::Perf(args) => perf::run(args),
     }
 }

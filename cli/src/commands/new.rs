@@ -9,7 +9,9 @@ use std::{
 
 use clap::Args;
 
-use crate::{exit, program, show};
+use cli_common::{exit, show};
+
+use crate::program;
 
 /// Write a small app of your own: handlers, configuration, test
 #[derive(Debug, Args)]

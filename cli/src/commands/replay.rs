@@ -8,9 +8,11 @@ use ctos::{
     registry::Registry,
 };
 
+use cli_common::{exit, show};
+
 use crate::{
-    commands::{AppArgs, log::record_files},
-    exit, program, show,
+    commands::{args::AppArgs, log::record_files},
+    program,
 };
 
 /// Let one task do again what it did in a record, and compare

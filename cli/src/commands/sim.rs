@@ -19,14 +19,15 @@ use ctos::{
     time::Clock,
 };
 
+use cli_common::{exit, show};
+use cli_running::{progress::Display, record};
+
 use crate::{
     commands::{
-        LogArgs,
+        args::{LogArgs, start_log},
         breakpoints::{Breakpoints, Released},
-        progress::Display,
-        record, start_log,
     },
-    exit, program, show,
+    program,
 };
 
 /// How often a shorter list of faults is tried at most.

@@ -1,0 +1,132 @@
+//! The arguments of a display and what can be wrong with them.
+
+use std::{collections::BTreeMap, net::SocketAddr};
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    registry::Registry,
+};
+use pnt::{
+    layout::{Detail, Drawing},
+    stream::NetView,
+};
+use serde::Deserialize;
+
+use super::overview::Overviews;
+use cli_common::page;
+
+/// The handler's name.
+pub const HANDLER: &str = "pnt.display";
+
+/// Where a page is served unless the configuration says otherwise.
+pub const DEFAULT_LISTEN: SocketAddr =
+    SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 8108);
+
+/// The most viewers that can be asked for.
+const MOST_VIEWERS: usize = 1000;
+
+/// `[task.NAME.args]` of a display.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DisplayArgs {
+    /// Where the page is served; port 0 takes any that is free.
+    #[serde(default = "listen")]
+    pub(super) listen: SocketAddr,
+    /// Whether the page may intervene: fire, put and take tokens, pause, set breakpoints.
+    #[serde(default)]
+    pub(super) allow_control: bool,
+    /// What a page must show to intervene; drawn at random when it is left out.
+    pub(super) token: Option<String>,
+    /// What else than its own name and its addresses browsers may call this host.
+    #[serde(default)]
+    pub(super) names: Vec<String>,
+    /// How many browsers may look on at a time.
+    #[serde(default = "viewers")]
+    pub(super) viewers: usize,
+    /// The nets that are shown; all of the app when it is left out.
+    pub(super) nets: Option<Vec<String>>,
+    /// A file of overview displays, relative to the configuration's folder.
+    pub(super) displays: Option<String>,
+}
+
+fn listen() -> SocketAddr {
+    DEFAULT_LISTEN
+}
+
+fn viewers() -> usize {
+    32
+}
+
+/// Checks a display's arguments against the app.
+pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let Some(args) = findings.keep(task.args.parse::<DisplayArgs>()) else {
+        return;
+    };
+    let at = |finding: Finding, key: &str| {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        finding.at(place)
+    };
+    if args.viewers == 0 || args.viewers > MOST_VIEWERS {
+        let text = format!("a display for {} viewers", args.viewers);
+        let finding = Finding::error("pnt::display::viewers", text);
+        findings.push(at(finding, "viewers").help(format!("write 1 to {MOST_VIEWERS}")));
+    }
+    if let Some(finding) = page::unguarded(args.listen, app, "pnt::display::open") {
+        findings.push(at(finding, "listen"));
+    }
+    for net in args.nets.iter().flatten() {
+        if app.task(net).is_none() {
+            let names = app.tasks.iter().map(|task| task.name.as_str());
+            let text = format!(
+                "display `{}` shows a net `{net}`, which is no task",
+                task.name
+            );
+            let finding = Finding::error("pnt::display::unknown_net", text);
+            findings.push(at(finding, "nets").suggest(net, names));
+        }
+    }
+    if let Some(file) = &args.displays {
+        match app.read(file) {
+            Ok(source) => {
+                let mut overviews = Overviews::read(&source, findings);
+                overviews.arrange_from(&app.folder.join(file), findings);
+            }
+            Err(finding) => findings.push(at(finding, "displays")),
+        }
+    }
+}
+
+/// Overview displays must name nodes that there are. Nothing is said when a net is wrong by itself.
+pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Findings) {
+    let displays = app.tasks.iter().filter(|task| task.handler == HANDLER);
+    for task in displays {
+        let Ok(args) = task.args.parse::<DisplayArgs>() else {
+            continue;
+        };
+        let source = args.displays.as_ref().map(|file| app.read(file));
+        let (Some(Ok(source)), Ok(nets)) = (source, pnt::task::nets(app, registry)) else {
+            continue;
+        };
+        // What is wrong with the file itself has been said.
+        let overviews = Overviews::read(&source, &mut Findings::new());
+        let drawings: BTreeMap<&str, Drawing> = nets
+            .iter()
+            .map(|net| {
+                (
+                    net.name(),
+                    Drawing::new(&NetView::new(net), Detail::Written),
+                )
+            })
+            .collect();
+        for unknown in overviews.unknown(|net| drawings.get(net)) {
+            let text = format!("{}: no net has the node of {unknown}", source.name());
+            let place = task.args.locate("displays");
+            findings.push(
+                Finding::warning("pnt::display::unknown_node", text)
+                    .at(place.unwrap_or_else(|| task.place.clone()))
+                    .help("write `NET/NODE`, in which `*` stands for any letters"),
+            );
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! The net display: an event handler that anyone can put into an app, `pnt.display`. It follows the streams
+//! of nets ([`pnt::stream`]) and serves a page that shows them, to any number of browsers up to a limit.
+//!
+//! Between the task, which lives on its processor, and the server, which lives on a thread of its own,
+//! stands the `hub`: what is known of all nets, and the messages about what is new. A browser that is
+//! slow loses messages there and is told everything anew; no net is ever asked on its behalf.
+//!
+//! Two commands show nets outside of an app: `ctos display` ([`watch`]) and `ctos net draw` ([`draw`]).
+
+mod args;
+mod arrange;
+mod assets;
+pub mod draw;
+mod figure;
+mod handled;
+mod hub;
+mod lines;
+mod orders;
+mod overview;
+mod record;
+mod server;
+mod task;
+mod text;
+pub mod watch;
+mod wire;
+
+pub use args::{DEFAULT_LISTEN, HANDLER};
+
+use ctos::registry::Registry;
+
+/// Registers the handler.
+pub fn register(registry: &mut Registry) {
+    registry
+        .handler(HANDLER, &[], task::NetDisplay::new)
+        .check_in_app(args::check);
+    registry.app_check(HANDLER, args::check_overviews);
+}

@@ -1,0 +1,168 @@
+//! The server and clients that mean no good, or are too many.
+
+use std::{
+    io::{Read, Write},
+    net::{SocketAddr, TcpListener, TcpStream},
+    thread::JoinHandle,
+    time::Duration,
+};
+
+use tungstenite::{Message, WebSocket, protocol::frame::coding::CloseCode};
+
+use super::*;
+use crate::overview::Overviews;
+
+/// A server that says nothing for so long has failed the test.
+const SILENCE: Duration = Duration::from_secs(30);
+
+struct Served {
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+fn served(viewers: usize) -> Served {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let address = listener.local_addr().unwrap();
+    let pages = Pages::new(listener, None, &[]).unwrap();
+    let (orders, _) = mpsc::channel(1);
+    let desk = Desk {
+        hub: Arc::new(Hub::live("app", Overviews::default(), None)),
+        door: Door {
+            token: Some("secret".to_owned()),
+            anybody_looks: true,
+            allow_control: true,
+            ..Door::default()
+        },
+        viewers,
+        rooms: rooms(viewers),
+        orders,
+    };
+    let (stop, stopped) = oneshot::channel();
+    let thread = std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap();
+        runtime.block_on(serve(pages, desk, stopped)).unwrap();
+    });
+    Served {
+        address,
+        stop: Some(stop),
+        thread: Some(thread),
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.stop.take().unwrap().send(());
+        self.thread.take().unwrap().join().unwrap();
+    }
+}
+
+impl Served {
+    fn viewer(&self) -> WebSocket<TcpStream> {
+        let stream = TcpStream::connect(self.address).unwrap();
+        stream.set_read_timeout(Some(SILENCE)).unwrap();
+        let url = format!("ws://{}/ws?token=secret", self.address);
+        tungstenite::client(url, stream).unwrap().0
+    }
+}
+
+fn next(viewer: &mut WebSocket<TcpStream>) -> String {
+    match viewer.read().unwrap() {
+        Message::Text(text) => text.to_string(),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Code and reason with which a connection is closed.
+fn ended(viewer: &mut WebSocket<TcpStream>) -> (CloseCode, String) {
+    loop {
+        if let Message::Close(frame) = viewer.read().unwrap() {
+            let frame = frame.unwrap();
+            return (frame.code, frame.reason.to_string());
+        }
+    }
+}
+
+#[test]
+fn one_viewer_too_many_is_told_so_and_may_come_when_another_has_gone() {
+    let served = served(2);
+    let mut first = served.viewer();
+    let mut second = served.viewer();
+    assert!(next(&mut first).contains("hello") && next(&mut second).contains("hello"));
+    let third = ended(&mut served.viewer());
+    assert_eq!(third, (CloseCode::Again, "2 look on already".to_owned()));
+    second.close(None).unwrap();
+    while second.read().is_ok() {}
+    // The server hears of it in its own time.
+    while !matches!(served.viewer().read().unwrap(), Message::Text(_)) {}
+    // Nobody else noticed.
+    first
+        .send(Message::text(r#"{"kind":"fire","id":7}"#))
+        .unwrap();
+    assert!(next(&mut first).contains("\"id\":7"));
+}
+
+#[test]
+fn what_is_no_message_ends_the_connection_that_it_came_by_with_the_reason_and_no_other() {
+    let served = served(8);
+    let mut good = served.viewer();
+    next(&mut good);
+    let bad = |message: Message| {
+        let mut viewer = served.viewer();
+        next(&mut viewer);
+        // The server may close before it has all.
+        let _ = viewer.send(message);
+        ended(&mut viewer)
+    };
+    let (code, reason) = bad(Message::text("{"));
+    assert_eq!(code, CloseCode::Policy);
+    assert!(reason.contains("cannot be read"), "{reason}");
+    let (code, reason) = bad(Message::text(r#"{"kind":3}"#));
+    assert_eq!(code, CloseCode::Policy);
+    assert!(reason.contains("cannot be read"), "{reason}");
+    assert_eq!(bad(Message::binary(vec![1])).0, CloseCode::Unsupported);
+    let (code, reason) = bad(Message::text("x".repeat(LONGEST + 1)));
+    assert_eq!(code, CloseCode::Size);
+    assert!(reason.contains("too long"), "{reason}");
+    // A frame that the protocol does not have: reserved bits, without a mask.
+    let mut viewer = served.viewer();
+    next(&mut viewer);
+    viewer
+        .get_mut()
+        .write_all(&[0xff, 0x05, 1, 2, 3, 4, 5])
+        .unwrap();
+    let (code, reason) = ended(&mut viewer);
+    assert_eq!(code, CloseCode::Protocol);
+    assert!(!reason.is_empty());
+
+    good.send(Message::text(r#"{"kind":"fire","id":9}"#))
+        .unwrap();
+    assert!(next(&mut good).contains("\"id\":9"));
+}
+
+#[test]
+fn a_request_that_is_none_is_answered_or_let_go_and_the_page_is_served_all_the_same() {
+    let served = served(1);
+    let ask = |bytes: &[u8]| {
+        let mut stream = TcpStream::connect(served.address).unwrap();
+        stream.set_read_timeout(Some(SILENCE)).unwrap();
+        stream.write_all(bytes).unwrap();
+        stream.shutdown(std::net::Shutdown::Write).unwrap();
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).into_owned()
+    };
+    assert!(!ask(b"\0\x01\x02nonsense\r\n\r\n").contains(" 200 "));
+    assert!(!ask(&[b'A'; 100_000]).contains(" 200 "));
+    let get =
+        |path: &str| format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    assert!(ask(get("/..%2f..%2fCargo.toml").as_bytes()).contains(" 404 "));
+    let page = ask(get("/").as_bytes());
+    assert!(
+        page.contains(" 200 ") && page.contains("frame-ancestors 'none'"),
+        "{page}"
+    );
+}

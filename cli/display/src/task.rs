@@ -1,0 +1,206 @@
+//! The task of a display: follows the nets, carries orders to them, and keeps the server.
+
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
+
+use ctos::{
+    diagnostic::Findings,
+    message::Message,
+    task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
+};
+use pnt::stream::{Describe, Follow, NetView};
+use tokio::sync::{mpsc, oneshot};
+
+use super::{
+    args::DisplayArgs,
+    arrange,
+    hub::Hub,
+    orders,
+    overview::Overviews,
+    server::{self, Asking, Desk},
+};
+use cli_common::page::{Front, Opener, Setting};
+
+/// How long a net waits for something to happen before it answers.
+const PATIENCE_MS: u32 = 2_000;
+/// A net that does not answer for so long is gone.
+const SILENCE: Duration = Duration::from_secs(4);
+/// How long after a net was lost it is looked for again.
+const RETRY: Duration = Duration::from_millis(250);
+/// How long browsers have to hear that the app has ended.
+const FAREWELL: Duration = Duration::from_millis(100);
+/// Orders that may wait.
+const ORDERS: usize = 64;
+
+/// The event handler.
+pub(super) struct NetDisplay {
+    args: DisplayArgs,
+    hub: Arc<Hub>,
+    stop: Option<oneshot::Sender<()>>,
+    opener: Option<Opener>,
+    orders: Option<mpsc::Receiver<Asking>>,
+}
+
+impl NetDisplay {
+    pub(super) fn new(cx: &Context) -> Result<Self, HandlerError> {
+        let args: DisplayArgs = cx.args()?;
+        let overviews = match &args.displays {
+            // What is wrong in it was said when the app was checked.
+            Some(file) => {
+                let path = cx.path(file);
+                let mut nothing = Findings::new();
+                let mut overviews = Overviews::read(&cx.app().read(file)?, &mut nothing);
+                overviews.arrange_from(&path, &mut nothing);
+                overviews
+            }
+            None => Overviews::default(),
+        };
+        let origin_ns = cx.chassis().clock().origin_ns();
+        let hub = Hub::live(&cx.app().name, overviews, origin_ns);
+        let tasks = cx.app().tasks.iter().map(|task| task.name.clone());
+        Ok(Self {
+            hub: Arc::new(hub.with_tasks(tasks.collect())),
+            args,
+            stop: None,
+            opener: None,
+            orders: None,
+        })
+    }
+
+    /// Binds the address and serves it on a thread of its own.
+    fn open(&mut self, cx: &Context) -> Result<(), HandlerError> {
+        let args = &self.args;
+        let setting = Setting {
+            listen: args.listen,
+            names: &args.names,
+            allow_control: args.allow_control,
+            token: args.token.as_deref(),
+        };
+        let mut front = Front::bind(cx.app(), &setting)?;
+        self.opener = front.opener(&cx.app().name, cx.name(), "?token=")?;
+        let (orders, received) = mpsc::channel(ORDERS);
+        let desk = Desk {
+            hub: self.hub.clone(),
+            door: front.take_door(),
+            viewers: args.viewers,
+            rooms: server::rooms(args.viewers),
+            orders,
+        };
+        let page = front.url();
+        let serve = |pages, stopped| server::serve(pages, desk, stopped);
+        self.stop = Some(front.serve("display", serve)?);
+        let open = self.opener.as_ref().map(tracing::field::display);
+        tracing::warn!(task = cx.name(), page, open, "nets are shown");
+        self.orders = Some(received);
+        Ok(())
+    }
+
+    /// Looks for what the analysis says of the nets, on a thread of its own: it may take a while.
+    fn analyse(&self, cx: &Context) {
+        let (app, registry) = (cx.app().clone(), cx.shared_registry());
+        let hub = self.hub.clone();
+        // Without it the nets are shown without notes.
+        let _ = std::thread::Builder::new()
+            .name("display-notes".to_owned())
+            .spawn(move || hub.notes(&registry.check(&app)));
+    }
+
+    /// The nets that are shown.
+    fn nets(&self, cx: &Context) -> Vec<String> {
+        let all = pnt::task::net_tasks(cx.app(), cx.registry());
+        match &self.args.nets {
+            Some(wanted) => all.into_iter().filter(|net| wanted.contains(net)).collect(),
+            None => all,
+        }
+    }
+}
+
+impl EventHandler for NetDisplay {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        cx.default_processing(message)
+    }
+
+    async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
+        if cx.chassis().clock().origin_ns().is_none() {
+            if phase == Phase::Create {
+                tracing::info!(task = cx.name(), "nobody looks on in virtual time");
+            }
+            return Ok(());
+        }
+        match phase {
+            Phase::Create => self.open(cx)?,
+            // Before the first firing, so that nothing is missed.
+            Phase::Connect => {
+                for net in self.nets(cx) {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    cx.spawn(async move { follow(&child, &net, &hub).await });
+                }
+                if let Some(received) = self.orders.take() {
+                    let (child, hub) = (cx.clone(), self.hub.clone());
+                    let displays = self.args.displays.clone();
+                    cx.spawn(async move { orders::carry(&child, &hub, displays, received).await });
+                }
+            }
+            Phase::Run => self.analyse(cx),
+        }
+        Ok(())
+    }
+
+    async fn stop(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
+        self.opener = None;
+        self.hub.end();
+        if let Some(stop) = self.stop.take() {
+            cx.sleep(FAREWELL).await;
+            // The server may have ended already.
+            let _ = stop.send(());
+        }
+        Ok(())
+    }
+}
+
+/// Follows one net for good, through the end and the return of its chassis.
+async fn follow(cx: &Context, net: &str, hub: &Hub) {
+    loop {
+        if let Err(error) = stream(cx, net, hub).await {
+            hub.gone(net, &error.to_string());
+            cx.sleep(RETRY).await;
+        }
+    }
+}
+
+/// Has the last messages kept of a net's task, and of those that it calls: they are there when somebody asks.
+fn keep_messages(cx: &Context, view: &NetView) {
+    let called = view.transitions.iter().filter_map(|one| one.task.as_ref());
+    let names: BTreeSet<String> = called.chain([&view.name]).cloned().collect();
+    let child = cx.clone();
+    cx.spawn(async move {
+        for name in names {
+            // One that is not there is told to whoever asks for it.
+            let _ = orders::look(&child, &name).await;
+        }
+    });
+}
+
+async fn stream(cx: &Context, net: &str, hub: &Hub) -> Handled {
+    let to = cx.task(net).await?;
+    let view = cx.call(&to, Describe {}).deadline(SILENCE).await?;
+    let mut after = None;
+    let mut view = Some(view);
+    loop {
+        let follow = Follow {
+            after,
+            patience_ms: PATIENCE_MS,
+        };
+        let mut batch = cx.call(&to, follow).deadline(SILENCE).await?;
+        after = Some(batch.mark);
+        if view.is_some()
+            && let (Some(mut view), Some(state)) = (view.take(), batch.state.take())
+        {
+            // Nodes may have been moved since the net read where they are.
+            arrange::pin(cx, &mut view);
+            keep_messages(cx, &view);
+            hub.describe(view, state)?;
+            hub.breakpoints(net, orders::breakpoints(cx, &to).await?);
+        }
+        hub.take(net, batch)?;
+    }
+}

@@ -1,0 +1,441 @@
+//! A running app as scott asks it: over its control socket, by lines of text to its daemons, which are the tasks with
+//! the handler `sorma.daemon`. A connection that is lost is made again by the next request.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use ctos::{
+    control::{
+        client::{Client, ClientError, Within},
+        protocol::{Answer, AppView, ErrorCode, Request, SayRequest},
+    },
+    time::Clock,
+};
+use sorma::{ClassInfo, Location, ObjectName, Reply, Report, daemon, report::code, words};
+
+use cli_common::remote::{self, AtArgs, connect_to};
+
+/// How often it is looked whether the user has given up waiting.
+const LOOK: Duration = Duration::from_millis(100);
+/// What the prompt may take to learn what there is. Whatever is not there by then is not offered.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// Which app, and how it is reached.
+#[derive(Debug, Clone, Default)]
+pub struct Where {
+    /// Its name, process id or NAME-PID here; the only one when there is none.
+    pub app: Option<String>,
+    /// Its place on another host.
+    pub at: AtArgs,
+    /// The daemon that is asked when a name says none.
+    pub daemon: Option<String>,
+}
+
+/// Why an app cannot be asked.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachError {
+    /// It cannot be reached.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// It has nobody to ask.
+    #[error(
+        "app `{0}` has no daemon of service objects; give it a task with `handler = \"sorma.daemon\"`"
+    )]
+    NoDaemon(String),
+    /// It has others.
+    #[error("app `{app}` has no daemon `{name}`; it has {}", .known.join(", "))]
+    NoSuchDaemon {
+        /// The app.
+        app: String,
+        /// The name.
+        name: String,
+        /// Those that it has.
+        known: Vec<String>,
+    },
+}
+
+/// The user has pressed Ctrl-C.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interrupted;
+
+/// Set by Ctrl-C, and taken back by whoever obeys.
+pub type Interrupt = Arc<AtomicBool>;
+
+/// A running app.
+#[derive(Debug)]
+pub struct App {
+    place: Where,
+    name: String,
+    client: Option<Client>,
+    daemons: Vec<String>,
+    entry: String,
+    interrupt: Interrupt,
+    classes: Option<Vec<ClassInfo>>,
+}
+
+impl App {
+    /// Attaches to an app.
+    ///
+    /// # Errors
+    /// It cannot be reached, or has no such daemon.
+    pub fn attach(place: Where, interrupt: Interrupt) -> Result<Self, AttachError> {
+        let client = connect_to(place.app.as_deref(), &place.at)?;
+        let mut app = Self {
+            name: client.app().app.clone(),
+            place,
+            client: Some(client),
+            daemons: Vec::new(),
+            entry: String::new(),
+            interrupt,
+            classes: None,
+        };
+        app.learn()?;
+        Ok(app)
+    }
+
+    /// Which daemons there are, and which of them is asked first.
+    fn learn(&mut self) -> Result<(), AttachError> {
+        let Some(client) = &mut self.client else {
+            return Ok(());
+        };
+        let view = remote::view(client)?;
+        self.name.clone_from(&view.app);
+        self.daemons = daemons(&view);
+        let Some(first) = self.daemons.first() else {
+            return Err(AttachError::NoDaemon(self.name.clone()));
+        };
+        let wanted = self.place.daemon.as_ref().unwrap_or(first);
+        if !self.daemons.contains(wanted) {
+            return Err(AttachError::NoSuchDaemon {
+                app: self.name.clone(),
+                name: wanted.clone(),
+                known: self.daemons.clone(),
+            });
+        }
+        self.entry.clone_from(wanted);
+        self.classes = None;
+        Ok(())
+    }
+
+    /// Its name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where it is, by its name, so that it is found again when it was started anew.
+    #[must_use]
+    pub fn place(&self) -> Where {
+        let mut place = self.place.clone();
+        if place.at.at.is_none() {
+            place.app = Some(self.name.clone());
+        }
+        place
+    }
+
+    /// What Ctrl-C sets.
+    #[must_use]
+    pub fn interrupt(&self) -> &Interrupt {
+        &self.interrupt
+    }
+
+    /// Its daemons; that which is asked first is among them.
+    #[must_use]
+    pub fn daemons(&self) -> &[String] {
+        &self.daemons
+    }
+
+    /// The same app over a connection of its own.
+    ///
+    /// # Errors
+    /// As [`Self::attach`].
+    pub fn again(&self, interrupt: Interrupt) -> Result<Self, AttachError> {
+        Self::attach(self.place(), interrupt)
+    }
+
+    fn client(&mut self) -> Result<&mut Client, AttachError> {
+        if self.client.is_none() {
+            let place = self.place();
+            self.client = Some(connect_to(place.app.as_deref(), &place.at)?);
+            if let Err(error) = self.learn() {
+                self.client = None;
+                return Err(error);
+            }
+        }
+        match &mut self.client {
+            Some(client) => Ok(client),
+            // Just made.
+            None => Err(AttachError::Client(ClientError::NoApp)),
+        }
+    }
+
+    /// Has a request line met; what comes back is a reply, whatever happens.
+    ///
+    /// # Errors
+    /// [`Interrupted`]: nobody waits for the reply any more, and the connection was given up.
+    pub fn dispatch(&mut self, line: &str, trace: u64) -> Result<String, Interrupted> {
+        // A connection of an app that has ended meanwhile, with nobody to tell.
+        if self.client.as_mut().is_some_and(has_ended) {
+            self.client = None;
+        }
+        if let Err(error) = self.client() {
+            return Ok(refusal(line, &error.to_string()));
+        }
+        let (task, line, named) = self.addressed(line);
+        match self.say(&task, &line, trace)? {
+            Ok(reply) => Ok(match named {
+                None => reply,
+                Some(name) => renamed(&reply, name),
+            }),
+            Err(why) => Ok(refusal(&line, &why)),
+        }
+    }
+
+    /// Which daemon a line is for, the line as it is for that daemon, and the name that the reply is to have.
+    fn addressed(&self, line: &str) -> (String, String, Option<ObjectName>) {
+        let entry = || (self.entry.clone(), line.to_owned(), None);
+        let Some((word, rest)) = line
+            .trim_start()
+            .split_once(|letter: char| letter.is_ascii_whitespace())
+        else {
+            return entry();
+        };
+        match word.parse::<ObjectName>() {
+            Ok(name) => match name.location() {
+                Location::Alias(daemon) if self.daemons.contains(daemon) => {
+                    let local = format!("{} {rest}", name.local());
+                    (daemon.clone(), local, Some(name.clone()))
+                }
+                _ => entry(),
+            },
+            Err(_) => entry(),
+        }
+    }
+
+    /// Says a line to a daemon.
+    ///
+    /// # Errors
+    /// Inside: why there is no answer. Outside: [`Interrupted`].
+    pub fn say(
+        &mut self,
+        task: &str,
+        line: &str,
+        trace: u64,
+    ) -> Result<Result<String, String>, Interrupted> {
+        let request = Request::Say(SayRequest {
+            task: task.to_owned(),
+            line: line.to_owned(),
+            trace,
+            limit_s: None,
+        });
+        let asked = match self.client() {
+            Ok(client) => client.ask(request),
+            Err(error) => return Ok(Err(error.to_string())),
+        };
+        match asked {
+            Ok(()) => {}
+            // Nothing was sent.
+            Err(ClientError::Refused(refused)) => return Ok(Err(refused.message)),
+            Err(error) => {
+                self.client = None;
+                return Ok(Err(lost(&self.name, &error.to_string())));
+            }
+        }
+        loop {
+            let Some(client) = &mut self.client else {
+                return Ok(Err(lost(&self.name, "the connection was closed")));
+            };
+            let came = client.read_within(LOOK);
+            match came {
+                Ok(Within::Answer(answer)) => {
+                    return Ok(match *answer {
+                        Answer::Said { line } => Ok(line),
+                        other => Err(format!("{other:?} is no answer to this")),
+                    });
+                }
+                Ok(Within::NotYet) => {
+                    if self.interrupt.swap(false, Ordering::Relaxed) {
+                        // Its answer must not be taken for that of a later request.
+                        self.client = None;
+                        return Err(Interrupted);
+                    }
+                }
+                Ok(Within::Closed) => self.client = None,
+                Err(ClientError::Refused(refused)) => {
+                    let hint = match refused.code {
+                        ErrorCode::BadRequest => "; is the app of an earlier version?",
+                        _ => "",
+                    };
+                    return Ok(Err(format!("{}{hint}", refused.message)));
+                }
+                Err(error) => {
+                    self.client = None;
+                    return Ok(Err(lost(&self.name, &error.to_string())));
+                }
+            }
+        }
+    }
+
+    /// What a program may know about the classes of the daemon that is asked first, as the app itself tells it;
+    /// nothing, when it does not tell in time.
+    pub fn classes(&mut self) -> Option<&[ClassInfo]> {
+        if self.classes.is_none() {
+            let text = self.glance("sorm CTRL -describe")?;
+            let lines = text.lines();
+            let classes = lines.filter_map(|line| serde_json::from_str(line).ok());
+            let mut classes: Vec<ClassInfo> = classes.collect();
+            classes.sort_by(|a, b| a.name.cmp(&b.name));
+            self.classes = Some(classes);
+        }
+        self.classes.as_deref()
+    }
+
+    /// The names of its objects and flavors; none, when it does not tell in time.
+    pub fn names(&mut self) -> Vec<String> {
+        let mut names = Vec::new();
+        for line in ["sorm CTRL -list", "dict CTRL -list"] {
+            let text = self.glance(line).unwrap_or_default();
+            let found = words::split(&text).unwrap_or_default();
+            names.extend(found.into_iter().map(|word| word.text));
+        }
+        names
+    }
+
+    /// The text of an answer that comes at once. Says nothing when there is none.
+    fn glance(&mut self, line: &str) -> Option<String> {
+        let client = self.client.as_mut()?;
+        let request = Request::Say(SayRequest {
+            task: self.entry.clone(),
+            line: line.to_owned(),
+            trace: 0,
+            limit_s: Some(GLANCE.as_secs_f64()),
+        });
+        let clock = Clock::real();
+        let until = clock.now() + GLANCE * 2;
+        if client.ask(request).is_err() {
+            self.client = None;
+            return None;
+        }
+        loop {
+            let left = until.since(clock.now());
+            if left.is_zero() {
+                // Its answer must not be taken for that of a later request.
+                self.client = None;
+                return None;
+            }
+            match client.read_within(left) {
+                Ok(Within::Answer(answer)) => {
+                    let Answer::Said { line } = *answer else {
+                        return None;
+                    };
+                    let reply: Reply = line.parse().ok()?;
+                    return reply.body.is_ok().then_some(reply.body.text);
+                }
+                Ok(Within::NotYet) => {}
+                Err(ClientError::Refused(_)) => return None,
+                Ok(Within::Closed) | Err(_) => {
+                    self.client = None;
+                    return None;
+                }
+            }
+        }
+    }
+}
+
+/// Whether an app has closed a connection over which nothing is awaited.
+fn has_ended(client: &mut Client) -> bool {
+    // The shortest time that a socket takes.
+    let now = Duration::from_micros(1);
+    !matches!(client.read_within(now), Ok(Within::NotYet))
+}
+
+fn daemons(view: &AppView) -> Vec<String> {
+    let tasks = view.tasks.iter();
+    let daemons = tasks.filter(|task| task.handler == daemon::HANDLER);
+    daemons.map(|task| task.name.clone()).collect()
+}
+
+fn lost(app: &str, why: &str) -> String {
+    format!(
+        "the answer of app `{app}` was lost: {why}; whether the request was met is not known, and the next one \
+         looks for the app again"
+    )
+}
+
+/// The reply under the name that was asked.
+fn renamed(reply: &str, name: ObjectName) -> String {
+    let Ok(reply) = reply.parse::<Reply>() else {
+        return reply.to_owned();
+    };
+    let reply = Reply { name, ..reply };
+    // What was read from text has a text.
+    reply.to_text().unwrap_or_default()
+}
+
+/// The reply of an object that nobody could ask.
+pub(crate) fn refusal(line: &str, why: &str) -> String {
+    let name = line.split_whitespace().next().unwrap_or_default();
+    let name = match name.parse::<ObjectName>() {
+        Ok(name) => name.to_string(),
+        Err(_) => "sorm".to_owned(),
+    };
+    let report = Report::error(code::DAEMON, why);
+    format!(
+        "{name} RET {} TDBX {}",
+        report.code,
+        words::quoted(&report.to_line())
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn app() -> App {
+        App {
+            place: Where::default(),
+            name: "cell".to_owned(),
+            client: None,
+            daemons: vec!["desk".to_owned(), "cage".to_owned()],
+            entry: "desk".to_owned(),
+            interrupt: Interrupt::default(),
+            classes: None,
+        }
+    }
+
+    #[test]
+    fn a_line_goes_to_the_daemon_in_its_name_or_to_the_first() {
+        let app = app();
+        let to = |line: &str| {
+            let (task, line, _) = app.addressed(line);
+            (task, line)
+        };
+        let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
+        assert_eq!(to("foo.a@cage  EXEC now"), pair("cage", "foo.a  EXEC now"));
+        // The first one's dictionary knows more names of daemons, and which one serves a class.
+        assert_eq!(to("foo.a@d1 EXEC"), pair("desk", "foo.a@d1 EXEC"));
+        assert_eq!(to("FOO.a EXEC"), pair("desk", "FOO.a EXEC"));
+        assert_eq!(to("nonsense"), pair("desk", "nonsense"));
+        assert_eq!(to("'a@cage' EXEC"), pair("desk", "'a@cage' EXEC"));
+    }
+
+    #[test]
+    fn a_reply_has_the_name_that_was_asked_and_a_refusal_reads_back() {
+        let name: ObjectName = "foo.a@cage".parse().unwrap();
+        assert_eq!(
+            renamed("foo.a RET 0 TMSG hello FMSG 1 nan", name),
+            "foo.a@cage RET 0 TMSG hello FMSG 1 nan"
+        );
+        let reply: Reply = refusal("foo.a@cage EXEC", "it is \"gone\"")
+            .parse()
+            .unwrap();
+        assert_eq!(reply.name.to_string(), "foo.a@cage");
+        assert_eq!(reply.body.code, code::DAEMON);
+        assert_eq!(reply.body.reports[0].text, "it is \"gone\"");
+    }
+}

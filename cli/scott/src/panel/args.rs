@@ -1,0 +1,125 @@
+//! The arguments of a panel's task and what can be wrong with them.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+};
+use serde::Deserialize;
+use sorma::{ObjectName, daemon};
+
+use super::script::Panel;
+use cli_common::page;
+
+/// The handler's name.
+pub const HANDLER: &str = "sorma.panel";
+
+/// Where a page is served unless the configuration says otherwise.
+pub const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8109);
+
+/// `[task.NAME.args]` of a panel.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PanelArgs {
+    /// Where the page is served; port 0 takes any that is free.
+    #[serde(default = "listen")]
+    pub(super) listen: SocketAddr,
+    /// Whether the page may ask what changes something.
+    #[serde(default)]
+    pub(super) allow_control: bool,
+    /// What a page must show to do so; drawn at random when it is left out.
+    pub(super) token: Option<String>,
+    /// What else than its own name and its addresses browsers may call this host.
+    #[serde(default)]
+    pub(super) names: Vec<String>,
+    /// Files of panels, relative to the configuration's folder.
+    #[serde(default)]
+    pub(super) panels: Vec<String>,
+    /// Objects whose options are shown, each on a panel of its own.
+    #[serde(default)]
+    pub(super) objects: Vec<String>,
+    /// The daemon that is asked when a name says none; the app's first when it is left out.
+    pub(super) daemon: Option<String>,
+}
+
+fn listen() -> SocketAddr {
+    DEFAULT_LISTEN
+}
+
+impl PanelArgs {
+    /// The panels; what is wrong in a file is left out and said.
+    pub(super) fn read(&self, app: &App, findings: &mut Findings) -> Vec<Panel> {
+        let files = self.panels.iter();
+        let mut panels: Vec<Panel> = files
+            .filter_map(|file| {
+                let source = findings.keep(app.read(file))?;
+                Panel::read(&source, findings)
+            })
+            .collect();
+        panels.extend(self.objects.iter().map(|object| Panel::of_object(object)));
+        panels
+    }
+
+    /// The daemon that is asked; `None` when the app has none.
+    pub(super) fn daemon(&self, app: &App) -> Option<String> {
+        self.daemon.clone().or_else(|| daemons(app).next())
+    }
+}
+
+fn daemons(app: &App) -> impl Iterator<Item = String> {
+    let tasks = app.tasks.iter();
+    let daemons = tasks.filter(|task| task.handler == daemon::HANDLER);
+    daemons.map(|task| task.name.clone())
+}
+
+/// Checks a panel's arguments against the app.
+pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
+    let Some(args) = findings.keep(task.args.parse::<PanelArgs>()) else {
+        return;
+    };
+    let at = |finding: Finding, key: &str| {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        finding.at(place)
+    };
+    let name = &task.name;
+    for file in &args.panels {
+        match app.read(file) {
+            Ok(source) => drop(Panel::read(&source, findings)),
+            Err(finding) => findings.push(at(finding, "panels")),
+        }
+    }
+    for object in &args.objects {
+        if let Err(error) = object.parse::<ObjectName>() {
+            let text = format!("panel `{name}`: `{object}` is no name of an object: {error}");
+            findings.push(at(Finding::error("sorma::panel::object", text), "objects"));
+        }
+    }
+    if args.panels.is_empty() && args.objects.is_empty() {
+        let finding = Finding::error(
+            "sorma::panel::empty",
+            format!("panel `{name}` shows nothing"),
+        );
+        findings
+            .push(at(finding, "panels").help("name files in `panels`, or objects in `objects`"));
+    }
+    let known: Vec<String> = daemons(app).collect();
+    let missing = match &args.daemon {
+        Some(wanted) if !known.contains(wanted) => Some(format!(
+            "panel `{name}` asks a daemon `{wanted}`, which is none of the app's"
+        )),
+        None if known.is_empty() => Some(format!(
+            "panel `{name}` has nobody to ask: the app has no daemon"
+        )),
+        _ => None,
+    };
+    if let Some(text) = missing {
+        let finding = at(Finding::error("sorma::panel::daemon", text), "daemon");
+        let finding = finding.help("a daemon is a task with `handler = \"sorma.daemon\"`");
+        let wanted = args.daemon.as_deref().unwrap_or_default();
+        findings.push(finding.suggest(wanted, known.iter().map(String::as_str)));
+    }
+    if let Some(finding) = page::unguarded(args.listen, app, "sorma::panel::open") {
+        findings.push(at(finding, "listen"));
+    }
+}

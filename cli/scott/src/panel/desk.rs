@@ -1,0 +1,152 @@
+//! What a page may ask, and what it is told. Knows nothing of HTTP, and nothing of who meets the lines.
+
+use std::collections::BTreeSet;
+
+use futures_util::future::BoxFuture;
+use serde_json::{Value, json};
+use sorma::{ClassInfo, Reply};
+
+use super::script::{Panel, Widget};
+use cli_common::page::{Door, Right};
+
+use crate::replies;
+
+/// Who meets the lines of a page. What comes back is a reply, whatever happens.
+pub(super) trait Objects: Send + Sync + 'static {
+    /// Has a line met.
+    fn ask(&self, line: String) -> BoxFuture<'static, String>;
+}
+
+/// Some panels, and who meets their lines.
+pub(super) struct Desk {
+    name: String,
+    panels: Vec<Panel>,
+    /// The lines that change nothing: those by which the panels show how it stands.
+    looks: BTreeSet<String>,
+    objects: Box<dyn Objects>,
+    pub(super) door: Door,
+}
+
+impl Desk {
+    pub(super) fn new(name: &str, panels: Vec<Panel>, door: Door, objects: impl Objects) -> Self {
+        let looks = panels.iter().flat_map(|panel| &panel.widgets);
+        let looks = looks.filter_map(Widget::look).map(str::to_owned).collect();
+        Self {
+            name: name.to_owned(),
+            panels,
+            looks,
+            objects: Box::new(objects),
+            door,
+        }
+    }
+
+    /// Whether a line is one of those by which the panels show how it stands.
+    pub(super) fn is_look(&self, line: &str) -> bool {
+        self.looks.contains(line)
+    }
+
+    /// What an object answers to a line, for a page.
+    pub(super) async fn ask(&self, line: &str) -> Value {
+        match self.objects.ask(line.to_owned()).await.parse::<Reply>() {
+            Ok(reply) => replies::as_json(&reply, None),
+            Err(error) => {
+                json!({ "ret": 7, "text": "", "reports": [{ "text": error.to_string() }] })
+            }
+        }
+    }
+
+    /// A panel with what its widgets need to know: descriptions and values of options. Nothing when there is none
+    /// of that number, from 0.
+    pub(super) async fn described(&self, number: usize, right: Right) -> Option<Value> {
+        let panel = self.panels.get(number)?;
+        let mut classes = None;
+        let mut widgets = Vec::new();
+        for widget in &panel.widgets {
+            let mut value = serde_json::to_value(widget).unwrap_or_default();
+            if let Widget::Options { object, .. } = widget {
+                if classes.is_none() {
+                    classes = Some(self.classes().await);
+                }
+                let class = object.split(['.', '@']).next().unwrap_or_default();
+                let class = class.to_lowercase();
+                let mut known = classes.iter().flatten();
+                value["class"] = json!(known.find(|info| info.name == class));
+                let dump = self.ask(&format!("{object} CTRL -dump")).await;
+                value["dump"] = dump["text"].clone();
+            }
+            widgets.push(value);
+        }
+        let titles = self.panels.iter().map(|panel| panel.title.as_str());
+        Some(json!({
+            "name": self.name,
+            "title": panel.title,
+            "panels": titles.collect::<Vec<_>>(),
+            "number": number,
+            "control": right == Right::Control,
+            "why": self.door.why_only_look(),
+            "widgets": widgets,
+        }))
+    }
+
+    /// What is known about the classes.
+    async fn classes(&self) -> Vec<ClassInfo> {
+        let described = self.ask("sorm CTRL -describe").await;
+        let lines = described["text"].as_str().unwrap_or_default().lines();
+        lines
+            .filter_map(|line| serde_json::from_str(line).ok())
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use futures_util::FutureExt as _;
+
+    /// Says every line back.
+    struct Echo;
+
+    impl Objects for Echo {
+        fn ask(&self, line: String) -> BoxFuture<'static, String> {
+            let text = sorma::words::quoted(&line);
+            async move { format!("echo RET 0 TMSG {text}") }.boxed()
+        }
+    }
+
+    #[test]
+    fn what_shows_how_it_stands_is_told_from_what_changes_it() {
+        let panels = ["puma560.toml", "vss.toml"].map(|name| {
+            let path = format!("{}/../../configs/panels/{name}", env!("CARGO_MANIFEST_DIR"));
+            let source = ctos::diagnostic::Source::read(path.as_ref()).unwrap();
+            Panel::read(&source, &mut ctos::diagnostic::Findings::new()).unwrap()
+        });
+        let door = Door {
+            anybody_looks: true,
+            ..Door::default()
+        };
+        let desk = Desk::new("cell", panels.to_vec(), door, Echo);
+        assert!(desk.is_look("pino EXEC state"));
+        assert!(desk.is_look("pino EXEC control"));
+        for line in [
+            "pino EXEC stop",
+            "mvpos EXEC home",
+            "pino EXEC state ",
+            "spot CTRL -threshold 3",
+            "mvpos CTRL -speed {speed}",
+            "",
+        ] {
+            assert!(!desk.is_look(line), "{line}");
+        }
+        let described = desk.described(1, Right::Look).now_or_never().flatten();
+        let described = described.unwrap();
+        assert_eq!(described["control"], false);
+        assert_eq!(described["panels"].as_array().unwrap().len(), 2);
+        assert_eq!(described["widgets"][0]["dump"], "spot CTRL -dump");
+        assert!(
+            desk.described(2, Right::Look)
+                .now_or_never()
+                .flatten()
+                .is_none()
+        );
+    }
+}

@@ -1,0 +1,310 @@
+//! What stands on a panel, and the file that says so.
+
+use ctos::{
+    config::Node,
+    diagnostic::{Finding, Findings, Source},
+};
+use serde::{Deserialize, Serialize, de::IgnoredAny};
+
+/// A panel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Panel {
+    /// What stands above it.
+    pub title: String,
+    /// What stands on it, in this order.
+    #[serde(default, rename = "widget")]
+    pub widgets: Vec<Widget>,
+}
+
+/// One thing on a panel. In a line that is asked, `{name}` stands for a value of the widget.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+pub enum Widget {
+    /// Asks a line when it is pressed.
+    Button {
+        /// What stands on it.
+        label: String,
+        /// The line.
+        ask: String,
+        /// It stops something: it stands out, and Escape presses it.
+        #[serde(default)]
+        stop: bool,
+    },
+    /// Values by sliders. Without `go` a line is asked whenever one of them has been moved.
+    Sliders {
+        /// What stands above them.
+        label: String,
+        /// The line, with `{name}` for each value.
+        ask: String,
+        /// The values.
+        values: Vec<Slider>,
+        /// What stands on the button that asks; without it, moving a slider does.
+        go: Option<String>,
+        /// A line whose answer has the values as they are, as its first floats.
+        from: Option<String>,
+    },
+    /// Floats of an answer over time.
+    Plot {
+        /// What stands above it.
+        label: String,
+        /// The line.
+        ask: String,
+        /// How often, s.
+        #[serde(default = "often")]
+        every_s: f64,
+        /// The first float and the last, from 1.
+        floats: [usize; 2],
+        /// Their names.
+        #[serde(default)]
+        names: Vec<String>,
+        /// Their unit.
+        #[serde(default)]
+        unit: String,
+    },
+    /// The text and some floats of an answer, as they are now.
+    Readout {
+        /// What stands before it.
+        label: String,
+        /// The line.
+        ask: String,
+        /// How often, s.
+        #[serde(default = "often")]
+        every_s: f64,
+        /// The first float and the last, from 1; none when it is left out.
+        floats: Option<[usize; 2]>,
+        /// Their unit.
+        #[serde(default)]
+        unit: String,
+    },
+    /// Two values, `{x}` and `{y}` from -1 to 1 times `span`, asked again and again while it is held; arrow keys
+    /// move it too.
+    Joystick {
+        /// What stands above it.
+        label: String,
+        /// The line.
+        ask: String,
+        /// What stands for full deflection.
+        span: f64,
+        /// How often it is asked while it is held, s.
+        #[serde(default = "often")]
+        every_s: f64,
+        /// The unit of both.
+        #[serde(default)]
+        unit: String,
+    },
+    /// Every option of an object, made of the table of its class.
+    Options {
+        /// The object.
+        object: String,
+        /// What stands above them; the object's name when it is left out.
+        label: Option<String>,
+    },
+}
+
+/// One value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Slider {
+    /// Its name, in the line and beside it.
+    pub name: String,
+    /// The least and the largest.
+    pub range: [f64; 2],
+    /// Where it begins; in the middle when nothing is said.
+    pub value: Option<f64>,
+    /// Its unit.
+    #[serde(default)]
+    pub unit: String,
+}
+
+fn often() -> f64 {
+    0.25
+}
+
+/// The file; its widgets are read one by one, so that one mistake does not hide the next.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    title: String,
+    #[serde(default, rename = "widget")]
+    _widgets: Vec<IgnoredAny>,
+}
+
+impl Panel {
+    /// Reads a panel's file; a widget that is wrong is left out and said, with its place.
+    pub fn read(source: &Source, findings: &mut Findings) -> Option<Self> {
+        let root = Node::from_toml(source, findings);
+        let file: File = findings.keep(root.parse())?;
+        let mut widgets = Vec::new();
+        let written = root.get("widget").map(Node::elements);
+        for node in written.unwrap_or_default() {
+            let Some(widget) = findings.keep(node.parse::<Widget>()) else {
+                continue;
+            };
+            match widget.check() {
+                Ok(()) => widgets.push(widget),
+                Err(why) => {
+                    let finding = Finding::error("sorma::panel::widget", why);
+                    findings.push(match node.place() {
+                        Some(place) => finding.at(place.clone()),
+                        None => finding,
+                    });
+                }
+            }
+        }
+        Some(Self {
+            title: file.title,
+            widgets,
+        })
+    }
+
+    /// The options of one object.
+    #[must_use]
+    pub fn of_object(object: &str) -> Self {
+        Self {
+            title: object.to_owned(),
+            widgets: vec![Widget::Options {
+                object: object.to_owned(),
+                label: None,
+            }],
+        }
+    }
+}
+
+impl Widget {
+    /// The line by which it shows how it stands; such a line changes nothing.
+    pub(super) fn look(&self) -> Option<&str> {
+        match self {
+            Self::Plot { ask, .. } | Self::Readout { ask, .. } => Some(ask),
+            Self::Sliders { from, .. } => from.as_deref(),
+            Self::Button { .. } | Self::Joystick { .. } | Self::Options { .. } => None,
+        }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let (label, ask, names, every_s): (_, _, Vec<&str>, f64) = match self {
+            Self::Button { label, ask, .. } => (label, ask, Vec::new(), 1.0),
+            Self::Sliders {
+                label, ask, values, ..
+            } => {
+                for slider in values {
+                    let [low, high] = slider.range;
+                    if low.is_nan() || high.is_nan() || low >= high {
+                        return Err(format!(
+                            "widget `{label}`: the range of `{}` is [{low}, {high}]; the second number must be the larger one",
+                            slider.name
+                        ));
+                    }
+                }
+                let names = values.iter().map(|value| value.name.as_str());
+                (label, ask, names.collect(), 1.0)
+            }
+            Self::Plot {
+                label,
+                ask,
+                every_s,
+                floats: [first, last],
+                ..
+            } => {
+                if *first == 0 || last < first {
+                    return Err(format!(
+                        "widget `{label}`: floats are counted from 1, the first and then the last, not [{first}, {last}]"
+                    ));
+                }
+                (label, ask, Vec::new(), *every_s)
+            }
+            Self::Readout {
+                label,
+                ask,
+                every_s,
+                ..
+            } => (label, ask, Vec::new(), *every_s),
+            Self::Joystick {
+                label,
+                ask,
+                every_s,
+                ..
+            } => (label, ask, vec!["x", "y"], *every_s),
+            Self::Options { .. } => return Ok(()),
+        };
+        if !(0.02..=3600.0).contains(&every_s) {
+            return Err(format!(
+                "widget `{label}`: every_s is 0.02 to 3600 s, not {every_s}"
+            ));
+        }
+        let unused = names
+            .iter()
+            .find(|name| !ask.contains(&format!("{{{name}}}")));
+        if let Some(name) = unused {
+            return Err(format!(
+                "widget `{label}`: its line has no {{{name}}}: {ask}"
+            ));
+        }
+        let filled = names.iter().fold(ask.clone(), |line, name| {
+            line.replace(&format!("{{{name}}}"), "0")
+        });
+        filled
+            .parse::<sorma::Request>()
+            .map(|_| ())
+            .map_err(|error| format!("widget `{label}`: `{ask}` is no request: {error}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> (Option<Panel>, Vec<String>) {
+        let mut findings = Findings::new();
+        let panel = Panel::read(&Source::new("p.toml", text), &mut findings);
+        (panel, findings.iter().map(ToString::to_string).collect())
+    }
+
+    #[test]
+    fn the_shipped_panels_are_read_and_their_lines_are_requests() {
+        for text in [
+            include_str!("../../../../configs/panels/puma560.toml"),
+            include_str!("../../../../configs/panels/vss.toml"),
+        ] {
+            let (panel, findings) = read(text);
+            assert_eq!(findings, Vec::<String>::new());
+            let panel = panel.unwrap();
+            assert!(panel.widgets.len() > 1, "{}", panel.title);
+        }
+    }
+
+    #[test]
+    fn everything_that_is_wrong_with_a_panel_is_said_with_its_place() {
+        let widgets = [
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a EXEC\"\nsop = true",
+            "kind = \"knob\"",
+            "kind = \"button\"\nlabel = \"b\"\nask = \"foo.a PLAY\"",
+            "kind = \"joystick\"\nlabel = \"j\"\nask = \"foo.a EXEC FMSG 1 {x}\"\nspan = 1.0",
+            "kind = \"plot\"\nlabel = \"p\"\nask = \"foo.a EXEC\"\nfloats = [0, 3]",
+            "kind = \"readout\"\nlabel = \"r\"\nask = \"foo.a EXEC\"\nevery_s = 0.0",
+            "kind = \"sliders\"\nlabel = \"s\"\nask = \"foo.a EXEC FMSG 1 {v}\"\nvalues = [{ name = \"v\", range = [2.0, 1.0] }]",
+            "kind = \"button\"\nlabel = \"good\"\nask = \"foo.a EXEC\"",
+        ];
+        let text = widgets.map(|widget| format!("[[widget]]\n{widget}\n"));
+        let (panel, findings) = read(&format!("title = \"t\"\n{}", text.concat()));
+        assert_eq!(panel.unwrap().widgets.len(), 1);
+        for part in [
+            "sop",
+            "knob",
+            "`foo.a PLAY` is no request",
+            "no {y}",
+            "counted from 1",
+            "0.02 to 3600",
+            "the second number must be the larger one",
+        ] {
+            let said = |finding: &String| finding.contains(part) && finding.contains("p.toml:");
+            assert!(findings.iter().any(said), "{part}: {findings:?}");
+        }
+        assert_eq!(findings.len(), 7, "{findings:?}");
+        let (panel, findings) = read("titel = \"t\"");
+        assert!(
+            panel.is_none() && findings.concat().contains("titel"),
+            "{findings:?}"
+        );
+    }
+}
