@@ -121,9 +121,12 @@ fn broken(page: &str, target: &str) -> Option<String> {
         return Some(format!("{page} links to {target}: there is no {file}"));
     }
     if page.starts_with("docs/") && !file.starts_with("docs/") {
-        return Some(format!("{page} links to {target}, which is not in the book"));
+        return Some(format!(
+            "{page} links to {target}, which is not in the book"
+        ));
     }
-    let lost = !anchor.is_empty() && !(file.ends_with(".md") && anchors(&read(&file)).contains(anchor));
+    let lost =
+        !anchor.is_empty() && !(file.ends_with(".md") && anchors(&read(&file)).contains(anchor));
     lost.then(|| format!("{page} links to {target}: no heading of {file} has that anchor"))
 }
 
@@ -166,13 +169,24 @@ fn every_relative_link_and_every_anchor_leads_somewhere() {
 
 #[test]
 fn links_and_anchors_that_lead_nowhere_are_found() {
-    for target in ["#no-such-heading", "boot.md#no-such-heading", "nowhere.md", "../README.md"] {
+    for target in [
+        "#no-such-heading",
+        "boot.md#no-such-heading",
+        "nowhere.md",
+        "../README.md",
+    ] {
         assert!(broken("docs/links.md", target).is_some(), "{target}");
     }
     assert_eq!(broken("docs/links.md", "boot.md#other-hosts"), None);
     assert_eq!(broken("README.md", "docs/README.md"), None);
-    assert_eq!(links("see [`a`](b.md#c), `[no](d.md)` and ![](e.png)"), ["b.md#c", "e.png"]);
-    assert_eq!(anchor(" `[chassis.NAME]`, in short "), "chassisname-in-short");
+    assert_eq!(
+        links("see [`a`](b.md#c), `[no](d.md)` and ![](e.png)"),
+        ["b.md#c", "e.png"]
+    );
+    assert_eq!(
+        anchor(" `[chassis.NAME]`, in short "),
+        "chassisname-in-short"
+    );
     let twice: Vec<String> = anchors("# A\n## A\n```\n# B\n```\n").into_iter().collect();
     assert_eq!(twice, ["a", "a-1"]);
 }
@@ -199,15 +213,25 @@ fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
     let page = read("docs/tutorial.md");
     for file in FILES {
         let text = read(&format!("tests/tutorial/{file}"));
-        let shown = blocks(&page).iter().any(|(_, block)| format!("{block}\n") == text);
-        assert!(shown, "the tutorial does not show tests/tutorial/{file} as it is");
+        let shown = blocks(&page)
+            .iter()
+            .any(|(_, block)| format!("{block}\n") == text);
+        assert!(
+            shown,
+            "the tutorial does not show tests/tutorial/{file} as it is"
+        );
     }
     let scratch = Scratch::empty();
     for file in ["app.toml", "tea.net"] {
         scratch.write(file, &read(&format!("tests/tutorial/{file}")));
     }
-    let wrong = blocks(&page).into_iter().find(|(_, text)| text.contains("Forgets to fill"));
-    scratch.write("wrong.net", &format!("{}\n", wrong.expect("the net with the mistake").1));
+    let wrong = blocks(&page)
+        .into_iter()
+        .find(|(_, text)| text.contains("Forgets to fill"));
+    scratch.write(
+        "wrong.net",
+        &format!("{}\n", wrong.expect("the net with the mistake").1),
+    );
     let mut runs = 0;
     for (language, block) in blocks(&page) {
         let (command, output) = block.split_once('\n').unwrap_or((block, ""));
@@ -218,7 +242,9 @@ fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
             continue;
         }
         let arguments: Vec<&str> = arguments.split(' ').collect();
-        let ended = scratch.start(TUTORIAL, &arguments, &[("NO_COLOR", "1")]).end();
+        let ended = scratch
+            .start(TUTORIAL, &arguments, &[("NO_COLOR", "1")])
+            .end();
         // Lines of several processes, and of two streams, come in another order.
         let sorted = |text: &str| {
             let lines = text.lines().map(masked).filter(|line| !line.is_empty());
