@@ -40,6 +40,9 @@ pub const SCOTT: &str = env!("CARGO_BIN_EXE_scott-under-test");
 /// The program whose handlers misbehave.
 pub const MISBEHAVING: &str = env!("CARGO_BIN_EXE_ctos-misbehaving");
 
+/// The program of the tutorial.
+pub const TUTORIAL: &str = env!("CARGO_BIN_EXE_ctos-tutorial");
+
 /// What makes a run virtual.
 pub const VIRTUAL: [&str; 2] = ["--set", "time.mode=\"virtual\""];
 

@@ -12,6 +12,7 @@ mod bad_input;
 mod control;
 mod determinism;
 mod displays;
+mod documents;
 mod doors;
 mod faults;
 mod full_disk;

@@ -1,0 +1,260 @@
+//! The documents hold together: every page of the book stands in its summary, every link and every anchor leads
+//! somewhere, and the tutorial shows the files and the output of a program that is built with the tests.
+//!
+//! `cli/tests/readme.rs` compares the README with its example; other pages have tests beside what they tell of.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Component, Path, PathBuf},
+};
+
+use crate::harness::{Scratch, TUTORIAL};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn read(path: &str) -> String {
+    fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// The pages of the book, as paths from the root.
+fn pages() -> BTreeSet<String> {
+    let mut pages = BTreeSet::new();
+    for entry in fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.ends_with(".md") && name != "SUMMARY.md" {
+            pages.insert(format!("docs/{name}"));
+        }
+    }
+    pages
+}
+
+/// The lines of a page outside its fenced blocks.
+fn prose(text: &str) -> Vec<&str> {
+    let mut inside = false;
+    text.lines()
+        .filter(|line| {
+            let fence = line.trim_start().starts_with("```");
+            inside ^= fence;
+            !inside && !fence
+        })
+        .collect()
+}
+
+/// A page's fenced blocks: what stands behind the fence, and the text.
+fn blocks(text: &str) -> Vec<(&str, &str)> {
+    let mut parts = text.split("\n```").skip(1);
+    let mut blocks = Vec::new();
+    while let Some(block) = parts.next() {
+        blocks.push(block.split_once('\n').unwrap());
+        parts.next();
+    }
+    blocks
+}
+
+/// The targets of all links and pictures in a line, code left out.
+fn links(line: &str) -> Vec<String> {
+    let text: String = line.split('`').step_by(2).collect();
+    text.split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split_once(')'))
+        .map(|(target, _)| target.to_owned())
+        .filter(|target| !target.contains("://"))
+        .collect()
+}
+
+/// The anchor that a forge and mdBook make of a heading.
+fn anchor(heading: &str) -> String {
+    let kept = |letter: &char| letter.is_alphanumeric() || matches!(letter, ' ' | '-' | '_');
+    let text = heading.trim().to_lowercase();
+    text.chars()
+        .filter(kept)
+        .map(|letter| if letter == ' ' { '-' } else { letter })
+        .collect()
+}
+
+/// The anchors of a page; a heading that stands there again gets a number.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    let mut anchors = BTreeSet::new();
+    for line in prose(text) {
+        let heading = line.trim_start_matches('#');
+        if !line.starts_with('#') || !heading.starts_with(' ') {
+            continue;
+        }
+        let name = anchor(heading);
+        let before = seen.entry(name.clone()).or_default();
+        anchors.insert(match before {
+            0 => name,
+            _ => format!("{name}-{before}"),
+        });
+        *before += 1;
+    }
+    anchors
+}
+
+/// A path without `..`, as far as it can be had from the text alone.
+fn plain(path: &Path) -> String {
+    let mut parts: Vec<String> = Vec::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir if parts.last().is_some_and(|last| last != "..") => {
+                parts.pop();
+            }
+            part => parts.push(part.as_os_str().to_string_lossy().into_owned()),
+        }
+    }
+    parts.join("/")
+}
+
+/// What is wrong with a link on a page, if anything is.
+fn broken(page: &str, target: &str) -> Option<String> {
+    let (file, anchor) = target.split_once('#').unwrap_or((target, ""));
+    let folder = Path::new(page).parent().unwrap();
+    let file = match file {
+        "" => page.to_owned(),
+        _ => plain(&folder.join(file)),
+    };
+    if !root().join(&file).exists() {
+        return Some(format!("{page} links to {target}: there is no {file}"));
+    }
+    if page.starts_with("docs/") && !file.starts_with("docs/") {
+        return Some(format!(
+            "{page} links to {target}, which is not in the book"
+        ));
+    }
+    let lost =
+        !anchor.is_empty() && !(file.ends_with(".md") && anchors(&read(&file)).contains(anchor));
+    lost.then(|| format!("{page} links to {target}: no heading of {file} has that anchor"))
+}
+
+#[test]
+fn every_page_of_the_book_stands_in_its_summary_once_and_in_its_index() {
+    for contents in ["docs/SUMMARY.md", "docs/README.md"] {
+        let text = read(contents);
+        let listed: Vec<String> = prose(&text)
+            .into_iter()
+            .flat_map(links)
+            .map(|target| format!("docs/{target}"))
+            .filter(|page| page != "docs/SUMMARY.md")
+            .collect();
+        let once: BTreeSet<String> = listed.iter().cloned().collect();
+        let mut pages = pages();
+        if contents == "docs/README.md" {
+            pages.remove(contents);
+        }
+        assert_eq!(once, pages, "{contents}");
+        assert_eq!(once.len(), listed.len(), "{contents} lists a page twice");
+    }
+}
+
+#[test]
+fn every_relative_link_and_every_anchor_leads_somewhere() {
+    let mut pages = pages();
+    pages.extend(["docs/SUMMARY.md", "README.md", "CONTRIBUTING.md"].map(str::to_owned));
+    let mut wrong = Vec::new();
+    let mut count = 0;
+    for page in &pages {
+        let text = read(page);
+        for target in prose(&text).into_iter().flat_map(links) {
+            wrong.extend(broken(page, &target));
+            count += 1;
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(count > 100, "only {count} links were found");
+}
+
+#[test]
+fn links_and_anchors_that_lead_nowhere_are_found() {
+    for target in [
+        "#no-such-heading",
+        "boot.md#no-such-heading",
+        "nowhere.md",
+        "../README.md",
+    ] {
+        assert!(broken("docs/links.md", target).is_some(), "{target}");
+    }
+    assert_eq!(broken("docs/links.md", "boot.md#other-hosts"), None);
+    assert_eq!(broken("README.md", "docs/README.md"), None);
+    assert_eq!(
+        links("see [`a`](b.md#c), `[no](d.md)` and ![](e.png)"),
+        ["b.md#c", "e.png"]
+    );
+    assert_eq!(
+        anchor(" `[chassis.NAME]`, in short "),
+        "chassisname-in-short"
+    );
+    let twice: Vec<String> = anchors("# A\n## A\n```\n# B\n```\n").into_iter().collect();
+    assert_eq!(twice, ["a", "a-1"]);
+}
+
+/// Every number as `#`, every run of spaces as one: times, process ids and columns vary.
+fn masked(line: &str) -> String {
+    let mut out = String::new();
+    for letter in line.trim().chars() {
+        match letter {
+            '0'..='9' | '.' if out.ends_with('#') => {}
+            '0'..='9' => out.push('#'),
+            ' ' if out.ends_with(' ') => {}
+            other => out.push(other),
+        }
+    }
+    out
+}
+
+/// The files that the tutorial shows whole, by the last one of each name.
+const FILES: [&str; 4] = ["src/handlers.rs", "src/main.rs", "app.toml", "tea.net"];
+
+#[test]
+fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
+    let page = read("docs/tutorial.md");
+    for file in FILES {
+        let text = read(&format!("tests/tutorial/{file}"));
+        let shown = blocks(&page)
+            .iter()
+            .any(|(_, block)| format!("{block}\n") == text);
+        assert!(
+            shown,
+            "the tutorial does not show tests/tutorial/{file} as it is"
+        );
+    }
+    let scratch = Scratch::empty();
+    for file in ["app.toml", "tea.net"] {
+        scratch.write(file, &read(&format!("tests/tutorial/{file}")));
+    }
+    let wrong = blocks(&page)
+        .into_iter()
+        .find(|(_, text)| text.contains("Forgets to fill"));
+    scratch.write(
+        "wrong.net",
+        &format!("{}\n", wrong.expect("the net with the mistake").1),
+    );
+    let mut runs = 0;
+    for (language, block) in blocks(&page) {
+        let (command, output) = block.split_once('\n').unwrap_or((block, ""));
+        let Some(arguments) = command.strip_prefix("$ cargo run -q -- ") else {
+            continue;
+        };
+        if language != "console" {
+            continue;
+        }
+        let arguments: Vec<&str> = arguments.split(' ').collect();
+        let ended = scratch
+            .start(TUTORIAL, &arguments, &[("NO_COLOR", "1")])
+            .end();
+        // Lines of several processes, and of two streams, come in another order.
+        let sorted = |text: &str| {
+            let lines = text.lines().map(masked).filter(|line| !line.is_empty());
+            let mut lines: Vec<String> = lines.collect();
+            lines.sort();
+            lines
+        };
+        let said = format!("{}{}", ended.stderr, ended.stdout);
+        assert_eq!(sorted(output), sorted(&said), "{command}\n{}", ended.told);
+        runs += 1;
+    }
+    assert!(runs >= 5, "only {runs} commands were run");
+}
