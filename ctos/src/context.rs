@@ -444,7 +444,7 @@ impl Context {
 
     /// The seed of [`Self::rng`].
     pub(crate) fn seed_of(&self, stream: &str) -> u64 {
-        crate::seed::mix(self.app().seed, &[self.name(), stream])
+        ctos_time::seed::mix(self.app().seed, &[self.name(), stream])
     }
 
     /// Makes `value` known to the other tasks of this chassis.

@@ -23,15 +23,12 @@ pub mod chassis;
 pub mod control;
 pub mod disk;
 pub mod doors;
-pub mod message;
 pub mod realtime;
 pub mod recent;
 pub mod record;
 pub mod registry;
 pub mod remote;
-pub mod security;
 pub mod semaphore;
-pub mod shared_memory;
 pub mod simulation;
 pub mod supervise;
 pub mod survey;
@@ -39,12 +36,10 @@ pub mod sync;
 pub mod system;
 pub mod task;
 pub mod text;
-pub mod time;
 pub mod watch;
 
 mod agent;
 mod asleep;
-mod blob;
 mod bootstrap;
 mod children;
 mod circle;
@@ -54,31 +49,60 @@ mod credits;
 mod directory;
 mod envelope;
 mod exchange;
-mod frame;
 #[cfg(test)]
 mod fuzz;
-mod link;
-mod lock;
 mod mailbox;
 mod moving;
 mod names;
-mod park;
 mod processor;
 mod reply;
 mod runner;
-mod seed;
 mod statistics;
 mod timers;
 mod waits;
 
-pub use blob::{Blob, BlobMut};
+use ctos_link as link;
+use ctos_message::{blob, frame};
+use ctos_time::{lock, park};
+
 pub use context::DEFAULT_DEADLINE;
 pub use ctos_config::diagnostic;
 pub use ctos_derive::handler;
-pub use message::Command;
-pub use seed::mix;
+pub use ctos_link::shared_memory;
+pub use ctos_message::{
+    Command,
+    blob::{Blob, BlobMut},
+    command,
+};
+pub use ctos_time::seed::mix;
 pub use statistics::TaskCounters;
 pub use task::Context;
+
+/// Time as a service: one clock for the whole app, real or virtual.
+pub mod time {
+    pub(crate) use ctos_time::Drift;
+    pub use ctos_time::{Clock, Instant};
+}
+
+/// Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
+pub mod message {
+    pub use ctos_message::{
+        Command, CommandInfo, Data, Fields, Flags, Header, Payload, PayloadError, SYSTEM_COMMANDS,
+        Tid, ToJson, trimmed,
+    };
+    pub(crate) use ctos_message::{Shape, append};
+
+    pub use crate::envelope::{Message, Replier};
+}
+
+/// Who may reach an app: keys, roles and TLS.
+pub mod security {
+    pub use ctos_link::security::{
+        BlockingStream, Identity, KeyError, Keys, Listed, Role, RoleError, list_keys, make_key,
+    };
+    #[cfg(test)]
+    pub(crate) use ctos_link::security::browser_of;
+}
 
 /// Configuration of an app: TOML files, includes, profiles and `--set`, read into checked types.
 pub mod config {

@@ -345,7 +345,7 @@ command! {
 }
 command! {
     /// Goes to the old place of a task, behind everything that a chassis sent there.
-    pub(crate) struct Fence { pub(crate) chassis: u8 } => (), crate::message::FENCE, "fence"
+    pub(crate) struct Fence { pub(crate) chassis: u8 } => (), ctos_message::FENCE, "fence"
 }
 command! {
     /// Waits until a name is known.

@@ -10,7 +10,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     config::App,
-    seed::mix,
+    mix,
     simulation::{
         mishap::Mishap,
         profile::{Faults, Rate},

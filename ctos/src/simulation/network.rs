@@ -19,7 +19,7 @@ use crate::{
     call::lock,
     frame::{Frame, Full, Link},
     message::{Flags, SYSTEM_COMMANDS},
-    seed::mix,
+    mix,
     time::{Clock, Instant},
 };
 

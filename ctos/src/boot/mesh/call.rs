@@ -16,8 +16,8 @@ use crate::{
         shm,
         transport::{Address, ConnectError, Stream, connect, connect_over},
     },
+    mix,
     security::Keys,
-    seed::mix,
 };
 
 /// How long the other end may take to answer.

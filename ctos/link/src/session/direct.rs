@@ -1,0 +1,188 @@
+//! Streams that are read where their frames are handled: plain sockets and shared memory, by whichever
+//! thread of the chassis is at the links.
+
+use std::{
+    os::fd::{AsFd, BorrowedFd, OwnedFd},
+    sync::{Arc, Mutex},
+};
+
+use rustix::{
+    io::Errno,
+    net::{RecvFlags, recv},
+};
+use tokio::sync::oneshot;
+
+use super::{Session, writer::Socket};
+use crate::{
+    lock::lock,
+    reactor::{Happened, Seen, Source, Visible},
+    shm,
+};
+
+/// How many bytes are read at a time.
+const CHUNK: usize = 64 * 1024;
+
+/// How often one stream is read before others have their turn.
+const READS: usize = 64;
+
+/// What a stream is read from.
+pub(super) enum Carrier {
+    Socket(Arc<Socket>),
+    Shared {
+        receiver: shm::Receiver,
+        bell: OwnedFd,
+    },
+}
+
+/// How one read ended.
+enum Read {
+    /// Something came, and there may be more.
+    More,
+    /// That was all for now.
+    Drained,
+    /// Nothing will come any more.
+    End,
+}
+
+struct Reading {
+    chunk: Vec<u8>,
+    /// Told, once, that the stream is over.
+    ended: Option<oneshot::Sender<()>>,
+}
+
+/// A stream of a session, as the reactor sees it.
+pub(super) struct DirectStream {
+    session: Arc<Session>,
+    number: u64,
+    carrier: Carrier,
+    reading: Mutex<Reading>,
+}
+
+impl DirectStream {
+    /// Reads stream `number` of `session`; the other half is told when it is over.
+    pub(super) fn new(
+        session: Arc<Session>,
+        number: u64,
+        carrier: Carrier,
+    ) -> (Self, oneshot::Receiver<()>) {
+        let (ended, ends) = oneshot::channel();
+        let stream = Self {
+            session,
+            number,
+            carrier,
+            reading: Mutex::new(Reading {
+                chunk: vec![0; CHUNK],
+                ended: Some(ended),
+            }),
+        };
+        (stream, ends)
+    }
+
+    /// Reads what there is, up to the end if the other end has `closed`. Whether frames came, and whether it is over.
+    fn read(&self, chunk: &mut [u8], closed: bool) -> (bool, bool) {
+        let mut frames = false;
+        for _ in 0..READS {
+            let (end, count) = self.read_once(chunk, closed);
+            if count > 0 {
+                let bytes = chunk.get(..count).unwrap_or_default();
+                let read = self.session.read(self.number, bytes);
+                frames |= read.frames;
+                if !read.goes_on {
+                    return (frames, true);
+                }
+            }
+            match end {
+                Read::More => {}
+                Read::Drained => return (frames, false),
+                Read::End => return (frames, true),
+            }
+        }
+        if let Carrier::Socket(socket) = &self.carrier {
+            socket.tell_again();
+        }
+        (frames, false)
+    }
+
+    /// One read, and how many bytes it gave.
+    fn read_once(&self, chunk: &mut [u8], closed: bool) -> (Read, usize) {
+        match &self.carrier {
+            Carrier::Socket(socket) => {
+                match recv(socket.fd(), &mut *chunk, RecvFlags::DONTWAIT) {
+                    Ok((_, 0)) => (Read::End, 0),
+                    // A socket that gave less than there was place for has no more, but perhaps its end.
+                    Ok((_, count)) if count < chunk.len() && !closed => (Read::Drained, count),
+                    Ok((_, count)) => (Read::More, count),
+                    Err(Errno::AGAIN) => (Read::Drained, 0),
+                    Err(Errno::INTR) => (Read::More, 0),
+                    Err(_) => (Read::End, 0),
+                }
+            }
+            Carrier::Shared { receiver, .. } => match receiver.read(chunk) {
+                Ok(0) if closed => (Read::End, 0),
+                Ok(0) => (Read::Drained, 0),
+                Ok(count) => (Read::More, count),
+                Err(error) => {
+                    self.session.rubbish(&error);
+                    (Read::End, 0)
+                }
+            },
+        }
+    }
+}
+
+impl Source for DirectStream {
+    fn serve(&self, happened: Happened) -> Seen {
+        let mut seen = Seen::Nothing;
+        if happened.came {
+            let mut reading = lock(&self.reading);
+            let (frames, over) = self.read(&mut reading.chunk, happened.closed);
+            if over {
+                if let Some(ended) = reading.ended.take() {
+                    // The driver may be gone.
+                    let _ = ended.send(());
+                }
+                return Seen::End;
+            }
+            if frames {
+                seen = Seen::Frames;
+            }
+        }
+        match &self.carrier {
+            Carrier::Socket(socket) if happened.room => {
+                self.session.pump_socket(self.number, socket);
+            }
+            Carrier::Socket(_) => {}
+            // The bell of shared memory rings for what comes and for room.
+            Carrier::Shared { receiver, .. } => {
+                if happened.room || receiver.waits_for_room() {
+                    self.session.pump(self.number);
+                }
+            }
+        }
+        seen
+    }
+
+    fn fd(&self) -> BorrowedFd<'_> {
+        match &self.carrier {
+            Carrier::Socket(socket) => socket.fd(),
+            Carrier::Shared { bell, .. } => bell.as_fd(),
+        }
+    }
+
+    fn visible(&self) -> Option<&dyn Visible> {
+        match &self.carrier {
+            Carrier::Socket(_) => None,
+            Carrier::Shared { receiver, .. } => Some(receiver),
+        }
+    }
+}
+
+impl Visible for shm::Receiver {
+    fn has_come(&self) -> bool {
+        self.has_work()
+    }
+
+    fn set_asleep(&self, asleep: bool) {
+        shm::Receiver::set_asleep(self, asleep);
+    }
+}

@@ -1,0 +1,547 @@
+//! What a session keeps: packets until the other end has acknowledged them, and the number up to which
+//! the other end's packets have come. Pure: knows no stream, no clock and no task.
+
+use std::{collections::VecDeque, io, io::IoSlice};
+
+use bytes::{Buf, BufMut, Bytes, BytesMut};
+
+use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
+use crate::{
+    blob::Body,
+    frame::{FRAME_FIXED, Frame},
+    injure::Injury,
+    time::Instant,
+};
+
+/// Bodies up to this size, bytes, are copied behind their heads, so that many small packets leave
+/// with one system call; larger ones are written from where they are.
+const COPIED: usize = 4 * 1024;
+
+/// How many bytes are made ready for the stream at a time, at least.
+const BATCH: usize = 64 * 1024;
+
+/// Frames with more data than this, bytes, are cut, so that signs of life and messages of high priority
+/// come between their pieces: on a line of 1 Gbit/s a piece takes 2 ms.
+pub const PIECE: usize = 256 * 1024;
+
+/// The same between processes of one host, where a piece takes a tenth of a ms, and to begin each one a tenth of that.
+pub const PIECE_NEARBY: usize = 1024 * 1024;
+
+/// How many slices one write takes.
+const SLICES: usize = 32;
+
+/// Which room a packet takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lane {
+    /// Requests of tasks.
+    Data,
+    /// Requests of high priority: they overtake those that have not left yet.
+    Urgent,
+    /// Answers, and everything of the runtime: never kept out by requests.
+    Control,
+}
+
+/// A packet that may have to be sent again.
+struct Kept {
+    kind: Kind,
+    /// The fixed part of a frame.
+    head: Option<[u8; FRAME_FIXED]>,
+    /// All its data, where that is little: never sent in pieces.
+    small: Vec<u8>,
+    /// The beginning of its data, where that is much.
+    body: Bytes,
+    /// What follows the body: blobs that were not copied, and what is between them.
+    more: Vec<Bytes>,
+    lane: Lane,
+    /// How much of its data has left in pieces on this stream.
+    cut: usize,
+    /// Not to be sent before (injured links only).
+    ready: Instant,
+}
+
+impl Kept {
+    /// The fixed part of a frame; nothing for others.
+    fn head(&self) -> &[u8] {
+        self.head.as_ref().map_or(&[], |head| head)
+    }
+
+    /// What follows the packet's head.
+    fn rest(&self) -> usize {
+        let more = self.more.iter().map(Bytes::len);
+        self.head().len() + self.small.len() + self.body.len() + more.sum::<usize>()
+    }
+
+    fn size(&self) -> usize {
+        PACKET_HEAD + self.rest()
+    }
+
+    /// Whether it may be sent.
+    fn is_ready(&self, now: Instant) -> bool {
+        self.ready <= now
+    }
+
+    /// Its data, in parts, where it is much.
+    fn parts(&self) -> impl Iterator<Item = &Bytes> {
+        std::iter::once(&self.body).chain(&self.more)
+    }
+
+    /// How many bytes its data has.
+    fn data(&self) -> usize {
+        self.rest() - self.head().len()
+    }
+
+    /// The next `size` bytes of data, of which so many have left before.
+    fn data_from(&self, from: usize, size: usize) -> impl Iterator<Item = Bytes> {
+        let mut skip = from;
+        let mut left = size;
+        self.parts().filter_map(move |part| {
+            let begin = skip.min(part.len());
+            skip -= begin;
+            let end = begin + left.min(part.len() - begin);
+            left -= end - begin;
+            (end > begin).then(|| part.slice(begin..end))
+        })
+    }
+}
+
+/// There is no room for a packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NoRoom {
+    /// Bytes that are under way already.
+    pub held: usize,
+}
+
+/// How far a stream took what there was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pumped {
+    /// All of it.
+    Idle,
+    /// The stream takes no more for the moment.
+    Blocked,
+}
+
+/// The sending half.
+pub struct Outgoing {
+    /// Those from `acked + 1` on.
+    kept: VecDeque<Kept>,
+    acked: u64,
+    /// The next number that goes to the stream.
+    next: u64,
+    /// The last number that ever went to a stream: the other end may know its packet by it.
+    known: u64,
+    /// How large the data of a frame may be before it is cut.
+    piece: usize,
+    /// Bytes on their way into the stream.
+    staged: VecDeque<Bytes>,
+    /// Where small packets are made ready; the memory is used again when they have left. What is in it follows
+    /// on what is staged.
+    small: BytesMut,
+    /// An unnumbered packet that goes before the next numbered one.
+    pulse: Option<Kind>,
+    room: usize,
+    held_data: usize,
+    held_urgent: usize,
+    held_control: usize,
+    injury: Option<Injury>,
+}
+
+impl Outgoing {
+    /// With `room` bytes for each lane.
+    pub fn new(room: usize, injury: Option<Injury>) -> Self {
+        Self {
+            kept: VecDeque::new(),
+            acked: 0,
+            next: 1,
+            known: 0,
+            piece: PIECE,
+            staged: VecDeque::new(),
+            small: BytesMut::new(),
+            pulse: None,
+            room,
+            held_data: 0,
+            held_urgent: 0,
+            held_control: 0,
+            injury,
+        }
+    }
+
+    /// From now on frames with more data than `piece` bytes are cut.
+    pub fn cut_into(&mut self, piece: usize) {
+        self.piece = piece;
+    }
+
+    /// Whether `size` more bytes have room. A lane that is empty takes a packet of any size.
+    pub fn has_room(&self, lane: Lane, size: usize) -> Result<(), NoRoom> {
+        let held = match lane {
+            Lane::Data => self.held_data,
+            Lane::Urgent => self.held_urgent,
+            Lane::Control => self.held_control,
+        };
+        if held > 0 && held.saturating_add(size) > self.room {
+            return Err(NoRoom { held });
+        }
+        Ok(())
+    }
+
+    fn held(&mut self, lane: Lane) -> &mut usize {
+        match lane {
+            Lane::Data => &mut self.held_data,
+            Lane::Urgent => &mut self.held_urgent,
+            Lane::Control => &mut self.held_control,
+        }
+    }
+
+    /// Takes a frame; the caller has asked for room.
+    pub fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
+        let head = frame.head();
+        self.put(Kind::Frame, Some(head), frame.body, lane, now);
+    }
+
+    /// Takes a message of the mesh, or the last packet of all.
+    pub fn put_control(&mut self, kind: Kind, body: Vec<u8>, now: Instant) {
+        self.put(kind, None, body.into(), Lane::Control, now);
+    }
+
+    fn put(
+        &mut self,
+        kind: Kind,
+        head: Option<[u8; FRAME_FIXED]>,
+        body: Body,
+        lane: Lane,
+        now: Instant,
+    ) {
+        let earliest = self.kept.back().map_or(Instant::START, |last| last.ready);
+        let ready = match &mut self.injury {
+            Some(injury) => injury.delayed(now).max(earliest),
+            None => Instant::START,
+        };
+        let small = body.len() <= COPIED.min(self.piece);
+        let (small, body, more) = match body.into_bytes() {
+            Ok(bytes) if small => (bytes, Bytes::new(), Vec::new()),
+            Ok(bytes) => (Vec::new(), bytes.into(), Vec::new()),
+            Err(body) => {
+                let (body, more) = body.into_parts();
+                (Vec::new(), body, more)
+            }
+        };
+        let kept = Kept {
+            kind,
+            head,
+            small,
+            body,
+            more,
+            lane,
+            cut: 0,
+            ready,
+        };
+        *self.held(lane) += kept.size();
+        // On an injured link everything keeps its place: what is late is late in its order.
+        if lane == Lane::Urgent && self.injury.is_none() {
+            let first =
+                usize::try_from(self.known.saturating_sub(self.acked)).unwrap_or(usize::MAX);
+            let mut later = self.kept.iter().skip(first);
+            let overtaken = later.position(|kept| kept.lane != Lane::Urgent);
+            let place = overtaken.map_or(self.kept.len(), |place| first + place);
+            self.kept.insert(place, kept);
+        } else {
+            self.kept.push_back(kept);
+        }
+    }
+
+    /// Asks for a packet without a number.
+    pub fn pulse(&mut self, kind: Kind) {
+        // What asks for more must not be replaced by what asks for less.
+        if self.pulse.is_none_or(|now| now == Kind::Pulse) || kind == Kind::GivenUp {
+            self.pulse = Some(kind);
+        }
+    }
+
+    /// The last number that was given out.
+    pub fn last(&self) -> u64 {
+        self.acked + self.kept.len() as u64
+    }
+
+    /// The last number that went to the stream.
+    fn sent(&self) -> u64 {
+        self.next - 1
+    }
+
+    /// Whether the other end has acknowledged everything.
+    pub fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// Whether the stream is cut on purpose at this moment.
+    pub fn is_cut(&self, now: Instant) -> bool {
+        let injury = self.injury.as_ref();
+        injury.is_some_and(|injury| injury.is_cut(now))
+    }
+
+    /// Bytes under way.
+    pub fn bytes(&self) -> usize {
+        self.held_data + self.held_urgent + self.held_control
+    }
+
+    /// The other end has received everything up to `received`.
+    ///
+    /// # Errors
+    /// When that was never sent.
+    pub fn acknowledge(&mut self, received: u64) -> Result<(), PacketError> {
+        if received > self.last() {
+            let sent = self.last();
+            return Err(PacketError::Acknowledges { received, sent });
+        }
+        while self.acked < received {
+            let Some(kept) = self.kept.pop_front() else {
+                break;
+            };
+            *self.held(kept.lane) -= kept.size();
+            self.acked += 1;
+        }
+        // What was acknowledged on an earlier stream need not be written on this one.
+        self.next = self.next.max(self.acked + 1);
+        Ok(())
+    }
+
+    /// Begins again after the last acknowledged packet.
+    pub fn again(&mut self) {
+        self.next = self.acked + 1;
+        self.kept.iter_mut().for_each(|kept| kept.cut = 0);
+    }
+
+    /// A new stream whose other end has received everything up to `received`.
+    ///
+    /// # Errors
+    /// As [`Self::acknowledge`].
+    pub fn restart(&mut self, received: u64) -> Result<(), PacketError> {
+        self.acknowledge(received)?;
+        self.staged.clear();
+        self.small.clear();
+        self.pulse = None;
+        self.again();
+        if let Some(injury) = &mut self.injury {
+            injury.restarted();
+        }
+        Ok(())
+    }
+
+    /// Writes until everything is written or `write` takes no more. `received` is what this end tells
+    /// the other one that it has.
+    ///
+    /// # Errors
+    /// What `write` says, other than that it would block.
+    pub fn pump(
+        &mut self,
+        received: u64,
+        now: Instant,
+        mut write: impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
+    ) -> io::Result<Pumped> {
+        loop {
+            if !self.is_staged() {
+                self.stage(received, now);
+            }
+            if !self.is_staged() {
+                return Ok(Pumped::Idle);
+            }
+            let most = match &self.injury {
+                Some(injury) => injury.bytes_left()?,
+                None => usize::MAX,
+            };
+            let small = self.small.get(..most).unwrap_or(&self.small);
+            let written = if self.staged.is_empty() {
+                write(&[IoSlice::new(small)])
+            } else {
+                let mut slices = [IoSlice::new(&[]); SLICES];
+                let mut count = 0;
+                let staged = self.staged.iter().map(|bytes| &bytes[..]);
+                let staged = staged.chain((!small.is_empty()).then_some(small));
+                for (slice, bytes) in slices.iter_mut().zip(staged) {
+                    *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
+                    count += 1;
+                    if most != usize::MAX {
+                        break;
+                    }
+                }
+                let (filled, _) = slices.split_at(count);
+                write(filled)
+            };
+            match written {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(written) => self.written(written),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    return Ok(Pumped::Blocked);
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// Whether anything is ready to be written.
+    fn is_staged(&self) -> bool {
+        !self.staged.is_empty() || !self.small.is_empty()
+    }
+
+    fn written(&mut self, mut count: usize) {
+        if let Some(injury) = &mut self.injury {
+            injury.wrote(count);
+        }
+        while count > 0 {
+            let Some(first) = self.staged.front_mut() else {
+                if self.small.len() > count {
+                    self.small.advance(count);
+                } else {
+                    self.small.clear();
+                }
+                return;
+            };
+            if first.len() > count {
+                first.advance(count);
+                return;
+            }
+            count -= first.len();
+            self.staged.pop_front();
+        }
+    }
+
+    /// Makes the next packets ready to be written, when nothing is.
+    fn stage(&mut self, received: u64, now: Instant) {
+        let mut small = std::mem::take(&mut self.small);
+        let mut size = 0;
+        while size < BATCH {
+            let Some(index) = usize::try_from(self.next - self.acked - 1).ok() else {
+                break;
+            };
+            // A pulse tells what was sent before it, so it goes in between where it was asked for.
+            if let Some(kind) = self.pulse.take() {
+                if !self.loses() {
+                    put_head(&mut small, kind, [self.sent(), received], 0);
+                    size += PACKET_HEAD;
+                }
+                continue;
+            }
+            let Some(kept) = self.kept.get(index).filter(|kept| kept.is_ready(now)) else {
+                break;
+            };
+            if self.injury.is_none()
+                && kept.kind == Kind::Frame
+                && kept.lane != Lane::Urgent
+                && (kept.cut > 0 || kept.data() > self.piece)
+            {
+                size += self.stage_piece(&mut small, index, received);
+                continue;
+            }
+            let number = self.next;
+            self.next += 1;
+            self.known = self.known.max(number);
+            size += kept.size();
+            if self.injury.as_mut().is_some_and(Injury::loses) {
+                continue;
+            }
+            put_head(&mut small, kept.kind, [number, received], kept.rest());
+            small.put_slice(kept.head());
+            small.put_slice(&kept.small);
+            for part in kept.parts() {
+                if part.len() <= COPIED {
+                    small.put_slice(part);
+                } else {
+                    if !small.is_empty() {
+                        self.staged.push_back(small.split().freeze());
+                    }
+                    self.staged.push_back(part.clone());
+                }
+            }
+        }
+        self.small = small;
+    }
+
+    /// Makes the next piece of the large frame at `index` ready; how large it is.
+    fn stage_piece(&mut self, small: &mut BytesMut, index: usize, received: u64) -> usize {
+        let Some(kept) = self.kept.get_mut(index) else {
+            return 0;
+        };
+        let from = kept.cut;
+        let size = (kept.data() - from).min(self.piece);
+        if from + size < kept.data() {
+            put_head(small, Kind::Piece, [from as u64, received], size);
+            kept.cut += size;
+        } else {
+            let rest = kept.head().len() + size;
+            put_head(small, Kind::Last, [self.next, received], rest);
+            small.put_slice(kept.head());
+            kept.cut = 0;
+            self.known = self.known.max(self.next);
+            self.next += 1;
+        }
+        self.staged.push_back(small.split().freeze());
+        self.staged.extend(kept.data_from(from, size));
+        size
+    }
+
+    fn loses(&mut self) -> bool {
+        self.injury.as_mut().is_some_and(Injury::loses)
+    }
+}
+
+/// What a numbered packet is to the receiving half.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arrival {
+    /// The one that was awaited.
+    Next,
+    /// One that has come before.
+    Old,
+    /// One after another that is missing.
+    Early,
+}
+
+/// The receiving half.
+#[derive(Debug, Default)]
+pub struct Incoming {
+    received: u64,
+    /// Bytes that came since the last acknowledgement left.
+    unacknowledged: usize,
+    /// After which number the missing ones have been asked for.
+    asked: Option<u64>,
+}
+
+impl Incoming {
+    /// The number up to which everything has come.
+    pub fn received(&self) -> u64 {
+        self.received
+    }
+
+    /// Takes a numbered packet of `size` bytes.
+    pub fn take(&mut self, number: u64, size: usize) -> Arrival {
+        if number <= self.received {
+            return Arrival::Old;
+        }
+        if number > self.received + 1 {
+            return Arrival::Early;
+        }
+        self.received = number;
+        self.unacknowledged += PACKET_HEAD + FRAME_FIXED + size;
+        self.asked = None;
+        Arrival::Next
+    }
+
+    /// Whether the missing packets must be asked for now: once for each gap.
+    pub fn must_ask(&mut self) -> bool {
+        if self.asked == Some(self.received) {
+            return false;
+        }
+        self.asked = Some(self.received);
+        true
+    }
+
+    /// Whether so much has come that the other end must be told.
+    pub fn must_acknowledge(&mut self, most: usize) -> bool {
+        let must = self.unacknowledged >= most;
+        if must {
+            self.unacknowledged = 0;
+        }
+        must
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,413 @@
+//! Bytes that go from process to process without being copied on the way through the runtime: images,
+//! scans, recordings.
+//!
+//! To everybody else a [`Blob`] looks like a `Vec<u8>`: the same bytes on the wire, the same JSON. But a
+//! vector goes through its serializer number by number, and a blob as a whole; and where a message is
+//! written for a link, a large blob is not even copied: it is written to the link from where it is, and
+//! the receiver's blob is the memory in which the frame was put together as it came.
+//!
+//! How: a serializer sees a slice and cannot keep it. So a blob that is being serialized is lent, for
+//! this thread and this moment, to the one who collects the bytes; and what a message is read from is
+//! lent to the blobs in it. Nothing of that is left behind when the message is written or read.
+
+use std::{
+    cell::RefCell,
+    fmt,
+    ops::{Deref, DerefMut},
+};
+
+use bytes::Bytes;
+use serde::{
+    Deserialize, Deserializer, Serialize, Serializer,
+    de::{SeqAccess, Visitor},
+};
+
+/// Smaller ones are copied, bytes: that costs less than to keep account of them.
+pub const LEAST: usize = 16 * 1024;
+
+/// Bytes that are shared, not copied: clones are the same memory, and so is what arrives in another
+/// process of what the link brought there.
+///
+/// ```
+/// use ctos::Blob;
+///
+/// ctos::command! {
+///     /// Takes a picture.
+///     pub struct Grab { pub camera: u8 } => Blob, 0x0001, "grab"
+/// }
+/// let picture = Blob::from(vec![0_u8; 500 * 500]);
+/// assert_eq!(picture.len(), 250_000);
+/// ```
+#[derive(Clone, Default, PartialEq, Eq)]
+pub struct Blob(Bytes);
+
+thread_local! {
+    /// The blob that is being serialized at this moment, for whoever collects.
+    static LENT: RefCell<Option<Bytes>> = const { RefCell::new(None) };
+    /// What was collected so far, with where in the other bytes it belongs; `None` when nobody does.
+    static COLLECTED: RefCell<Option<Vec<(usize, Bytes)>>> = const { RefCell::new(None) };
+    /// What is being read at this moment.
+    static READ: RefCell<Option<Bytes>> = const { RefCell::new(None) };
+}
+
+impl Blob {
+    /// The bytes, as shared as the blob is.
+    #[must_use]
+    pub fn into_inner(self) -> Bytes {
+        self.0
+    }
+}
+
+impl Deref for Blob {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl AsRef<[u8]> for Blob {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl From<Vec<u8>> for Blob {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self(bytes.into())
+    }
+}
+
+impl FromIterator<u8> for Blob {
+    fn from_iter<I: IntoIterator<Item = u8>>(bytes: I) -> Self {
+        bytes.into_iter().collect::<Vec<u8>>().into()
+    }
+}
+
+impl From<Bytes> for Blob {
+    fn from(bytes: Bytes) -> Self {
+        Self(bytes)
+    }
+}
+
+impl From<Blob> for Vec<u8> {
+    /// Without a copy where the blob is the only owner of all its memory.
+    fn from(blob: Blob) -> Self {
+        blob.0.into()
+    }
+}
+
+impl fmt::Debug for Blob {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Blob({} bytes)", self.0.len())
+    }
+}
+
+/// Bytes that are written once and then sent ([`crate::Context::blob`]).
+pub struct BlobMut(Vec<u8>);
+
+impl BlobMut {
+    /// So many bytes, to be written.
+    pub fn new(size: usize) -> Self {
+        Self(vec![0; size])
+    }
+
+    /// The blob: nothing is written to it any more.
+    #[must_use]
+    pub fn freeze(self) -> Blob {
+        self.0.into()
+    }
+}
+
+impl Deref for BlobMut {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl DerefMut for BlobMut {
+    fn deref_mut(&mut self) -> &mut [u8] {
+        &mut self.0
+    }
+}
+
+impl fmt::Debug for BlobMut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "BlobMut({} bytes)", self.len())
+    }
+}
+
+impl Serialize for Blob {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let collects = COLLECTED.with_borrow(Option::is_some);
+        if self.0.len() < LEAST || !collects {
+            return serializer.serialize_bytes(&self.0);
+        }
+        LENT.set(Some(self.0.clone()));
+        let serialized = serializer.serialize_bytes(&self.0);
+        LENT.set(None);
+        serialized
+    }
+}
+
+impl<'de> Deserialize<'de> for Blob {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct BlobVisitor;
+        impl<'de> Visitor<'de> for BlobVisitor {
+            type Value = Blob;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("bytes")
+            }
+
+            fn visit_borrowed_bytes<E>(self, bytes: &'de [u8]) -> Result<Blob, E> {
+                let shared = READ.with_borrow(|read| {
+                    let read = read.as_ref().filter(|_| bytes.len() >= LEAST)?;
+                    let is_part = read.as_ptr_range().contains(&bytes.as_ptr());
+                    is_part.then(|| read.slice_ref(bytes))
+                });
+                Ok(Blob(
+                    shared.unwrap_or_else(|| Bytes::copy_from_slice(bytes)),
+                ))
+            }
+
+            fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Blob, E> {
+                Ok(Blob(Bytes::copy_from_slice(bytes)))
+            }
+
+            fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Blob, E> {
+                Ok(Blob(bytes.into()))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut bytes: A) -> Result<Blob, A::Error> {
+                // What the other side announces is believed only so far.
+                let announced = bytes.size_hint().unwrap_or(0).min(LEAST);
+                let mut all = Vec::with_capacity(announced);
+                while let Some(byte) = bytes.next_element()? {
+                    all.push(byte);
+                }
+                Ok(Blob(all.into()))
+            }
+        }
+        deserializer.deserialize_bytes(BlobVisitor)
+    }
+}
+
+/// The data of a message on its way over a link: bytes, and large blobs that belong in between.
+#[derive(Debug, Clone, Default)]
+pub struct Body {
+    bytes: Vec<u8>,
+    /// Each with the place in `bytes` before which it belongs; in that order.
+    blobs: Vec<(usize, Bytes)>,
+}
+
+impl Body {
+    /// How many bytes it is.
+    pub fn len(&self) -> usize {
+        let blobs = self.blobs.iter().map(|(_, blob)| blob.len());
+        self.bytes.len() + blobs.sum::<usize>()
+    }
+
+    /// The bytes, when they are in one piece.
+    ///
+    /// # Errors
+    /// The body as it is, when blobs belong in between.
+    pub fn into_bytes(self) -> Result<Vec<u8>, Self> {
+        if self.blobs.is_empty() {
+            Ok(self.bytes)
+        } else {
+            Err(self)
+        }
+    }
+
+    /// Its pieces, in order.
+    fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+        let mut taken = 0;
+        let mut rest = self.bytes.as_slice();
+        let blobs = self.blobs.iter().flat_map(move |(place, blob)| {
+            let (before, after) = rest.split_at(place.saturating_sub(taken).min(rest.len()));
+            taken = *place;
+            rest = after;
+            [before, blob.as_ref()]
+        });
+        let last = self.blobs.last().map_or(0, |(place, _)| *place);
+        blobs.chain(self.bytes.get(last..))
+    }
+
+    /// Appends all of it to `buffer`.
+    pub fn append_to(&self, buffer: &mut Vec<u8>) {
+        buffer.reserve(self.len());
+        self.pieces()
+            .for_each(|piece| buffer.extend_from_slice(piece));
+    }
+
+    /// In one piece; without a copy where it is.
+    pub fn into_vec(self) -> Vec<u8> {
+        if self.blobs.is_empty() {
+            return self.bytes;
+        }
+        let mut all = Vec::new();
+        self.append_to(&mut all);
+        all
+    }
+
+    /// In its parts, the first apart from the others, of which there are mostly none.
+    pub fn into_parts(self) -> (Bytes, Vec<Bytes>) {
+        let mut rest = Bytes::from(self.bytes);
+        let mut parts = Vec::new();
+        let mut taken = 0;
+        for (place, blob) in self.blobs {
+            let before = rest.split_to(place.saturating_sub(taken).min(rest.len()));
+            taken = place;
+            parts.push(before);
+            parts.push(blob);
+        }
+        if parts.is_empty() {
+            return (rest, parts);
+        }
+        parts.push(rest);
+        let first = parts.remove(0);
+        parts.retain(|part| !part.is_empty());
+        (first, parts)
+    }
+}
+
+impl From<Vec<u8>> for Body {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self {
+            bytes,
+            blobs: Vec::new(),
+        }
+    }
+}
+
+impl PartialEq for Body {
+    fn eq(&self, other: &Self) -> bool {
+        self.clone().into_vec() == other.clone().into_vec()
+    }
+}
+
+impl Eq for Body {}
+
+/// Empties a place of this thread when what it was filled for is over, also by a panic.
+struct Emptied<T: 'static>(&'static std::thread::LocalKey<RefCell<Option<T>>>);
+
+impl<T> Drop for Emptied<T> {
+    fn drop(&mut self) {
+        self.0.set(None);
+    }
+}
+
+/// What `encode` writes; large blobs among it are shared instead of copied, where its output asks
+/// [`collect`].
+///
+/// # Errors
+/// Those of `encode`.
+pub fn body_of<E>(encode: impl FnOnce() -> Result<Vec<u8>, E>) -> Result<Body, E> {
+    let emptied = Emptied(&COLLECTED);
+    COLLECTED.set(Some(Vec::new()));
+    let bytes = encode()?;
+    let blobs = COLLECTED.take().unwrap_or_default();
+    drop(emptied);
+    Ok(Body { bytes, blobs })
+}
+
+/// For an output to which `bytes` are written at `place`: whether they are a blob that was collected,
+/// and need not be written.
+pub fn collect(place: usize, bytes: &[u8]) -> bool {
+    if bytes.len() < LEAST {
+        return false;
+    }
+    let Some(lent) = LENT.take() else {
+        return false;
+    };
+    if !std::ptr::eq(&raw const *lent, &raw const *bytes) {
+        return false;
+    }
+    COLLECTED.with_borrow_mut(|collected| match collected {
+        Some(collected) => {
+            collected.push((place, lent));
+            true
+        }
+        None => false,
+    })
+}
+
+/// Lets the blobs in `bytes` be the same memory while `decode` reads it.
+pub fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T {
+    if bytes.len() < LEAST {
+        return decode(&bytes);
+    }
+    let bytes = Bytes::from(bytes);
+    let emptied = Emptied(&READ);
+    READ.set(Some(bytes.clone()));
+    let read = decode(&bytes);
+    drop(emptied);
+    read
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::Data;
+
+    type Pair = (u32, Blob, String, Blob);
+
+    fn pair(sizes: [usize; 2]) -> Pair {
+        let blob =
+            |size: usize| Blob::from((0..size).map(|at| (at % 251) as u8).collect::<Vec<_>>());
+        (7, blob(sizes[0]), "between".to_owned(), blob(sizes[1]))
+    }
+
+    proptest! {
+        #[test]
+        fn a_blob_looks_like_a_vector_whatever_its_size(sizes: [u16; 2]) {
+            let blobs = pair(sizes.map(usize::from));
+            let vectors = (blobs.0, blobs.1.to_vec(), blobs.2.clone(), blobs.3.to_vec());
+            let wire = postcard::to_stdvec(&vectors).unwrap();
+            prop_assert_eq!(&postcard::to_stdvec(&blobs).unwrap(), &wire);
+            let body = Data::of(blobs.clone()).into_body().unwrap();
+            prop_assert_eq!(body.len(), wire.len());
+            let (first, rest) = body.clone().into_parts();
+            let parts: Vec<u8> = std::iter::once(first).chain(rest).flatten().collect();
+            prop_assert_eq!(&parts, &wire);
+            let again = Data::from(body.clone()).take::<Pair>().unwrap();
+            prop_assert_eq!(&again, &blobs);
+            prop_assert_eq!(&Data::from(body.clone()).take::<(u32, Vec<u8>, String, Vec<u8>)>().unwrap(), &vectors);
+            let mut appended = Vec::new();
+            body.append_to(&mut appended);
+            prop_assert_eq!(&appended, &wire);
+            prop_assert_eq!(&body.into_vec(), &wire);
+            prop_assert_eq!(Data::Bytes(wire).take::<Pair>().unwrap(), blobs);
+            let json = serde_json::to_string(&vectors).unwrap();
+            prop_assert_eq!(serde_json::from_str::<Pair>(&json).unwrap().1.to_vec(), vectors.1);
+        }
+    }
+
+    #[test]
+    fn a_large_blob_is_the_same_memory_before_and_behind_the_wire() {
+        let sent = pair([LEAST, 3 * LEAST]);
+        let places = [sent.1.as_ptr(), sent.3.as_ptr()];
+        let (_, rest) = Data::of(sent.clone()).into_body().unwrap().into_parts();
+        for place in places {
+            assert!(rest.iter().any(|part| part.as_ptr() == place));
+        }
+        let wire = Data::of(sent).into_body().unwrap().into_vec();
+        let range = wire.as_ptr_range();
+        let (_, one, _, other) = Data::Bytes(wire).take::<Pair>().unwrap();
+        assert!(range.contains(&one.as_ptr()) && range.contains(&other.as_ptr()));
+    }
+
+    #[test]
+    fn nothing_is_lent_to_others_once_a_message_is_written_or_read() {
+        drop(Data::of(pair([LEAST, LEAST])).into_body());
+        assert!(Data::Bytes(vec![0xff; 2 * LEAST]).take::<Pair>().is_err());
+        assert!(LENT.with_borrow(Option::is_none));
+        assert!(READ.with_borrow(Option::is_none));
+        assert!(COLLECTED.with_borrow(Option::is_none));
+    }
+}

@@ -1,0 +1,175 @@
+//! Commands: the typed requests that tasks take, and what is known of them without their types.
+
+use std::fmt;
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{Fields, PayloadError, data::decode, shape::Shape};
+
+pub use ctos_derive::Command;
+
+/// A request that a task takes: its data, its code, its name and the type of its reply. Derived:
+///
+/// ```
+/// use ctos::message::Command;
+/// use serde::{Deserialize, Serialize};
+///
+/// /// Greets somebody.
+/// #[derive(Serialize, Deserialize, Command)]
+/// #[command(reply = String, code = 0x0001)]
+/// struct Greet {
+///     name: String,
+/// }
+/// assert_eq!((Greet::NAME, Greet::DOC), ("greet", "Greets somebody."));
+/// ```
+///
+/// [`command!`](crate::command) says the same on one line.
+pub trait Command: Serialize + DeserializeOwned + Send + 'static {
+    /// What the task answers.
+    type Reply: Serialize + DeserializeOwned + Send + 'static;
+    /// Code in the header; unique among the commands of one handler and below [`SYSTEM_COMMANDS`].
+    const CODE: u16;
+    /// Name in nets, text and logs.
+    const NAME: &'static str;
+    /// One line of help.
+    const DOC: &'static str;
+    /// The description that a handler registers.
+    const INFO: CommandInfo = CommandInfo {
+        code: Self::CODE,
+        name: Self::NAME,
+        doc: Self::DOC,
+        request: ToJson::of::<Self>(),
+        reply: ToJson::of::<Self::Reply>(),
+        request_fields: Fields::of::<Self>(),
+        reply_fields: Fields::of::<Self::Reply>(),
+    };
+}
+
+/// Codes from here on belong to the runtime.
+pub const SYSTEM_COMMANDS: u16 = 0xff00;
+
+/// The one command of the runtime that follows requests on a link; the others have room of their own.
+pub const FENCE: u16 = 0xff6a;
+
+/// What is known of a command without its types.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CommandInfo {
+    /// Code in the header.
+    pub code: u16,
+    /// Name in nets, text and logs.
+    pub name: &'static str,
+    /// One line of help.
+    pub doc: &'static str,
+    /// Turns the bytes of a request into text.
+    pub request: ToJson,
+    /// Turns the bytes of a reply into text.
+    pub reply: ToJson,
+    /// Takes the bytes of a request apart.
+    pub request_fields: Fields,
+    /// Takes the bytes of a reply apart.
+    pub reply_fields: Fields,
+}
+
+/// Turns postcard bytes of one type into JSON, for people and programs that do not know the type.
+#[derive(Clone, Copy)]
+pub struct ToJson {
+    convert: fn(&[u8], &mut Vec<u8>) -> Result<(), PayloadError>,
+    shape: fn() -> Option<Shape>,
+}
+
+impl ToJson {
+    /// For values of type `T`.
+    #[must_use]
+    pub const fn of<T: Serialize + DeserializeOwned + 'static>() -> Self {
+        Self {
+            convert: to_json::<T>,
+            shape: Shape::of::<T>,
+        }
+    }
+
+    /// What such values look like, where that can be found.
+    pub fn shape(self) -> Option<Shape> {
+        (self.shape)()
+    }
+
+    /// Appends `bytes` as JSON to `json`, which is left as it was when they are not such a value.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn convert(self, bytes: &[u8], json: &mut Vec<u8>) -> Result<(), PayloadError> {
+        let length = json.len();
+        let converted = (self.convert)(bytes, json);
+        if converted.is_err() {
+            json.truncate(length);
+        }
+        converted
+    }
+}
+
+fn to_json<T: Serialize + DeserializeOwned + 'static>(
+    bytes: &[u8],
+    json: &mut Vec<u8>,
+) -> Result<(), PayloadError> {
+    let value = decode::<T>(bytes)?;
+    serde_json::to_writer(json, &value).map_err(|error| PayloadError {
+        expected: std::any::type_name::<T>(),
+        reason: error.to_string(),
+    })
+}
+
+/// Code, name and documentation say what a command is; how it is turned into text follows from them.
+impl PartialEq for ToJson {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for ToJson {}
+
+impl fmt::Debug for ToJson {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("ToJson")
+    }
+}
+
+/// Declares a typed command: the request with its documentation, `=>` its reply, code and name.
+///
+/// ```
+/// ctos::command! {
+///     /// Greets somebody.
+///     pub struct Greet { pub name: String } => String, 0x0001, "greet"
+/// }
+/// # use ctos::message::Command;
+/// assert_eq!(Greet::DOC, "Greets somebody.");
+/// ```
+#[macro_export]
+macro_rules! command {
+    ($(
+        $(#[doc = $doc:literal])+
+        $(#[derive($($derive:path),* $(,)?)])?
+        $vis:vis struct $name:ident $({ $($(#[$field_meta:meta])* $field_vis:vis $field:ident : $type:ty),* $(,)? })?
+        => $reply:ty, $code:expr, $text:literal $(;)?
+    )+) => {$(
+        $(#[doc = $doc])+
+        #[derive($crate::serde::Serialize, $crate::serde::Deserialize $(, $($derive),*)?)]
+        #[serde(crate = "ctos::serde")]
+        $vis struct $name { $($($(#[$field_meta])* $field_vis $field : $type),*)? }
+
+        impl $crate::Command for $name {
+            type Reply = $reply;
+            const CODE: u16 = $code;
+            const NAME: &'static str = $text;
+            const DOC: &'static str = $crate::trimmed(concat!($($doc),+));
+        }
+    )+};
+}
+
+/// Drops the blank that rustdoc leaves in front of a documentation line.
+#[doc(hidden)]
+#[must_use]
+pub const fn trimmed(text: &'static str) -> &'static str {
+    match text.as_bytes() {
+        [b' ', ..] => text.split_at(1).1,
+        _ => text,
+    }
+}

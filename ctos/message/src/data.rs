@@ -1,0 +1,195 @@
+//! The data of a message: a value inside a chassis, postcard bytes between chassis.
+
+use std::{any::Any, fmt};
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::blob::{self, Body};
+
+/// Data that can move as a value and be encoded when it must leave the chassis.
+pub trait Payload: Any + Send {
+    /// Postcard bytes.
+    ///
+    /// # Errors
+    /// When the value cannot be serialized.
+    fn encode(&self) -> Result<Vec<u8>, PayloadError>;
+
+    /// Appends the postcard bytes to `buffer`; after an error part of them may be there.
+    ///
+    /// # Errors
+    /// When the value cannot be serialized.
+    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError>;
+}
+
+impl<T: Serialize + Send + 'static> Payload for T {
+    fn encode(&self) -> Result<Vec<u8>, PayloadError> {
+        /// Most messages are no larger, bytes; a larger one moves when it grows.
+        const USUAL: usize = 128;
+        let mut bytes = Vec::with_capacity(USUAL);
+        self.encode_into(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
+        append(self, buffer).map_err(|error| PayloadError {
+            expected: std::any::type_name::<T>(),
+            reason: error.to_string(),
+        })
+    }
+}
+
+/// Appends the postcard bytes of `value` to `buffer`.
+pub fn append<T: Serialize + ?Sized>(
+    value: &T,
+    buffer: &mut Vec<u8>,
+) -> Result<(), postcard::Error> {
+    postcard::serialize_with_flavor(value, Appending(buffer))
+}
+
+/// A postcard output that appends to a buffer of somebody else's.
+struct Appending<'a>(&'a mut Vec<u8>);
+
+impl postcard::ser_flavors::Flavor for Appending<'_> {
+    type Output = ();
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.0.push(byte);
+        Ok(())
+    }
+
+    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
+        if !blob::collect(self.0.len(), bytes) {
+            self.0.extend_from_slice(bytes);
+        }
+        Ok(())
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
+    }
+}
+
+/// Data that is not what the receiver expects.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("data is not a {expected}: {reason}")]
+pub struct PayloadError {
+    /// The type that was expected.
+    pub expected: &'static str,
+    /// Why the data is not one.
+    pub reason: String,
+}
+
+/// Reads exactly one `T`.
+pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadError> {
+    let expected = std::any::type_name::<T>();
+    match postcard::take_from_bytes::<T>(bytes) {
+        Ok((value, [])) => Ok(value),
+        Ok((_, rest)) => Err(PayloadError {
+            expected,
+            reason: format!("{} bytes too many", rest.len()),
+        }),
+        Err(error) => Err(PayloadError {
+            expected,
+            reason: error.to_string(),
+        }),
+    }
+}
+
+/// The data of a message: a typed value inside a chassis, bytes from another one.
+pub enum Data {
+    /// A value of the sender's, moved as a pointer.
+    Typed(Box<dyn Payload>),
+    /// Postcard bytes.
+    Bytes(Vec<u8>),
+}
+
+impl Data {
+    /// No bytes.
+    pub const NOTHING: Self = Self::Bytes(Vec::new());
+
+    /// Data that moves `value`.
+    #[inline]
+    pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
+        Self::Typed(Box::new(value))
+    }
+
+    /// The value, moved out or decoded.
+    ///
+    /// # Errors
+    /// When the pointer is of another type, or the bytes do not decode to exactly one `T`.
+    #[inline]
+    pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
+        let expected = std::any::type_name::<T>();
+        match self {
+            Self::Typed(value) => match (value as Box<dyn Any>).downcast::<T>() {
+                Ok(value) => Ok(*value),
+                Err(_) => Err(PayloadError {
+                    expected,
+                    reason: "the sender passed another type".to_owned(),
+                }),
+            },
+            Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
+        }
+    }
+
+    /// Appends the bytes that would go on the wire to `buffer`; the data stays.
+    ///
+    /// # Errors
+    /// When a typed value cannot be encoded.
+    pub fn append_to(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
+        match self {
+            Self::Typed(value) => value.encode_into(buffer),
+            Self::Bytes(bytes) => {
+                buffer.extend_from_slice(bytes);
+                Ok(())
+            }
+        }
+    }
+
+    /// The bytes to put on the wire.
+    ///
+    /// # Errors
+    /// When a typed value cannot be encoded.
+    pub fn into_bytes(self) -> Result<Vec<u8>, PayloadError> {
+        match self {
+            Self::Typed(value) => value.encode(),
+            Self::Bytes(bytes) => Ok(bytes),
+        }
+    }
+}
+
+impl From<Body> for Data {
+    fn from(body: Body) -> Self {
+        Self::Bytes(body.into_vec())
+    }
+}
+
+impl Data {
+    /// What goes to a link; large blobs in it are shared, not copied.
+    ///
+    /// # Errors
+    /// When a typed value cannot be encoded.
+    pub fn into_body(self) -> Result<Body, PayloadError> {
+        match self {
+            Self::Bytes(bytes) => Ok(bytes.into()),
+            typed @ Self::Typed(_) => blob::body_of(|| typed.into_bytes()),
+        }
+    }
+
+    /// The bytes that would be put on the wire; the data stays.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
+        match self {
+            Self::Typed(value) => value.encode(),
+            Self::Bytes(bytes) => Ok(bytes.clone()),
+        }
+    }
+}
+
+impl fmt::Debug for Data {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Typed(_) => f.write_str("Typed(..)"),
+            Self::Bytes(bytes) => write!(f, "Bytes({})", bytes.len()),
+        }
+    }
+}

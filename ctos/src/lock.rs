@@ -1,9 +1,0 @@
-//! How this crate takes a lock.
-
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
-/// A lock that ignores poisoning: no code that holds one of this crate's locks leaves its data
-/// half changed when it panics.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
