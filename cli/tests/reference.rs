@@ -312,9 +312,14 @@ fn is_code(word: &str) -> bool {
 fn every_code_has_an_explanation_and_every_explanation_a_code() {
     let mut codes = BTreeSet::new();
     for member in fs::read_dir(root()).expect("the workspace") {
-        let sources = member.expect("an entry").path().join("src");
-        if sources.is_dir() {
-            codes_in(&sources, &mut codes);
+        let member = member.expect("an entry").path();
+        // A crate, or a folder of crates.
+        let inner = fs::read_dir(&member).into_iter().flatten().flatten();
+        for folder in inner.map(|entry| entry.path()).chain([member]) {
+            let sources = folder.join("src");
+            if sources.is_dir() {
+                codes_in(&sources, &mut codes);
+            }
         }
     }
     assert!(
