@@ -1,7 +1,6 @@
 //! What a task can reach: the [`Context`] its handler is called with.
 
 mod asking;
-mod beside;
 mod finding;
 mod quiet;
 mod services;
@@ -35,10 +34,8 @@ use crate::{
     time::Instant,
 };
 
-pub(crate) use self::beside::Beside;
 pub use self::{
     asking::{Call, Calling, Send, Sending},
-    beside::Child,
     finding::{Find, NameError, TaskRef},
 };
 
@@ -340,10 +337,6 @@ impl Context {
     /// Runs a child of this task beside it, on the same processor. It ends with the task's handler; if
     /// it panics, the handler has failed with it, and the task's restart policy decides.
     pub fn spawn(&self, future: impl Future<Output = ()> + 'static) {
-        self.begin_child(future);
-    }
-
-    fn begin_child(&self, future: impl Future<Output = ()> + 'static) -> FutureId {
         let broke = self.when_broken();
         let on_panic = move |text: String| broke(&format!("a child panicked: {text}"));
         let number = {
@@ -358,7 +351,6 @@ impl Context {
         };
         let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
         self.inner.family().children.insert(number, id);
-        id
     }
 
     /// What to call when a part of the present handler breaks: the task's loop decides what follows.

@@ -97,11 +97,11 @@ pub mod message {
 
 /// Who may reach an app: keys, roles and TLS.
 pub mod security {
+    #[cfg(test)]
+    pub(crate) use ctos_link::security::browser_of;
     pub use ctos_link::security::{
         BlockingStream, Identity, KeyError, Keys, Listed, Role, RoleError, list_keys, make_key,
     };
-    #[cfg(test)]
-    pub(crate) use ctos_link::security::browser_of;
 }
 
 /// Configuration of an app: TOML files, includes, profiles and `--set`, read into checked types.

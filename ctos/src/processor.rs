@@ -35,7 +35,6 @@ use self::{
 };
 use crate::{
     call::ReplySlot,
-    context::Beside,
     exchange::Calls,
     mailbox::TaskQueue,
     park::Glance,
@@ -69,8 +68,6 @@ pub(crate) struct Processor {
     queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
     /// Its synchronous functions.
     pub(crate) schedule: Schedule,
-    /// What its tasks show each other.
-    pub(crate) beside: Beside,
     /// The message whose handler is at work; 0: none is.
     handling: Cell<u64>,
     next_serial: Cell<u64>,
@@ -108,7 +105,6 @@ impl Processor {
             calls: RefCell::default(),
             queues: RefCell::default(),
             schedule,
-            beside: Beside::default(),
             handling: Cell::new(0),
             next_serial: Cell::new(1),
             orphans: RefCell::default(),
@@ -383,7 +379,6 @@ impl Processor {
             }
             drop_contained(timers);
         }
-        self.beside.clear();
         let here = HERE.try_with(|here| here.borrow_mut().take_if(|here| Rc::ptr_eq(here, self)));
         // Outside the borrow, as in `enter`.
         drop(here);

@@ -17,7 +17,7 @@ use crate::{
 
 pub use crate::{
     children::StartError,
-    context::{Call, Calling, Child, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
+    context::{Call, Calling, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
 };
 
 /// What a handler returns.

@@ -56,27 +56,6 @@ fn ten_thousand_tasks_on_one_processor_run_in_virtual_time() {
 }
 
 #[test]
-fn the_kernel_need_not_look_after_restartable_sequences_of_a_chassis() {
-    let scratch = crowd(1);
-    let mut run = scratch.start(
-        MISBEHAVING,
-        &["boot", "app.toml"],
-        &[("GLIBC_TUNABLES", "")],
-    );
-    run.wait_for("phase 3");
-    assert_eq!(run.chassis.len(), 2);
-    for chassis in run.chassis.values() {
-        let pid = chassis.pid.as_raw_nonzero();
-        let variables = std::fs::read_to_string(format!("/proc/{pid}/environ")).unwrap();
-        let mut variables = variables.split('\0');
-        let told = variables.find_map(|variable| variable.strip_prefix("GLIBC_TUNABLES="));
-        assert_eq!(told, Some("glibc.pthread.rseq=0"));
-    }
-    run.signal(Signal::INT);
-    run.end().must_exit(130);
-}
-
-#[test]
 fn a_configuration_that_is_edited_while_the_app_runs_changes_nothing() {
     let scratch = crowd(1);
     let mut run = scratch.start(MISBEHAVING, &["boot", "app.toml"], &[]);

@@ -4,7 +4,6 @@
 
 use std::{
     collections::VecDeque,
-    ffi::OsString,
     process::{ExitStatus, Stdio},
     time::Duration,
 };
@@ -66,35 +65,6 @@ pub(crate) struct Spawned {
     pub(crate) tether: Option<ChildStdin>,
 }
 
-/// What the GNU C library takes its settings from.
-const TUNABLES: &str = "GLIBC_TUNABLES";
-
-/// What `command` gives its process of them, or this process would.
-fn tunables_of(command: &Command) -> OsString {
-    let mut set = command.as_std().get_envs();
-    match set.find(|(name, _)| *name == TUNABLES) {
-        Some((_, value)) => value.unwrap_or_default().to_owned(),
-        None => std::env::var_os(TUNABLES).unwrap_or_default(),
-    }
-}
-
-/// `tunables` without restartable sequences (rseq), unless they say something of them: they are for libraries that keep
-/// data for each core, and nothing here does. The C library asks for them for each thread all the same, and the
-/// kernel then looks after them at each switch from thread to thread, a fifteenth of a call between two threads of one
-/// core (`docs/benchmarks.md`). Another C library does not read this.
-fn without_sequences(tunables: OsString) -> OsString {
-    const SEQUENCES: &str = "glibc.pthread.rseq=";
-    let mut all = tunables;
-    if !all.to_string_lossy().contains(SEQUENCES) {
-        if !all.is_empty() {
-            all.push(":");
-        }
-        all.push(SEQUENCES);
-        all.push("0");
-    }
-    all
-}
-
 /// Starts `command` in a process group of its own. `line` is told each line of its standard error,
 /// `ended` how it ended, after its last line.
 ///
@@ -110,9 +80,7 @@ pub(crate) fn spawn(
         Tether::No => Stdio::null(),
         Tether::Stdin => Stdio::piped(),
     };
-    let tunables = tunables_of(&command);
     let mut child = command
-        .env(TUNABLES, without_sequences(tunables))
         .stdin(stdin)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -237,26 +205,5 @@ fn describe(status: &ExitStatus) -> String {
         (None, Some(6)) => "aborted with signal 6 (SIGABRT)".to_owned(),
         (None, Some(number)) => format!("was ended by signal {number}"),
         (None, None) => "ended".to_owned(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_process_has_no_restartable_sequences_unless_somebody_says_that_it_shall() {
-        for (given, told) in [
-            ("", "glibc.pthread.rseq=0"),
-            (
-                "glibc.malloc.check=3",
-                "glibc.malloc.check=3:glibc.pthread.rseq=0",
-            ),
-            ("glibc.pthread.rseq=1", "glibc.pthread.rseq=1"),
-        ] {
-            let mut command = Command::new("true");
-            command.env(TUNABLES, given);
-            assert_eq!(without_sequences(tunables_of(&command)), told);
-        }
     }
 }

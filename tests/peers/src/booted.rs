@@ -38,7 +38,6 @@ impl Booted {
         let mut process = Command::new(program)
             .arg(BOOTED)
             .args(processors)
-            .env("GLIBC_TUNABLES", "glibc.pthread.rseq=0")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
