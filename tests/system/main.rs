@@ -31,4 +31,5 @@ mod recording;
 mod restarts;
 mod startup;
 mod stepped_clock;
+mod structure;
 mod traces;

@@ -1,0 +1,217 @@
+//! The structure of the code: which crate uses which, as `docs/architecture.md` says, and which files of a crate
+//! import one another in a circle.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::{Path, PathBuf},
+};
+
+use petgraph::{algo::tarjan_scc, graphmap::DiGraphMap};
+use syn::{Item, UseTree};
+
+/// No more files than these may import one another in a circle.
+const MOST: usize = 3;
+
+/// The one crate that has larger circles still, and how many files its largest may have: it may only shrink.
+const STILL_TO_BE_DIVIDED: (&str, usize) = ("ctos", 72);
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn read(path: impl AsRef<Path>) -> String {
+    let path = path.as_ref();
+    fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The folders of all crates.
+fn members() -> Vec<String> {
+    let manifest = read(root().join("Cargo.toml"));
+    let line = manifest.lines().find(|line| line.starts_with("members"));
+    let words = line.expect("the workspace has members").split('"');
+    words.skip(1).step_by(2).map(str::to_owned).collect()
+}
+
+/// The names of the crates of this workspace that the crate in `folder` is built with.
+fn uses(folder: &str, all: &BTreeSet<String>) -> BTreeSet<String> {
+    let manifest = read(root().join(folder).join("Cargo.toml"));
+    let dependencies = manifest.split("\n[dependencies]\n").nth(1);
+    let lines = dependencies.unwrap_or_default().lines();
+    lines
+        .take_while(|line| !line.starts_with('['))
+        .filter_map(|line| line.split(['.', ' ', '=']).next())
+        .filter(|name| all.contains(*name))
+        .map(str::to_owned)
+        .collect()
+}
+
+fn name_of(folder: &str) -> String {
+    let manifest = read(root().join(folder).join("Cargo.toml"));
+    let line = manifest
+        .lines()
+        .find_map(|line| line.strip_prefix("name = "));
+    line.expect("a name").trim_matches('"').to_owned()
+}
+
+#[test]
+fn the_table_of_crates_says_what_their_manifests_say() {
+    let folders: Vec<String> = members()
+        .into_iter()
+        .filter(|folder| !folder.starts_with("tests"))
+        .collect();
+    let names: BTreeSet<String> = folders.iter().map(|folder| name_of(folder)).collect();
+    let page = read(root().join("docs/architecture.md"));
+    let rows: BTreeMap<String, BTreeSet<String>> = page
+        .lines()
+        .filter_map(|line| {
+            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+            let [_, name, _, uses, _, _] = cells[..] else {
+                return None;
+            };
+            let name = name.trim_matches('`').to_owned();
+            let uses = uses.split(", ").map(|one| one.trim_matches('`').to_owned());
+            let uses = uses.filter(|one| !one.is_empty()).collect();
+            names.contains(&name).then_some((name, uses))
+        })
+        .collect();
+    for folder in &folders {
+        let name = name_of(folder);
+        let row = rows.get(&name);
+        assert_eq!(row, Some(&uses(folder, &names)), "the row of `{name}`");
+    }
+}
+
+/// The modules of a crate, by path, with their files.
+fn modules(sources: &Path) -> BTreeMap<Vec<String>, PathBuf> {
+    let mut modules = BTreeMap::new();
+    let mut folders = vec![sources.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let stem = path.file_stem().and_then(|stem| stem.to_str());
+            let stem = stem.unwrap_or_default();
+            if path.is_dir() && !["tests", "bin"].contains(&stem) {
+                folders.push(path);
+            } else if path.extension().is_some_and(|end| end == "rs") && stem != "tests" {
+                let inner = path
+                    .strip_prefix(sources)
+                    .expect("inside")
+                    .with_extension("");
+                let parts = inner.iter().map(|part| part.to_string_lossy().into_owned());
+                let parts: Vec<String> = parts.filter(|part| part != "lib").collect();
+                modules.insert(parts, path);
+            }
+        }
+    }
+    modules
+}
+
+/// All paths that a tree of imports names.
+fn paths(tree: &UseTree, before: &[String], found: &mut Vec<Vec<String>>) {
+    let mut path = before.to_vec();
+    match tree {
+        UseTree::Path(next) => {
+            path.push(next.ident.to_string());
+            paths(&next.tree, &path, found);
+        }
+        UseTree::Group(group) => {
+            for tree in &group.items {
+                paths(tree, before, found);
+            }
+        }
+        UseTree::Name(name) => {
+            path.push(name.ident.to_string());
+            found.push(path);
+        }
+        UseTree::Rename(name) => {
+            path.push(name.ident.to_string());
+            found.push(path);
+        }
+        UseTree::Glob(_) => found.push(path),
+    }
+}
+
+/// The path from the root of the crate of what the module `at` calls `path`; none for other crates.
+fn absolute(at: &[String], path: &[String]) -> Option<Vec<String>> {
+    let (mut base, mut rest) = match path.first()?.as_str() {
+        "crate" => (Vec::new(), &path[1..]),
+        "self" => (at.to_vec(), &path[1..]),
+        "super" => (at.to_vec(), path),
+        _ => return None,
+    };
+    while rest.first().is_some_and(|part| part == "super") {
+        base.pop();
+        rest = &rest[1..];
+    }
+    base.extend(rest.iter().cloned());
+    Some(base)
+}
+
+/// The circles of a crate: files that import one another, directly or not, by their `use` lines outside of tests.
+fn circles(folder: &str) -> Vec<Vec<String>> {
+    let modules = modules(&root().join(folder).join("src"));
+    let numbers: BTreeMap<&Vec<String>, usize> = modules.keys().zip(0..).collect();
+    let mut graph = DiGraphMap::<usize, ()>::new();
+    for (at, file) in &modules {
+        let parsed = syn::parse_file(&read(file)).expect("Rust");
+        let mut found = Vec::new();
+        for item in &parsed.items {
+            if let Item::Use(item) = item {
+                paths(&item.tree, &[], &mut found);
+            }
+        }
+        for path in found {
+            let Some(mut to) = absolute(at, &path) else {
+                continue;
+            };
+            while !to.is_empty() && !modules.contains_key(&to) {
+                to.pop();
+            }
+            // What stands in the root is re-exported there from its own place.
+            if !to.is_empty() && to != *at {
+                graph.add_edge(numbers[at], numbers[&to], ());
+            }
+        }
+    }
+    let all: Vec<&Vec<String>> = modules.keys().collect();
+    tarjan_scc(&graph)
+        .into_iter()
+        .map(|circle| circle.into_iter().map(|one| all[one].join("/")).collect())
+        .collect()
+}
+
+#[test]
+fn no_more_than_three_files_import_one_another_but_in_the_crate_that_is_still_to_be_divided() {
+    let mut found = Vec::new();
+    for folder in members() {
+        let most = match STILL_TO_BE_DIVIDED {
+            (divided, most) if divided == folder => most,
+            _ => MOST,
+        };
+        if !root().join(&folder).join("src").is_dir() {
+            continue;
+        }
+        for circle in circles(&folder) {
+            if circle.len() > most {
+                found.push(format!(
+                    "{folder}: {} files: {}",
+                    circle.len(),
+                    circle.join(", ")
+                ));
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn a_circle_of_files_is_found() {
+    let circles = circles(STILL_TO_BE_DIVIDED.0);
+    let largest = circles.iter().map(Vec::len).max();
+    assert_eq!(
+        largest,
+        Some(STILL_TO_BE_DIVIDED.1),
+        "the number may only shrink"
+    );
+}
