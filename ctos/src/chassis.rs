@@ -37,7 +37,7 @@ use crate::{
 };
 
 pub(crate) use self::{
-    delivery::WaitFor,
+    delivery::{Outcome, WaitFor},
     links::{Inbound, Outbound},
     tasks::TaskRecord,
 };

@@ -17,6 +17,7 @@ use crate::{
     processor::{LocalWake, Processor, ProcessorHandle},
     time::Instant,
     timers::TimerKey,
+    waits::Wait,
 };
 
 /// One slot, as those who answer see it.
@@ -89,6 +90,8 @@ struct Slot {
     began: Instant,
     deadline: Duration,
     timer: Option<TimerKey>,
+    /// What its task waits for, to be shown if it takes a while.
+    wait: Option<Wait>,
     long: Long,
 }
 
@@ -126,6 +129,7 @@ pub(crate) struct Rest {
     pub(crate) timer: Option<TimerKey>,
     _wake: Option<LocalWake>,
     _answer: Option<Answer>,
+    _wait: Option<Wait>,
 }
 
 /// What came of an answer.
@@ -145,13 +149,14 @@ pub(crate) struct Calls {
 }
 
 impl Calls {
-    /// A new call, which began at `now` and may last until `deadline` from then; and when to look after it.
+    /// A new call, which began at `now` and may last until `deadline` from then.
     pub(crate) fn begin(
         &mut self,
         home: &Arc<ProcessorHandle>,
         now: Instant,
         deadline: Duration,
-    ) -> (Ticket, Instant) {
+        wait: Option<Wait>,
+    ) -> Ticket {
         let index = self.free.pop().unwrap_or_else(|| self.add_slot(home));
         // The index was free or has just been made.
         #[allow(clippy::indexing_slicing, reason = "see above")]
@@ -160,12 +165,12 @@ impl Calls {
         slot.state = State::Waiting(None);
         slot.began = now;
         slot.deadline = deadline;
+        slot.wait = wait;
         slot.long = Long::NotYet;
-        let ticket = Ticket {
+        Ticket {
             shared: slot.shared.clone(),
             generation: slot.generation,
-        };
-        (ticket, now + deadline.min(circle::LONG))
+        }
     }
 
     /// One more slot, which is free.
@@ -182,6 +187,7 @@ impl Calls {
             began: Instant::START,
             deadline: Duration::ZERO,
             timer: None,
+            wait: None,
             long: Long::NotYet,
         });
         index
@@ -191,6 +197,18 @@ impl Calls {
         let slot = self.slots.get_mut(key.slot as usize)?;
         let is_it = slot.generation == key.generation && !matches!(slot.state, State::Free);
         is_it.then_some(slot)
+    }
+
+    /// A call has waited for a while: shows it, and tells when to look after it.
+    pub(crate) fn settle(&mut self, key: CallKey) -> Option<Instant> {
+        let slot = self.slot(key)?;
+        if !matches!(slot.state, State::Waiting(_)) || slot.timer.is_some() {
+            return None;
+        }
+        if let Some(wait) = &mut slot.wait {
+            wait.show(slot.began);
+        }
+        Some(slot.began + slot.deadline.min(circle::LONG))
     }
 
     /// Notes the timer of a call.
@@ -265,6 +283,7 @@ impl Calls {
             return (Looked::Waiting, rest);
         }
         rest.timer = slot.timer.take();
+        rest._wait = slot.wait.take();
         let looked = match std::mem::replace(&mut slot.state, State::Free) {
             State::Answered(answer) => Looked::Ended(answer),
             _ => Looked::Late(slot.deadline),
@@ -281,6 +300,7 @@ impl Calls {
         };
         slot.shared.gone.store(slot.generation, Ordering::Release);
         rest.timer = slot.timer.take();
+        rest._wait = slot.wait.take();
         match std::mem::replace(&mut slot.state, State::Free) {
             State::Waiting(wake) => rest._wake = wake,
             State::Answered(answer) => rest._answer = Some(answer),

@@ -191,7 +191,7 @@ impl Mailbox {
     }
 
     /// Lets a message for which there was no credit wait for one.
-    fn line_up(&self, message: Message, acceptance: Acceptance) {
+    pub(crate) fn line_up(&self, message: Message, acceptance: Acceptance) {
         let (urgent, _) = is_urgent(&message);
         if !self.credits(urgent).line_up(self.capacity()) {
             return refuse(message, acceptance, &self.full());

@@ -35,7 +35,7 @@ use self::{
 };
 use crate::{
     call::ReplySlot,
-    exchange::Calls,
+    exchange::{CallKey, Calls},
     mailbox::TaskQueue,
     park::Glance,
     sync::Schedule,
@@ -64,6 +64,9 @@ pub(crate) struct Processor {
     current: Cell<Option<(FutureId, WakerOf)>>,
     timers: RefCell<Timers<Timed>>,
     calls: RefCell<Calls>,
+    /// Calls that were made lately, and when they are looked after.
+    young: RefCell<Vec<CallKey>>,
+    settle_at: Cell<Instant>,
     /// The queues of its tasks, by slot.
     queues: RefCell<Vec<Option<Rc<TaskQueue>>>>,
     /// Its synchronous functions.
@@ -103,6 +106,8 @@ impl Processor {
             current: Cell::new(None),
             timers: RefCell::default(),
             calls: RefCell::default(),
+            young: RefCell::default(),
+            settle_at: Cell::new(Instant::LAST),
             queues: RefCell::default(),
             schedule,
             handling: Cell::new(0),
@@ -136,6 +141,11 @@ impl Processor {
         } else {
             self.look_at_clock()
         }
+    }
+
+    /// No code of tasks has run since the last look, to speak of.
+    pub(crate) fn stay(&self) {
+        self.fresh.set(true);
     }
 
     /// Code of a task is about to run: the last look at the clock will be an old one.
@@ -293,6 +303,7 @@ impl Processor {
         if self.spin(now) || self.yield_core(now) {
             return;
         }
+        self.settle_calls();
         let (tick, deadline) = (self.schedule.wake_at(), self.wake_at());
         // The clock was looked at above, or when it last looked for work.
         let now = self.recent.get();
@@ -331,6 +342,7 @@ impl Processor {
         }
         let until = since + spin;
         let deadline = self.wake_at().unwrap_or(Instant::LAST);
+        let deadline = deadline.min(self.settle_at.get());
         let handle = &self.handle;
         // What comes over a link may be for others, and a future of this processor is ready when it is not.
         let brings = |glance: Glance| handle.parker.glance(glance) && self.ready_count() > 0;

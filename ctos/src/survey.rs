@@ -81,6 +81,9 @@ pub struct QueueReport {
 
 /// Everything that is known of `chassis` now.
 pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
+    if let Some(here) = crate::processor::Processor::here() {
+        here.settle_calls();
+    }
     let processors = chassis.processors.iter();
     let cyclic = cyclic_times(&chassis.cyclics());
     ChassisReport {

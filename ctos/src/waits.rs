@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{call::lock, message::Tid, time::Instant};
+use crate::{call::lock, message::Tid, statistics::Activity, time::Instant};
 
 /// A call, or a send, that has not ended yet.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -99,6 +99,34 @@ impl Waits {
         drop(entries);
         waits.sort_by(|one, other| (one.since, &one.to).cmp(&(other.since, &other.to)));
         waits
+    }
+}
+
+/// What a task waits for in one call. Shown from [`Self::show`] until it is dropped.
+pub(crate) struct Wait {
+    pub(crate) activity: Arc<Activity>,
+    /// The asked task.
+    pub(crate) to: Arc<str>,
+    pub(crate) tid: Tid,
+    pub(crate) command: &'static str,
+    pub(crate) place: Option<usize>,
+}
+
+impl Wait {
+    /// Shows it to whoever wants to know what the task waits for.
+    pub(crate) fn show(&mut self, since: Instant) {
+        if self.place.is_none() {
+            let waits = &self.activity.waits;
+            self.place = Some(waits.begin(self.to.clone(), self.tid, self.command, since));
+        }
+    }
+}
+
+impl Drop for Wait {
+    fn drop(&mut self) {
+        if let Some(place) = self.place {
+            self.activity.waits.end(place);
+        }
     }
 }
 

@@ -3,11 +3,11 @@
 
 use std::sync::Arc;
 
-use super::{Chassis, Outbound};
+use super::{Chassis, Outbound, TaskRecord};
 use crate::{
     call::{Answer, Fault, Promise, ReplyKey, ReplySlot, Waiting},
     mailbox::{Acceptance, Offered},
-    message::{Command, Data, Flags, Message},
+    message::{Command, Data, Flags, Message, Tid},
     processor::Processor,
     record::Asked,
     system,
@@ -30,84 +30,117 @@ pub(crate) struct Delivered {
     pub(crate) asked: Asked,
     /// Its number in the record.
     pub(crate) recorded: u64,
-    /// The way to take it back when it went over a link.
-    pub(crate) outbound: Option<Outbound>,
+    pub(crate) outcome: Outcome,
+}
+
+/// What has become of a message.
+pub(crate) enum Outcome {
+    /// It is in the queue, which is all that its sender wants.
+    Taken,
+    /// The slot is told later, or was told; with the way to take it back when it went over a link.
+    Waits(Option<Outbound>),
+    /// It was not taken.
+    Failed(Fault),
 }
 
 impl Chassis {
-    /// Brings `message` to its receiver. `slot` is told what `wait` names, or the fault; without one, nobody is.
-    /// Every message of this chassis passes here: a recorder sees it, and a replay takes the place of the receiver.
+    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; it is made only
+    /// if that is not known at once. Every message of this chassis passes here: a recorder sees it, and a replay takes
+    /// the place of the receiver.
     pub(crate) fn deliver(
         self: &Arc<Self>,
         mut message: Message,
         wait: WaitFor,
-        slot: Option<ReplySlot>,
+        slot: &mut dyn FnMut() -> Option<ReplySlot>,
     ) -> Delivered {
         self.address(&mut message);
         let asked = Asked::of(&message);
-        let mut delivered = Delivered {
-            asked,
-            recorded: 0,
-            outbound: None,
-        };
         if let Some(replay) = self.tap.replay() {
-            let slot = slot.unwrap_or_else(|| ReplySlot::outside(Arc::default()));
+            let slot = slot().unwrap_or_else(|| ReplySlot::outside(Arc::default()));
             replay.dispatch(&message, wait, self.clock.now(), slot);
-            return delivered;
+            return Delivered {
+                asked,
+                recorded: 0,
+                outcome: Outcome::Waits(None),
+            };
         }
-        delivered.recorded = self.tap.sent(&message, wait);
-        message.envelope.recorded = delivered.recorded;
-        if asked.to().chassis() == self.index {
-            self.hand_over(message, wait, slot);
+        let recorded = self.tap.sent(&message, wait);
+        message.envelope.recorded = recorded;
+        let outcome = if asked.to().chassis() == self.index {
+            self.hand_over(message, wait, slot)
         } else {
-            delivered.outbound = self.post(message, wait, slot);
+            self.post(message, wait, slot)
+        };
+        Delivered {
+            asked,
+            recorded,
+            outcome,
         }
-        delivered
     }
 
     /// Puts a message into the queue of a task of this chassis.
-    fn hand_over(&self, mut message: Message, wait: WaitFor, slot: Option<ReplySlot>) {
-        let tell = |slot: Option<ReplySlot>, answer: Answer| {
-            if let Some(slot) = slot {
-                slot.answer(answer);
-            }
-        };
-        let Some(task) = self.task(message.header().to) else {
-            return tell(slot, Err(Fault::UnknownTask));
+    fn hand_over(
+        &self,
+        mut message: Message,
+        wait: WaitFor,
+        slot: &mut dyn FnMut() -> Option<ReplySlot>,
+    ) -> Outcome {
+        let Some(task) = self.receiver(message.header().to) else {
+            return Outcome::Failed(Fault::UnknownTask);
         };
         let header = &mut message.envelope.header;
         header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
-        match wait {
-            WaitFor::Reply => {
-                message.envelope.reply = slot;
-                task.mailbox.put(message, Acceptance::Silent);
+        let mailbox = &task.mailbox;
+        if wait == WaitFor::Reply {
+            message.envelope.reply = slot();
+            mailbox.put(message, Acceptance::Silent);
+            return Outcome::Waits(None);
+        }
+        match mailbox.offer(message) {
+            Offered::Taken => Outcome::Taken,
+            Offered::Closed(_) => Outcome::Failed(Fault::Stopping),
+            Offered::NoRoom(message) if wait == WaitFor::Acceptance => {
+                mailbox.line_up(message, Acceptance::from(slot()));
+                Outcome::Waits(None)
             }
-            WaitFor::Acceptance => task.mailbox.put(message, Acceptance::from(slot)),
-            WaitFor::Nothing => tell(
-                slot,
-                match task.mailbox.offer(message) {
-                    Offered::Taken => Ok(Data::NOTHING),
-                    Offered::NoRoom(_) => Err(task.mailbox.full()),
-                    Offered::Closed(_) => Err(Fault::Stopping),
-                },
-            ),
+            Offered::NoRoom(_) => Outcome::Failed(mailbox.full()),
+        }
+    }
+
+    /// A task of this chassis. Those of the processor that this thread runs are found there.
+    fn receiver(&self, to: Tid) -> Option<Arc<TaskRecord>> {
+        let (_, home) = self.processors.get(usize::from(to.processor()))?;
+        let here = Processor::here_if(home).and_then(|here| here.queue(to.slot()));
+        match here {
+            Some(queue) => Some(queue.task().clone()),
+            None => self.task(to),
         }
     }
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub(crate) fn dispatch(self: &Arc<Self>, message: Message, wait: WaitFor) -> Waiting {
         let promise = Arc::new(Promise::default());
-        let slot = ReplySlot::outside(promise.clone());
-        let delivered = self.deliver(message, wait, Some(slot));
-        Waiting::for_call(promise, self, delivered.outbound)
+        let mut slot = || Some(ReplySlot::outside(promise.clone()));
+        let outbound = match self.deliver(message, wait, &mut slot).outcome {
+            Outcome::Waits(outbound) => outbound,
+            Outcome::Taken => {
+                promise.fulfil(Ok(Data::NOTHING));
+                None
+            }
+            Outcome::Failed(fault) => {
+                promise.fulfil(Err(fault));
+                None
+            }
+        };
+        Waiting::for_call(promise, self, outbound)
     }
 
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
     /// receiver.
-    pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: crate::message::Tid, request: C) {
+    pub(crate) fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let from = system::agent_tid(self.index);
         let message = Message::request(to, from, C::CODE, request).flagged(Flags::HIGH_PRIORITY);
-        self.deliver(message, WaitFor::Acceptance, None);
+        self.deliver(message, WaitFor::Acceptance, &mut || None);
     }
 
     /// Turns `message` to where the receiver is now, and begins a trace if it belongs to none.

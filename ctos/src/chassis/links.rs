@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Chassis, WaitFor};
+use super::{Chassis, Outcome, WaitFor};
 use crate::{
     blob::Body,
     call::{Answer, Fault, ReplySlot, lock},
@@ -121,19 +121,13 @@ impl Chassis {
         }
     }
 
-    /// Sends a message to another chassis; `reply` is told what `wait` names.
+    /// Sends a message to another chassis; what `slot` makes is told what `wait` names.
     pub(super) fn post(
         &self,
         message: Message,
         wait: WaitFor,
-        reply: Option<ReplySlot>,
-    ) -> Option<Outbound> {
-        let failed = |reply: Option<ReplySlot>, fault| {
-            if let Some(reply) = reply {
-                reply.answer(Err(fault));
-            }
-            None
-        };
+        slot: &mut dyn FnMut() -> Option<ReplySlot>,
+    ) -> Outcome {
         let Envelope {
             mut header,
             trace,
@@ -144,23 +138,23 @@ impl Chassis {
         let peer = header.to.chassis();
         if wait == WaitFor::Nothing {
             let chassis = self.name_of(peer).to_owned();
-            return failed(reply, Fault::Elsewhere { chassis });
+            return Outcome::Failed(Fault::Elsewhere { chassis });
         }
         let body = match body_of(data) {
             Ok(body) => body,
-            Err(fault) => return failed(reply, fault),
+            Err(fault) => return Outcome::Failed(fault),
         };
         header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
         header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
         let mut links = lock(&self.links);
         let Some(link) = links.up.get(&peer).cloned() else {
             drop(links);
-            return failed(reply, self.peer_down_fault(peer));
+            return Outcome::Failed(self.peer_down_fault(peer));
         };
         links.next_call += 1;
         let call = links.next_call;
         let pending = Pending {
-            reply,
+            reply: slot(),
             header,
             trace,
         };
@@ -175,10 +169,17 @@ impl Chassis {
         });
         if let Err(Full { bytes }) = posted {
             let pending = lock(&self.links).pending.remove(&call);
-            let reply = pending.and_then(|pending| pending.reply);
-            return failed(reply, Fault::LinkFull { bytes });
+            let fault = Fault::LinkFull { bytes };
+            return match pending.and_then(|pending| pending.reply) {
+                // Its slot was made: it is told there.
+                Some(reply) => {
+                    reply.answer(Err(fault));
+                    Outcome::Waits(None)
+                }
+                None => Outcome::Failed(fault),
+            };
         }
-        Some(Outbound(call))
+        Outcome::Waits(Some(Outbound(call)))
     }
 
     /// How long it is until `deadline`, for the wire.

@@ -2,6 +2,7 @@
 //! they are dropped.
 
 use std::{
+    cell::Cell,
     future::{Future, IntoFuture},
     marker::PhantomData,
     pin::Pin,
@@ -16,11 +17,12 @@ use futures_util::future::LocalBoxFuture;
 use super::{Context, Inner, TaskRef};
 use crate::{
     call::{CallError, Fault, ReplySlot},
-    chassis::{Outbound, WaitFor},
+    chassis::{Outbound, Outcome, WaitFor},
     circle,
     exchange::{CallKey, Looked},
     message::{Command, Data, Flags, Message, PayloadError},
     record::Asked,
+    waits::Wait,
 };
 
 /// A call that has not been made yet; `.await` makes it.
@@ -161,14 +163,15 @@ pub(super) struct Ask {
 
 /// A question under way.
 struct Waits {
-    key: CallKey,
+    /// Where it waits, if it does.
+    key: Option<CallKey>,
     /// The way to take it back when it went over a link.
     outbound: Option<Outbound>,
     asked: Asked,
     /// The message's number in the record.
     recorded: u64,
-    /// Where it is shown, once it has been looked for in vain.
-    shown: Option<usize>,
+    /// Whether it has been looked for in vain.
+    waited: bool,
     circle: Circle,
 }
 
@@ -214,20 +217,28 @@ impl Ask {
                 let after = self.deadline;
                 return Poll::Ready(Err(self.error(Fault::Deadline { after })));
             }
-            self.begin(message);
+            if let Some(answer) = self.begin(message) {
+                return Poll::Ready(self.end(answer));
+            }
         }
         let Some(waits) = &mut self.waits else {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
-        match self.asker.processor.poll_call(waits.key, cx) {
+        let Some(key) = waits.key else {
+            return Poll::Pending;
+        };
+        match self.asker.processor.poll_call(key, cx) {
             Looked::Waiting => {
                 if let Circle::LookedFor(looking) = &mut waits.circle
                     && let Poll::Ready(found) = looking.as_mut().poll(cx)
                 {
                     waits.circle = Circle::Found(found);
                 }
-                self.show();
+                if !std::mem::replace(&mut waits.waited, true) && self.wait == WaitFor::Reply {
+                    // The clock was looked at for the call, and the poll ends here.
+                    self.asker.processor.stay();
+                }
                 Poll::Pending
             }
             Looked::Long => {
@@ -239,24 +250,54 @@ impl Ask {
         }
     }
 
-    fn begin(&mut self, message: Message) {
+    /// Sends the message. The answer, if it is known at once.
+    fn begin(&mut self, mut message: Message) -> Option<Result<Data, Fault>> {
         let Inner {
-            chassis, processor, ..
+            chassis,
+            processor,
+            record,
+            ..
         } = &*self.asker;
-        let now = processor.now();
-        let ticket = processor.begin_call(now, self.deadline);
-        let key = ticket.key();
-        let waits = self.wait != WaitFor::Nothing;
-        let message = message.until(waits.then(|| now + self.deadline));
-        let delivered = chassis.deliver(message, self.wait, Some(ReplySlot::call(ticket)));
+        let key = Cell::new(None);
+        let tid = message.header().to;
+        let wait_from = |now| {
+            let wait = Wait {
+                activity: record.statistics.activity().clone(),
+                to: self.to.clone(),
+                tid,
+                command: self.command,
+                place: None,
+            };
+            let ticket = processor.begin_call(now, self.deadline, Some(wait));
+            key.set(Some(ticket.key()));
+            ReplySlot::call(ticket)
+        };
+        let mut call = None;
+        if self.wait == WaitFor::Reply {
+            let now = processor.look_at_clock();
+            message.envelope.deadline = Some(now + self.deadline);
+            call = Some(wait_from(now));
+        }
+        let mut slot = || call.take().or_else(|| Some(wait_from(processor.now())));
+        let delivered = chassis.deliver(message, self.wait, &mut slot);
+        let (outbound, answer) = match delivered.outcome {
+            Outcome::Taken => (None, Some(Ok(Data::NOTHING))),
+            Outcome::Failed(fault) => (None, Some(Err(fault))),
+            Outcome::Waits(outbound) => (outbound, None),
+        };
+        drop(call);
+        if let (Some(key), Some(_)) = (key.get(), &answer) {
+            processor.give_up_call(key);
+        }
         self.waits = Some(Waits {
-            key,
-            outbound: delivered.outbound,
+            key: key.get(),
+            outbound,
             asked: delivered.asked,
             recorded: delivered.recorded,
-            shown: None,
+            waited: false,
             circle: Circle::NotLookedFor,
         });
+        answer
     }
 
     /// Sends the message now, or not at all.
@@ -268,18 +309,6 @@ impl Ask {
             Poll::Ready(ended) => ended.map(drop),
             // A message that nobody waits for is taken or refused at once.
             Poll::Pending => Err(self.error(Fault::NoReply)),
-        }
-    }
-
-    /// Shows the call to whoever wants to know what its task waits for.
-    fn show(&mut self) {
-        if let Some(waits) = &mut self.waits
-            && waits.shown.is_none()
-        {
-            let shown = &self.asker.record.statistics.activity().waits;
-            let since = self.asker.processor.recent();
-            let to = self.to.clone();
-            waits.shown = Some(shown.begin(to, waits.asked.to(), self.command, since));
         }
     }
 
@@ -297,9 +326,8 @@ impl Ask {
     /// The question is over: there is nothing to take back.
     fn end(&mut self, answer: Result<Data, Fault>) -> Result<Data, CallError> {
         if let Some(waits) = self.waits.take() {
-            self.unshow(&waits);
             let tap = &self.asker.chassis.tap;
-            let at_once = waits.shown.is_none();
+            let at_once = !waits.waited;
             if self.wait != WaitFor::Nothing || answer.is_err() {
                 tap.answered(waits.recorded, &waits.asked, at_once, answer.as_ref());
             }
@@ -319,12 +347,6 @@ impl Ask {
             }
         }
         self.end(Err(fault))
-    }
-
-    fn unshow(&self, waits: &Waits) {
-        if let Some(place) = waits.shown {
-            self.asker.record.statistics.activity().waits.end(place);
-        }
     }
 
     pub(super) fn misread(&self, error: &PayloadError) -> CallError {
@@ -349,8 +371,9 @@ impl Ask {
 impl Drop for Ask {
     fn drop(&mut self) {
         if let Some(waits) = self.waits.take() {
-            self.unshow(&waits);
-            self.asker.processor.give_up_call(waits.key);
+            if let Some(key) = waits.key {
+                self.asker.processor.give_up_call(key);
+            }
             if let Some(outbound) = waits.outbound {
                 self.asker.chassis.abandon(outbound);
             }

@@ -5,8 +5,8 @@ use crate::{message::Data, time::Clock};
 
 const DEADLINE: Duration = Duration::from_secs(5);
 
-fn begin(calls: &mut Calls, home: &Arc<ProcessorHandle>, deadline: Duration) -> (Ticket, Instant) {
-    calls.begin(home, at(1), deadline)
+fn begin(calls: &mut Calls, home: &Arc<ProcessorHandle>, deadline: Duration) -> Ticket {
+    calls.begin(home, at(1), deadline, None)
 }
 
 fn look(calls: &mut Calls, key: CallKey) -> Looked {
@@ -33,11 +33,11 @@ fn at(millis: u64) -> Instant {
 #[test]
 fn one_slot_serves_call_after_call_and_keeps_late_answers_from_the_next() {
     let (mut calls, home) = (Calls::default(), Arc::default());
-    let (first, _) = begin(&mut calls, &home, DEADLINE);
+    let first = begin(&mut calls, &home, DEADLINE);
     let gone = first.key();
     drop(calls.give_up(gone));
     assert!(first.is_abandoned());
-    let (second, _) = begin(&mut calls, &home, DEADLINE);
+    let second = begin(&mut calls, &home, DEADLINE);
     let key = second.key();
     assert_eq!(gone.slot, key.slot, "a free slot was not used");
     assert!(!second.is_abandoned());
@@ -53,9 +53,9 @@ fn one_slot_serves_call_after_call_and_keeps_late_answers_from_the_next() {
 fn a_call_with_little_time_is_looked_after_at_its_deadline() {
     let (mut calls, home) = (Calls::default(), Arc::default());
     let little = Duration::from_millis(1);
-    let (ticket, look_at) = begin(&mut calls, &home, little);
+    let ticket = begin(&mut calls, &home, little);
     let key = ticket.key();
-    assert_eq!(look_at, at(1) + little);
+    assert_eq!(calls.settle(key), Some(at(1) + little));
     assert!(calls.fired(key).again.is_none());
     assert!(ticket.is_abandoned());
     assert!(matches!(look(&mut calls, key), Looked::Late(after) if after == little));
@@ -64,9 +64,9 @@ fn a_call_with_little_time_is_looked_after_at_its_deadline() {
 #[test]
 fn a_long_wait_is_told_once_before_the_deadline() {
     let (mut calls, home) = (Calls::default(), Arc::default());
-    let (ticket, look_at) = begin(&mut calls, &home, DEADLINE);
+    let ticket = begin(&mut calls, &home, DEADLINE);
     let key = ticket.key();
-    assert_eq!(look_at, at(1) + circle::LONG);
+    assert_eq!(calls.settle(key), Some(at(1) + circle::LONG));
     let fired = calls.fired(key);
     assert_eq!(fired.again, Some(at(1) + DEADLINE));
     assert!(matches!(look(&mut calls, key), Looked::Long));
@@ -81,7 +81,7 @@ fn a_long_wait_is_told_once_before_the_deadline() {
 #[test]
 fn a_call_that_has_ended_leaves_no_timer() {
     let processor = Processor::new(Arc::default(), Clock::virtual_clock());
-    let ticket = processor.begin_call(Instant::START, DEADLINE);
+    let ticket = processor.begin_call(Instant::START, DEADLINE, None);
     let key = ticket.key();
     assert_eq!(
         processor.next_deadline(),

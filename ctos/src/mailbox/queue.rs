@@ -115,6 +115,11 @@ impl TaskQueue {
         self.lanes.borrow_mut()
     }
 
+    /// Whose it is.
+    pub(crate) fn task(&self) -> &Arc<TaskRecord> {
+        &self.task
+    }
+
     /// Names the future that takes the messages: it is woken when there are some.
     pub(crate) fn set_runner(&self, runner: FutureId) {
         self.runner.set(Some(runner));

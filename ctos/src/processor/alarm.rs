@@ -28,6 +28,7 @@ impl Processor {
 
     /// The next moment at which something is due without being woken.
     pub(crate) fn next_deadline(&self) -> Option<Instant> {
+        self.settle_calls();
         let timer = self.timers.borrow().first();
         timer.into_iter().chain(self.schedule.next_due()).min()
     }
@@ -42,11 +43,15 @@ impl Processor {
     pub(crate) fn fire_timers(self: &Rc<Self>) {
         self.enter();
         let now = self.look_at_clock();
+        self.settle_calls();
         self.fire_due(now);
     }
 
     /// Wakes the timers that are due at `now`.
     pub(super) fn fire_due(&self, now: Instant) {
+        if now >= self.settle_at.get() {
+            self.settle_calls();
+        }
         loop {
             let Some(due) = self.timers.borrow_mut().pop_due(now) else {
                 return;

@@ -7,17 +7,43 @@ use crate::{
     call::{Answer, ReplySlot},
     exchange::{CallKey, Given, Looked, Rest, Ticket},
     time::Instant,
+    waits::Wait,
 };
 
+/// After this time a call that still waits has a timer, and is shown; earlier where the processor has nothing to do.
+const YOUNG: Duration = Duration::from_millis(1);
+
 impl Processor {
-    /// Begins a call that a future of this processor makes at `now`.
-    pub(crate) fn begin_call(&self, now: Instant, deadline: Duration) -> Ticket {
+    /// Begins a call that a future of this processor makes at `now`; `wait` is shown if it takes a while.
+    pub(crate) fn begin_call(
+        &self,
+        now: Instant,
+        deadline: Duration,
+        wait: Option<Wait>,
+    ) -> Ticket {
         let mut calls = self.calls.borrow_mut();
-        let (ticket, look_at) = calls.begin(&self.handle, now, deadline);
-        let key = ticket.key();
-        let timer = self.timers.borrow_mut().insert(look_at, Timed::Call(key));
-        calls.set_timer(key, timer);
+        let ticket = calls.begin(&self.handle, now, deadline, wait);
+        let mut young = self.young.borrow_mut();
+        if young.is_empty() || deadline < YOUNG {
+            let settle_at = now + deadline.min(YOUNG);
+            self.settle_at.set(settle_at.min(self.settle_at.get()));
+        }
+        young.push(ticket.key());
         ticket
+    }
+
+    /// Sets timers for the young calls that still wait, and shows what they wait for. Most have ended by then and
+    /// never need either.
+    pub(crate) fn settle_calls(&self) {
+        let mut young = self.young.borrow_mut();
+        let mut calls = self.calls.borrow_mut();
+        for key in young.drain(..) {
+            if let Some(look_at) = calls.settle(key) {
+                let timer = self.timers.borrow_mut().insert(look_at, Timed::Call(key));
+                calls.set_timer(key, timer);
+            }
+        }
+        self.settle_at.set(Instant::LAST);
     }
 
     /// Looks for the answer to a call.
