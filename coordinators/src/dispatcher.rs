@@ -14,7 +14,7 @@ use ctos::{
     task::{Context, HandlerError},
 };
 use futures_util::future::join_all;
-use mcs::tasks::{SERVO, args::ServoArgs};
+use mcs::Manipulator;
 use pnt::{
     check::FunctionNames,
     library::{Acted, Action, Library},
@@ -135,7 +135,7 @@ fn names(args: &DispatcherArgs) -> FunctionNames {
     library(args.clone(), DomStore::new(&args.dom)).names()
 }
 
-/// Reads the positions and, where the app has a servo, holds them against its arm.
+/// Reads the positions and, where the app has a manipulator, checks that it reaches them.
 fn check_positions(task: &TaskConfig, app: &App, args: &DispatcherArgs, findings: &mut Findings) {
     let source = match app.read(&args.positions) {
         Ok(source) => source,
@@ -148,11 +148,8 @@ fn check_positions(task: &TaskConfig, app: &App, args: &DispatcherArgs, findings
         Ok(positions) => positions,
         Err(found) => return findings.extend(found),
     };
-    let servo = app.tasks.iter().find(|task| task.handler == SERVO);
-    // The servo's own arguments are reported by its own check.
-    let servo = servo.and_then(|servo| ServoArgs::read(servo, &mut Findings::new()));
-    if let Some(servo) = servo {
-        positions::check_reach(&positions, &source, &servo.model(), &servo.tool(), findings);
+    if let Some(Manipulator { arm, tool }) = Manipulator::of(app) {
+        positions::check_reach(&positions, &source, &arm, &tool, findings);
     }
     positions::check_spread(&positions, &source, findings);
 }

@@ -1,6 +1,6 @@
 //! The client interface: what anybody who uses the manipulator asks of it, and what comes back.
 //!
-//! These types travel as messages; the tasks that answer them are in [`crate::tasks`].
+//! These types travel as messages; the tasks that answer them are private to the crate.
 
 use std::time::Duration;
 

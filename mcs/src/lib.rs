@@ -4,7 +4,7 @@
 //! (slots over channel drivers), [`control`] the laws that turn setpoints into torques, [`trajectory`]
 //! the planning of segments, [`servo`] the synchronous function that runs all three at the servo
 //! rate, [`state`] the rules of the state manager, [`client`] what users ask and get. [`arm`] is the
-//! manipulator's model; [`tasks`] puts everything behind event handlers, registered by [`register`].
+//! manipulator's model; the tasks put everything behind event handlers, registered by [`register`].
 //!
 //! Names no simulator and no hardware: whoever has one implements [`driver::ChannelDriver`] and
 //! registers it in a [`driver::DriverRegistry`].
@@ -16,7 +16,7 @@ pub mod driver;
 pub mod services;
 pub mod servo;
 pub mod state;
-pub mod tasks;
+mod tasks;
 pub mod trajectory;
 
-pub use tasks::register;
+pub use tasks::{args::Manipulator, register};

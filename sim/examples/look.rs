@@ -4,9 +4,9 @@
 //!
 //! With no angles the arm stands at its start. The pictures are `OUT_FOLDER/NAME.png`.
 
-use std::{error::Error, path::PathBuf};
+use std::{error::Error, fs::File, io::BufWriter, path::PathBuf};
 
-use sim::{camera::Renderer, cell::Cell, picture};
+use sim::{camera::Renderer, cell::Cell};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut renderer = Renderer::new(&cell, camera, 1);
         let pixels = renderer.render(&scene, 0);
         let path = folder.join(format!("{}.png", camera.truth.name));
-        picture::write_png(&path, camera.truth.width, camera.truth.height, &pixels)?;
+        let file = BufWriter::new(File::create(path)?);
+        vss::png::write(file, camera.truth.width, camera.truth.height, &pixels)?;
     }
     Ok(())
 }

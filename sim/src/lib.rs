@@ -8,7 +8,6 @@ pub mod camera;
 pub mod cell;
 pub mod driver;
 pub mod handlers;
-pub mod picture;
 pub mod puma560;
 pub mod scene;
 pub mod shapes;

@@ -193,6 +193,9 @@ pub(crate) fn suggestion<'a>(given: &str, known: impl IntoIterator<Item = &'a st
     if given.len() > LONGEST {
         return String::new();
     }
+    // As a trait object, so that the search is compiled once.
+    let mut known = known.into_iter();
+    let known: &mut dyn Iterator<Item = &str> = &mut known;
     let finding = Finding::error("sorma", "").suggest(given, known);
     finding
         .help

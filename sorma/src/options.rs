@@ -12,7 +12,7 @@ use crate::name::suggestion;
 use crate::report::{Report, code};
 use crate::transport::Transport;
 use crate::words::{self, Word};
-use kind::{Act, Field, Kind, Numbers};
+use kind::{Act, Bound, Field, Kind, Numbers};
 use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::ops::RangeInclusive;
@@ -175,22 +175,11 @@ impl<T: Clone + Default> OptionTable<T> {
         self.option(name, help, Kind::Action(parameters, act))
     }
 
-    /// The names of the options, without the dash, `help` and `dump` among them.
-    pub fn names(&self) -> impl Iterator<Item = &'static str> {
-        let own = self.options.iter().map(|option| option.name);
-        own.chain(["help", "dump"])
-    }
-
     /// What a program may know about the options, in the order of the table; `help` and `dump` are
     /// left out.
     #[must_use]
     pub fn describe(&self) -> Vec<OptionInfo> {
-        let mut initial = T::default();
-        let described = self
-            .options
-            .iter()
-            .map(|option| option.kind.describe(option.name, option.help, &mut initial));
-        described.collect()
+        describe(&mut self.at(&mut T::default()))
     }
 
     /// What a program may know about the class.
@@ -211,193 +200,261 @@ impl<T: Clone + Default> OptionTable<T> {
     /// # Errors
     /// What is wrong with the request, and what would have been right.
     pub fn form(&self, io: &Transport) -> Result<&'static Form, Report> {
-        let text = io.text.trim();
-        let fits = |form: &&Form| form.is_of(text);
-        let mut fitting = self.forms.iter().filter(fits);
-        // Forms of one text differ by the count of their floats.
-        let counted = fitting.clone().find(|form| form.floats == io.floats.len());
-        let Some(form) = counted.or_else(|| fitting.next()) else {
-            return Err(self.no_form(text));
-        };
-        let takes = form.takes;
-        let wrong = |text: String| {
-            Err(Report::error(
-                code::VALUE,
-                format!("{} {text}", called(form)),
-            ))
-        };
-        if io.floats.len() != form.floats {
-            let given = io.floats.len();
-            return wrong(match form.floats {
-                0 => format!("takes no floats (FMSG), not {given}"),
-                count => format!(
-                    "takes {count} floats ({takes}), not {given}: write FMSG {count} and the numbers"
-                ),
-            });
-        }
-        if let Some(index) = io.floats.iter().position(|float| !float.is_finite()) {
-            let (count, given) = (
-                form.floats,
-                io.floats.get(index).copied().unwrap_or_default(),
-            );
-            let at = index + 1;
-            return wrong(format!(
-                "takes finite floats ({takes}), and float {at} of {count} is {given:?}"
-            ));
-        }
-        let (ints, bytes) = (io.ints.len(), io.opaque.len());
-        if ints > 0 {
-            return wrong(format!("takes no whole numbers (IMSG), not {ints}"));
-        }
-        if bytes > 0 {
-            return wrong(format!("takes no opaque bytes, not {bytes}"));
-        }
-        Ok(form)
-    }
-
-    fn no_form(&self, text: &str) -> Report {
-        let known: Vec<&str> = self.forms.iter().map(|form| form.text).collect();
-        let listed = known.join(", ");
-        let text = match (known.as_slice(), text) {
-            ([], _) => "this class has no EXEC".to_owned(),
-            ([one], "") => format!("after EXEC stands {one}"),
-            (_, "") => format!("after EXEC stands one of {listed}"),
-            (_, given) => {
-                let hint = suggestion(given, known);
-                format!(
-                    "EXEC `{}` is not known here: this class has {listed}{hint}",
-                    clipped(given)
-                )
-            }
-        };
-        Report::error(code::UNSUPPORTED, text)
+        form(self.forms, io)
     }
 
     /// What `-help` answers: a line for each form of EXEC and for each option, with its form, meaning
     /// and default.
     #[must_use]
     pub fn help(&self) -> String {
-        let mut initial = T::default();
-        let mut out = self.about.to_owned();
-        for form in self.forms {
-            let floats = match form.floats {
-                0 => String::new(),
-                count => format!(" FMSG {count}"),
-            };
-            let request = format!("EXEC {}{floats}", form.text);
-            let _ = write!(out, "\n  {request:<28} {}; gives {}", form.help, form.gives);
-            if form.floats > 0 {
-                let _ = write!(out, "; takes {}", form.takes);
-            }
-        }
-        for option in &self.options {
-            let form = option.kind.form();
-            // Writing to a `String` cannot fail.
-            let _ = write!(
-                out,
-                "\n  {:<28} {}",
-                format!("-{}{form}", option.name),
-                option.help
-            );
-            if let Some(value) = option.kind.shown(&mut initial) {
-                let _ = write!(out, " (default {value})");
-            }
-        }
-        out.push_str("\n  -help                        what CTRL understands");
-        out.push_str("\n  -dump                        the state, as options");
-        out
+        help(self.about, self.forms, &mut self.at(&mut T::default()))
     }
 
     /// What `-dump` answers: every option with its value, as one line that CTRL takes back.
     #[must_use]
     pub fn dump(&self, state: &T) -> String {
-        let mut state = state.clone();
-        let shown = self.options.iter().filter_map(|option| {
-            let value = option.kind.shown(&mut state)?;
-            Some(format!("-{} {value}", option.name))
-        });
-        shown.collect::<Vec<_>>().join(" ")
+        dump(&mut self.at(&mut state.clone()))
     }
 
     /// A CTRL request: takes the options in `io.text` into `state` and leaves the answers there.
     /// What is wrong goes to `io` as reports, and `state` is then as before.
     pub fn ctrl(&self, state: &mut T, io: &mut Transport) {
-        let text = std::mem::take(&mut io.text);
-        let words = match words::split(&text) {
-            Ok(words) => words,
-            Err(error) => return io.report(Report::error(code::SYNTAX, error.to_string())),
-        };
         let mut next = state.clone();
-        let mut answers = Vec::new();
-        let mut errors = Vec::new();
-        let mut rest = words.as_slice();
-        while let Some((word, after)) = rest.split_first() {
-            rest = match self.one(&mut next, word, after) {
-                Ok((answer, rest)) => {
-                    answers.extend(answer);
-                    rest
-                }
-                Err(report) => {
-                    errors.push(report);
-                    let skipped = after.iter().take_while(|word| !begins_option(word));
-                    after.get(skipped.count()..).unwrap_or_default()
-                }
-            };
-        }
-        if errors.is_empty() {
+        if ctrl(&mut self.at(&mut next), &|| self.help(), io) {
             *state = next;
-            io.text = answers.join("\n");
-        }
-        for error in errors {
-            io.report(error);
         }
     }
 
-    /// Takes one option and returns its answer and the words after it.
-    fn one<'w>(
-        &self,
-        state: &mut T,
-        word: &Word,
-        rest: &'w [Word],
-    ) -> Result<(Option<String>, &'w [Word]), Report> {
-        let Some(name) = word.text.strip_prefix('-') else {
-            let text = format!(
-                "`{}` is no option; options begin with `-`, see -help",
-                clipped(&word.text)
-            );
-            return Err(Report::error(code::SYNTAX, text));
-        };
-        match name {
-            "help" => return Ok((Some(self.help()), rest)),
-            "dump" => return Ok((Some(self.dump(state)), rest)),
-            _ => {}
+    fn at<'a>(&'a self, state: &'a mut T) -> At<'a, T> {
+        At {
+            options: &self.options,
+            state,
         }
-        let Some(option) = self.options.iter().find(|option| option.name == name) else {
-            let hint = suggestion(name, self.names());
-            let text = format!("unknown option `-{}`{hint}", clipped(name));
-            return Err(Report::error(code::UNKNOWN_OPTION, text));
-        };
-        option.take(state, rest)
     }
 }
 
-impl<T> Opt<T> {
-    fn take<'w>(
-        &self,
-        state: &mut T,
-        rest: &'w [Word],
-    ) -> Result<(Option<String>, &'w [Word]), Report> {
-        let wrong = |text: String| Report::error(code::VALUE, format!("-{}: {text}", self.name));
-        let next = rest.first().map(|word| word.text.as_str());
-        let count = self.kind.count(next);
-        if rest.len() < count {
-            return Err(wrong(format!("write -{}{}", self.name, self.kind.form())));
-        }
-        let (own, rest) = rest.split_at(count);
-        let own: Vec<String> = own.iter().map(|word| word.text.clone()).collect();
-        let answer = self.kind.set(state, &own).map_err(wrong)?;
-        Ok((answer.filter(|answer| !answer.is_empty()), rest))
+/// The options of a class at one state. What is done with them is compiled once, and not for every class.
+trait Options {
+    /// The option that stands at `index` in the table.
+    fn get(&mut self, index: usize) -> Option<Named<'_>>;
+
+    /// The names in the order of the table, without `help` and `dump`.
+    fn names(&self) -> Vec<&'static str>;
+}
+
+/// An option at one state.
+struct Named<'a> {
+    name: &'static str,
+    help: &'static str,
+    kind: Bound<'a>,
+}
+
+struct At<'a, T> {
+    options: &'a [Opt<T>],
+    state: &'a mut T,
+}
+
+impl<T> Options for At<'_, T> {
+    fn get(&mut self, index: usize) -> Option<Named<'_>> {
+        let option = self.options.get(index)?;
+        Some(Named {
+            name: option.name,
+            help: option.help,
+            kind: option.kind.at(self.state),
+        })
     }
+
+    fn names(&self) -> Vec<&'static str> {
+        self.options.iter().map(|option| option.name).collect()
+    }
+}
+
+/// Calls `each` for every option of the table.
+fn each(options: &mut dyn Options, mut each: impl FnMut(Named<'_>)) {
+    let mut index = 0;
+    while let Some(option) = options.get(index) {
+        each(option);
+        index += 1;
+    }
+}
+
+fn describe(options: &mut dyn Options) -> Vec<OptionInfo> {
+    let mut described = Vec::new();
+    each(options, |Named { name, help, kind }| {
+        described.push(kind.describe(name, help));
+    });
+    described
+}
+
+fn form(forms: &'static [Form], io: &Transport) -> Result<&'static Form, Report> {
+    let text = io.text.trim();
+    let fits = |form: &&Form| form.is_of(text);
+    let mut fitting = forms.iter().filter(fits);
+    // Forms of one text differ by the count of their floats.
+    let counted = fitting.clone().find(|form| form.floats == io.floats.len());
+    let Some(form) = counted.or_else(|| fitting.next()) else {
+        return Err(no_form(forms, text));
+    };
+    let takes = form.takes;
+    let wrong = |text: String| {
+        Err(Report::error(
+            code::VALUE,
+            format!("{} {text}", called(form)),
+        ))
+    };
+    if io.floats.len() != form.floats {
+        let given = io.floats.len();
+        return wrong(match form.floats {
+            0 => format!("takes no floats (FMSG), not {given}"),
+            count => format!(
+                "takes {count} floats ({takes}), not {given}: write FMSG {count} and the numbers"
+            ),
+        });
+    }
+    if let Some(index) = io.floats.iter().position(|float| !float.is_finite()) {
+        let (count, given) = (
+            form.floats,
+            io.floats.get(index).copied().unwrap_or_default(),
+        );
+        let at = index + 1;
+        return wrong(format!(
+            "takes finite floats ({takes}), and float {at} of {count} is {given:?}"
+        ));
+    }
+    let (ints, bytes) = (io.ints.len(), io.opaque.len());
+    if ints > 0 {
+        return wrong(format!("takes no whole numbers (IMSG), not {ints}"));
+    }
+    if bytes > 0 {
+        return wrong(format!("takes no opaque bytes, not {bytes}"));
+    }
+    Ok(form)
+}
+
+fn no_form(forms: &[Form], text: &str) -> Report {
+    let known: Vec<&str> = forms.iter().map(|form| form.text).collect();
+    let listed = known.join(", ");
+    let text = match (known.as_slice(), text) {
+        ([], _) => "this class has no EXEC".to_owned(),
+        ([one], "") => format!("after EXEC stands {one}"),
+        (_, "") => format!("after EXEC stands one of {listed}"),
+        (_, given) => {
+            let hint = suggestion(given, known);
+            format!(
+                "EXEC `{}` is not known here: this class has {listed}{hint}",
+                clipped(given)
+            )
+        }
+    };
+    Report::error(code::UNSUPPORTED, text)
+}
+
+fn help(about: &str, forms: &[Form], options: &mut dyn Options) -> String {
+    let mut out = about.to_owned();
+    for form in forms {
+        let floats = match form.floats {
+            0 => String::new(),
+            count => format!(" FMSG {count}"),
+        };
+        let request = format!("EXEC {}{floats}", form.text);
+        // Writing to a `String` cannot fail.
+        let _ = write!(out, "\n  {request:<28} {}; gives {}", form.help, form.gives);
+        if form.floats > 0 {
+            let _ = write!(out, "; takes {}", form.takes);
+        }
+    }
+    each(options, |Named { name, help, kind }| {
+        let called = format!("-{name}{}", kind.form());
+        let _ = write!(out, "\n  {called:<28} {help}");
+        if let Some(value) = kind.shown() {
+            let _ = write!(out, " (default {value})");
+        }
+    });
+    out.push_str("\n  -help                        what CTRL understands");
+    out.push_str("\n  -dump                        the state, as options");
+    out
+}
+
+fn dump(options: &mut dyn Options) -> String {
+    let mut shown = Vec::new();
+    each(options, |Named { name, kind, .. }| {
+        shown.extend(kind.shown().map(|value| format!("-{name} {value}")));
+    });
+    shown.join(" ")
+}
+
+/// Whether all options were taken; the answers are then in `io`, and what was wrong otherwise.
+fn ctrl(options: &mut dyn Options, help: &dyn Fn() -> String, io: &mut Transport) -> bool {
+    let text = std::mem::take(&mut io.text);
+    let words = match words::split(&text) {
+        Ok(words) => words,
+        Err(error) => {
+            io.report(Report::error(code::SYNTAX, error.to_string()));
+            return false;
+        }
+    };
+    let mut answers = Vec::new();
+    let mut errors = Vec::new();
+    let mut rest = words.as_slice();
+    while let Some((word, after)) = rest.split_first() {
+        rest = match one(options, help, word, after) {
+            Ok((answer, rest)) => {
+                answers.extend(answer);
+                rest
+            }
+            Err(report) => {
+                errors.push(report);
+                let skipped = after.iter().take_while(|word| !begins_option(word));
+                after.get(skipped.count()..).unwrap_or_default()
+            }
+        };
+    }
+    let taken = errors.is_empty();
+    if taken {
+        io.text = answers.join("\n");
+    }
+    for error in errors {
+        io.report(error);
+    }
+    taken
+}
+
+/// Takes one option and returns its answer and the words after it.
+fn one<'w>(
+    options: &mut dyn Options,
+    help: &dyn Fn() -> String,
+    word: &Word,
+    rest: &'w [Word],
+) -> Result<(Option<String>, &'w [Word]), Report> {
+    let Some(name) = word.text.strip_prefix('-') else {
+        let text = format!(
+            "`{}` is no option; options begin with `-`, see -help",
+            clipped(&word.text)
+        );
+        return Err(Report::error(code::SYNTAX, text));
+    };
+    match name {
+        "help" => return Ok((Some(help()), rest)),
+        "dump" => return Ok((Some(dump(options)), rest)),
+        _ => {}
+    }
+    let names = options.names();
+    let index = names.iter().position(|known| *known == name);
+    let Some(Named { name, kind, .. }) = index.and_then(|index| options.get(index)) else {
+        let hint = suggestion(name, names.into_iter().chain(["help", "dump"]));
+        let text = format!("unknown option `-{}`{hint}", clipped(name));
+        return Err(Report::error(code::UNKNOWN_OPTION, text));
+    };
+    let wrong = |text: String| Report::error(code::VALUE, format!("-{name}: {text}"));
+    let next = rest.first().map(|word| word.text.as_str());
+    let count = kind.count(next);
+    if rest.len() < count {
+        return Err(wrong(format!("write -{name}{}", kind.form())));
+    }
+    let (own, rest) = rest.split_at(count);
+    let own: Vec<String> = own.iter().map(|word| word.text.clone()).collect();
+    let answer = kind.set(&own).map_err(wrong)?;
+    Ok((answer.filter(|answer| !answer.is_empty()), rest))
 }
 
 /// Where reading goes on after a wrong option: at the next word that looks like one and not like a

@@ -11,8 +11,14 @@
 mod bad_input;
 mod control;
 mod determinism;
+mod display;
 mod displays;
 mod documents;
+#[allow(
+    clippy::print_stdout,
+    reason = "how each disturbed run ended is shown when one fails"
+)]
+mod disturbed;
 mod doors;
 mod faults;
 mod full_disk;

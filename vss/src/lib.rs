@@ -19,6 +19,7 @@ pub mod catalog;
 pub mod command;
 pub mod components;
 pub mod frame;
+pub mod png;
 pub mod service;
 pub mod services;
 pub mod source;

@@ -3,6 +3,8 @@
 
 use std::{
     collections::BTreeMap,
+    fs::File,
+    io::BufWriter,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
@@ -193,12 +195,8 @@ fn write_png(shown: &Shown, file: &Path) -> Result<(), HandlerError> {
         std::fs::create_dir_all(folder).map_err(|error| at(&error))?;
     }
     let Frame { width, height, .. } = shown.frame;
-    let size = |pixels: usize| u32::try_from(pixels).map_err(|error| at(&error));
-    let picture = image::GrayImage::from_raw(size(width)?, size(height)?, marked(shown));
-    let picture = picture.ok_or_else(|| at(&"its size and its pixels disagree"))?;
-    picture
-        .save_with_format(file, image::ImageFormat::Png)
-        .map_err(|error| at(&error))
+    let to = File::create(file).map_err(|error| at(&error))?;
+    crate::png::write(BufWriter::new(to), width, height, &marked(shown)).map_err(|error| at(&error))
 }
 
 /// The pixels with a cross around each marked place; the middle stays visible.

@@ -3,12 +3,9 @@
 use std::{error::Error, path::Path, time::Duration};
 
 use base64::Engine as _;
-use image::{
-    ExtendedColorType, ImageEncoder as _,
-    codecs::png::{CompressionType, FilterType, PngEncoder},
-};
 use mcs::arm::ArmModel;
 use nalgebra::Translation3;
+use png::{ColorType, Compression, Encoder, Filter};
 use sim::{camera::Renderer, cell::Cell};
 use vss::{
     frame::Frame,
@@ -134,8 +131,11 @@ impl View {
         );
         let mut bytes = Vec::new();
         // Noise does not follow from its neighbours, so no filter compresses best.
-        PngEncoder::new_with_quality(&mut bytes, CompressionType::Best, FilterType::NoFilter)
-            .write_image(&pixels, width, height, ExtendedColorType::L8)?;
+        let mut encoder = Encoder::new(&mut bytes, width, height);
+        encoder.set_color(ColorType::Grayscale);
+        encoder.set_compression(Compression::High);
+        encoder.set_filter(Filter::NoFilter);
+        encoder.write_header()?.write_image_data(&pixels)?;
         Ok(base64::engine::general_purpose::STANDARD.encode(bytes))
     }
 }

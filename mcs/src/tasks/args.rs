@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ctos::config::TaskConfig;
+use ctos::config::{App, TaskConfig};
 use ctos::diagnostic::{Finding, Findings};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use serde::Deserialize;
@@ -11,6 +11,8 @@ use serde::de::IgnoredAny;
 use crate::arm::{ArmModel, JointLimits, Joints};
 use crate::servo::{ServoConfig, Settling};
 use crate::trajectory::CartesianLimits;
+
+use super::SERVO;
 
 /// Which control law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -212,6 +214,29 @@ impl ServoArgs {
             Translation3::new(x, y, z),
             UnitQuaternion::from_euler_angles(roll, pitch, yaw),
         )
+    }
+}
+
+/// What an app says of its manipulator, for those that check goals before anything runs.
+#[derive(Debug, Clone)]
+pub struct Manipulator {
+    /// The arm with the limits given.
+    pub arm: ArmModel,
+    /// `frame6_t_tool`.
+    pub tool: Isometry3<f64>,
+}
+
+impl Manipulator {
+    /// The manipulator of the first servo task of `app`. None also when that task's arguments are
+    /// wrong, which its own check reports.
+    #[must_use]
+    pub fn of(app: &App) -> Option<Self> {
+        let servo = app.tasks.iter().find(|task| task.handler == SERVO)?;
+        let args = ServoArgs::read(servo, &mut Findings::new())?;
+        Some(Self {
+            arm: args.model(),
+            tool: args.tool(),
+        })
     }
 }
 

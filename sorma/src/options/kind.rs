@@ -31,6 +31,41 @@ pub(super) enum Kind<T> {
 }
 
 impl<T> Kind<T> {
+    /// The option at one state. What is done with it knows no `T`, and so is compiled once.
+    pub(super) fn at<'a>(&'a self, state: &'a mut T) -> Bound<'a> {
+        match self {
+            Self::Flag(field) => Bound::Flag(field(state)),
+            Self::Float(field, numbers) => Bound::Float(field(state), numbers),
+            Self::Int(field, numbers) => Bound::Int(field(state), numbers),
+            Self::IntOr(field, none, numbers) => Bound::IntOr(field(state), none, numbers),
+            Self::Floats(field, names, numbers) => Bound::Floats(field(state), names, numbers),
+            Self::Ints(field, names, numbers) => Bound::Ints(field(state), names, numbers),
+            Self::Choice(field, choices) => Bound::Choice(field(state), choices),
+            Self::Word(field, what) => Bound::Word(field(state), what),
+            Self::Action(names, act) => {
+                Bound::Action(names, Box::new(move |words| act(state, words)))
+            }
+        }
+    }
+}
+
+/// What an action does with its words.
+type BoundAct<'a> = Box<dyn FnOnce(&[String]) -> Result<String, String> + 'a>;
+
+/// An option and its value in one state.
+pub(super) enum Bound<'a> {
+    Flag(&'a mut bool),
+    Float(&'a mut f64, &'a Numbers<f64>),
+    Int(&'a mut i64, &'a Numbers<i64>),
+    IntOr(&'a mut String, &'static str, &'a Numbers<i64>),
+    Floats(&'a mut Vec<f64>, &'static [&'static str], &'a Numbers<f64>),
+    Ints(&'a mut Vec<i64>, &'static [&'static str], &'a Numbers<i64>),
+    Choice(&'a mut String, &'static [&'static str]),
+    Word(&'a mut String, &'static str),
+    Action(&'static [&'static str], BoundAct<'a>),
+}
+
+impl Bound<'_> {
     /// How many words the option takes, when `next` comes after it.
     pub(super) fn count(&self, next: Option<&str>) -> usize {
         match self {
@@ -62,38 +97,36 @@ impl<T> Kind<T> {
     }
 
     /// The value as CTRL takes it; `None` for actions and for lists that are not set.
-    pub(super) fn shown(&self, state: &mut T) -> Option<String> {
+    pub(super) fn shown(&self) -> Option<String> {
         match self {
-            Self::Flag(field) => Some(if *field(state) { "on" } else { "off" }.to_owned()),
-            Self::Float(field, _) => Some(format!("{:?}", field(state))),
-            Self::Int(field, _) => Some(field(state).to_string()),
-            Self::Floats(field, ..) => many(field(state)),
-            Self::Ints(field, ..) => many(field(state)),
-            Self::Choice(field, _) | Self::Word(field, _) | Self::IntOr(field, ..) => {
-                Some(words::word(field(state)))
+            Self::Flag(value) => Some(if **value { "on" } else { "off" }.to_owned()),
+            Self::Float(value, _) => Some(format!("{value:?}")),
+            Self::Int(value, _) => Some(value.to_string()),
+            Self::Floats(values, ..) => many(values),
+            Self::Ints(values, ..) => many(values),
+            Self::Choice(value, _) | Self::Word(value, _) | Self::IntOr(value, ..) => {
+                Some(words::word(value))
             }
             Self::Action(..) => None,
         }
     }
 
     /// Sets the value from as many words as the option takes.
-    pub(super) fn set(&self, state: &mut T, words: &[String]) -> Result<Option<String>, String> {
+    pub(super) fn set(self, words: &[String]) -> Result<Option<String>, String> {
         let word = words.first().map_or("", String::as_str);
         match self {
-            Self::Flag(field) => *field(state) = word != "off",
-            Self::Float(field, numbers) => *field(state) = numbers.read(word, "")?,
-            Self::Int(field, numbers) => *field(state) = numbers.read(word, "")?,
-            Self::IntOr(field, none, numbers) => {
-                if word != *none {
+            Self::Flag(value) => *value = word != "off",
+            Self::Float(value, numbers) => *value = numbers.read(word, "")?,
+            Self::Int(value, numbers) => *value = numbers.read(word, "")?,
+            Self::IntOr(value, none, numbers) => {
+                if word != none {
                     numbers.read(word, &format!("must be `{none}`, or it "))?;
                 }
-                word.clone_into(field(state));
+                word.clone_into(value);
             }
-            Self::Floats(field, names, numbers) => {
-                *field(state) = numbers.read_all(words, names)?;
-            }
-            Self::Ints(field, names, numbers) => *field(state) = numbers.read_all(words, names)?,
-            Self::Choice(field, choices) => {
+            Self::Floats(values, names, numbers) => *values = numbers.read_all(words, names)?,
+            Self::Ints(values, names, numbers) => *values = numbers.read_all(words, names)?,
+            Self::Choice(value, choices) => {
                 if !choices.contains(&word) {
                     let hint = suggestion(word, choices.iter().copied());
                     return Err(format!(
@@ -102,21 +135,16 @@ impl<T> Kind<T> {
                         clipped(word)
                     ));
                 }
-                word.clone_into(field(state));
+                word.clone_into(value);
             }
-            Self::Word(field, _) => word.clone_into(field(state)),
-            Self::Action(_, act) => return act(state, words).map(Some),
+            Self::Word(value, _) => word.clone_into(value),
+            Self::Action(_, act) => return act(words).map(Some),
         }
         Ok(None)
     }
 
-    /// What a program may know about the option; `initial` is a state without a recipe.
-    pub(super) fn describe(
-        &self,
-        name: &'static str,
-        help: &'static str,
-        initial: &mut T,
-    ) -> OptionInfo {
+    /// What a program may know about the option; the state is one without a recipe.
+    pub(super) fn describe(&self, name: &str, help: &str) -> OptionInfo {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let mut info = OptionInfo {
             name: name.to_owned(),
@@ -125,7 +153,7 @@ impl<T> Kind<T> {
             unit: String::new(),
             range: None,
             choices: Vec::new(),
-            default: self.shown(initial),
+            default: self.shown(),
             help: help.to_owned(),
         };
         match self {

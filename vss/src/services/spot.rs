@@ -1,6 +1,6 @@
 //! The class `spot`: the spots of a picture, from a file or, in an app, from one of its cameras.
 
-use std::{sync::LazyLock, time::Duration};
+use std::{fs::File, io::BufReader, sync::LazyLock, time::Duration};
 
 use futures_util::future::LocalBoxFuture;
 use sorma::{Context, Form, OptionTable, Outcome, Report, ServiceObject, Transport, Waiting};
@@ -240,17 +240,12 @@ fn read(path: &str) -> Result<Frame, Report> {
         let text = format!("`{path}` is no picture that can be read (PNG): {why}");
         Report::error(code::FILE, text)
     };
-    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
-    let picture = reader.map_err(|error| wrong(&error))?;
-    let grey = picture
-        .decode()
-        .map_err(|error| wrong(&error))?
-        .into_luma8();
-    let side = |length: u32| usize::try_from(length).unwrap_or(usize::MAX);
+    let file = File::open(path).map_err(|error| wrong(&error))?;
+    let grey = crate::png::read(BufReader::new(file)).map_err(|error| wrong(&error))?;
     Ok(Frame {
-        width: side(grey.width()),
-        height: side(grey.height()),
-        pixels: grey.into_raw().into(),
+        width: grey.width,
+        height: grey.height,
+        pixels: grey.pixels.into(),
         stamp: Duration::ZERO,
         number: 0,
     })

@@ -1,14 +1,7 @@
 //! Trading: which daemon gets a request, by attributes, availability and measured latency, and how the load
 //! moves when one dies or slows. In virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions"
-)]
-
-mod app;
-
-use app::{App, Scenario, ask, kill, request, seconds};
+use crate::app::{App, Scenario, ask, kill, request, seconds};
 use ctos::boot::Mishap;
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;

@@ -1,15 +1,7 @@
 //! Requests that nobody stands waiting for, and demand streams: every case by reference and protected, in
 //! code and in text, in virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "helpers of tests stand outside test functions"
-)]
-
-mod app;
-
-use app::{App, Scenario, ask, kill, request, seconds};
+use crate::app::{App, Scenario, ask, kill, request, seconds};
 use ctos::boot::Mishap;
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;

@@ -1,13 +1,6 @@
 //! An app of a client and a few daemons, each on a chassis of its own, in virtual time; and the classes that
 //! its processes know.
 
-#![allow(
-    dead_code,
-    clippy::panic,
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions, and no test needs all of them"
-)]
-
 use ctos::boot::{BootEvent, End, Mishap, Observer, simulate};
 use ctos::config::load_texts;
 use ctos::registry::Registry;

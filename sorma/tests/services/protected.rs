@@ -1,14 +1,7 @@
 //! The same requests by reference and protected, in another process: every case both ways; and what
 //! becomes of them when the daemon dies. In virtual time, over simulated links.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions"
-)]
-
-mod app;
-
-use app::{App, Scenario, ask, kill};
+use crate::app::{App, Scenario, ask, kill};
 use ctos::boot::Mishap;
 use sorma::daemon::Tasks;
 use sorma::report::code;

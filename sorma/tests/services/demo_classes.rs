@@ -1,11 +1,6 @@
 //! The demonstration of the technical report's section 1.5: `foo.a`, `foo.b` and `bar`, built from
 //! their recipes, and of its section 2.1.5: a flavor added by one line of text.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions"
-)]
-
 use ctos::diagnostic::Source;
 use sorma::report::code;
 use sorma::{

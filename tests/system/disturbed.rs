@@ -4,14 +4,6 @@
 //! `CTOS_MOMENTS=40` tries so many moments of the whole calibration; without it each disturbance is tried
 //! at two moments of a shorter one.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "all of this is test code, helpers too, which fails by panicking"
-)]
-
 mod cell;
 
 use ctos::boot::End;

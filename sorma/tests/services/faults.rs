@@ -1,15 +1,7 @@
 //! Nothing is executed twice unasked, whatever happens to links and processes; in virtual time, with many
 //! seeds. Besides: what is done with data that no program of ours sends.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "helpers of tests stand outside test functions"
-)]
-
-mod app;
-
-use app::{App, Scenario, ask, request, seconds};
+use crate::app::{App, Scenario, ask, request, seconds};
 use ctos::boot::Mishap;
 use ctos::message::{Command, Replier};
 use ctos::registry::Registry;

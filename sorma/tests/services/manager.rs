@@ -1,11 +1,5 @@
 //! The manager as an object, names beside names, locks, two-step commitment, threads and panics.
 
-#![allow(
-    clippy::panic,
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions"
-)]
-
 use ctos::time::{Clock, Instant};
 use sorma::report::code;
 use sorma::{

@@ -3,9 +3,10 @@
 
 use rustix::process::Signal;
 
-use crate::{DISPATCHER, SIZE, boot, browser::Browser, choose, pictures, scratch};
+use super::{DISPATCHER, SIZE, boot, browser::Browser, choose, pictures, scratch};
 
 #[test]
+#[ignore = "needs Chromium"]
 fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_back() {
     let scratch = scratch();
     // It waits after the first round, in which every coordinator was asked.
@@ -88,6 +89,7 @@ fn a_transition_leads_to_the_last_messages_of_its_task_whoever_sent_them_and_bac
 }
 
 #[test]
+#[ignore = "needs Chromium"]
 fn lanes_are_those_of_transitions_or_of_the_tasks_that_they_ask() {
     let scratch = scratch();
     let (_run, page) = boot(&scratch, &[]);
@@ -120,6 +122,7 @@ fn lanes_are_those_of_transitions_or_of_the_tasks_that_they_ask() {
 }
 
 #[test]
+#[ignore = "needs Chromium"]
 fn a_place_of_several_nets_is_one_place_with_ways_to_all_of_them() {
     let scratch = scratch();
     scratch.write(
@@ -160,6 +163,7 @@ fn a_place_of_several_nets_is_one_place_with_ways_to_all_of_them() {
 }
 
 #[test]
+#[ignore = "needs Chromium"]
 fn what_a_person_looks_at_stays_when_the_nets_come_anew() {
     let scratch = scratch();
     let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
@@ -188,6 +192,7 @@ fn what_a_person_looks_at_stays_when_the_nets_come_anew() {
 }
 
 #[test]
+#[ignore = "needs Chromium"]
 fn a_breakpoint_at_a_place_waits_for_what_its_form_says() {
     let scratch = scratch();
     let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";
@@ -229,6 +234,7 @@ fn a_breakpoint_at_a_place_waits_for_what_its_form_says() {
 }
 
 #[test]
+#[ignore = "needs Chromium"]
 fn a_page_that_has_forgotten_the_oldest_events_says_so_and_shows_the_rest_exactly() {
     let scratch = scratch();
     let waits = "task.dispatcher.args.breakpoints=[\"init_calib\"]";

@@ -1,14 +1,7 @@
 //! Names and dictionaries across processes: every form of the report's section 1.4.3, and recipes that are
 //! edited where they are used. In virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions"
-)]
-
-mod app;
-
-use app::{App, Scenario, ask};
+use crate::app::{App, Scenario, ask};
 use sorma::report::code;
 
 fn two(scenario: Scenario, here: &'static str) -> Result<String, String> {

@@ -1,11 +1,7 @@
 //! Panels of service objects in a real browser, at running calibrations.
 
-use crate::{
-    SIZE, SLOW,
-    browser::Browser,
-    harness::{Run, Scratch},
-    opened, pictures,
-};
+use super::{SIZE, SLOW, browser::Browser, opened, pictures};
+use crate::harness::{Run, Scratch};
 
 /// The calibration with its panels, whose arm nobody else moves; the address of the page with its token.
 fn boot(scratch: &Scratch) -> (Run<'_>, String) {
@@ -43,6 +39,7 @@ fn set(browser: &mut Browser, name: &str, value: &str) {
 const ANSWERED: &str = "document.querySelector('#log li .answer').textContent";
 
 #[test]
+#[ignore = "needs Chromium"]
 fn sliders_and_options_of_a_panel_change_the_objects_of_a_running_app() {
     let scratch = Scratch::short();
     let (_run, page) = boot(&scratch);
@@ -92,6 +89,7 @@ fn sliders_and_options_of_a_panel_change_the_objects_of_a_running_app() {
 }
 
 #[test]
+#[ignore = "needs Chromium"]
 fn a_panel_without_its_token_shows_the_objects_and_changes_nothing() {
     let scratch = Scratch::short();
     let (_run, page) = boot(&scratch);

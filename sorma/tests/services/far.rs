@@ -2,12 +2,6 @@
 //! virtual time. What the stamps are turned into is held against what must be true: a record was written after it was
 //! asked to be and before that was confirmed.
 
-#![allow(
-    clippy::panic,
-    clippy::unwrap_used,
-    reason = "helpers of tests stand outside test functions"
-)]
-
 use ctos::boot::{BootEvent, End, Mishap, Observer, simulate};
 use ctos::config::load_texts;
 use ctos::registry::Registry;

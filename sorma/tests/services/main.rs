@@ -1,0 +1,17 @@
+//! Service objects as their users see them: classes, the manager, names, and daemons in other processes.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests stand outside test functions"
+)]
+
+mod app;
+mod asynchronous;
+mod demo_classes;
+mod far;
+mod faults;
+mod manager;
+mod names;
+mod protected;
+mod trading;
