@@ -13,12 +13,12 @@ mod control;
 mod determinism;
 mod display;
 mod displays;
-mod documents;
 #[allow(
     clippy::print_stdout,
     reason = "how each disturbed run ended is shown when one fails"
 )]
 mod disturbed;
+mod documents;
 mod doors;
 mod faults;
 mod full_disk;
