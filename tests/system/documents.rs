@@ -126,7 +126,7 @@ fn broken(page: &str, target: &str) -> Option<String> {
         ));
     }
     let lost =
-        !anchor.is_empty() && !(file.ends_with(".md") && anchors(&read(&file)).contains(anchor));
+        !(anchor.is_empty() || file.ends_with(".md") && anchors(&read(&file)).contains(anchor));
     lost.then(|| format!("{page} links to {target}: no heading of {file} has that anchor"))
 }
 
@@ -223,14 +223,14 @@ fn the_tutorial_shows_the_files_of_its_program_and_what_it_prints() {
     }
     let scratch = Scratch::empty();
     for file in ["app.toml", "tea.net"] {
-        scratch.write(file, &read(&format!("tests/tutorial/{file}")));
+        scratch.write(file, read(&format!("tests/tutorial/{file}")));
     }
     let wrong = blocks(&page)
         .into_iter()
         .find(|(_, text)| text.contains("Forgets to fill"));
     scratch.write(
         "wrong.net",
-        &format!("{}\n", wrong.expect("the net with the mistake").1),
+        format!("{}\n", wrong.expect("the net with the mistake").1),
     );
     let mut runs = 0;
     for (language, block) in blocks(&page) {

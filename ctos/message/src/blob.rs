@@ -204,6 +204,11 @@ pub struct Body {
 }
 
 impl Body {
+    /// Whether there are no bytes.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
     /// How many bytes it is.
     pub fn len(&self) -> usize {
         let blobs = self.blobs.iter().map(|(_, blob)| blob.len());

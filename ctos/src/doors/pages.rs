@@ -422,7 +422,7 @@ mod tests {
         let keys = Keys::load(&key.unwrap(), &authority).unwrap();
         let (address, _stop) = served(Some(Arc::new(keys)));
         let mut stream = TcpStream::connect(address).unwrap();
-        let mut tls = crate::security::browser_of(&authority);
+        let mut tls = crate::security::browser_of(&authority).unwrap();
         let mut secured = rustls::Stream::new(&mut tls, &mut stream);
         let request = b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
         secured.write_all(request).unwrap();

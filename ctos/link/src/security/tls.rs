@@ -154,15 +154,20 @@ fn unusable(error: impl std::error::Error + Send + Sync + 'static) -> KeyError {
 }
 
 /// What a browser without a key makes of an authority that it was told to believe.
-pub fn browser_of(authority: &Path) -> ClientConnection {
+///
+/// # Errors
+/// The authority is none.
+pub fn browser_of(authority: &Path) -> Result<ClientConnection, KeyError> {
     let mut roots = RootCertStore::empty();
-    roots.add(files::certificate(authority).unwrap()).unwrap();
+    roots
+        .add(files::certificate(authority)?)
+        .map_err(unusable)?;
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let client = ClientConfig::builder_with_provider(provider)
         .with_safe_default_protocol_versions()
-        .unwrap()
+        .map_err(unusable)?
         .with_root_certificates(roots)
         .with_no_client_auth();
-    let name = ServerName::try_from(SERVER_NAME).unwrap();
-    ClientConnection::new(Arc::new(client), name).unwrap()
+    let name = ServerName::try_from(SERVER_NAME).map_err(unusable)?;
+    ClientConnection::new(Arc::new(client), name).map_err(unusable)
 }
