@@ -404,8 +404,7 @@ mod tests {
         let writer = memory.clone();
         let writes = std::thread::spawn(move || {
             for round in 0..rounds {
-                let word = round.wrapping_mul(0x0101_0101_0101_0101).to_ne_bytes();
-                assert!(writer.copy_in(0, &word.repeat(WORDS)));
+                assert!(writer.copy_in(0, &[round as u8; WORDS * WORD]));
                 fence(Ordering::Release);
             }
         });
