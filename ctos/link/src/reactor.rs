@@ -3,7 +3,7 @@
 //! A processor that runs out of work does not just sleep, it waits at the links, and handles what it
 //! reads there itself. So a message from another process costs one wake-up and no second thread.
 //! Only one thread at a time waits there, the leader; while all processors are busy a thread that has
-//! nothing else to do, the standby, leads, [`TICK`] to two of them late.
+//! nothing else to do, the standby, leads, `TICK` to two of them late.
 //!
 //! Knows links as [`Source`]s of a file descriptor each; what they bring is not its business.
 
@@ -114,6 +114,8 @@ struct Leader {
     /// The sources in shared memory, so that looking at them takes no lock, and of which version they are.
     visible: Vec<(usize, Arc<dyn Source>)>,
     version: u64,
+    /// There are other sources, of which the system must be asked.
+    has_sockets: bool,
 }
 
 /// How a wait at the links ended.
@@ -276,6 +278,7 @@ impl Reactor {
                 rings_at: None,
                 visible: Vec::new(),
                 version: 0,
+                has_sockets: false,
             }),
             is_led: AtomicBool::new(false),
             leads: AtomicU64::new(0),
@@ -426,7 +429,8 @@ impl Reactor {
             leader.looked += 1;
             seen = self.serve_visible(&leader);
         }
-        if glance == Glance::Everywhere || leader.looked >= LOOKS_PER_WAIT {
+        let due = glance == Glance::Everywhere || leader.looked >= LOOKS_PER_WAIT;
+        if due && leader.has_sockets {
             leader.looked = 0;
             // Should it fail, whoever sleeps there next says so.
             if let Ok(()) = self.poll(&mut leader, true, None) {
@@ -492,6 +496,7 @@ impl Reactor {
             .iter()
             .filter(|(_, source)| source.visible().is_some());
         leader.visible = visible.map(|(id, source)| (*id, source.clone())).collect();
+        leader.has_sockets = leader.visible.len() < sources.len();
     }
 
     fn serve_visible(&self, leader: &Leader) -> Seen {

@@ -4,7 +4,7 @@
 //! One session joins this chassis to one incarnation of one peer, over any number of streams, one at a
 //! time. Packets are numbered and kept until the other end has acknowledged them; a new stream goes on
 //! where the old one broke. Signs of life tell a peer that is frozen or cut off from one that is idle.
-//! All that is in [`core`]; here it is shared by threads, joined to a stream that takes bytes
+//! All that is in `core.rs`; here it is shared by threads, joined to a stream that takes bytes
 //! ([`Writer`]) and to a [`Receiver`]. Who connects to whom is decided elsewhere.
 
 mod core;

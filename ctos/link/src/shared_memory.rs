@@ -1,5 +1,5 @@
 //! Memory that processes share: a file mapped as bytes and words that another process may change at any moment.
-//! The only mapper of the workspace: links ([`crate::boot`] joins chassis of one host by it) and sorma's
+//! The only mapper of the workspace: links join chassis of one host by it, and sorma's
 //! snapshot buffers lay their fields out in it. It knows nothing of what the bytes mean.
 //!
 //! # Why this is sound
@@ -270,7 +270,7 @@ impl Memory {
 
     /// Memory of this process alone, for Miri, which knows no files.
     #[cfg(test)]
-    pub fn private(size: usize) -> Self {
+    pub(crate) fn private(size: usize) -> Self {
         // SAFETY: the size is not zero.
         let start = unsafe { std::alloc::alloc_zeroed(private_layout(size)) };
         Self(Mapping {
@@ -404,8 +404,7 @@ mod tests {
         let writer = memory.clone();
         let writes = std::thread::spawn(move || {
             for round in 0..rounds {
-                let word = [round as u8; WORD];
-                assert!(writer.copy_in(0, &word.repeat(WORDS)));
+                assert!(writer.copy_in(0, &[round as u8; WORDS * WORD]));
                 fence(Ordering::Release);
             }
         });

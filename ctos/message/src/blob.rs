@@ -103,7 +103,7 @@ impl fmt::Debug for Blob {
     }
 }
 
-/// Bytes that are written once and then sent ([`crate::Context::blob`]).
+/// Bytes that are written once and then sent (`Context::blob`).
 pub struct BlobMut(Vec<u8>);
 
 impl BlobMut {

@@ -428,7 +428,7 @@ impl TransitionBuilder {
     }
 
     /// Its action calls a local function that takes data objects and gives data objects
-    /// ([`pnt_task::library::Library::function`]).
+    /// (`Library::function` of `pnt-task`).
     #[must_use]
     #[track_caller]
     pub fn call(mut self, function: &str, inputs: &[&str], outputs: &[&str]) -> Self {
