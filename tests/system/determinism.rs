@@ -125,7 +125,7 @@ const CLOCKS: [(&str, &[&str]); 9] = [
     (
         "clock_gettime",
         &[
-            "ctos/src/time.rs",
+            "ctos/time/src/clock.rs",
             "ctos/benches/",
             "pnt/analysis/benches/",
             "tests/peers/",
@@ -141,10 +141,9 @@ const CLOCKS: [(&str, &[&str]); 9] = [
         &[
             "ctos/src/boot/",
             "ctos/src/doors/",
-            "ctos/src/link/",
+            "ctos/link/src/",
             "ctos/src/remote/",
             "ctos/src/control/",
-            "ctos/src/security/",
             "ctos/src/watch/",
             "cli/display/src/server.rs",
             "cli/scott/src/panel/server.rs",
@@ -196,7 +195,7 @@ fn the_time_service_asks_the_monotonic_clock() {
     let sources = sources();
     let (_, text) = sources
         .iter()
-        .find(|(path, _)| path == Path::new("ctos/src/time.rs"))
+        .find(|(path, _)| path == Path::new("ctos/time/src/clock.rs"))
         .unwrap();
     assert_eq!(text.matches("clock_gettime(").count(), 1);
     assert!(text.contains("clock_gettime(ClockId::Monotonic)"));
