@@ -9,17 +9,19 @@ use crate::{
     circle,
     config::TaskConfig,
     context::{Context, TaskRef},
-    message::{Command, CommandInfo, Message, Replier, Tid},
+    envelope::{Message, Replier},
+    handled::{Handled, HandlerError},
+    handler::EventHandler,
+    message::{Command, CommandInfo, Tid},
     moving::{self, Arrivals},
-    recent::{self, LookAt},
+    phase::StopReason,
     record::{Attached, BeginRecord, EndRecord, ReadRecord},
-    runner::{TaskSpec, record, start_task},
-    survey::{Survey, survey},
+    runner::{TaskSpec, start_task},
+    survey::{seen, survey},
     system::{
-        AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, MoveIn, MovedTasks, Place,
-        Rebound, RegisterTid, Settle, Settled, StopTask, TaskName, Transfer, WaitsFor,
+        AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, LookAt, MoveIn, MovedTasks, Place,
+        Rebound, RegisterTid, Settle, Settled, StopTask, Survey, TaskName, Transfer, WaitsFor,
     },
-    task::{EventHandler, Handled, HandlerError, StopReason},
     watch::{self, Gather},
 };
 
@@ -80,7 +82,7 @@ impl EventHandler for Agent {
             }
             LookAt::CODE => {
                 let (LookAt { task, without }, reply) = message.open::<LookAt>()?;
-                reply.ok(recent::seen(cx.chassis(), task, &without))
+                reply.ok(seen(cx.chassis(), task, &without))
             }
             AnnounceUp::CODE => {
                 let (AnnounceUp { chassis }, _) = message.open::<AnnounceUp>()?;
@@ -115,7 +117,7 @@ impl EventHandler for Agent {
             }
             BeginRecord::CODE => {
                 let (request, reply) = message.open::<BeginRecord>()?;
-                match self.records.begin(cx, request) {
+                match self.records.begin(cx, request, watch::COMMANDS) {
                     Ok(report) => reply.ok(report),
                     Err(why) => reply.fail(why),
                 }
@@ -312,8 +314,8 @@ async fn create_one(
     chassis: &Arc<Chassis>,
     config: &TaskConfig,
 ) -> Result<Tid, String> {
-    let kind = chassis
-        .registry
+    let registry = chassis.registry();
+    let kind = registry
         .kind(&config.handler)
         .ok_or_else(|| format!("nobody registered the event handler `{}`", config.handler))?;
     let (index, processor) = chassis
@@ -328,10 +330,13 @@ async fn create_one(
     let slot = chassis.directory.free_slot(number);
     let slot = slot.ok_or("there are too many tasks")?;
     let tid = Tid::new(chassis.index(), number, slot);
-    let spec = TaskSpec {
-        record: record(&config.name, tid, Some(config), kind.recipe(), &processor),
-        config: Some(Box::new(config.clone())),
-    };
+    let spec = TaskSpec::new(
+        &config.name,
+        tid,
+        Some(config.clone()),
+        kind.recipe(),
+        &processor,
+    );
     let (built, building) = oneshot::channel();
     let home = chassis.clone();
     processor.inject(move |processor| {

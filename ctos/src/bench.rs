@@ -1,20 +1,20 @@
 //! A chassis without a boot, for benchmarks: tasks on processors of this process, and work that runs
 //! among them; and what tests of other crates need of a processor. Not part of the interface.
 
-use std::{future::Future, rc::Rc, sync::Arc, sync::mpsc};
-
 use crate::{
     boot::{ProcessorThread, start_processors},
     chassis::Chassis,
     config::App,
     context::{Context, TaskRef},
+    handled::HandlerError,
     message::Tid,
     processor::Processor,
     registry::Registry,
-    runner::{TaskSpec, record, start_task},
-    task::HandlerError,
+    runner::{TaskSpec, start_task},
+    task_record::TaskRecord,
     time::Clock,
 };
+use std::{future::Future, rc::Rc, sync::Arc, sync::mpsc};
 
 /// The slot that work runs as; tasks take those below.
 const WORK: u16 = u16::MAX;
@@ -88,7 +88,7 @@ impl Bench {
         let home = self.chassis.clone();
         self.inject(processor, move |here| {
             let tid = Tid::new(home.index(), processor, WORK);
-            let record = record("work", tid, None, Arc::default(), &here.handle);
+            let record = TaskRecord::of_runtime("work", tid, Arc::default(), &here.handle);
             let cx = Context::new(record, home, here.clone(), None);
             let work = work(cx);
             let result = async move {
@@ -119,20 +119,14 @@ fn start_row(
     first: Tid,
     count: u16,
 ) -> Result<Vec<TaskRef>, HandlerError> {
-    let registered = chassis
-        .registry
-        .kind(kind)
-        .ok_or("no such kind of handler")?;
+    let registry = chassis.registry();
+    let registered = registry.kind(kind).ok_or("no such kind of handler")?;
     let recipe = registered.recipe();
     let mut tasks = Vec::with_capacity(usize::from(count));
     for slot in first.slot()..first.slot() + count {
         let tid = Tid::new(first.chassis(), first.processor(), slot);
-        let record = record(kind, tid, None, recipe.clone(), &processor.handle);
-        tasks.push(TaskRef::new(record.name.clone(), tid));
-        let spec = TaskSpec {
-            record,
-            config: None,
-        };
+        let spec = TaskSpec::new(kind, tid, None, recipe.clone(), &processor.handle);
+        tasks.push(TaskRef::new(spec.record.name.clone(), tid));
         start_task(chassis, processor, spec)?;
     }
     Ok(tasks)

@@ -19,27 +19,31 @@ use tokio::sync::oneshot;
 use crate::{
     agent::{self, Agent},
     bootstrap::{self, Bootstrap, Seat},
-    call::lock,
     chassis::Chassis,
     config::{App, TimeMode},
+    contain::panic_text,
+    context::Context,
+    handler::EventHandler,
+    lock::lock,
     message::{CommandInfo, Tid},
     names::{self, TidServer},
-    processor::panic_text,
     realtime::{self, Grant},
     registry::{Recipe, Registry},
     remote::HostError,
-    runner::{TaskSpec, record, start_task},
+    runner::{TaskSpec, start_task},
     semaphore::{self, server::SemaphoreServer},
     simulation::{self, Faults, Setup},
     system,
-    task::{Context, EventHandler},
     time::Clock,
 };
 
-pub use crate::bootstrap::{BootEvent, BootState, ChassisState, End, Observer, StopStep};
 pub use crate::frame::Counts;
 pub use crate::link::transport::{Address, AddressError};
 pub use crate::simulation::Mishap;
+pub use crate::{
+    bootstrap::{BootEvent, End, Observer, StopStep},
+    report::{BootState, ChassisState},
+};
 pub use child::{ChildError, run_chassis};
 
 /// The environment variable that carries the secret of a run to the chassis started for it.
@@ -254,10 +258,7 @@ fn start<H: EventHandler>(
         commands: commands.into(),
         build: Box::new(move |cx| Ok(Box::new(build(cx)))),
     };
-    let spec = TaskSpec {
-        record: record(name, tid, None, Arc::new(recipe), processor),
-        config: None,
-    };
+    let spec = TaskSpec::new(name, tid, None, Arc::new(recipe), processor);
     let record = spec.record.clone();
     let home = chassis.clone();
     processor.inject(move |processor| {

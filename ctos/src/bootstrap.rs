@@ -19,12 +19,15 @@ use std::{
 
 use crate::{
     context::Context,
-    message::{Command, CommandInfo, Message},
+    envelope::Message,
+    handled::Handled,
+    handler::EventHandler,
+    message::{Command, CommandInfo},
+    phase::{Phase, StopReason},
     system::{
         AllLinked, AppResult, AtBreakpoint, ChassisLinked, Finish, Interrupt, Overview,
         ProcessEnded, Progress, RestartChassis, TaskFailed, TaskMoved,
     },
-    task::{EventHandler, Handled, Phase, StopReason},
     watch,
 };
 
@@ -32,8 +35,6 @@ use serde::{Deserialize, Serialize};
 
 use board::{Board, Event};
 use sequence::Sequence;
-
-pub use states::{BootState, ChassisState};
 
 /// What the service takes.
 pub(crate) const COMMANDS: [CommandInfo; 11] = [

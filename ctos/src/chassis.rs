@@ -3,8 +3,10 @@
 //! Delivery is decided here and nowhere else: a task of this chassis gets a pointer, a task of
 //! another one gets a frame over the link. The sender waits the same way for both.
 
-mod delivery;
+pub(crate) mod delivery;
+mod extension;
 mod links;
+pub(crate) mod pending;
 mod tasks;
 
 use std::{
@@ -17,30 +19,24 @@ use std::{
     },
 };
 
-use self::{links::Links, tasks::Tasks};
+use self::{extension::Extensions, pending::Links, tasks::Tasks};
 use crate::{
-    call::lock,
     config::{App, ProcessorConfig},
     directory::TaskDirectory,
-    disk::Disk,
-    doors::Refusals,
-    message::{Message, Tid},
+    envelope::Message,
+    fault::Fault,
+    lock::lock,
+    message::Tid,
     park::Park,
     processor::{Processor, ProcessorHandle},
     realtime::RealtimeGrant,
-    record::Tap,
-    registry::Registry,
-    semaphore::{SemaphoreView, Store},
     sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
+    tap::Tap,
+    task_record::TaskRecord,
     time::Clock,
-    watch::Watch,
 };
 
-pub(crate) use self::{
-    delivery::{Outcome, WaitFor},
-    links::{Inbound, Outbound},
-    tasks::TaskRecord,
-};
+pub(crate) use self::extension::Extension;
 
 pub use ctos_config::BOOT_CHASSIS;
 
@@ -58,7 +54,6 @@ pub struct Chassis {
     names: Vec<Arc<str>>,
     pub(crate) clock: Clock,
     pub(crate) app: Arc<App>,
-    pub(crate) registry: Arc<Registry>,
     /// Processor 0 belongs to the runtime; the configured ones follow.
     pub(crate) processors: Vec<(String, Arc<ProcessorHandle>)>,
     tasks: RwLock<Tasks>,
@@ -73,28 +68,17 @@ pub struct Chassis {
     next_trace: AtomicU64,
     cyclics: Arc<Directory>,
     realtime: Mutex<Vec<RealtimeGrant>>,
-    /// Its semaphores and barriers.
-    pub(crate) blocking: Store,
+    /// What services keep for it.
+    extensions: Extensions,
     /// What looks on: a recorder, a replay, nobody.
     pub(crate) tap: Tap,
-    /// What it has seen of itself.
-    pub(crate) watch: Watch,
     /// Makes places where threads sleep that look at its links, when these are real ones.
     parks: OnceLock<MakePark>,
-    /// What survives it in virtual time.
-    pub(crate) disk: OnceLock<Arc<Disk>>,
-    /// How many callers, and requests of tools, were refused so far.
-    pub(crate) refused: Refusals,
 }
 
 impl Chassis {
     /// Chassis number `index` of `app`; its processors' threads are started elsewhere.
-    pub(crate) fn new(
-        index: u8,
-        app: Arc<App>,
-        registry: Arc<Registry>,
-        clock: Clock,
-    ) -> Arc<Self> {
+    pub(crate) fn bare(index: u8, app: Arc<App>, clock: Clock) -> Arc<Self> {
         let mut names: Vec<Arc<str>> = vec![BOOT_CHASSIS.into()];
         names.extend(
             app.chassis
@@ -112,10 +96,9 @@ impl Chassis {
         Arc::new(Self {
             index,
             names,
-            blocking: Store::new(clock.clone()),
+            extensions: Extensions::default(),
             clock,
             app,
-            registry,
             processors,
             tasks: RwLock::default(),
             links: Mutex::default(),
@@ -128,11 +111,8 @@ impl Chassis {
             next_trace: AtomicU64::new(1),
             cyclics: Arc::default(),
             realtime: Mutex::default(),
-            tap: Tap::new(index),
-            watch: Watch::default(),
+            tap: Tap::default(),
             parks: OnceLock::new(),
-            disk: OnceLock::new(),
-            refused: Refusals::default(),
         })
     }
 
@@ -197,11 +177,6 @@ impl Chassis {
         ))
     }
 
-    /// It is simulated, and this survives it.
-    pub(crate) fn set_disk(&self, disk: Arc<Disk>) {
-        let _ = self.disk.set(disk);
-    }
-
     /// Its processors' threads sleep there when they have nothing else to do, and look at its links.
     pub(crate) fn set_parks(&self, make: MakePark) {
         let _ = self.parks.set(make);
@@ -239,13 +214,6 @@ impl Chassis {
         *lock(&self.realtime) = grants;
     }
 
-    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
-    /// one that boots, those of the app.
-    #[must_use]
-    pub fn semaphores(&self) -> Vec<SemaphoreView> {
-        self.blocking.views()
-    }
-
     /// Puts `value` where the other tasks of this chassis find it.
     pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
         self.tap.used(|| format!("shared memory `{key}`"));
@@ -270,16 +238,16 @@ impl Chassis {
     pub(crate) fn add_built(&self, task: Arc<TaskRecord>) {
         let tid = task.tid;
         self.add_task(task);
-        if self.tap.is_recording()
-            && let Some(task) = self.task(tid)
-        {
-            self.tap.built(tid, &task.name, task.statistics.commands());
+        if let (Some(recorder), Some(task)) = (self.tap.recorder(), self.task(tid)) {
+            recorder.built(tid, &task.name, task.statistics.commands());
         }
     }
 
     /// Takes a task out; what is in its mailbox is answered.
     pub(crate) fn remove_task(self: &Arc<Self>, tid: Tid) {
-        self.blocking.task_ended(self, tid);
+        for extension in self.extensions.all() {
+            extension.task_ended(self, tid);
+        }
         let entry = self
             .tasks
             .write()
@@ -372,7 +340,15 @@ impl Chassis {
             pending.answer(Err(fault));
         }
         lock(&self.shared).clear();
-        self.blocking.close();
+        for extension in self.extensions.all() {
+            extension.closed();
+        }
+    }
+
+    pub(crate) fn peer_down_fault(&self, peer: u8) -> Fault {
+        Fault::PeerDown {
+            chassis: self.name_of(peer).to_owned(),
+        }
     }
 
     /// Stops the threads of its processors.

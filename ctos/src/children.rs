@@ -5,14 +5,14 @@
 //! restart policy does not mend counts as a failure of the parent's handler.
 
 use crate::{
-    call::CallError,
     config::Node,
     context::{Context, TaskRef},
+    fault::CallError,
     message::Tid,
-    runner::{Origin, TaskSpec, record, start_at},
+    phase::{Phase, StopReason},
+    runner::{Origin, TaskSpec, start_at},
     supervise::Policy,
     system::{Quiesce, RegisterTid, Shutdown, TaskName},
-    task::{Phase, StopReason},
 };
 
 /// Why a task could not be started by another one.
@@ -105,7 +105,8 @@ impl Context {
         handler: &str,
         args: Node,
     ) -> Result<(TaskSpec, Tid), StartError> {
-        let kind = self.registry().kind(handler);
+        let registry = self.registry();
+        let kind = registry.kind(handler);
         let kind = kind.ok_or_else(|| StartError::UnknownHandler {
             task: task.to_owned(),
             handler: handler.to_owned(),
@@ -125,16 +126,8 @@ impl Context {
         config.handler = handler.to_owned();
         config.restart = Policy::default();
         config.args = args;
-        let spec = TaskSpec {
-            record: record(
-                task,
-                tid,
-                Some(&config),
-                kind.recipe(),
-                &self.inner.processor.handle,
-            ),
-            config: Some(Box::new(config)),
-        };
+        let handle = &self.inner.processor.handle;
+        let spec = TaskSpec::new(task, tid, Some(config), kind.recipe(), handle);
         Ok((spec, tid))
     }
 

@@ -8,10 +8,12 @@
 use std::time::Duration;
 
 use crate::{
-    chassis::{Chassis, WaitFor},
-    context::Context,
-    message::{Command, Flags, Message, Tid},
+    chassis::Chassis,
+    context::core::Context,
+    envelope::Message,
+    message::{Command, Flags, Tid},
     system::{self, WaitsFor},
+    tap::WaitFor,
 };
 
 /// After this time a call asks itself whether it can ever end.

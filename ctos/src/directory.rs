@@ -13,7 +13,7 @@ use std::{
     },
 };
 
-use crate::{call::lock, message::Tid};
+use crate::{lock::lock, message::Tid};
 
 /// The directory of one chassis. Shared by its threads.
 #[derive(Default)]

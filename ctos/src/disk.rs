@@ -12,7 +12,11 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use crate::{call::lock, task::Context};
+use crate::{
+    chassis::{Chassis, Extension},
+    context::Context,
+    lock::lock,
+};
 
 /// The files of a simulated host.
 #[derive(Default)]
@@ -33,6 +37,27 @@ impl Disk {
     }
 }
 
+/// The disk of a chassis, if it is simulated.
+struct OnDisk(Option<Arc<Disk>>);
+
+impl Extension for OnDisk {
+    fn new(_: &Chassis) -> Self {
+        Self(None)
+    }
+}
+
+impl Chassis {
+    /// What survives it, if it is simulated.
+    pub(crate) fn disk(&self) -> Option<Arc<Disk>> {
+        self.extension::<OnDisk>().0.clone()
+    }
+
+    /// It is simulated, and this survives it.
+    pub(crate) fn set_disk(&self, disk: Arc<Disk>) {
+        self.extend(Arc::new(OnDisk(Some(disk))));
+    }
+}
+
 impl fmt::Debug for Disk {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Disk({} files)", lock(&self.files).len())
@@ -43,7 +68,7 @@ impl Context {
     /// The disk of the simulated host; `None` in real time, where there is the file system.
     #[must_use]
     pub fn disk(&self) -> Option<Arc<Disk>> {
-        self.chassis().disk.get().cloned()
+        self.chassis().disk()
     }
 }
 

@@ -5,9 +5,10 @@ use std::{fmt, marker::PhantomData};
 use serde::Serialize;
 
 use crate::{
-    call::{Fault, ReplySlot},
+    fault::Fault,
+    handled::Handled,
     message::{Command, Data, Flags, Header, PayloadError, Tid},
-    task::Handled,
+    reply::ReplySlot,
     time::Instant,
 };
 

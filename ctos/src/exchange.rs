@@ -12,67 +12,16 @@ use std::{
 };
 
 use crate::{
-    call::{Answer, Fault},
-    circle,
-    processor::{LocalWake, Processor, ProcessorHandle},
+    fault::Fault,
+    processor::wake::LocalWake,
+    reply::{Answer, CallKey, Home, NOBODY, Shared, Ticket},
     time::Instant,
     timers::TimerKey,
-    waits::Wait,
+    wait::Wait,
 };
 
-/// One slot, as those who answer see it.
-struct Shared {
-    home: Arc<ProcessorHandle>,
-    slot: u32,
-    /// The last generation whose caller went without its answer; [`NOBODY`] before there is one.
-    gone: AtomicU64,
-}
-
-/// No call has this generation.
-const NOBODY: u64 = 0;
-
-/// The right to answer one call, from any thread. Whoever holds one must use it: a ticket that is
-/// merely dropped leaves its caller to its deadline.
-pub(crate) struct Ticket {
-    shared: Arc<Shared>,
-    generation: u64,
-}
-
-impl Ticket {
-    /// Gives the answer. When the caller waits no longer, nothing comes of it.
-    pub(crate) fn answer(self, answer: Answer) {
-        let key = self.key();
-        match Processor::here_if(&self.shared.home) {
-            Some(processor) => processor.take_answer(key, answer),
-            None => self.shared.home.bring_answer(key, answer),
-        }
-    }
-
-    /// Whether the caller waits no longer.
-    pub(crate) fn is_abandoned(&self) -> bool {
-        self.generation <= self.shared.gone.load(Ordering::Acquire)
-    }
-
-    /// Names the call that the ticket is for.
-    pub(crate) fn key(&self) -> CallKey {
-        CallKey {
-            slot: self.shared.slot,
-            generation: self.generation,
-        }
-    }
-
-    /// The processor that waits for the answer.
-    pub(crate) fn home(&self) -> &Arc<ProcessorHandle> {
-        &self.shared.home
-    }
-}
-
-/// Names one call among all that one processor has ever waited for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct CallKey {
-    slot: u32,
-    generation: u64,
-}
+/// After this time a call asks itself whether it can ever end.
+pub(crate) const LONG: Duration = Duration::from_secs(1);
 
 enum State {
     Free,
@@ -152,12 +101,12 @@ impl Calls {
     /// A new call, which began at `now` and may last until `deadline` from then.
     pub(crate) fn begin(
         &mut self,
-        home: &Arc<ProcessorHandle>,
+        home: impl FnOnce() -> Arc<dyn Home>,
         now: Instant,
         deadline: Duration,
         wait: Option<Wait>,
     ) -> Ticket {
-        let index = self.free.pop().unwrap_or_else(|| self.add_slot(home));
+        let index = self.free.pop().unwrap_or_else(|| self.add_slot(home()));
         // The index was free or has just been made.
         #[allow(clippy::indexing_slicing, reason = "see above")]
         let slot = &mut self.slots[index as usize];
@@ -174,11 +123,11 @@ impl Calls {
     }
 
     /// One more slot, which is free.
-    fn add_slot(&mut self, home: &Arc<ProcessorHandle>) -> u32 {
+    fn add_slot(&mut self, home: Arc<dyn Home>) -> u32 {
         let index = self.slots.len() as u32;
         self.slots.push(Slot {
             shared: Arc::new(Shared {
-                home: home.clone(),
+                home,
                 slot: index,
                 gone: AtomicU64::new(NOBODY),
             }),
@@ -208,7 +157,7 @@ impl Calls {
         if let Some(wait) = &mut slot.wait {
             wait.show(slot.began);
         }
-        Some(slot.began + slot.deadline.min(circle::LONG))
+        Some(slot.began + slot.deadline.min(LONG))
     }
 
     /// Notes the timer of a call.
@@ -252,7 +201,7 @@ impl Calls {
         };
         fired.wake = wake.take();
         slot.timer = None;
-        if slot.long == Long::NotYet && slot.deadline > circle::LONG {
+        if slot.long == Long::NotYet && slot.deadline > LONG {
             slot.long = Long::ToBeTold;
             fired.again = Some(slot.began + slot.deadline);
         } else {

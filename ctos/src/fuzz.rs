@@ -86,7 +86,7 @@ fn payload(bytes: &[u8]) {
     let data = || Data::Bytes(bytes.to_vec());
     let _ = data().take::<Vec<String>>();
     let _ = data().take::<Vec<Vec<Option<(u64, f32)>>>>();
-    let _ = data().take::<crate::call::Fault>();
+    let _ = data().take::<crate::fault::Fault>();
     let _ = data().take::<std::collections::BTreeMap<String, Vec<u8>>>();
 }
 
@@ -113,7 +113,7 @@ fn own(target: &str) -> Vec<Vec<u8>> {
         "agent" => crate::remote::corpus(),
         "config" => vec![crate::config::DEFAULTS.as_bytes().to_vec()],
         _ => {
-            let fault = crate::call::Fault::NoReply;
+            let fault = crate::fault::Fault::NoReply;
             let texts = ["one".to_owned(), "two".to_owned()];
             vec![
                 postcard::to_stdvec(&fault).unwrap(),

@@ -18,13 +18,12 @@ pub use serde;
 #[doc(hidden)]
 pub mod bench;
 pub mod boot;
-pub mod call;
+
 pub mod chassis;
 pub mod control;
 pub mod disk;
 pub mod doors;
 pub mod realtime;
-pub mod recent;
 pub mod record;
 pub mod registry;
 pub mod remote;
@@ -34,7 +33,6 @@ pub mod supervise;
 pub mod survey;
 pub mod sync;
 pub mod system;
-pub mod task;
 pub mod text;
 pub mod watch;
 
@@ -44,27 +42,54 @@ mod bootstrap;
 mod children;
 mod circle;
 mod concurrent;
+mod contain;
 mod context;
 mod credits;
+mod delivery;
 mod directory;
 mod envelope;
 mod exchange;
 #[cfg(test)]
 mod fuzz;
+mod handled;
+mod handler;
+mod last_messages;
+mod look;
 mod mailbox;
+mod meter;
 mod moving;
 mod names;
+mod phase;
 mod processor;
 mod reply;
+mod report;
 mod runner;
 mod statistics;
+mod tap;
+mod task_record;
 mod timers;
+mod wait;
 mod waits;
 
 use ctos_link as link;
-use ctos_message::{blob, frame};
+use ctos_message::{blob, fault, frame};
+/// Event handlers and what they can do: the interface that most users of CTOS see.
+pub mod task {
+    pub use crate::{
+        children::StartError,
+        context::{Call, Calling, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
+        handled::{Handled, HandlerError},
+        handler::{EventHandler, Handover},
+        phase::{Phase, StopReason},
+    };
+}
+/// How a call ends: with a reply or with an error that names both tasks. Always.
+pub mod call {
+    pub use ctos_message::fault::{CallError, Fault};
+}
 use ctos_time::{lock, park};
 
+pub use context::Context;
 pub use context::DEFAULT_DEADLINE;
 pub use ctos_config::diagnostic;
 pub use ctos_derive::handler;
@@ -75,8 +100,15 @@ pub use ctos_message::{
     command,
 };
 pub use ctos_time::seed::mix;
-pub use statistics::TaskCounters;
-pub use task::Context;
+pub use report::TaskCounters;
+
+/// A task, seen without disturbing it.
+pub mod recent {
+    pub use crate::{
+        look::{LastMessage, TaskLook},
+        report::Ending,
+    };
+}
 
 /// Time as a service: one clock for the whole app, real or virtual.
 pub mod time {

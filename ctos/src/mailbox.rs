@@ -5,90 +5,25 @@
 //! Messages of the runtime itself (phases, stop, a dead chassis) travel in the high-priority lane and
 //! are never refused.
 //!
-//! The queue itself ([`TaskQueue`]) belongs to the task's processor and needs no lock. What everybody
+//! The queue itself ([`queue::TaskQueue`]) belongs to the task's processor and needs no lock. What everybody
 //! else sees of it is the [`Mailbox`]: its credits, and the processor to bring messages to.
 
 mod gate;
-mod queue;
+pub(crate) mod queue;
 
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
 };
 
-pub(crate) use self::{gate::Order, queue::TaskQueue};
 use crate::{
-    call::{Fault, ReplySlot},
     credits::Credits,
-    message::{Data, Flags, Message, SYSTEM_COMMANDS},
+    delivery::{Acceptance, Delivery, Offered, Order, Place, is_urgent, refuse},
+    envelope::Message,
+    fault::Fault,
     processor::{Processor, ProcessorHandle},
-    survey::QueueReport,
+    report::QueueReport,
 };
-
-/// Whom to tell that a one-way message has been taken.
-pub(crate) enum Acceptance {
-    /// Nobody: the sender waits for the reply instead, or for nothing.
-    Silent,
-    /// Who waits for it.
-    Told(ReplySlot),
-}
-
-impl From<Option<ReplySlot>> for Acceptance {
-    fn from(slot: Option<ReplySlot>) -> Self {
-        slot.map_or(Self::Silent, Self::Told)
-    }
-}
-
-impl Acceptance {
-    pub(crate) fn tell(self, result: Result<(), Fault>) {
-        if let Self::Told(slot) = self {
-            slot.answer(result.map(|()| Data::NOTHING));
-        }
-    }
-
-    /// Whether the sender has been told already that its message was not taken.
-    pub(crate) fn is_abandoned(&self) -> bool {
-        match self {
-            Self::Silent => false,
-            Self::Told(slot) => slot.is_abandoned(),
-        }
-    }
-}
-
-/// What became of a message that does not wait for room.
-pub(crate) enum Offered {
-    /// It is in the queue.
-    Taken,
-    /// There is no room now.
-    NoRoom(Message),
-    /// The task takes nothing more.
-    Closed(Message),
-}
-
-/// A message on its way to the queue.
-pub(crate) struct Delivery {
-    message: Message,
-    place: Place,
-}
-
-/// Where a message on its way goes.
-enum Place {
-    /// To the queue: it has a credit.
-    Queue,
-    /// To the queue, or to the line of those who wait for a credit.
-    Line(Acceptance),
-}
-
-impl Delivery {
-    /// Tells the sender that the task takes nothing more.
-    pub(crate) fn refuse(self) {
-        let acceptance = match self.place {
-            Place::Line(acceptance) => acceptance,
-            Place::Queue => Acceptance::Silent,
-        };
-        refuse(self.message, acceptance, &Fault::Stopping);
-    }
-}
 
 /// The queue of one task, for everybody.
 pub(crate) struct Mailbox {
@@ -99,13 +34,6 @@ pub(crate) struct Mailbox {
     closed: AtomicBool,
     urgent: Credits,
     normal: Credits,
-}
-
-/// Whether a message goes to the high-priority lane, and whether it is one of the runtime's.
-fn is_urgent(message: &Message) -> (bool, bool) {
-    let system = message.command() >= SYSTEM_COMMANDS;
-    let flagged = message.header().flags.contains(Flags::HIGH_PRIORITY);
-    (system || flagged, system)
 }
 
 impl Mailbox {
@@ -161,23 +89,31 @@ impl Mailbox {
         }
     }
 
-    /// Puts a message in if there is a credit for it now.
-    pub(crate) fn offer(&self, message: Message) -> Offered {
+    /// Takes a credit for a message, if there is one for it now, and if the task takes anything.
+    pub(super) fn take_credit(&self, message: Message) -> Result<Message, Offered> {
         if self.is_closed() {
-            return Offered::Closed(message);
+            return Err(Offered::Closed(message));
         }
         let (urgent, system) = is_urgent(&message);
         let credits = self.credits(urgent);
         if system {
             credits.take_always();
         } else if !credits.take(self.capacity()) {
-            return Offered::NoRoom(message);
+            return Err(Offered::NoRoom(message));
         }
-        self.bring(Delivery {
-            message,
-            place: Place::Queue,
-        });
-        Offered::Taken
+        Ok(message)
+    }
+
+    /// Puts a message in if there is a credit for it now.
+    pub(crate) fn offer(&self, message: Message) -> Offered {
+        match self.take_credit(message) {
+            Ok(message) => {
+                let place = Place::Queue;
+                self.bring(Delivery { message, place });
+                Offered::Taken
+            }
+            Err(offered) => offered,
+        }
     }
 
     /// Puts a message in or lets it wait for a credit; `acceptance` is told when it is in, or why not. A
@@ -196,10 +132,8 @@ impl Mailbox {
         if !self.credits(urgent).line_up(self.capacity()) {
             return refuse(message, acceptance, &self.full());
         }
-        self.bring(Delivery {
-            message,
-            place: Place::Line(acceptance),
-        });
+        let place = Place::Line(acceptance);
+        self.bring(Delivery { message, place });
     }
 
     /// Brings a message to the queue, straight if this thread runs the task's processor.
@@ -253,11 +187,6 @@ impl Mailbox {
             None => self.home.bring_close(self.slot),
         }
     }
-}
-
-fn refuse(message: Message, acceptance: Acceptance, fault: &Fault) {
-    message.refuse(fault.clone());
-    acceptance.tell(Err(fault.clone()));
 }
 
 #[cfg(test)]

@@ -24,12 +24,12 @@ use std::{future::Future, pin::Pin, sync::Arc, time::Duration};
 use tokio::sync::oneshot;
 
 use crate::{
-    call::CallError,
     chassis::Chassis,
     context::{Context, TaskRef},
+    fault::CallError,
+    handled::Handled,
     message::Tid,
     system::{self, Delivered, Fence, Load, MoveTask, Rebound, Transfer},
-    task::Handled,
 };
 
 pub(crate) use arrive::{Arrival, Arrivals, arrive, deliver};

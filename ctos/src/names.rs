@@ -20,13 +20,15 @@ use away::Presence;
 
 use crate::{
     context::Context,
-    message::{Command, CommandInfo, Message, Replier, Tid},
+    envelope::{Message, Replier},
+    handled::Handled,
+    handler::EventHandler,
+    message::{Command, CommandInfo, Tid},
     system::{
         self, AbortMove, AwaitTid, Change, ChassisNews, CommitMove, FindTid, FirstSlots, Monitor,
         MoveTask, MovedTasks, NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged,
         TaskName, WhoWaits,
     },
-    task::{EventHandler, Handled},
 };
 
 /// What the service takes.

@@ -17,12 +17,16 @@ mod names;
 mod parts;
 mod read;
 mod recorder;
+mod recorders;
 mod replay;
-mod report;
-mod tap;
 mod traffic;
 mod writer;
 
+use crate::{
+    chassis::Chassis,
+    config::{App, RecordConfig},
+    message::CommandInfo,
+};
 use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
@@ -30,22 +34,16 @@ use std::{
     time::Duration,
 };
 
-use crate::{
-    chassis::Chassis,
-    config::{App, RecordConfig},
-    context::Context,
-};
-
+pub use crate::report::RecordReport;
 pub use lines::Number;
 pub use log::RecordLayer;
 pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan, scan_only};
 pub use replay::{Difference, ReplayError, ReplayReport, replay};
-pub use report::RecordReport;
 
 pub(crate) use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
 
-pub use event::Ending;
-pub(crate) use tap::{Asked, AtHand, Tap};
+pub use crate::report::Ending;
+pub(crate) use recorders::Recorders;
 
 use names::Names;
 use parts::{Parts, Place};
@@ -61,7 +59,7 @@ pub(crate) struct Recording(Arc<Recorder>);
 impl Recording {
     /// Records a chassis that was started again, too.
     pub(crate) fn add(&self, chassis: &Chassis) {
-        chassis.tap.record(self.0.clone());
+        Recorders::record(chassis, self.0.clone());
     }
 
     /// Writes what is left and closes the file.
@@ -71,11 +69,14 @@ impl Recording {
 }
 
 /// Begins to record the chassis of this process, if the configuration says so: one in real time, all
-/// of them in virtual time.
+/// of them in virtual time. `runtime` are commands of the runtime that the core does not know.
 ///
 /// # Errors
 /// When the file cannot be made: an app that is to be recorded does not run without it.
-pub(crate) fn start(chassis: &[Arc<Chassis>]) -> std::io::Result<Option<Recording>> {
+pub(crate) fn start(
+    chassis: &[Arc<Chassis>],
+    runtime: &[CommandInfo],
+) -> std::io::Result<Option<Recording>> {
     let Some(first) = chassis.first() else {
         return Ok(None);
     };
@@ -88,7 +89,7 @@ pub(crate) fn start(chassis: &[Arc<Chassis>]) -> std::io::Result<Option<Recordin
         Some(_) => file_of(app, config, Some(first.name())),
         None => file_of(app, config, None),
     };
-    let names = Arc::new(Names::new(app, &first.registry));
+    let names = Arc::new(Names::new(app, &first.registry(), runtime));
     let place = Place::new(path, config.max_bytes, config.keep);
     let parts = Parts::open(place, run_of(first)).map_err(std::io::Error::other)?;
     let writer = Writer::new(names, parts);
@@ -101,7 +102,7 @@ pub(crate) fn start(chassis: &[Arc<Chassis>]) -> std::io::Result<Option<Recordin
         None => Recorder::inline(clock, writer, config.buffer_bytes),
     };
     for one in chassis {
-        one.tap.record(recorder.clone());
+        Recorders::record(one, recorder.clone());
     }
     log::attach(&recorder, first.index());
     Ok(Some(Recording(recorder)))
@@ -156,25 +157,4 @@ fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
         run.insert("time".to_owned(), "virtual".to_owned());
     }
     run
-}
-
-impl Context {
-    /// Puts `value` on a channel of the record, if the app is recorded: `/firing/carry`, say. It is
-    /// shown there as JSON, with the present moment.
-    pub fn record<T: serde::Serialize + ?Sized>(&self, channel: &str, value: &T) {
-        self.chassis().tap.value(self.tid(), channel, value);
-    }
-
-    /// Whether the app is recorded: for values that are expensive to make.
-    #[must_use]
-    pub fn is_recording(&self) -> bool {
-        self.chassis().tap.is_recording()
-    }
-
-    /// How many recorders have come to this chassis so far, those that are gone included: who records
-    /// changes only can see that a newcomer lacks the whole.
-    #[must_use]
-    pub fn recorders(&self) -> u64 {
-        self.chassis().tap.came()
-    }
 }

@@ -13,10 +13,16 @@ use std::{
 };
 
 use crate::{
+    chassis::{Chassis, Extension},
     config::{App, TaskConfig},
+    context::Context,
     diagnostic::{Finding, Findings},
-    message::{Command, CommandInfo, Message},
-    task::{Context, DynHandler, EventHandler, Handled, HandlerError, Handover, WithHandover},
+    envelope::Message,
+    handled::{Handled, HandlerError},
+    handler::{EventHandler, Handover},
+    message::{Command, CommandInfo},
+    runner::dynamic::{DynHandler, WithHandover},
+    time::Clock,
 };
 
 type Build = Box<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
@@ -295,6 +301,41 @@ impl Registry {
             check(app, self, &mut findings);
         }
         findings
+    }
+}
+
+impl Extension for Registry {
+    fn new(_: &Chassis) -> Self {
+        Self::default()
+    }
+}
+
+impl Chassis {
+    /// Chassis number `index` of `app`, whose event handlers are those of `registry`; its processors' threads are
+    /// started elsewhere.
+    pub(crate) fn new(
+        index: u8,
+        app: Arc<App>,
+        registry: Arc<Registry>,
+        clock: Clock,
+    ) -> Arc<Self> {
+        let chassis = Self::bare(index, app, clock);
+        chassis.extend(registry);
+        chassis
+    }
+
+    /// The kinds of event handlers that this program knows.
+    #[must_use]
+    pub fn registry(&self) -> Arc<Registry> {
+        self.extension()
+    }
+}
+
+impl Context {
+    /// The kinds of event handlers that this program knows.
+    #[must_use]
+    pub fn registry(&self) -> Arc<Registry> {
+        self.chassis().registry()
     }
 }
 

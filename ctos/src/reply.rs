@@ -2,23 +2,18 @@
 //! it outside of all tasks. (Tasks wait in [`crate::exchange`].)
 
 use std::{
+    cell::{Cell, RefCell},
     fmt,
     future::Future,
     pin::Pin,
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
     task::{Context as PollContext, Poll, Waker},
 };
 
-use crate::{
-    call::{Fault, lock},
-    chassis::{Chassis, Inbound, Outbound},
-    exchange::{CallKey, Ticket},
-    message::Data,
-    processor::{Processor, ProcessorHandle},
-};
+use crate::{fault::Fault, lock::lock, message::Data};
 
 /// What comes back.
 pub(crate) type Answer = Result<Data, Fault>;
@@ -62,33 +57,29 @@ impl Promise {
 /// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
 pub(crate) struct Waiting {
     promise: Arc<Promise>,
-    /// The call and who made it, when it went over a link.
-    outbound: Option<(Arc<Chassis>, Outbound)>,
+    /// Takes the question back, when it went over a link.
+    take_back: Option<Box<dyn FnOnce() + Send>>,
 }
 
 impl Waiting {
     /// Waits for an answer of this process.
     pub(crate) fn here(promise: Arc<Promise>) -> Self {
-        let outbound = None;
-        Self { promise, outbound }
+        let take_back = None;
+        Self { promise, take_back }
     }
 
-    /// Waits for an answer that comes over a link, if there is an `outbound`.
-    pub(crate) fn for_call(
-        promise: Arc<Promise>,
-        chassis: &Arc<Chassis>,
-        outbound: Option<Outbound>,
-    ) -> Self {
-        let outbound = outbound.map(|outbound| (chassis.clone(), outbound));
-        Self { promise, outbound }
+    /// The same; `take_back` is called if it is dropped.
+    pub(crate) fn or_else(mut self, take_back: impl FnOnce() + Send + 'static) -> Self {
+        self.take_back = Some(Box::new(take_back));
+        self
     }
 }
 
 impl Drop for Waiting {
     fn drop(&mut self) {
         self.promise.abandoned.store(true, Ordering::Release);
-        if let Some((chassis, outbound)) = self.outbound.take() {
-            chassis.abandon(outbound);
+        if let Some(take_back) = self.take_back.take() {
+            take_back();
         }
     }
 }
@@ -109,6 +100,65 @@ impl Future for Waiting {
     }
 }
 
+/// Where the calls of one processor wait.
+pub(crate) trait Home: Send + Sync {
+    /// Takes the answer to a call, from any thread.
+    fn take_answer(&self, key: CallKey, answer: Answer);
+}
+
+/// A request that came over a link.
+pub(crate) trait Remote: Send + Sync {
+    /// Sends the answer back; nothing comes of it when that was done already.
+    fn answer(&self, answer: Answer);
+    /// Whether the caller, or its chassis, is gone.
+    fn is_abandoned(&self) -> bool;
+}
+
+/// One slot, as those who answer see it.
+pub(crate) struct Shared {
+    pub(crate) home: Arc<dyn Home>,
+    pub(crate) slot: u32,
+    /// The last generation whose caller went without its answer; [`NOBODY`] before there is one.
+    pub(crate) gone: AtomicU64,
+}
+
+/// No call has this generation.
+pub(crate) const NOBODY: u64 = 0;
+
+/// The right to answer one call, from any thread. Whoever holds one must use it: a ticket that is
+/// merely dropped leaves its caller to its deadline.
+pub(crate) struct Ticket {
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) generation: u64,
+}
+
+impl Ticket {
+    /// Gives the answer. When the caller waits no longer, nothing comes of it.
+    pub(crate) fn answer(self, answer: Answer) {
+        self.shared.home.take_answer(self.key(), answer);
+    }
+
+    /// Whether the caller waits no longer.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.generation <= self.shared.gone.load(Ordering::Acquire)
+    }
+
+    /// Names the call that the ticket is for.
+    pub(crate) fn key(&self) -> CallKey {
+        CallKey {
+            slot: self.shared.slot,
+            generation: self.generation,
+        }
+    }
+}
+
+/// Names one call among all that one processor has ever waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct CallKey {
+    pub(crate) slot: u32,
+    pub(crate) generation: u64,
+}
+
 /// Where an answer goes.
 enum ReplyTo {
     /// To a call of a task of this chassis.
@@ -116,17 +166,7 @@ enum ReplyTo {
     /// To somebody in this process who is no task.
     Outside(Arc<Promise>),
     /// Over a link.
-    Remote(Arc<Chassis>, Arc<Inbound>),
-}
-
-impl ReplyTo {
-    fn answer(self, answer: Answer) {
-        match self {
-            Self::Local(ticket) => ticket.answer(answer),
-            Self::Outside(promise) => promise.fulfil(answer),
-            Self::Remote(chassis, request) => chassis.post_reply(&request, answer),
-        }
-    }
+    Remote(Arc<dyn Remote>),
 }
 
 /// The right to answer one message. Dropped without an answer, it tells the caller
@@ -140,30 +180,29 @@ pub(crate) struct ReplySlot {
 
 impl ReplySlot {
     pub(crate) fn call(ticket: Ticket) -> Self {
-        Self {
-            to: Some(ReplyTo::Local(ticket)),
-            serial: 0,
-        }
+        Self::of(ReplyTo::Local(ticket))
     }
 
     pub(crate) fn outside(promise: Arc<Promise>) -> Self {
-        Self {
-            to: Some(ReplyTo::Outside(promise)),
-            serial: 0,
-        }
+        Self::of(ReplyTo::Outside(promise))
     }
 
-    pub(crate) fn remote(chassis: Arc<Chassis>, request: Arc<Inbound>) -> Self {
-        Self {
-            to: Some(ReplyTo::Remote(chassis, request)),
-            serial: 0,
-        }
+    pub(crate) fn remote(request: Arc<dyn Remote>) -> Self {
+        Self::of(ReplyTo::Remote(request))
+    }
+
+    fn of(to: ReplyTo) -> Self {
+        let to = Some(to);
+        Self { to, serial: 0 }
     }
 
     /// Gives the answer. Every answer to a message passes here on its way out.
     pub(crate) fn answer(mut self, answer: Answer) {
-        if let Some(to) = self.to.take() {
-            to.answer(answer);
+        match self.to.take() {
+            Some(ReplyTo::Local(ticket)) => ticket.answer(answer),
+            Some(ReplyTo::Outside(promise)) => promise.fulfil(answer),
+            Some(ReplyTo::Remote(request)) => request.answer(answer),
+            None => {}
         }
     }
 
@@ -172,27 +211,22 @@ impl ReplySlot {
         match &self.to {
             Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
             Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
-            Some(ReplyTo::Remote(_, request)) => request.is_abandoned(),
+            Some(ReplyTo::Remote(request)) => request.is_abandoned(),
             None => true,
         }
     }
 
-    /// Message number `serial` of its processor is about to be handled.
+    /// Message number `serial` is about to be handled.
     pub(crate) fn set_serial(&mut self, serial: u64) {
         self.serial = serial;
-    }
-
-    /// The number of the message that is being handled.
-    pub(crate) fn serial(&self) -> u64 {
-        self.serial
     }
 
     /// What is enough to answer in place of whoever has the slot.
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
-            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.home().clone(), ticket.key()),
+            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.shared.clone(), ticket.generation),
             ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
-            ReplyTo::Remote(_, request) => ReplyKey::Remote(request.clone()),
+            ReplyTo::Remote(request) => ReplyKey::Remote(request.clone()),
         })
     }
 }
@@ -210,11 +244,11 @@ impl Drop for ReplySlot {
 
 #[cold]
 fn drop_unanswered(slot: ReplySlot) {
-    let unwanted = match Processor::here() {
-        Some(processor) if slot.serial != 0 => processor.keep_orphan(slot),
-        _ => Err(slot),
-    };
-    if let Err(slot) = unwanted {
+    let serial = slot.serial;
+    let is_at_hand = HANDLING.try_with(|handling| serial != 0 && serial == handling.get());
+    if is_at_hand == Ok(true) {
+        ORPHANS.with(|orphans| orphans.borrow_mut().push(slot));
+    } else {
         slot.answer(Err(Fault::NoReply));
     }
 }
@@ -228,21 +262,76 @@ impl fmt::Debug for ReplySlot {
 /// Names an answer that is owed, without the right to give it: for the loop of the task, whose handler
 /// has that right, and may have passed it on.
 pub(crate) enum ReplyKey {
-    /// To a call of a processor of this chassis.
-    Local(Arc<ProcessorHandle>, CallKey),
+    /// To a call of a task of this chassis.
+    Local(Arc<Shared>, u64),
     /// To somebody in this process who is no task.
     Outside(Arc<Promise>),
     /// Over a link.
-    Remote(Arc<Inbound>),
+    Remote(Arc<dyn Remote>),
+}
+
+impl ReplyKey {
+    /// Answers in place of whoever has the right to; nothing comes of it when that was done already.
+    pub(crate) fn answer(self, answer: Answer) {
+        match self {
+            Self::Local(shared, generation) => Ticket { shared, generation }.answer(answer),
+            Self::Outside(promise) => promise.fulfil(answer),
+            Self::Remote(request) => request.answer(answer),
+        }
+    }
+}
+
+// -- rights to answer that a handler at work drops ----------------------------------------------
+
+/// How many messages one thread may number.
+const PER_THREAD: u64 = 1 << 44;
+
+/// Counts the threads that number messages.
+static THREADS: AtomicU64 = AtomicU64::new(0);
+
+thread_local! {
+    /// The message whose handler is at work; 0: none is.
+    static HANDLING: Cell<u64> = const { Cell::new(0) };
+    /// Rights to answer that handlers at work have dropped.
+    static ORPHANS: RefCell<Vec<ReplySlot>> = const { RefCell::new(Vec::new()) };
+    static NEXT: Cell<u64> = Cell::new(THREADS.fetch_add(1, Ordering::Relaxed) * PER_THREAD + 1);
+}
+
+/// A number for a message that is about to be handled; no other message of the process has it.
+pub(crate) fn next_serial() -> u64 {
+    NEXT.with(|next| next.replace(next.get() + 1))
+}
+
+/// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
+/// until it is known how the handler ended.
+pub(crate) fn handling<T>(serial: u64, code: impl FnOnce() -> T) -> T {
+    struct Restore(u64);
+    impl Drop for Restore {
+        fn drop(&mut self) {
+            HANDLING.set(self.0);
+        }
+    }
+    let _restore = Restore(HANDLING.replace(serial));
+    code()
+}
+
+/// The right to answer message `serial`, if its handler dropped it.
+pub(crate) fn take_orphan(serial: u64) -> Option<ReplySlot> {
+    ORPHANS.with(|orphans| {
+        let mut orphans = orphans.borrow_mut();
+        let place = orphans.iter().position(|slot| slot.serial == serial)?;
+        Some(orphans.swap_remove(place))
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use std::{rc::Rc, task::Context as PollContext, time::Duration};
+    use std::{rc::Rc, time::Duration};
 
     use super::*;
     use crate::{
         exchange::Looked,
+        processor::Processor,
         time::{Clock, Instant},
     };
 
@@ -297,10 +386,10 @@ mod tests {
     fn what_a_handler_drops_is_answered_when_it_has_ended() {
         let (processor, mut slot, key) = call();
         slot.set_serial(7);
-        processor.handling(7, || drop(slot));
+        handling(7, || drop(slot));
         assert!(answer(&processor, key).is_none());
-        assert!(processor.take_orphan(8).is_none());
-        let mut slot = processor.take_orphan(7).unwrap();
+        assert!(take_orphan(8).is_none());
+        let mut slot = take_orphan(7).unwrap();
         slot.set_serial(0);
         drop(slot);
         assert_eq!(

@@ -1,57 +1,66 @@
 //! The loop of a task: takes messages from its queue, calls its handler, contains its panics, and
 //! builds the handler anew as `supervise.rs` rules.
 
+pub(crate) mod dynamic;
 mod incarnation;
-mod serving;
+pub(crate) mod serving;
 
-use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
-
-use futures_util::{FutureExt, future::LocalBoxFuture};
-
-pub(crate) use self::serving::{Served, Serving};
 use crate::{
-    call::Fault,
-    chassis::{Chassis, TaskRecord},
+    chassis::Chassis,
     config::TaskConfig,
+    contain::panic_text,
     context::{Context, TaskRef},
-    mailbox::{Mailbox, TaskQueue},
-    message::{Command, Message, SYSTEM_COMMANDS, Tid},
+    envelope::Message,
+    fault::Fault,
+    handled::{Handled, HandlerError},
+    mailbox::queue::TaskQueue,
+    message::{Command, SYSTEM_COMMANDS, Tid},
     moving::{self, Arrival, Departed},
-    processor::{Processor, ProcessorHandle, panic_text},
+    phase::Phase,
+    processor::{Processor, ProcessorHandle},
     registry::Recipe,
-    statistics::TaskStatistics,
+    runner::{
+        dynamic::DynHandler,
+        serving::{Served, Serving},
+    },
     supervise::{Ending, Event, Policy, Restarts, State},
     system::{
         Broke, Change, ChassisDown, ChassisUp, EnterPhase, MoveOut, Quiesce, RestartTask, Shutdown,
         StopTask, TaskChanged, interrupts,
     },
-    task::{DynHandler, Handled, HandlerError, Phase},
+    task_record::TaskRecord,
 };
+use std::{cell::Cell, future::poll_fn, panic::AssertUnwindSafe, pin::pin, rc::Rc, sync::Arc};
 
-/// How many messages the queue of a runtime task holds.
-const SYSTEM_QUEUE: usize = 1024;
-
-/// What others see of a task of the configuration, or of the runtime itself.
-pub(crate) fn record(
-    name: &str,
-    tid: Tid,
-    config: Option<&TaskConfig>,
-    recipe: Arc<Recipe>,
-    processor: &Arc<ProcessorHandle>,
-) -> Arc<TaskRecord> {
-    let capacity = config.map_or(SYSTEM_QUEUE, |config| config.queue);
-    Arc::new(TaskRecord {
-        name: name.into(),
-        tid,
-        mailbox: Mailbox::new(capacity, processor.clone(), tid.slot()),
-        statistics: TaskStatistics::of(recipe),
-    })
-}
+use futures_util::{FutureExt, future::LocalBoxFuture};
 
 /// A task to start.
 pub(crate) struct TaskSpec {
     pub(crate) record: Arc<TaskRecord>,
+    pub(crate) recipe: Arc<Recipe>,
     pub(crate) config: Option<Box<TaskConfig>>,
+}
+
+impl TaskSpec {
+    /// A task of the configuration, or, without one, of the runtime itself.
+    pub(crate) fn new(
+        name: &str,
+        tid: Tid,
+        config: Option<TaskConfig>,
+        recipe: Arc<Recipe>,
+        processor: &Arc<ProcessorHandle>,
+    ) -> Self {
+        let commands = recipe.commands.clone();
+        let record = match &config {
+            Some(config) => TaskRecord::new(name, tid, config.queue, commands, processor),
+            None => TaskRecord::of_runtime(name, tid, commands, processor),
+        };
+        Self {
+            record,
+            recipe,
+            config: config.map(Box::new),
+        }
+    }
 }
 
 /// Tells the task that started this one why it has failed.
@@ -77,6 +86,7 @@ enum Next {
 pub(crate) struct Runner {
     pub(crate) cx: Context,
     pub(crate) record: Arc<TaskRecord>,
+    pub(super) recipe: Arc<Recipe>,
     pub(crate) queue: Rc<TaskQueue>,
     serving: Rc<Serving>,
     /// None between two incarnations.
@@ -115,7 +125,8 @@ pub(crate) fn start_at(
     origin: Origin,
 ) -> Result<(), HandlerError> {
     let cx = Context::new(spec.record, chassis.clone(), processor.clone(), spec.config);
-    let handler = build_contained(&cx)?;
+    let recipe = spec.recipe;
+    let handler = build_contained(&recipe, &cx)?;
     let record = cx.inner.record.clone();
     let (mut parent, mut arrival) = (None, None);
     let queue = match origin {
@@ -142,6 +153,7 @@ pub(crate) fn start_at(
         }),
         cx: cx.clone(),
         record,
+        recipe,
         queue: queue.clone(),
         handler: Some(handler),
         restarts: None,
@@ -160,8 +172,7 @@ pub(crate) fn start_at(
     Ok(())
 }
 
-fn build_contained(cx: &Context) -> Result<Box<dyn DynHandler>, HandlerError> {
-    let recipe = cx.inner.record.statistics.recipe();
+fn build_contained(recipe: &Recipe, cx: &Context) -> Result<Box<dyn DynHandler>, HandlerError> {
     std::panic::catch_unwind(AssertUnwindSafe(|| (recipe.build)(cx))).unwrap_or_else(|panic| {
         Err(HandlerError::new(format!(
             "panicked while it was built: {}",
@@ -326,8 +337,9 @@ impl Runner {
             .statistics
             .activity()
             .entered(phase, self.cx.now());
-        let tap = &self.cx.chassis().tap;
-        tap.phase(self.cx.tid(), Some(phase));
+        if let Some(recorder) = self.cx.chassis().tap.recorder() {
+            recorder.phase(self.cx.tid(), phase);
+        }
     }
 
     async fn quiesce(&mut self, cx: &Context, message: Message) -> Handled {

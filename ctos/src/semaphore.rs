@@ -23,8 +23,8 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 
 use crate::{
-    call::CallError,
     context::{Context, DEFAULT_DEADLINE, TaskRef},
+    fault::CallError,
     message::Tid,
     system,
     time::Instant,
@@ -33,7 +33,6 @@ pub use ctos_config::Scope;
 pub use error::SemaphoreError;
 use ledger::{Claim, Hold};
 use server::{AcquireSemaphore, Acquired, ArriveBarrier, Arrived};
-pub(crate) use store::Store;
 use store::{LocalBarrier, LocalSemaphore, Ticket};
 
 /// How much longer than the wait itself the answer of another chassis may take.
@@ -95,7 +94,7 @@ impl Semaphore {
         let kept = match scope.unwrap_or_else(|| scope_of(name)) {
             Scope::App => Kept::ByServer { count: permits },
             Scope::Chassis => {
-                let local = cx.chassis().blocking.semaphore(name, permits);
+                let local = cx.chassis().blocking().semaphore(name, permits);
                 agree(cx, name, local.permits(), permits)?;
                 Kept::Here(local)
             }
@@ -212,7 +211,7 @@ impl Acquire {
 
     async fn run_here(&self, local: &Arc<LocalSemaphore>) -> Result<Permit, SemaphoreError> {
         let cx = &self.semaphore.cx;
-        let store = &cx.chassis().blocking;
+        let store = cx.chassis().blocking();
         let claim = self.claim(store.next_hold(cx.chassis().index()));
         // From here on, whatever happens, the ticket gives back what it stands for.
         let permit = Permit {
@@ -336,7 +335,7 @@ impl Barrier {
         let kept = match scope.unwrap_or_else(|| scope_of(name)) {
             Scope::App => Kept::ByServer { count: parties },
             Scope::Chassis => {
-                let local = cx.chassis().blocking.barrier(name, parties);
+                let local = cx.chassis().blocking().barrier(name, parties);
                 agree(cx, name, local.parties(), parties)?;
                 Kept::Here(local)
             }
@@ -386,7 +385,7 @@ impl Barrier {
     async fn wait_here(&self, local: &Arc<LocalBarrier>) -> Result<Passage, SemaphoreError> {
         let cx = &self.cx;
         let claim = Claim {
-            hold: cx.chassis().blocking.next_hold(cx.chassis().index()),
+            hold: cx.chassis().blocking().next_hold(cx.chassis().index()),
             task: cx.name_shared(),
             tid: cx.tid(),
         };
@@ -430,4 +429,36 @@ impl Barrier {
 /// The app-wide semaphores, asked from any chassis.
 pub(crate) async fn of_app(cx: &Context) -> Result<Vec<SemaphoreView>, CallError> {
     cx.call(&server(), server::ListSemaphores {}).await
+}
+impl Context {
+    /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
+    /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
+    /// configuration says so or its name begins with `app/`.
+    ///
+    /// # Errors
+    /// [`SemaphoreError`]: no permits at all, or another number than others use.
+    pub fn semaphore(&self, name: &str, permits: u32) -> Result<Semaphore, SemaphoreError> {
+        Semaphore::find(self, name, permits)
+    }
+
+    /// The barrier called `name`, for `parties` unless `[barrier.NAME]` of the configuration says for how many.
+    /// Shared as [`Self::semaphore`] says.
+    ///
+    /// # Errors
+    /// [`SemaphoreError`]: nobody to wait for, or another number than others use.
+    pub fn barrier(&self, name: &str, parties: u32) -> Result<Barrier, SemaphoreError> {
+        Barrier::find(self, name, parties)
+    }
+
+    /// The semaphores that this task could use, who holds them and who waits: those of this chassis and
+    /// those of the app.
+    ///
+    /// # Errors
+    /// When the task that keeps those of the app cannot be asked.
+    pub async fn semaphores(&self) -> Result<Vec<SemaphoreView>, CallError> {
+        let mut views = of_app(self).await?;
+        let here = self.chassis().semaphores().into_iter();
+        views.extend(here.filter(|view| view.scope == Scope::Chassis));
+        Ok(views)
+    }
 }

@@ -29,10 +29,10 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use crate::{
     boot::{self, BootError, BootEvent, End, Observer, Outcome},
     bootstrap::{EndSlot, Seat},
-    call::lock,
     chassis::{BOOT_CHASSIS, Chassis},
     config::App,
     disk::Disk,
+    lock::lock,
     mix,
     processor::Processor,
     record,
@@ -205,7 +205,8 @@ impl Simulation {
                 chassis
             })
             .collect();
-        let recording = record::start(&chassis).map_err(boot::io_error("cannot record"))?;
+        let recording =
+            record::start(&chassis, watch::COMMANDS).map_err(boot::io_error("cannot record"))?;
         let exits = Exits::default();
         for from in &chassis {
             events.watch(from, &chassis);

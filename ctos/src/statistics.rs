@@ -1,6 +1,15 @@
 //! What is known of a task while it runs: counted by its loop, readable from any thread without
 //! disturbing it.
 
+use crate::{
+    last_messages::Recent,
+    message::CommandInfo,
+    meter::{CommandCount, TaskMeter, add},
+    phase::Phase,
+    report::TaskCounters,
+    time::Instant,
+    waits::Waits,
+};
 use std::{
     sync::{
         Arc, OnceLock,
@@ -9,22 +18,10 @@ use std::{
     time::Duration,
 };
 
-use serde::{Deserialize, Serialize};
-
-use crate::{
-    message::CommandInfo,
-    recent::Recent,
-    registry::Recipe,
-    task::Phase,
-    time::Instant,
-    waits::Waits,
-    watch::{CommandCount, TaskMeter},
-};
-
 /// What is known of one task: nothing, until it has something to do.
 #[derive(Default)]
 pub(crate) struct TaskStatistics {
-    recipe: Arc<Recipe>,
+    commands: Arc<[CommandInfo]>,
     /// Made when there is something to count: of very many tasks most may be idle.
     activity: OnceLock<Arc<Activity>>,
 }
@@ -50,56 +47,23 @@ pub(crate) struct Activity {
     pub(crate) waits: Waits,
 }
 
-/// Adds to a counter that has one writer, the loop of its task: no other addition can come between.
-#[inline]
-pub(crate) fn add(counter: &AtomicU64, more: u64) {
-    let before = counter.load(Ordering::Relaxed);
-    counter.store(before.wrapping_add(more), Ordering::Relaxed);
-}
-
-/// The counters of one task at a moment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct TaskCounters {
-    /// Messages handled.
-    pub handled: u64,
-    /// Of these, those that the handler ended with an error or a panic.
-    pub failed: u64,
-    /// Time spent in the handler, waiting for others included.
-    pub busy: Duration,
-    /// The longest that one message took.
-    pub longest: Duration,
-    /// Since when the message at hand is being handled; `None` when the task is idle.
-    pub began: Option<Instant>,
-    /// The command at hand, or the last one.
-    pub command: u16,
-    /// How often the handler was built anew.
-    pub restarts: u64,
-    /// The startup phase that was entered last.
-    pub phase: Option<Phase>,
-}
-
 impl TaskStatistics {
-    /// Of a task that is built by `recipe`, whose commands are counted one by one.
-    pub(crate) fn of(recipe: Arc<Recipe>) -> Self {
+    /// Of a task that takes `commands`, which are counted one by one.
+    pub(crate) fn of(commands: Arc<[CommandInfo]>) -> Self {
         Self {
-            recipe,
+            commands,
             activity: OnceLock::new(),
         }
     }
 
-    /// How the handler of the task is built.
-    pub(crate) fn recipe(&self) -> &Recipe {
-        &self.recipe
-    }
-
     /// The commands that the task takes.
     pub(crate) fn commands(&self) -> &[CommandInfo] {
-        &self.recipe.commands
+        &self.commands
     }
 
     fn blank(&self) -> Activity {
         Activity {
-            meter: TaskMeter::of(self.recipe.commands.clone()),
+            meter: TaskMeter::of(self.commands.clone()),
             ..Activity::default()
         }
     }

@@ -1,83 +1,13 @@
 //! What a chassis tells about its tasks without disturbing them: read from their records, so that a
 //! task that is busy, or stuck, is seen as well as one that is idle.
 
+use crate::{
+    chassis::Chassis, doors::Refusals, message::Tid, record::Recorders, sync::CyclicStatistics,
+    system::Seen, task_record::TaskRecord,
+};
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-use serde::{Deserialize, Serialize};
-
-use crate::{
-    chassis::{Chassis, TaskRecord},
-    command,
-    message::Tid,
-    record::RecordReport,
-    statistics::TaskCounters,
-    sync::CyclicStatistics,
-    time::Instant,
-};
-
-pub use crate::waits::WaitReport;
-
-command! {
-    /// Asks an agent for everything that is known of its chassis.
-    pub(crate) struct Survey => ChassisReport, 0xff50, "survey"
-}
-
-/// A chassis at a moment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ChassisReport {
-    /// Its name.
-    pub chassis: String,
-    /// Its process.
-    pub pid: u32,
-    /// The moment, on the chassis's clock.
-    pub now: Instant,
-    /// Its processors, in declared order, that of the runtime first.
-    pub processors: Vec<String>,
-    /// Its tasks, those of the runtime too.
-    pub tasks: Vec<TaskReport>,
-    /// How many callers were refused.
-    pub refused: u64,
-    /// Its records, if it is recorded.
-    pub records: Vec<RecordReport>,
-}
-
-/// A task at a moment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TaskReport {
-    /// Its symbolic name.
-    pub name: String,
-    /// Its id.
-    pub tid: Tid,
-    /// The registered name of its handler; empty for tasks that no configuration declares.
-    pub handler: String,
-    /// Its processor's name.
-    pub processor: String,
-    /// What it has done.
-    pub counters: TaskCounters,
-    /// What its synchronous functions have taken, those that are on the schedule now.
-    pub cyclic: Duration,
-    /// When it entered its last startup phase.
-    pub phase_since: Option<Instant>,
-    /// The command at hand, or the last one, by name; `None` before the first.
-    pub command: Option<String>,
-    /// What is in its queue.
-    pub queue: QueueReport,
-    /// What it waits for, longest first.
-    pub waits: Vec<WaitReport>,
-}
-
-/// What is in a queue.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct QueueReport {
-    /// Messages of high priority.
-    pub urgent: u64,
-    /// Messages of normal priority.
-    pub normal: u64,
-    /// Senders that wait for room.
-    pub waiting: u64,
-    /// How many messages of each priority it holds at most.
-    pub capacity: u64,
-}
+pub use crate::report::{ChassisReport, QueueReport, TaskReport, WaitReport};
 
 /// Everything that is known of `chassis` now.
 pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
@@ -91,13 +21,13 @@ pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
         pid: std::process::id(),
         now: chassis.clock.now(),
         processors: processors.map(|(name, _)| name.clone()).collect(),
-        records: chassis.tap.reports(),
+        records: Recorders::of(chassis).reports(),
         tasks: chassis
             .tasks()
             .iter()
             .map(|task| report(chassis, task, &cyclic))
             .collect(),
-        refused: chassis.refused.count(),
+        refused: Refusals::of(chassis).count(),
     }
 }
 
@@ -142,11 +72,23 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
 
 /// The name of a command, as far as it is known.
 pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
-    let kind = chassis.registry.kind(handler);
+    let registry = chassis.registry();
+    let kind = registry.kind(handler);
     let own = kind.into_iter().flat_map(|kind| kind.commands());
     let mut all = own.chain(crate::system::ALL);
     all.find(|command| command.code == code)
         .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
+}
+
+/// How the task `tid` of `chassis` is.
+pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<Seen> {
+    let record = chassis.task(tid)?;
+    let mut last = record.statistics.activity().recent.look(without);
+    let task = of_task(chassis, &record);
+    for note in &mut last {
+        note.named = command_name(chassis, &task.handler, note.command);
+    }
+    Some(Seen { task, last })
 }
 
 #[cfg(test)]

@@ -3,11 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    bootstrap::{BootState, ChassisState},
     command,
+    last_messages::Note,
     message::{Command, CommandInfo, Tid},
-    statistics::TaskCounters,
-    task::{Phase, StopReason},
+    phase::{Phase, StopReason},
+    report::{BootState, ChassisReport, ChassisState, TaskCounters, TaskReport},
     time::Instant,
 };
 
@@ -202,8 +202,24 @@ command! {
     pub(crate) struct RestartChassis { pub(crate) chassis: u8 } => (), 0xff56, "restart_chassis"
 }
 command! {
+    /// Asks an agent for everything that is known of its chassis.
+    pub(crate) struct Survey => ChassisReport, 0xff50, "survey"
+}
+command! {
+    /// Asks an agent how a task is and what it handled last; from then on that is kept, without messages of
+    /// the commands `without`.
+    pub(crate) struct LookAt { pub(crate) task: Tid, pub(crate) without: Vec<u16> } => Option<Seen>, 0xff58, "look_at"
+}
+command! {
     /// Asks the bootstrap service how the app and its chassis are.
     pub(crate) struct Overview => AppReport, 0xff57, "overview"
+}
+
+/// What an agent tells of a task of its chassis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Seen {
+    pub(crate) task: TaskReport,
+    pub(crate) last: Vec<Note>,
 }
 
 /// The app as its bootstrap service sees it.
@@ -263,8 +279,8 @@ pub(crate) const ALL: &[CommandInfo] = &[
     ChassisLinked::INFO,
     RestartChassis::INFO,
     Overview::INFO,
-    crate::survey::Survey::INFO,
-    crate::recent::LookAt::INFO,
+    Survey::INFO,
+    LookAt::INFO,
     Shutdown::INFO,
     Broke::INFO,
     MoveTask::INFO,
@@ -449,7 +465,7 @@ pub(crate) struct Forwarded {
 }
 
 /// What came of a [`Load`]: the reply, or why there is none.
-pub(crate) type Delivered = Result<Vec<u8>, crate::call::Fault>;
+pub(crate) type Delivered = Result<Vec<u8>, crate::fault::Fault>;
 
 /// What becomes of a place that a task comes to or has left.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -3,20 +3,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
-use serde::{Deserialize, Serialize};
-
-use crate::{call::lock, message::Tid, statistics::Activity, time::Instant};
-
-/// A call, or a send, that has not ended yet.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct WaitReport {
-    /// The asked task.
-    pub to: String,
-    /// The command's name.
-    pub command: String,
-    /// Since when.
-    pub since: Instant,
-}
+use crate::{lock::lock, message::Tid, report::WaitReport, time::Instant};
 
 #[derive(Debug)]
 struct Entry {
@@ -99,34 +86,6 @@ impl Waits {
         drop(entries);
         waits.sort_by(|one, other| (one.since, &one.to).cmp(&(other.since, &other.to)));
         waits
-    }
-}
-
-/// What a task waits for in one call. Shown from [`Self::show`] until it is dropped.
-pub(crate) struct Wait {
-    pub(crate) activity: Arc<Activity>,
-    /// The asked task.
-    pub(crate) to: Arc<str>,
-    pub(crate) tid: Tid,
-    pub(crate) command: &'static str,
-    pub(crate) place: Option<usize>,
-}
-
-impl Wait {
-    /// Shows it to whoever wants to know what the task waits for.
-    pub(crate) fn show(&mut self, since: Instant) {
-        if self.place.is_none() {
-            let waits = &self.activity.waits;
-            self.place = Some(waits.begin(self.to.clone(), self.tid, self.command, since));
-        }
-    }
-}
-
-impl Drop for Wait {
-    fn drop(&mut self) {
-        if let Some(place) = self.place {
-            self.activity.waits.end(place);
-        }
     }
 }
 

@@ -5,7 +5,6 @@
 //! page `docs/watching.md` lists what is told.
 
 mod lint;
-mod meter;
 mod metrics;
 mod server;
 mod text;
@@ -15,15 +14,18 @@ use std::time::Duration;
 use crate::{
     chassis::Chassis,
     context::Context,
+    message::{Command, CommandInfo},
     time::{Clock, Instant},
 };
 
 pub use lint::{Lint, LintCode};
 
 pub(crate) use lint::Watch;
-pub(crate) use meter::{CommandCount, TaskMeter};
 pub(crate) use metrics::{Gather, gather_here};
 pub(crate) use server::serve;
+
+/// What an agent takes because somebody watches.
+pub(crate) const COMMANDS: &[CommandInfo] = &[Gather::INFO];
 
 /// How often a chassis looks at itself.
 pub(crate) const INTERVAL: Duration = Duration::from_millis(500);
@@ -40,7 +42,7 @@ pub(crate) fn start(cx: &Context) {
     cx.spawn(async move {
         loop {
             watcher.sleep(INTERVAL).await;
-            chassis.watch.look(&chassis, watcher.now());
+            Watch::of(&chassis).look(&chassis, watcher.now());
         }
     });
 }
@@ -53,8 +55,8 @@ pub(crate) fn look_until<'a>(
 ) {
     let mut looks: Vec<_> = chassis
         .map(|one| {
-            let step = (moment.since(one.watch.last_look()) / LOOKS).max(INTERVAL);
-            (one.watch.last_look() + step, step, one)
+            let step = (moment.since(Watch::of(one).last_look()) / LOOKS).max(INTERVAL);
+            (Watch::of(one).last_look() + step, step, one)
         })
         .collect();
     while let Some((due, step, one)) = looks.iter_mut().min_by_key(|(due, _, _)| *due) {
@@ -62,17 +64,15 @@ pub(crate) fn look_until<'a>(
             return;
         }
         clock.advance_to(*due);
-        one.watch.look(one, *due);
+        Watch::of(one).look(one, *due);
         *due = *due + *step;
     }
 }
 
-impl Chassis {
-    /// What is wrong with this chassis at present.
-    #[must_use]
-    pub fn lints(&self) -> Vec<Lint> {
-        self.watch.lints()
-    }
+/// What is wrong with a chassis at present.
+#[must_use]
+pub fn lints(chassis: &Chassis) -> Vec<Lint> {
+    Watch::of(chassis).lints()
 }
 
 #[cfg(test)]

@@ -85,7 +85,7 @@ async fn task(cx: &Context, name: &str) -> TaskState {
 /// Looks at a task, whose last messages are kept from then on. Those by which displays follow a net are nobody's
 /// concern.
 pub(super) async fn look(cx: &Context, name: &str) -> Result<TaskLook, HandlerError> {
-    let is_net = pnt::task::net_tasks(cx.app(), cx.registry())
+    let is_net = pnt::task::net_tasks(cx.app(), &cx.registry())
         .iter()
         .any(|net| net == name);
     let without: &[u16] = if is_net {

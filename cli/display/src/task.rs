@@ -96,7 +96,7 @@ impl NetDisplay {
 
     /// Looks for what the analysis says of the nets, on a thread of its own: it may take a while.
     fn analyse(&self, cx: &Context) {
-        let (app, registry) = (cx.app().clone(), cx.shared_registry());
+        let (app, registry) = (cx.app().clone(), cx.registry());
         let hub = self.hub.clone();
         // Without it the nets are shown without notes.
         let _ = std::thread::Builder::new()
@@ -106,7 +106,7 @@ impl NetDisplay {
 
     /// The nets that are shown.
     fn nets(&self, cx: &Context) -> Vec<String> {
-        let all = pnt::task::net_tasks(cx.app(), cx.registry());
+        let all = pnt::task::net_tasks(cx.app(), &cx.registry());
         match &self.args.nets {
             Some(wanted) => all.into_iter().filter(|net| wanted.contains(net)).collect(),
             None => all,

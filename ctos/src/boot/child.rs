@@ -15,6 +15,7 @@ use crate::{
     record,
     registry::Registry,
     time::Clock,
+    watch,
 };
 
 /// Why a chassis could not start.
@@ -76,7 +77,7 @@ pub fn run_chassis(
     let incarnation = std::env::var(super::INCARNATION_VARIABLE).ok();
     let incarnation = incarnation.and_then(|text| text.parse().ok()).unwrap_or(1);
     let who = Identification { token, incarnation };
-    let recording = record::start(std::slice::from_ref(&chassis))?;
+    let recording = record::start(std::slice::from_ref(&chassis), watch::COMMANDS)?;
     let code = runtime.block_on(serve(&chassis, boot, who));
     runtime.shutdown_background();
     if let Some(recording) = recording {

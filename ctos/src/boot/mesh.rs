@@ -24,9 +24,10 @@ use serde::{Deserialize, Serialize};
 use tokio::{runtime::Handle, sync::mpsc};
 
 use crate::{
-    call::{Fault, lock},
     chassis::Chassis,
     config::{App, InjuryConfig, SameHost},
+    doors::Refusals,
+    fault::Fault,
     link::{
         handshake::{Process, Token},
         injure::Injury,
@@ -36,6 +37,7 @@ use crate::{
         transport::{Address, Listener},
         zenoh::Fabric,
     },
+    lock::lock,
     security::{KeyError, Keys},
 };
 
@@ -238,7 +240,7 @@ impl Mesh {
 
     /// How many callers were refused so far.
     pub(crate) fn refused(&self) -> u64 {
-        self.inner.chassis.refused.count()
+        Refusals::of(&self.inner.chassis).count()
     }
 
     /// Joins the app whose boot listens at `boot`; what comes of it are events.

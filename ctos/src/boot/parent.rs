@@ -19,7 +19,6 @@ use crate::{
         processes::{Keeper, Process, Starter},
     },
     bootstrap::{EndSlot, Seat},
-    call::lock,
     chassis::Chassis,
     config::App,
     control::{Gate, LogStore, Server, Ticker},
@@ -28,6 +27,7 @@ use crate::{
         handshake::Token,
         transport::{Address, Listener},
     },
+    lock::lock,
     record,
     registry::Registry,
     remote::{Hosts, HostsSetup},
@@ -57,7 +57,8 @@ pub(crate) fn boot(
         .build()
         .map_err(io("cannot start the runtime"))?;
     let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
-    let recording = record::start(std::slice::from_ref(&chassis)).map_err(io("cannot record"))?;
+    let recording = record::start(std::slice::from_ref(&chassis), watch::COMMANDS)
+        .map_err(io("cannot record"))?;
     let outcome = runtime.block_on(run(&chassis, setup));
     runtime.shutdown_background();
     if let Some(recording) = recording {

@@ -19,10 +19,10 @@ use crate::{
         spawn::{self, Ending, LastLines, Tether},
     },
     bootstrap::Processes,
-    call::lock,
     chassis::Chassis,
     control::LogStore,
     link::{handshake::Token, transport::Address},
+    lock::lock,
     remote::{HostLink, Hosts},
     system,
 };

@@ -8,16 +8,19 @@ use std::{
 
 use crate::{
     bootstrap::{
-        BootEvent, BootState, ChassisState, End, Seat,
+        BootEvent, End, Seat,
         intensity::Intensity,
         states::{BootStep, ChassisStep, Table},
     },
     config::{ChassisSupervision, OnTaskFailure},
     context::Context,
-    message::{Replier, Tid},
+    envelope::Replier,
+    handled::Handled,
+    message::Tid,
+    phase::Phase,
+    report::{BootState, ChassisState},
     sync::Signal,
     system::{self, AppReport, ChassisNews, MemberReport, News, RestartChassis, TaskName},
-    task::{Handled, Phase},
     time::Instant,
 };
 
@@ -125,7 +128,7 @@ impl Board {
 
     /// Leaves the reason of the end for the process that boots.
     pub(super) fn leave(&self, end: End) {
-        *crate::call::lock(&self.seat.end) = Some(end);
+        *crate::lock::lock(&self.seat.end) = Some(end);
     }
 
     /// Steps to the next state of the boot, if there is one.

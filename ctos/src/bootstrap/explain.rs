@@ -4,10 +4,10 @@
 use std::time::Duration;
 
 use crate::{
-    call::{CallError, Fault},
     context::{Context, TaskRef},
-    survey::{Survey, TaskReport},
-    system::{self, TaskName},
+    fault::{CallError, Fault},
+    report::TaskReport,
+    system::{self, Survey, TaskName},
     time::Instant,
 };
 

@@ -11,10 +11,10 @@ use crate::{
         board::Board,
         explain::{LIMIT, explained},
     },
-    call::Fault,
     context::TaskRef,
+    fault::Fault,
+    phase::{Phase, StopReason},
     system::{NotQuiet, Quiesce, TaskName},
-    task::{Phase, StopReason},
 };
 
 /// When a person is told whom the step waits for.

@@ -6,12 +6,13 @@ use futures_util::future::{Either, pending, select};
 
 use crate::{
     bootstrap::{
-        BootEvent, ChassisState, End, StopStep,
+        BootEvent, End, StopStep,
         board::{Board, Event},
         states::{BootStep, ChassisStep},
     },
+    phase::Phase,
+    report::ChassisState,
     system::News,
-    task::Phase,
 };
 
 pub(super) struct Sequence {

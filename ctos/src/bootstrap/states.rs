@@ -1,6 +1,8 @@
 //! The states of a boot and of the chassis it supervises, as tables. The code steps through them and
 //! draws them into the documents; nothing else says what may follow what.
 
+use crate::report::{BootState, ChassisState};
+
 /// A state machine: which state follows which at what event.
 pub(crate) trait Table: Copy + PartialEq + 'static {
     /// What happens to it.
@@ -21,27 +23,6 @@ pub(crate) trait Table: Copy + PartialEq + 'static {
     /// What happened, in words.
     #[cfg(test)]
     fn event_words(event: Self::Event) -> &'static str;
-}
-
-/// Where an app is between its first process and its last.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum BootState {
-    /// The processes start and connect.
-    #[default]
-    Starting,
-    /// The tasks are created and pass phase create.
-    Create,
-    /// The tasks find each other.
-    Connect,
-    /// The tasks begin.
-    Run,
-    /// Every task has passed all phases.
-    Up,
-    /// The tasks are stopped, and the processes ended.
-    Stopping,
-    /// Nothing of the app is left but the process that booted it.
-    Ended,
 }
 
 /// What happens to an app.
@@ -117,27 +98,6 @@ impl Table for BootState {
             BootStep::AtRest => "every task is stopped or given up",
         }
     }
-}
-
-/// Where a chassis is in its life, which may have several incarnations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ChassisState {
-    /// Its process starts and connects.
-    #[default]
-    Starting,
-    /// Its tasks are created and pass the phases.
-    Phases,
-    /// Its tasks run.
-    Up,
-    /// It is gone or must go; its process is not known to be dead yet.
-    Ending,
-    /// Its process is dead; the next one is started after a pause.
-    Waiting,
-    /// It failed too often, or may not be started again.
-    Down,
-    /// It is stopped with the app.
-    Stopped,
 }
 
 /// What happens to a chassis.

@@ -5,11 +5,11 @@ use futures_util::future::{Either, select};
 
 use crate::{
     bootstrap::{BootEvent, board::Board},
-    call::Fault,
     chassis::BOOT_CHASSIS,
     context::TaskRef,
+    fault::Fault,
+    phase::StopReason,
     system::{self, Exit, StopTask, TaskName},
-    task::StopReason,
 };
 
 impl Board {

@@ -14,10 +14,10 @@ use crate::{
         intensity::{Ended, Verdict},
         states::ChassisStep,
     },
-    call::Fault,
     context::{Context, TaskRef},
+    fault::Fault,
+    phase::{Phase, StopReason},
     system::{self, AnnounceUp, CreateTasks, EnterPhase, FirstSlots, News},
-    task::{Phase, StopReason},
 };
 
 /// How long the links of a dead process may take to close.

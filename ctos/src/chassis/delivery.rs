@@ -1,28 +1,20 @@
 //! The one delivery: a task of this chassis gets a value, a task of another one gets a frame over the link. The
 //! sender waits the same way for both, and is told in the same way what came of it.
 
-use std::sync::Arc;
+use std::{rc::Rc, sync::Arc};
 
-use super::{Chassis, Outbound, TaskRecord};
+use super::{Chassis, pending::Outbound};
 use crate::{
-    call::{Answer, Fault, Promise, ReplyKey, ReplySlot, Waiting},
-    mailbox::{Acceptance, Offered},
-    message::{Command, Data, Flags, Message, Tid},
-    processor::Processor,
-    record::Asked,
+    delivery::{Acceptance, Offered},
+    envelope::Message,
+    fault::Fault,
+    message::{Command, Data, Flags, Tid},
+    processor::{Inlet, Processor},
+    reply::{Promise, ReplySlot, Waiting},
     system,
+    tap::{Asked, WaitFor},
+    task_record::TaskRecord,
 };
-
-/// What the sender of a message waits for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum WaitFor {
-    /// The reply.
-    Reply,
-    /// That the receiver's queue has taken the message.
-    Acceptance,
-    /// Nothing: the message is taken now, or refused.
-    Nothing,
-}
 
 /// A message that was delivered, or is on its way.
 pub(crate) struct Delivered {
@@ -43,6 +35,22 @@ pub(crate) enum Outcome {
     Failed(Fault),
 }
 
+/// A task that a message goes to.
+enum Receiver {
+    /// One of the processor that this thread runs.
+    Here(Rc<Processor>, Rc<dyn Inlet>),
+    There(Arc<TaskRecord>),
+}
+
+impl Receiver {
+    fn offer(&self, message: Message) -> Offered {
+        match self {
+            Self::Here(processor, queue) => queue.offer(processor, message),
+            Self::There(task) => task.mailbox.offer(message),
+        }
+    }
+}
+
 impl Chassis {
     /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; it is made only
     /// if that is not known at once. Every message of this chassis passes here: a recorder sees it, and a replay takes
@@ -55,18 +63,21 @@ impl Chassis {
     ) -> Delivered {
         self.address(&mut message);
         let asked = Asked::of(&message);
-        if let Some(replay) = self.tap.replay() {
-            let slot = slot().unwrap_or_else(|| ReplySlot::outside(Arc::default()));
-            replay.dispatch(&message, wait, self.clock.now(), slot);
-            return Delivered {
-                asked,
-                recorded: 0,
-                outcome: Outcome::Waits(None),
-            };
+        let mut recorded = 0;
+        if let Some(observer) = self.tap.observer() {
+            if observer.replays() {
+                let slot = slot().unwrap_or_else(|| ReplySlot::outside(Arc::default()));
+                observer.replay(&message, wait, self.clock.now(), slot);
+                return Delivered {
+                    asked,
+                    recorded,
+                    outcome: Outcome::Waits(None),
+                };
+            }
+            recorded = observer.sent(&message, wait);
+            message.envelope.recorded = recorded;
         }
-        let recorded = self.tap.sent(&message, wait);
-        message.envelope.recorded = recorded;
-        let outcome = if asked.to().chassis() == self.index {
+        let outcome = if asked.to.chassis() == self.index {
             self.hand_over(message, wait, slot)
         } else {
             self.post(message, wait, slot)
@@ -85,36 +96,49 @@ impl Chassis {
         wait: WaitFor,
         slot: &mut dyn FnMut() -> Option<ReplySlot>,
     ) -> Outcome {
-        let Some(task) = self.receiver(message.header().to) else {
+        let to = message.header().to;
+        let Some(receiver) = self.receiver(to) else {
             return Outcome::Failed(Fault::UnknownTask);
         };
         let header = &mut message.envelope.header;
         header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
-        let mailbox = &task.mailbox;
         if wait == WaitFor::Reply {
             message.envelope.reply = slot();
-            mailbox.put(message, Acceptance::Silent);
-            return Outcome::Waits(None);
         }
-        match mailbox.offer(message) {
-            Offered::Taken => Outcome::Taken,
-            Offered::Closed(_) => Outcome::Failed(Fault::Stopping),
-            Offered::NoRoom(message) if wait == WaitFor::Acceptance => {
-                mailbox.line_up(message, Acceptance::from(slot()));
+        let offered = receiver.offer(message);
+        let message = match offered {
+            Offered::Taken if wait == WaitFor::Reply => return Outcome::Waits(None),
+            Offered::Taken => return Outcome::Taken,
+            Offered::Closed(message) | Offered::NoRoom(message) => message,
+        };
+        let task = self.task(to).filter(|task| !task.mailbox.is_closed());
+        match (task, wait) {
+            (None, WaitFor::Reply) => {
+                message.refuse(Fault::Stopping);
                 Outcome::Waits(None)
             }
-            Offered::NoRoom(_) => Outcome::Failed(mailbox.full()),
+            (None, _) => Outcome::Failed(Fault::Stopping),
+            (Some(task), WaitFor::Nothing) => Outcome::Failed(task.mailbox.full()),
+            (Some(task), WaitFor::Reply) => {
+                task.mailbox.line_up(message, Acceptance::Silent);
+                Outcome::Waits(None)
+            }
+            (Some(task), WaitFor::Acceptance) => {
+                task.mailbox.line_up(message, Acceptance::from(slot()));
+                Outcome::Waits(None)
+            }
         }
     }
 
-    /// A task of this chassis. Those of the processor that this thread runs are found there.
-    fn receiver(&self, to: Tid) -> Option<Arc<TaskRecord>> {
+    /// A task of this chassis. The queues of those of the processor that this thread runs are found there.
+    fn receiver(&self, to: Tid) -> Option<Receiver> {
         let (_, home) = self.processors.get(usize::from(to.processor()))?;
-        let here = Processor::here_if(home).and_then(|here| here.queue(to.slot()));
-        match here {
-            Some(queue) => Some(queue.task().clone()),
-            None => self.task(to),
+        if let Some(here) = Processor::at_hand(home)
+            && let Some(queue) = here.queue(to.slot())
+        {
+            return Some(Receiver::Here(here, queue));
         }
+        self.task(to).map(Receiver::There)
     }
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
@@ -132,7 +156,14 @@ impl Chassis {
                 None
             }
         };
-        Waiting::for_call(promise, self, outbound)
+        let waiting = Waiting::here(promise);
+        match outbound {
+            Some(outbound) => {
+                let chassis = self.clone();
+                waiting.or_else(move || chassis.abandon(outbound))
+            }
+            None => waiting,
+        }
     }
 
     /// Sends a message of the runtime without waiting for anything. It is lost only with its
@@ -152,29 +183,6 @@ impl Chassis {
         // A fence goes to the old place itself.
         if envelope.header.command != system::Fence::CODE {
             envelope.header.to = self.directory.current(envelope.header.to);
-        }
-    }
-
-    /// Answers in place of whoever has the right to; nothing comes of it when that was done already.
-    pub(crate) fn answer_by_key(&self, key: ReplyKey, answer: Answer) {
-        match key {
-            ReplyKey::Remote(request) => self.post_reply(&request, answer),
-            ReplyKey::Outside(promise) => promise.fulfil(answer),
-            ReplyKey::Local(home, call) => match Processor::here_if(&home) {
-                Some(here) => here.take_answer(call, answer),
-                None => home.bring_answer(call, answer),
-            },
-        }
-    }
-}
-
-impl WaitFor {
-    /// The flags of a message whose sender waits so.
-    pub(crate) fn flags(self) -> Flags {
-        match self {
-            Self::Reply => Flags::REPLY_WAIT,
-            Self::Acceptance => Flags::ACCEPT_WAIT,
-            Self::Nothing => Flags::NONE,
         }
     }
 }

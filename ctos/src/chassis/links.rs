@@ -2,7 +2,6 @@
 //! one any more.
 
 use std::{
-    collections::{BTreeMap, btree_map::Entry},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -10,89 +9,40 @@ use std::{
     time::Duration,
 };
 
-use super::{Chassis, Outcome, WaitFor};
+use super::{
+    Chassis,
+    delivery::Outcome,
+    pending::{Inbound, Outbound, Pending},
+};
 use crate::{
     blob::Body,
-    call::{Answer, Fault, ReplySlot, lock},
-    envelope::Envelope,
+    delivery::Acceptance,
+    envelope::{Envelope, Message},
+    fault::Fault,
     frame::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
-    mailbox::Acceptance,
-    message::{Data, Flags, Header, Message},
+    lock::lock,
+    message::{Data, Flags, Header},
+    reply::{Answer, Remote, ReplySlot},
     system,
+    tap::{Asked, WaitFor},
     time::Instant,
 };
 
-pub(super) struct Pending {
-    /// Who waits for the answer; `None` when nobody does.
-    reply: Option<ReplySlot>,
-    /// What was asked, to take it back.
-    header: Header,
-    trace: u64,
+/// A request that came over a link, with the way back.
+struct Request {
+    chassis: Arc<Chassis>,
+    inbound: Arc<Inbound>,
 }
 
-impl Pending {
-    /// The chassis that was asked.
-    pub(super) fn peer(&self) -> u8 {
-        self.header.to.chassis()
+impl Remote for Request {
+    fn answer(&self, answer: Answer) {
+        self.chassis.post_reply(&self.inbound, answer);
     }
 
-    pub(super) fn answer(self, answer: Answer) {
-        if let Some(reply) = self.reply {
-            reply.answer(answer);
-        }
+    fn is_abandoned(&self) -> bool {
+        self.inbound.is_abandoned()
     }
 }
-
-#[derive(Default)]
-pub(super) struct Links {
-    up: BTreeMap<u8, Arc<dyn Link>>,
-    /// What this chassis asked others and has no answer to yet.
-    pub(super) pending: BTreeMap<u64, Pending>,
-    next_call: u64,
-    /// What others asked this chassis, by chassis and its number for the call.
-    inbound: BTreeMap<(u8, u64), Arc<Inbound>>,
-}
-
-/// A request that came over a link and waits for its answer.
-pub(crate) struct Inbound {
-    header: Header,
-    call: u64,
-    trace: u64,
-    recorded: u64,
-    /// Set when nobody waits for the answer any more.
-    abandoned: AtomicBool,
-}
-
-impl Inbound {
-    /// Whether the caller, or its chassis, is gone.
-    pub(crate) fn is_abandoned(&self) -> bool {
-        self.abandoned.load(Ordering::Acquire)
-    }
-
-    fn abandon(&self) {
-        self.abandoned.store(true, Ordering::Release);
-    }
-}
-
-impl Links {
-    /// `request` is no longer under way: whether it still was. A chassis that comes back counts its calls from
-    /// the beginning again, so a request of its new life may have the number of one of an earlier life, whose
-    /// answer nobody waits for.
-    fn close_inbound(&mut self, peer: u8, request: &Inbound) -> bool {
-        let Entry::Occupied(entry) = self.inbound.entry((peer, request.call)) else {
-            return false;
-        };
-        let is_it = std::ptr::eq(Arc::as_ptr(entry.get()), request);
-        if is_it {
-            entry.remove();
-        }
-        is_it
-    }
-}
-
-/// The number of a request that went over a link and waits for its answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Outbound(u64);
 
 impl Chassis {
     /// The sender of a request waits no longer: the receiver need not begin, if it has not.
@@ -209,8 +159,10 @@ impl Chassis {
         let Some(link) = link else {
             return;
         };
-        self.tap
-            .replied(inbound.recorded, request, *trace, answer.as_ref());
+        if let Some(recorder) = self.tap.recorder() {
+            let asked = Asked::by_header(request, *trace);
+            recorder.replied(inbound.recorded, &asked, answer.as_ref());
+        }
         let (flags, body) = match answer.and_then(body_of) {
             Ok(body) => (Flags::REPLY, body),
             Err(fault) => (
@@ -264,7 +216,10 @@ impl Chassis {
             return;
         }
         let deadline = (left_ns != NO_DEADLINE).then(|| now + Duration::from_nanos(left_ns));
-        let recorded = self.tap.arrived(&header, trace, deadline, &body);
+        let recorder = self.tap.recorder();
+        let recorded = recorder.map_or(0, |recorder| {
+            recorder.arrived(&header, trace, deadline, &body)
+        });
         let request = Arc::new(Inbound {
             header,
             call,
@@ -275,12 +230,16 @@ impl Chassis {
         lock(&self.links)
             .inbound
             .insert((peer, call), request.clone());
+        let request = Arc::new(Request {
+            chassis: self.clone(),
+            inbound: request,
+        });
         // Every request between chassis waits for one or the other, so that none is lost unseen.
         let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
-            let slot = ReplySlot::remote(self.clone(), request);
+            let slot = ReplySlot::remote(request);
             (Some(slot), Acceptance::Silent)
         } else {
-            let slot = ReplySlot::remote(self.clone(), request);
+            let slot = ReplySlot::remote(request);
             (None, Acceptance::Told(slot))
         };
         let data = Data::from(body);
@@ -396,12 +355,6 @@ impl Chassis {
         let leaving = self.leaving.load(Ordering::Acquire);
         !leaving && (peer == 0 || !self.is_stopping())
     }
-
-    pub(super) fn peer_down_fault(&self, peer: u8) -> Fault {
-        Fault::PeerDown {
-            chassis: self.name_of(peer).to_owned(),
-        }
-    }
 }
 
 /// The data of a frame.
@@ -425,8 +378,8 @@ mod tests {
 
     use super::*;
     use crate::{
-        chassis::TaskRecord, config::load_texts, mailbox::TaskQueue, message::Tid,
-        registry::Registry, time::Clock,
+        config::load_texts, mailbox::queue::TaskQueue, message::Tid, registry::Registry,
+        task_record::TaskRecord, time::Clock,
     };
 
     /// A link that keeps what is sent.

@@ -1,33 +1,8 @@
-//! The tasks of a chassis, as the others see them, by processor and slot.
+//! The tasks of a chassis by processor and slot.
 
 use std::sync::Arc;
 
-use crate::{mailbox::Mailbox, message::Tid, statistics::TaskStatistics};
-
-/// A task of this chassis, as the others see it.
-pub(crate) struct TaskRecord {
-    pub(crate) name: Arc<str>,
-    pub(crate) tid: Tid,
-    pub(crate) mailbox: Mailbox,
-    pub(crate) statistics: TaskStatistics,
-}
-
-#[cfg(test)]
-impl TaskRecord {
-    /// One with room for `capacity` messages, in `slot` of the processor `home`.
-    pub(crate) fn with_room(
-        capacity: usize,
-        home: Arc<crate::processor::ProcessorHandle>,
-        slot: u16,
-    ) -> Arc<Self> {
-        Arc::new(Self {
-            name: "t".into(),
-            tid: Tid::new(1, 1, slot),
-            mailbox: Mailbox::new(capacity, home, slot),
-            statistics: TaskStatistics::default(),
-        })
-    }
-}
+use crate::{message::Tid, task_record::TaskRecord};
 
 /// Tasks by processor and slot.
 #[derive(Default)]

@@ -14,15 +14,20 @@ use std::{
 
 use futures_util::future::LocalBoxFuture;
 
-use super::{Context, Inner, TaskRef};
+use super::{
+    core::{Context, Inner},
+    task_ref::TaskRef,
+};
 use crate::{
-    call::{CallError, Fault, ReplySlot},
-    chassis::{Outbound, Outcome, WaitFor},
+    chassis::{delivery::Outcome, pending::Outbound},
     circle,
-    exchange::{CallKey, Looked},
-    message::{Command, Data, Flags, Message, PayloadError},
-    record::Asked,
-    waits::Wait,
+    envelope::Message,
+    exchange::Looked,
+    fault::{CallError, Fault},
+    message::{Command, Data, Flags, PayloadError},
+    reply::{CallKey, ReplySlot},
+    tap::{Asked, WaitFor},
+    wait::Wait,
 };
 
 /// A call that has not been made yet; `.await` makes it.
@@ -315,7 +320,7 @@ impl Ask {
     fn look_for_circle(&mut self, poll: &mut PollContext<'_>) {
         if let Some(waits) = &mut self.waits {
             let cx = Context::of(self.asker.clone());
-            let mut looking: LocalBoxFuture<'_, _> = Box::pin(circle::look(cx, waits.asked.to()));
+            let mut looking: LocalBoxFuture<'_, _> = Box::pin(circle::look(cx, waits.asked.to));
             waits.circle = match looking.as_mut().poll(poll) {
                 Poll::Ready(found) => Circle::Found(found),
                 Poll::Pending => Circle::LookedFor(looking),
@@ -326,10 +331,12 @@ impl Ask {
     /// The question is over: there is nothing to take back.
     fn end(&mut self, answer: Result<Data, Fault>) -> Result<Data, CallError> {
         if let Some(waits) = self.waits.take() {
-            let tap = &self.asker.chassis.tap;
-            let at_once = !waits.waited;
-            if self.wait != WaitFor::Nothing || answer.is_err() {
-                tap.answered(waits.recorded, &waits.asked, at_once, answer.as_ref());
+            let recorder = self.asker.chassis.tap.recorder();
+            if let Some(recorder) = recorder
+                && (self.wait != WaitFor::Nothing || answer.is_err())
+            {
+                let at_once = !waits.waited;
+                recorder.answered(waits.recorded, &waits.asked, at_once, answer.as_ref());
             }
         }
         answer.map_err(|fault| self.error(fault))

@@ -3,47 +3,18 @@
 use std::{
     future::Future,
     pin::Pin,
-    sync::Arc,
     task::{Context as PollContext, Poll},
     time::Duration,
 };
 
 use futures_util::future::LocalBoxFuture;
 
-use super::Context;
+use super::{core::Context, task_ref::TaskRef};
 use crate::{
-    call::{CallError, Fault},
+    fault::{CallError, Fault},
     message::Tid,
     system::{self, AwaitTid, FindTid, Missing, Monitor, NamesOf},
 };
-
-/// A task that was found by name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TaskRef {
-    pub(super) name: Arc<str>,
-    pub(super) tid: Tid,
-}
-
-impl TaskRef {
-    pub(crate) fn new(name: impl Into<Arc<str>>, tid: Tid) -> Self {
-        Self {
-            name: name.into(),
-            tid,
-        }
-    }
-
-    /// Its symbolic name.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Its id.
-    #[must_use]
-    pub fn tid(&self) -> Tid {
-        self.tid
-    }
-}
 
 /// A symbolic name that leads to no task.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

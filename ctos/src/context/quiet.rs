@@ -2,12 +2,8 @@
 
 use std::{collections::BTreeMap, future::Future};
 
-use super::Context;
-use crate::{
-    message::Replier,
-    system::Quiesce,
-    task::{Handled, StopReason},
-};
+use super::core::Context;
+use crate::{envelope::Replier, handled::Handled, phase::StopReason, system::Quiesce};
 
 /// Says what is waited for, in words.
 type Words = Box<dyn Fn() -> String>;
@@ -47,7 +43,7 @@ impl Quiet {
 
 impl Context {
     /// Whether the app is being stopped, as far as this task was told: from the call of its handler's
-    /// [`quiesce`](crate::task::EventHandler::quiesce) on. Begin nothing then that need not be.
+    /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin nothing then that need not be.
     #[must_use]
     pub fn is_stopping(&self) -> bool {
         let family = self.inner.any_family();
@@ -55,7 +51,7 @@ impl Context {
     }
 
     /// Runs `rests` as a child of this task, and lets the acknowledgement of
-    /// [`quiesce`](crate::task::EventHandler::quiesce) wait for its end; the task takes messages meanwhile.
+    /// [`quiesce`](crate::handler::EventHandler::quiesce) wait for its end; the task takes messages meanwhile.
     /// Should it be late, `waits_for` tells the person what for. It is dropped when the task is stopped,
     /// which is `app.stop_timeout_s` after the beginning of the stop at the latest. An error is shown.
     pub fn quiet_after(

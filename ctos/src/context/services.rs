@@ -3,11 +3,9 @@
 
 use std::time::Duration;
 
-use super::Context;
+use super::core::Context;
 use crate::{
-    call::CallError,
     realtime::{self, Grant},
-    semaphore::{self, Barrier, Scope, Semaphore, SemaphoreError, SemaphoreView},
     sync::{
         Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
     },
@@ -77,39 +75,6 @@ impl Context {
         schedule.pace(Box::new(source), pacemaker)
     }
 
-    // -- what tasks take turns with ---------------------------------------------------------
-
-    /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
-    /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
-    /// configuration says so or its name begins with `app/`.
-    ///
-    /// # Errors
-    /// [`SemaphoreError`]: no permits at all, or another number than others use.
-    pub fn semaphore(&self, name: &str, permits: u32) -> Result<Semaphore, SemaphoreError> {
-        Semaphore::find(self, name, permits)
-    }
-
-    /// The barrier called `name`, for `parties` unless `[barrier.NAME]` of the configuration says for how many.
-    /// Shared as [`Self::semaphore`] says.
-    ///
-    /// # Errors
-    /// [`SemaphoreError`]: nobody to wait for, or another number than others use.
-    pub fn barrier(&self, name: &str, parties: u32) -> Result<Barrier, SemaphoreError> {
-        Barrier::find(self, name, parties)
-    }
-
-    /// The semaphores that this task could use, who holds them and who waits: those of this chassis and
-    /// those of the app.
-    ///
-    /// # Errors
-    /// When the task that keeps those of the app cannot be asked.
-    pub async fn semaphores(&self) -> Result<Vec<SemaphoreView>, CallError> {
-        let mut views = semaphore::of_app(self).await?;
-        let here = self.chassis().semaphores().into_iter();
-        views.extend(here.filter(|view| view.scope == Scope::Chassis));
-        Ok(views)
-    }
-
     // -- the person who booted the app ------------------------------------------------------
 
     /// Shows how far the task is: `done` of `total` steps, each of which is a `step` ("position"), and
@@ -151,5 +116,29 @@ impl Context {
             reason: reason.to_owned(),
         };
         self.inner.chassis.post_system(system::BOOTSTRAP, failed);
+    }
+
+    // -- the record ---------------------------------------------------------------------------
+
+    /// Puts `value` on a channel of the record, if the app is recorded: `/firing/carry`, say. It is
+    /// shown there as JSON, with the present moment.
+    pub fn record<T: serde::Serialize + ?Sized>(&self, channel: &str, value: &T) {
+        if let Some(recorder) = self.inner.chassis.tap.recorder() {
+            let write = |buffer: &mut Vec<u8>| serde_json::to_writer(buffer, value).is_ok();
+            recorder.value(self.tid(), channel, &write);
+        }
+    }
+
+    /// Whether the app is recorded: for values that are expensive to make.
+    #[must_use]
+    pub fn is_recording(&self) -> bool {
+        self.inner.chassis.tap.recorder().is_some()
+    }
+
+    /// How many recorders have come to this chassis so far, those that are gone included: who records
+    /// changes only can see that a newcomer lacks the whole.
+    #[must_use]
+    pub fn recorders(&self) -> u64 {
+        self.inner.chassis.tap.came()
     }
 }

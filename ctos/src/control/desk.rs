@@ -18,7 +18,6 @@ use tokio::{
 };
 
 use crate::{
-    call::Fault,
     chassis::Chassis,
     control::{
         LogStore,
@@ -29,6 +28,8 @@ use crate::{
         view,
     },
     doors,
+    doors::Refusals,
+    fault::Fault,
     message::Tid,
     security::Role,
     text::Gone,
@@ -110,7 +111,7 @@ impl Desk {
     /// Logs and counts that somebody was refused.
     pub(super) fn refuse(&self, who: &str, reason: &str) {
         let chassis = &self.chassis;
-        chassis.refused.note(&chassis.clock, who, reason);
+        Refusals::of(chassis).note(&chassis.clock, who, reason);
     }
 
     /// What a client may not have, if it may not have it.

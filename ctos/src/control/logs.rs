@@ -8,7 +8,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast;
 
-use crate::{call::lock, time::Clock};
+use crate::{lock::lock, time::Clock};
 
 /// How many lines are kept of one process.
 const LINES: usize = 1000;

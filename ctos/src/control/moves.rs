@@ -3,13 +3,13 @@
 use std::{future::Future, pin::Pin, sync::Arc, time::Duration};
 
 use crate::{
-    call::Fault,
     chassis::Chassis,
     control::{
         LogStore,
         protocol::{Answer, ErrorCode, ErrorView, MoveView},
         view,
     },
+    fault::Fault,
     moving::{NoPlace, find_place, place_text},
     system::{self, MoveTask, Place, QueryTid},
     time::Instant,

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::{
     boot::{BootEvent, BootState, ChassisState},
     control::{Level, LogLine},
-    record::RecordReport,
+    phase::Phase,
+    report::RecordReport,
     security::Role,
-    task::Phase,
 };
 
 /// The version of the protocol.

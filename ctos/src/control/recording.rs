@@ -15,13 +15,15 @@ use futures_util::future::join_all;
 use tokio::sync::Notify;
 
 use crate::{
-    call::{Fault, lock},
     chassis::Chassis,
     control::{
         protocol::{Answer, ErrorCode, ErrorView, RecordFile, RecordRequest, RecordView},
         view,
     },
-    record::{BeginRecord, EndRecord, ReadRecord, RecordReport},
+    fault::Fault,
+    lock::lock,
+    record::{BeginRecord, EndRecord, ReadRecord},
+    report::RecordReport,
     system::{self, TaskName},
     time::Instant,
 };

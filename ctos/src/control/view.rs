@@ -6,15 +6,18 @@ use std::{sync::Arc, time::Duration};
 use futures_util::future::join_all;
 
 use crate::{
-    call::Fault,
-    chassis::{Chassis, WaitFor},
+    chassis::Chassis,
     control::{
         LogStore,
         protocol::{Activity, AppView, ChassisView, TaskView, WaitView},
     },
-    message::{Command, Data, Flags, Message},
-    survey::{ChassisReport, Survey, TaskReport},
-    system::{self, AppReport, MemberReport, Overview},
+    doors::Refusals,
+    envelope::Message,
+    fault::Fault,
+    message::{Command, Data, Flags},
+    report::{ChassisReport, TaskReport},
+    system::{self, AppReport, MemberReport, Overview, Survey},
+    tap::WaitFor,
     time::Instant,
 };
 
@@ -93,7 +96,7 @@ fn put_together(
         up_s: overview.now.since_start().as_secs_f64(),
         chassis: Vec::new(),
         tasks: Vec::new(),
-        refused: chassis.refused.count(),
+        refused: Refusals::of(chassis).count(),
     };
     for (member, survey) in overview.chassis.iter().zip(surveys) {
         let survey = survey.as_ref();

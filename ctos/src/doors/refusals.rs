@@ -2,13 +2,14 @@
 
 use std::{
     sync::{
-        Mutex,
+        Arc, Mutex,
         atomic::{AtomicU64, Ordering},
     },
     time::Duration,
 };
 
 use crate::{
+    chassis::{Chassis, Extension},
     lock::lock,
     time::{Clock, Instant},
 };
@@ -31,7 +32,19 @@ struct Told {
     left_out: u64,
 }
 
+impl Extension for Refusals {
+    fn new(_: &Chassis) -> Self {
+        Self::default()
+    }
+}
+
 impl Refusals {
+    /// Those at the doors of a chassis.
+    #[must_use]
+    pub fn of(chassis: &Chassis) -> Arc<Self> {
+        chassis.extension()
+    }
+
     /// How many there were.
     #[must_use]
     pub fn count(&self) -> u64 {

@@ -1,12 +1,16 @@
 use std::task::Waker;
 
 use super::*;
-use crate::{message::Data, time::Clock};
+use crate::{
+    message::Data,
+    processor::{Processor, ProcessorHandle},
+    time::Clock,
+};
 
 const DEADLINE: Duration = Duration::from_secs(5);
 
 fn begin(calls: &mut Calls, home: &Arc<ProcessorHandle>, deadline: Duration) -> Ticket {
-    calls.begin(home, at(1), deadline, None)
+    calls.begin(|| home.clone(), at(1), deadline, None)
 }
 
 fn look(calls: &mut Calls, key: CallKey) -> Looked {
@@ -66,7 +70,7 @@ fn a_long_wait_is_told_once_before_the_deadline() {
     let (mut calls, home) = (Calls::default(), Arc::default());
     let ticket = begin(&mut calls, &home, DEADLINE);
     let key = ticket.key();
-    assert_eq!(calls.settle(key), Some(at(1) + circle::LONG));
+    assert_eq!(calls.settle(key), Some(at(1) + LONG));
     let fired = calls.fired(key);
     assert_eq!(fired.again, Some(at(1) + DEADLINE));
     assert!(matches!(look(&mut calls, key), Looked::Long));
@@ -83,10 +87,7 @@ fn a_call_that_has_ended_leaves_no_timer() {
     let processor = Processor::new(Arc::default(), Clock::virtual_clock());
     let ticket = processor.begin_call(Instant::START, DEADLINE, None);
     let key = ticket.key();
-    assert_eq!(
-        processor.next_deadline(),
-        Some(Instant::START + circle::LONG)
-    );
+    assert_eq!(processor.next_deadline(), Some(Instant::START + LONG));
     processor.enter();
     ticket.answer(answer(1));
     let cx = std::task::Context::from_waker(Waker::noop());

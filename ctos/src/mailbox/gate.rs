@@ -7,24 +7,14 @@ use std::{
     task::Poll,
 };
 
-use super::{
-    Acceptance, TaskQueue, is_urgent,
-    queue::{Lanes, WaitsFor},
-};
+use super::queue::{Lanes, TaskQueue, WaitsFor};
 use crate::{
-    message::{Command, Flags, Message, SYSTEM_COMMANDS},
+    delivery::{Acceptance, is_urgent},
+    envelope::Message,
+    message::{Command, Flags, SYSTEM_COMMANDS},
     processor::Processor,
     system::{Broke, interrupts},
 };
-
-/// What a queue is told from elsewhere.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Order {
-    /// See [`Mailbox::open_gate`].
-    OpenGate(u8),
-    /// See [`Mailbox::forget_gate`].
-    ForgetGate(u8),
-}
 
 /// Messages that came straight to a task's new place before everything that their chassis had sent to
 /// the old one.
@@ -42,7 +32,7 @@ impl Gate {
     }
 
     /// Takes out what came from `chassis`, whose gate is open now.
-    fn take_out(&mut self, chassis: u8) -> Vec<(Message, Acceptance)> {
+    pub(super) fn take_out(&mut self, chassis: u8) -> Vec<(Message, Acceptance)> {
         self.closed.remove(&chassis);
         let of_chassis = |(message, _): &(Message, Acceptance)| message.from().chassis() == chassis;
         let (out, held) = std::mem::take(&mut self.held)
@@ -143,21 +133,8 @@ impl TaskQueue {
         .await
     }
 
-    /// Does what it is told from elsewhere.
-    pub(crate) fn obey(&self, processor: &Processor, order: Order) {
-        match order {
-            Order::OpenGate(chassis) => self.open_gate(processor, chassis),
-            Order::ForgetGate(chassis) => {
-                let mut lanes = self.lanes();
-                let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
-                drop(lanes);
-                drop(gone);
-            }
-        }
-    }
-
     /// What came from `chassis` waits for credits now. It is bounded: the gate holds no more than may wait.
-    fn open_gate(&self, processor: &Processor, chassis: u8) {
+    pub(super) fn open_gate(&self, processor: &Processor, chassis: u8) {
         let mut lanes = self.lanes();
         let Some(gate) = lanes.gate.as_mut() else {
             return;

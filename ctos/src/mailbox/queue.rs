@@ -9,14 +9,16 @@ use std::{
     task::Poll,
 };
 
-use super::{Acceptance, Delivery, Place, gate::Gate, is_urgent, refuse};
+use super::gate::Gate;
 use crate::{
-    call::Fault,
-    chassis::TaskRecord,
     credits::most_waiting,
-    message::{Command, Message},
-    processor::{FutureId, Processor},
+    delivery::{Acceptance, Delivery, Offered, Order, Place, is_urgent, refuse},
+    envelope::Message,
+    fault::Fault,
+    message::Command,
+    processor::{Inlet, Processor, wake::FutureId},
     system::{Broke, StopTask, interrupts},
+    task_record::TaskRecord,
 };
 
 #[derive(Default)]
@@ -115,65 +117,9 @@ impl TaskQueue {
         self.lanes.borrow_mut()
     }
 
-    /// Whose it is.
-    pub(crate) fn task(&self) -> &Arc<TaskRecord> {
-        &self.task
-    }
-
     /// Names the future that takes the messages: it is woken when there are some.
     pub(crate) fn set_runner(&self, runner: FutureId) {
         self.runner.set(Some(runner));
-    }
-
-    /// Takes in a message.
-    pub(crate) fn take_in(&self, processor: &Processor, delivery: Delivery) {
-        if self.task.mailbox.is_closed() {
-            return delivery.refuse();
-        }
-        let Delivery { message, place } = delivery;
-        let (urgent, _) = is_urgent(&message);
-        let (mailbox, command) = (&self.task.mailbox, message.command());
-        let credits = mailbox.credits(urgent);
-        let mut lanes = self.lanes();
-        let held = lanes.held;
-        if let Some(gate) = lanes.gate.as_mut().filter(|gate| gate.keeps(&message)) {
-            let acceptance = match place {
-                Place::Queue => {
-                    credits.give(1);
-                    Acceptance::Silent
-                }
-                Place::Line(acceptance) => {
-                    credits.leave_line();
-                    acceptance
-                }
-            };
-            if gate.held.len() < most_waiting(mailbox.capacity()) {
-                return gate.held.push((message, acceptance));
-            }
-            drop(lanes);
-            return refuse(message, acceptance, &mailbox.full());
-        }
-        let lane = lanes.lane(urgent);
-        let acceptance = match place {
-            Place::Queue => Acceptance::Silent,
-            Place::Line(acceptance) => {
-                let may = !held && lane.waiting.is_empty();
-                if !may || !credits.take_past_others(mailbox.capacity()) {
-                    lane.waiting.push_back((message, acceptance));
-                    drop(lanes);
-                    if held {
-                        self.wake_idle(processor);
-                    }
-                    return;
-                }
-                credits.leave_line();
-                acceptance
-            }
-        };
-        lane.queue.push_back(message);
-        drop(lanes);
-        self.has_come(processor, command);
-        acceptance.tell(Ok(()));
     }
 
     /// Something is there that the loop of the task looks for, though not in the queue.
@@ -308,9 +254,83 @@ impl TaskQueue {
         )
         .await;
     }
+}
 
-    /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
-    pub(crate) fn close(&self, processor: &Processor) {
+impl Inlet for TaskQueue {
+    fn offer(&self, processor: &Processor, message: Message) -> Offered {
+        match self.task.mailbox.take_credit(message) {
+            Ok(message) => {
+                let place = Place::Queue;
+                self.take_in(processor, Delivery { message, place });
+                Offered::Taken
+            }
+            Err(offered) => offered,
+        }
+    }
+
+    fn obey(&self, processor: &Processor, order: Order) {
+        match order {
+            Order::OpenGate(chassis) => self.open_gate(processor, chassis),
+            Order::ForgetGate(chassis) => {
+                let mut lanes = self.lanes();
+                let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
+                drop(lanes);
+                drop(gone);
+            }
+        }
+    }
+
+    fn take_in(&self, processor: &Processor, delivery: Delivery) {
+        if self.task.mailbox.is_closed() {
+            return delivery.refuse();
+        }
+        let Delivery { message, place } = delivery;
+        let (urgent, _) = is_urgent(&message);
+        let (mailbox, command) = (&self.task.mailbox, message.command());
+        let credits = mailbox.credits(urgent);
+        let mut lanes = self.lanes();
+        let held = lanes.held;
+        if let Some(gate) = lanes.gate.as_mut().filter(|gate| gate.keeps(&message)) {
+            let acceptance = match place {
+                Place::Queue => {
+                    credits.give(1);
+                    Acceptance::Silent
+                }
+                Place::Line(acceptance) => {
+                    credits.leave_line();
+                    acceptance
+                }
+            };
+            if gate.held.len() < most_waiting(mailbox.capacity()) {
+                return gate.held.push((message, acceptance));
+            }
+            drop(lanes);
+            return refuse(message, acceptance, &mailbox.full());
+        }
+        let lane = lanes.lane(urgent);
+        let acceptance = match place {
+            Place::Queue => Acceptance::Silent,
+            Place::Line(acceptance) => {
+                let may = !held && lane.waiting.is_empty();
+                if !may || !credits.take_past_others(mailbox.capacity()) {
+                    lane.waiting.push_back((message, acceptance));
+                    drop(lanes);
+                    if held {
+                        self.wake_idle(processor);
+                    }
+                    return;
+                }
+                credits.leave_line();
+                acceptance
+            }
+        };
+        lane.queue.push_back(message);
+        drop(lanes);
+        self.has_come(processor, command);
+        acceptance.tell(Ok(()));
+    }
+
+    fn close(&self, processor: &Processor) {
         self.task.mailbox.closed.store(true, Ordering::Release);
         let Lanes {
             urgent,

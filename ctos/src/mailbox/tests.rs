@@ -10,13 +10,15 @@ use std::{
 
 use proptest::prelude::*;
 
-use super::*;
+use super::{queue::TaskQueue, *};
 use crate::{
-    call::Answer,
-    chassis::TaskRecord,
-    exchange::{CallKey, Looked},
+    exchange::Looked,
     message::{Command, Tid},
+    message::{Data, Flags, SYSTEM_COMMANDS},
+    reply::ReplySlot,
+    reply::{Answer, CallKey},
     system::StopTask,
+    task_record::TaskRecord,
     time::{Clock, Instant},
 };
 

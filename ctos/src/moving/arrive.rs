@@ -10,14 +10,16 @@ use tokio::sync::oneshot;
 
 use super::{LOOK, PATIENCE, QUIET};
 use crate::{
-    call::Fault,
-    chassis::WaitFor,
+    contain::panic_text,
     context::Context,
-    message::{Data, Flags, Message, Replier, Tid},
-    processor::panic_text,
-    runner::{Origin, Runner, TaskSpec, drop_handler, record, start_at},
+    envelope::{Message, Replier},
+    fault::Fault,
+    handled::Handled,
+    message::{Data, Flags, Tid},
+    phase::Phase,
+    runner::{Origin, Runner, TaskSpec, drop_handler, start_at},
     system::{AbortMove, Forwarded, MoveIn, Transfer},
-    task::{Handled, Phase},
+    tap::WaitFor,
 };
 
 /// What a task that comes from another place brings, and how it learns whether it stays.
@@ -120,7 +122,8 @@ fn make_place(
     let chassis = cx.chassis().clone();
     let config = chassis.app.task(&request.name).cloned();
     let mut config = config.ok_or("it is not in the configuration of the new place")?;
-    let kind = chassis.registry.kind(&config.handler);
+    let registry = chassis.registry();
+    let kind = registry.kind(&config.handler);
     let kind = kind.ok_or("nobody registered its event handler at the new place")?;
     let index = usize::from(request.processor);
     let (name, processor) = chassis
@@ -132,12 +135,8 @@ fn make_place(
     let new = Tid::new(chassis.index(), request.processor, slot);
     chassis.name().clone_into(&mut config.chassis);
     name.clone_into(&mut config.processor);
-    let record = record(&request.name, new, Some(&config), kind.recipe(), processor);
-    record.mailbox.close_gates();
-    let spec = TaskSpec {
-        record,
-        config: Some(Box::new(config)),
-    };
+    let spec = TaskSpec::new(&request.name, new, Some(config), kind.recipe(), processor);
+    spec.record.mailbox.close_gates();
     let (ready, readied) = oneshot::channel();
     let (built, building) = oneshot::channel();
     let arrival = Arrival {

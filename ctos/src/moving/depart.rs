@@ -12,11 +12,14 @@ use futures_util::future::{Either, select};
 
 use super::{LOOK, PATIENCE, UnderWay, agent_of};
 use crate::{
-    call::{Fault, ReplySlot},
+    contain::panic_text,
     context::{Context, TaskRef},
-    mailbox::{Acceptance, TaskQueue},
-    message::{Command, Data, Message, Tid},
-    processor::panic_text,
+    delivery::Acceptance,
+    envelope::Message,
+    fault::Fault,
+    mailbox::queue::TaskQueue,
+    message::{Command, Data, Tid},
+    reply::ReplySlot,
     runner::{Runner, drop_handler},
     supervise::Ending,
     system::{

@@ -7,9 +7,10 @@ use super::{Names, TidServer, broadcast};
 use crate::{
     config::ChassisRestart,
     context::Context,
-    message::{Replier, Tid},
+    envelope::Replier,
+    handled::Handled,
+    message::Tid,
     system::{FindTid, Missing, News},
-    task::Handled,
 };
 
 /// Chassis that are not as they should be, by number.

@@ -3,11 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::{Names, Waiter};
-use crate::{
-    message::{Replier, Tid},
-    system::AwaitTid,
-    task::Handled,
-};
+use crate::{envelope::Replier, handled::Handled, message::Tid, system::AwaitTid};
 
 impl Names {
     pub(super) fn wait(

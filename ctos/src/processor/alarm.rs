@@ -7,14 +7,8 @@ use std::{
     task::{Context as PollContext, Poll},
 };
 
-use super::{Processor, futures::LocalWake};
-use crate::{exchange::CallKey, time::Instant, timers::TimerKey};
-
-/// Who waits for a timer.
-pub(super) enum Timed {
-    Sleep(LocalWake),
-    Call(CallKey),
-}
+use super::core::{Processor, Timed};
+use crate::{time::Instant, timers::TimerKey};
 
 impl Processor {
     /// A future that ends at `deadline`.

@@ -1,13 +1,16 @@
-//! The calls that the tasks of a processor wait for, and the answers that its handlers owe.
+//! The calls that the tasks of a processor wait for.
 
-use std::{cell::Cell, task::Context as PollContext, time::Duration};
+use std::{task::Context as PollContext, time::Duration};
 
-use super::{Processor, Timed};
+use super::{
+    core::{Processor, Timed},
+    handle::ProcessorHandle,
+};
 use crate::{
-    call::{Answer, ReplySlot},
-    exchange::{CallKey, Given, Looked, Rest, Ticket},
+    exchange::{Given, Looked, Rest},
+    reply::{Answer, CallKey, Home, Ticket},
     time::Instant,
-    waits::Wait,
+    wait::Wait,
 };
 
 /// After this time a call that still waits has a timer, and is shown; earlier where the processor has nothing to do.
@@ -22,7 +25,7 @@ impl Processor {
         wait: Option<Wait>,
     ) -> Ticket {
         let mut calls = self.calls.borrow_mut();
-        let ticket = calls.begin(&self.handle, now, deadline, wait);
+        let ticket = calls.begin(|| self.handle.clone(), now, deadline, wait);
         let mut young = self.young.borrow_mut();
         if young.is_empty() || deadline < YOUNG {
             let settle_at = now + deadline.min(YOUNG);
@@ -73,40 +76,13 @@ impl Processor {
             self.wake_local(wake);
         }
     }
+}
 
-    /// A number for a message that is about to be handled.
-    pub(crate) fn next_serial(&self) -> u64 {
-        let serial = self.next_serial.get();
-        self.next_serial.set(serial + 1);
-        serial
-    }
-
-    /// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
-    /// until it is known how the handler ended.
-    pub(crate) fn handling<T>(&self, serial: u64, code: impl FnOnce() -> T) -> T {
-        struct Restore<'a>(&'a Cell<u64>, u64);
-        impl Drop for Restore<'_> {
-            fn drop(&mut self) {
-                self.0.set(self.1);
-            }
+impl Home for ProcessorHandle {
+    fn take_answer(&self, key: CallKey, answer: Answer) {
+        match Processor::here_if(self) {
+            Some(processor) => processor.take_answer(key, answer),
+            None => self.bring_answer(key, answer),
         }
-        let _restore = Restore(&self.handling, self.handling.replace(serial));
-        code()
-    }
-
-    /// Keeps a right to answer that the handler at work has dropped, or gives it back.
-    pub(crate) fn keep_orphan(&self, slot: ReplySlot) -> Result<(), ReplySlot> {
-        if slot.serial() == 0 || slot.serial() != self.handling.get() {
-            return Err(slot);
-        }
-        self.orphans.borrow_mut().push(slot);
-        Ok(())
-    }
-
-    /// The right to answer message `serial`, if its handler dropped it.
-    pub(crate) fn take_orphan(&self, serial: u64) -> Option<ReplySlot> {
-        let mut orphans = self.orphans.borrow_mut();
-        let place = orphans.iter().position(|slot| slot.serial() == serial)?;
-        Some(orphans.swap_remove(place))
     }
 }

@@ -11,13 +11,14 @@ use std::{
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::{FutureId, Processor};
+use super::core::Processor;
+use crate::processor::wake::FutureId;
 use crate::{
     asleep::Asleep,
-    call::{Answer, lock},
-    exchange::CallKey,
-    mailbox::{Delivery, Order},
+    delivery::{Delivery, Order},
+    lock::lock,
     park::Parker,
+    reply::{Answer, CallKey},
 };
 
 /// Work brought to a processor from another thread.

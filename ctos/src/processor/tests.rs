@@ -1,23 +1,28 @@
 //! The executor alone, without messages.
 
 use std::{
+    cell::{Cell, RefCell},
     os::fd::{AsFd, BorrowedFd, OwnedFd},
+    rc::Rc,
     sync::{
-        Mutex,
-        atomic::{AtomicBool, AtomicU32},
+        Arc, Mutex,
+        atomic::{AtomicBool, AtomicU32, Ordering},
     },
     task::{Poll, Waker},
+    time::Duration,
 };
 
 use super::*;
 use crate::{
-    call::{Promise, Waiting, lock},
     link::{
         reactor::{Happened, LinkParker, Reactor, Seen, Source, Visible},
         shm::bell,
     },
+    lock::lock,
     message::Data,
-    sync::{Lead, ScheduleSettings, Synchronous, Tick},
+    reply::{Promise, Waiting},
+    sync::{Lead, Schedule, ScheduleSettings, Synchronous, Tick},
+    time::{Clock, Instant},
 };
 
 fn processor() -> (Rc<Processor>, Clock) {

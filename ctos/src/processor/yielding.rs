@@ -7,13 +7,9 @@
 //! way is given only while it comes back at once; after it did not, not for a while, longer each time. Nor is it
 //! given by who looks at the links, where other processes bring what it waits for, or has synchronous functions.
 
-use std::{cell::Cell, sync::atomic::Ordering, time::Duration};
+use std::{cell::Cell, time::Duration};
 
-use super::Processor;
 use crate::time::Instant;
-
-/// How often it gives way before it sleeps: nobody else may be ready yet.
-const YIELDS: u32 = 2;
 
 /// The way came back at once if it did so within this time.
 const AT_ONCE: Duration = Duration::from_micros(50);
@@ -37,12 +33,12 @@ pub(super) struct Yielding {
 }
 
 impl Yielding {
-    fn may_yield_core(&self, now: Instant) -> bool {
+    pub(super) fn may_yield_core(&self, now: Instant) -> bool {
         now >= self.from.get()
     }
 
     /// The way was given at `yielded` and has come back now, or there was nobody to give it to.
-    fn came_back(&self, yielded: Instant, now: Instant) {
+    pub(super) fn came_back(&self, yielded: Instant, now: Instant) {
         if now.since(yielded) <= AT_ONCE {
             let pause = self.pause.get();
             if !pause.is_zero() {
@@ -54,36 +50,6 @@ impl Yielding {
         let pause = (self.pause.get() * 2).clamp(FIRST_PAUSE, LONGEST_PAUSE);
         self.pause.set(pause);
         self.from.set(now + pause);
-    }
-}
-
-impl Processor {
-    /// Lets others have the core, where it has it together with other processors. True when there is
-    /// something to do then.
-    pub(super) fn yield_core(&self, now: Instant) -> bool {
-        let handle = &self.handle;
-        if !handle.shares_core.load(Ordering::Relaxed)
-            || handle.parker.looks_out()
-            || !self.schedule.is_idle()
-            || !self.yielding.may_yield_core(now)
-        {
-            return false;
-        }
-        let deadline = self.wake_at().unwrap_or(Instant::LAST);
-        let mut yielded = now;
-        for _ in 0..YIELDS {
-            std::thread::yield_now();
-            let now = self.look_at_clock();
-            self.yielding.came_back(yielded, now);
-            if !self.inbox.is_empty() || deadline <= now {
-                return true;
-            }
-            if !self.yielding.may_yield_core(now) {
-                return false;
-            }
-            yielded = now;
-        }
-        false
     }
 }
 

@@ -2,6 +2,10 @@
 //!
 //! Each writes a file of its own beside those that the configuration asks for, through the same recorder.
 
+use crate::{
+    chassis::Chassis, command, config::RecordConfig, context::Context, envelope::Replier,
+    message::CommandInfo, report::RecordReport, system::TaskName,
+};
 use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
 
 use super::{
@@ -9,13 +13,9 @@ use super::{
     names::Names,
     parts::{Parts, Place},
     recorder::Recorder,
-    report::RecordReport,
+    recorders::Recorders,
     run_of,
     writer::Writer,
-};
-use crate::{
-    chassis::Chassis, command, config::RecordConfig, context::Context, message::Replier,
-    system::TaskName,
 };
 
 /// How long the end of a record waits for the disk.
@@ -54,8 +54,9 @@ impl Attached {
         &mut self,
         cx: &Context,
         request: BeginRecord,
+        runtime: &[CommandInfo],
     ) -> Result<RecordReport, String> {
-        let guest = Guest::begin(cx.chassis(), &request)?;
+        let guest = Guest::begin(cx.chassis(), &request, runtime)?;
         let report = guest.recorder.report();
         self.0.insert(request.key, guest);
         Ok(report)
@@ -99,7 +100,11 @@ struct Guest {
 }
 
 impl Guest {
-    fn begin(chassis: &Arc<Chassis>, request: &BeginRecord) -> Result<Self, String> {
+    fn begin(
+        chassis: &Arc<Chassis>,
+        request: &BeginRecord,
+        runtime: &[CommandInfo],
+    ) -> Result<Self, String> {
         let app = &chassis.app;
         let file = Path::new(&request.folder).join(file_name(&app.name));
         let config = match &app.record {
@@ -110,7 +115,7 @@ impl Guest {
             None => RecordConfig::new(file),
         };
         let path = file_named(&config.file, chassis.name());
-        let names = Arc::new(Names::new(app, &chassis.registry));
+        let names = Arc::new(Names::new(app, &chassis.registry(), runtime));
         for task in &request.names {
             names.name(task.tid, &task.name.as_str().into());
         }
@@ -131,7 +136,7 @@ impl Guest {
             let commands = task.statistics.commands();
             recorder.named(task.tid, &task.name, commands);
         }
-        chassis.tap.admit(recorder.clone());
+        Recorders::admit(chassis, recorder.clone());
         log::admit(&recorder, chassis.index());
         Ok(Self {
             chassis: chassis.clone(),
@@ -142,7 +147,7 @@ impl Guest {
 
 impl Drop for Guest {
     fn drop(&mut self) {
-        self.chassis.tap.dismiss(&self.recorder);
+        Recorders::dismiss(&self.chassis, &self.recorder);
         log::dismiss(&self.recorder);
         self.recorder.finish(CLOSE_LIMIT);
     }

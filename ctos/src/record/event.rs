@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{call::Fault, message::Tid, task::Phase};
+use crate::{fault::Fault, message::Tid, phase::Phase, report::Ending};
 
 /// On which chassis, seen from the message, something was noted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,19 +26,6 @@ impl Side {
             Self::Receiver => "receiver",
         }
     }
-}
-
-/// How a handler ended a message.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Ending {
-    /// It returned `Ok`.
-    Done,
-    /// It returned an error.
-    Refused(String),
-    /// It panicked.
-    Panicked(String),
-    /// It was interrupted by an order to stop.
-    Stopped,
 }
 
 /// Which message something happened to. Numbers of messages are those of one record.

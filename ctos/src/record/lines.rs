@@ -10,11 +10,12 @@ use base64::{Engine, display::Base64Display, engine::general_purpose::STANDARD};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    event::{Ending, Key, Side, Step, Told, Traffic, What},
+    event::{Key, Side, Step, Told, Traffic, What},
     glossary::{Glossary, Known},
     names::Names,
 };
 use crate::message::{Flags, Shape};
+use crate::report::Ending;
 
 /// Data of more bytes than this is not shown as JSON: it is a picture, not something to read.
 const SHOWN: usize = 4096;

@@ -20,7 +20,7 @@ use super::{
     event::{Told, What},
     recorder::Recorder,
 };
-use crate::{call::lock, message::Tid};
+use crate::{lock::lock, message::Tid};
 
 #[derive(Clone)]
 struct Attached {

@@ -6,15 +6,13 @@ use std::{
 };
 
 use crate::{
-    bootstrap,
-    call::lock,
     chassis::BOOT_CHASSIS,
     config::App,
-    message::{Command, CommandInfo, SYSTEM_COMMANDS, Tid},
+    lock::lock,
+    message::{CommandInfo, SYSTEM_COMMANDS, Tid},
     names,
     registry::Registry,
     semaphore, system,
-    watch::Gather,
 };
 
 /// Names of tasks and commands, for one app.
@@ -39,7 +37,7 @@ pub(crate) enum News {
 impl Names {
     /// What is known of `app` before it runs: each agent counts its tasks in the order of the
     /// configuration, so that the ids of the tasks of other chassis are known here too.
-    pub(crate) fn new(app: &App, registry: &Registry) -> Self {
+    pub(crate) fn new(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
         let mut tasks: BTreeMap<Tid, Arc<str>> = BTreeMap::new();
         tasks.insert(system::TID_SERVER, "tidsvr".into());
         tasks.insert(system::BOOTSTRAP, "bootstrap".into());
@@ -63,8 +61,7 @@ impl Names {
             }
         }
         let mut all = system::ALL.to_vec();
-        all.push(Gather::INFO);
-        all.extend(bootstrap::COMMANDS);
+        all.extend(runtime);
         all.extend(names::COMMANDS);
         all.extend(semaphore::server::COMMANDS);
         let named = tasks

@@ -22,11 +22,9 @@ use mcap::{
     records::{MessageHeader, Metadata},
 };
 
-use super::{
-    lines::{RECORDER, Schema},
-    report::RecordReport,
-};
-use crate::call::lock;
+use super::lines::{RECORDER, Schema};
+use crate::lock::lock;
+use crate::report::RecordReport;
 
 /// A chunk is closed at this size at the latest, bytes: no more is lost when a disk is full.
 const CHUNK: u64 = 128 * 1024;

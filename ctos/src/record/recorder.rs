@@ -17,11 +17,11 @@ use super::{
     batch::Batch,
     event::{Told, Traffic},
     names::Names,
-    report::RecordReport,
     writer::Writer,
 };
+use crate::report::RecordReport;
 use crate::{
-    call::lock,
+    lock::lock,
     message::{CommandInfo, Tid},
     time::{Clock, Instant},
 };

@@ -2,13 +2,26 @@
 //! moments and the recorded answers to what it asks; what it sends, answers and returns is compared
 //! with the record.
 //!
-//! A handler that takes everything from its [`Context`](crate::task::Context) does the same again. What
+//! A handler that takes everything from its [`Context`](crate::context::Context) does the same again. What
 //! it takes from elsewhere (shared memory, synchronous functions, devices) is in no record; the report
 //! names what was used.
 
 mod desk;
 mod script;
 
+use crate::{
+    chassis::Chassis,
+    config::{App, TaskConfig, TimeMode},
+    delivery::Acceptance,
+    envelope::Message,
+    message::{Data, Flags, Tid},
+    processor::Processor,
+    record::Recorders,
+    registry::{HandlerKind, Registry},
+    reply::{Promise, ReplySlot, Waiting},
+    runner::{TaskSpec, start_task},
+    time::{Clock, Instant},
+};
 use std::{collections::BTreeMap, fmt, rc::Rc, sync::Arc};
 
 use futures_util::FutureExt;
@@ -17,17 +30,6 @@ use super::{
     lines::{self, Number},
     names::Names,
     read::Record,
-};
-use crate::{
-    call::{Promise, ReplySlot, Waiting},
-    chassis::{Chassis, TaskRecord},
-    config::{App, TaskConfig, TimeMode},
-    mailbox::Acceptance,
-    message::{Data, Flags, Message},
-    processor::Processor,
-    registry::{HandlerKind, Registry},
-    runner::{TaskSpec, record as task_record, start_task},
-    time::{Clock, Instant},
 };
 
 pub(crate) use desk::Desk;
@@ -194,7 +196,7 @@ pub fn replay(
     if let Some(seed) = script.seed {
         app.seed = seed;
     }
-    let names = Arc::new(Names::new(&app, &registry));
+    let names = Arc::new(Names::new(&app, &registry, &[]));
     let clock = Clock::virtual_clock();
     let chassis = Chassis::new(
         script.tid.chassis(),
@@ -203,7 +205,7 @@ pub fn replay(
         clock.clone(),
     );
     let desk = Arc::new(Desk::new(clock.clone(), names, &mut script));
-    chassis.tap.replay_at(desk.clone());
+    Recorders::replay_at(&chassis, desk.clone());
     // The configuration may have fewer processors now than it had then.
     let last = chassis.processors.len().saturating_sub(1);
     let index = usize::from(script.tid.processor()).min(last);
@@ -213,11 +215,19 @@ pub fn replay(
             reason: "its chassis has no processor".to_owned(),
         })?;
     // Without a kind it is not built.
-    let kind = chassis.registry.kind(&config.handler);
+    let registry = chassis.registry();
+    let kind = registry.kind(&config.handler);
     let recipe = kind.map_or_else(Arc::default, HandlerKind::recipe);
     let handle = &processor.handle;
     let stage = Stage {
-        task: task_record(task, script.tid, Some(&config), recipe, handle),
+        tid: script.tid,
+        spec: Some(TaskSpec::new(
+            task,
+            script.tid,
+            Some(config.clone()),
+            recipe,
+            handle,
+        )),
         config,
         chassis,
         processor,
@@ -233,7 +243,9 @@ pub fn replay(
 
 /// The task and what stands around it.
 struct Stage {
-    task: Arc<TaskRecord>,
+    tid: Tid,
+    /// The task, until it is started.
+    spec: Option<TaskSpec>,
     config: TaskConfig,
     chassis: Arc<Chassis>,
     processor: Rc<Processor>,
@@ -276,19 +288,18 @@ impl Stage {
         Ok(report)
     }
 
-    fn build(&self) -> Result<(), ReplayError> {
+    fn build(&mut self) -> Result<(), ReplayError> {
         let failed = |reason: String| ReplayError::Build {
             task: self.config.name.clone(),
             reason,
         };
         let handler = &self.config.handler;
-        if self.chassis.registry.kind(handler).is_none() {
+        if self.chassis.registry().kind(handler).is_none() {
             let why = format!("nobody registered the event handler `{handler}`");
             return Err(failed(why));
         }
-        let spec = TaskSpec {
-            record: self.task.clone(),
-            config: Some(Box::new(self.config.clone())),
+        let Some(spec) = self.spec.take() else {
+            return Ok(());
         };
         start_task(&self.chassis, &self.processor, spec)
             .map_err(|error| failed(error.to_string()))?;
@@ -337,12 +348,14 @@ impl Stage {
             ReplySlot::outside(promise)
         });
         let data = Data::Bytes(begun.data);
-        let mut message = Message::with_data(self.task.tid, begun.from, begun.command, data)
+        let mut message = Message::with_data(self.tid, begun.from, begun.command, data)
             .flagged(begun.flags)
             .in_trace(begun.trace)
             .until(begun.deadline);
         message.envelope.reply = reply;
-        self.task.mailbox.put(message, Acceptance::Silent);
+        if let Some(task) = self.chassis.task(self.tid) {
+            task.mailbox.put(message, Acceptance::Silent);
+        }
     }
 
     /// Compares how a handler ended.

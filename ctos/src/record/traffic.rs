@@ -6,11 +6,12 @@
 //! want to read it.
 
 use crate::{
-    call::Fault,
+    fault::Fault,
     message::{Tid, append},
 };
 
-use super::event::{Ending, Key, Side, Step, Traffic};
+use super::event::{Key, Side, Step, Traffic};
+use crate::report::Ending;
 
 /// The kinds of events, as they are numbered in the form.
 const SENT: usize = 0;

@@ -11,9 +11,9 @@ use super::{
     names::Names,
     parts::{Line, NAMES, Parts},
     read::matches,
-    report::RecordReport,
     traffic::Events,
 };
+use crate::report::RecordReport;
 
 /// Writes one record.
 pub(crate) struct Writer {
@@ -177,11 +177,12 @@ mod tests {
     use crate::{
         message::Tid,
         record::{
-            event::{Ending, Key, Side, Step, Traffic},
+            event::{Key, Side, Step, Traffic},
             parts::{Place, parts_of},
             read::{Filter, Record},
         },
         registry::Registry,
+        report::Ending,
     };
 
     const TASK: Tid = Tid::new(1, 1, 0);
@@ -189,7 +190,7 @@ mod tests {
     fn writer(path: &Path) -> Writer {
         let app = "[chassis.a.processors.p]\n[task.arm]\nhandler = \"h\"\non = \"a/p\"\n";
         let app = crate::config::load_texts(&[("app.toml", app)], &[], &[]).unwrap();
-        let names = Arc::new(Names::new(&app, &Registry::new()));
+        let names = Arc::new(Names::new(&app, &Registry::new(), &[]));
         let place = Place::new(path.to_owned(), 100_000, 100);
         Writer::new(names, Parts::open(place, BTreeMap::new()).unwrap())
     }

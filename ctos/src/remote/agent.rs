@@ -28,12 +28,12 @@ use super::{
     },
 };
 use crate::{
-    call::lock,
     doors::{ACCEPT_PAUSE, Lobby, PortSecret, Refusals, STRANGERS, Turned},
     link::{
         handshake::{self, HandshakeError, Process},
         transport::{Call, Listener, Stream},
     },
+    lock::lock,
     registry::Registry,
     security::{Identity, KeyError, Keys, Role},
     time::Clock,

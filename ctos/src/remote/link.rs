@@ -84,7 +84,7 @@ impl Hosts {
         let Some(first) = used.first() else {
             return Ok(Self::default());
         };
-        let files = files(app, &setup.chassis.registry, setup.options);
+        let files = files(app, &setup.chassis.registry(), setup.options);
         let files = files.map_err(|reason| {
             vec![HostError {
                 host: first.name.clone(),

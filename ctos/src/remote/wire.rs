@@ -22,13 +22,13 @@ use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
 
 use crate::{
     boot::spawn::{Ending, LINE_LIMIT},
-    call::lock,
     config::Bundle,
     doors::Secret,
     link::{
         handshake::{Process, Token},
         transport::{Address, Stream},
     },
+    lock::lock,
     time::{Clock, Instant},
 };
 

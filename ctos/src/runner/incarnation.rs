@@ -9,12 +9,13 @@ use futures_util::{
 
 use super::{Next, Runner, build_contained, drop_handler};
 use crate::{
+    contain::panic_text,
     context::Context,
-    message::Message,
-    processor::panic_text,
+    envelope::Message,
+    handled::Handled,
+    phase::{Phase, StopReason},
     supervise::{Ending, Event, State, Verdict},
     system::{Broke, Change, RestartTask, Shutdown, TaskChanged, TaskName},
-    task::{Handled, Phase, StopReason},
 };
 
 /// What came of building a handler anew.
@@ -241,7 +242,7 @@ impl Runner {
     /// Builds the handler anew and brings it to the phase that the old one had reached. Messages
     /// that wait in the queue stay there.
     async fn rebuild(&mut self) -> Handled {
-        let mut handler = build_contained(&self.cx)?;
+        let mut handler = build_contained(&self.recipe, &self.cx)?;
         if let Some(state) = &self.kept {
             handler.take_over(&self.cx, state)?;
         }

@@ -1,5 +1,24 @@
 //! The messages of a task, one after the other: which are begun, who is told how each ended.
 
+use crate::{
+    contain::panic_text,
+    context::Context,
+    envelope::Message,
+    fault::Fault,
+    handled::{Handled, HandlerError},
+    handler::EventHandler,
+    mailbox::queue::TaskQueue,
+    message::{Command, SYSTEM_COMMANDS},
+    reply,
+    reply::ReplyKey,
+    report::Ending as HandlerEnding,
+    statistics::Activity,
+    system::StopTask,
+    tap,
+    tap::Asked,
+    task_record::TaskRecord,
+    time::Instant,
+};
 use std::{
     cell::Cell,
     future::{Future, poll_fn},
@@ -8,20 +27,6 @@ use std::{
     rc::Rc,
     sync::Arc,
     task::{Context as PollContext, Poll},
-};
-
-use crate::{
-    call::{Fault, ReplyKey},
-    chassis::TaskRecord,
-    context::Context,
-    mailbox::TaskQueue,
-    message::{Command, Message, SYSTEM_COMMANDS},
-    processor::panic_text,
-    record::{self, Ending as HandlerEnding},
-    statistics::Activity,
-    system::StopTask,
-    task::{EventHandler, Handled, HandlerError},
-    time::Instant,
 };
 
 /// What the loop of a task needs besides its handler.
@@ -63,7 +68,7 @@ pub(super) struct AtHand {
     /// To whom the answer is owed.
     owed: Option<ReplyKey>,
     /// The message, for the record, if there is one.
-    noted: Option<record::AtHand>,
+    noted: Option<tap::AtHand>,
 }
 
 impl Serving {
@@ -117,7 +122,7 @@ impl Serving {
         let processor = self.cx.processor();
         let chassis = self.cx.chassis();
         let (began, command) = (processor.recent(), message.command());
-        let serial = processor.next_serial();
+        let serial = reply::next_serial();
         let owed = message.envelope.reply.as_mut().and_then(|slot| {
             slot.set_serial(serial);
             slot.key()
@@ -125,9 +130,13 @@ impl Serving {
         chassis.delivered(&self.record, message);
         self.activity.begin(command, began);
         self.activity.recent.began(message.from(), command, began);
-        let noted = chassis.tap.is_on().then(|| {
-            let noted = record::AtHand::of(self.record.tid, message, began);
-            chassis.tap.began(&noted);
+        let noted = chassis.tap.observer().map(|observer| {
+            let noted = tap::AtHand {
+                id: message.envelope.recorded,
+                asked: Asked::of(message),
+                began,
+            };
+            observer.began(&noted);
             noted
         });
         AtHand {
@@ -160,13 +169,13 @@ impl Serving {
             Err(Bad::Interrupted(_)) => HandlerEnding::Stopped,
         };
         statistics.recent.ended(command, now, ending);
-        if let Some(noted) = noted {
-            self.cx.chassis().tap.ended(&noted, now, ending);
+        if let (Some(noted), Some(observer)) = (noted, self.cx.chassis().tap.observer()) {
+            observer.ended(&noted, now, ending());
         }
         match ended {
             Ok(()) => {
                 // A right to answer that it kept is still good; one that it dropped is not.
-                drop(processor.take_orphan(serial).map(|mut slot| {
+                drop(reply::take_orphan(serial).map(|mut slot| {
                     slot.set_serial(0);
                     slot
                 }));
@@ -184,7 +193,7 @@ impl Serving {
         owed: Option<ReplyKey>,
         bad: Bad,
     ) -> Option<String> {
-        let processor = self.cx.processor();
+        let _processor = self.cx.processor();
         let (fault, panic) = match bad {
             Bad::Refused(error) => {
                 tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
@@ -202,9 +211,9 @@ impl Serving {
                 (fault, Some(text))
             }
         };
-        match (processor.take_orphan(serial), owed) {
+        match (reply::take_orphan(serial), owed) {
             (Some(slot), _) => slot.answer(Err(fault)),
-            (None, Some(key)) => self.cx.chassis().answer_by_key(key, Err(fault)),
+            (None, Some(key)) => key.answer(Err(fault)),
             (None, None) => {}
         }
         panic
@@ -223,7 +232,7 @@ impl Serving {
         processor.leave();
         let polled = self.activity.meter.in_poll(|| {
             catch_unwind(AssertUnwindSafe(|| {
-                processor.handling(at_hand.serial, || {
+                reply::handling(at_hand.serial, || {
                     let polled = handling.as_mut().as_pin_mut()?.poll(cx);
                     if polled.is_ready() {
                         handling.set(None);
@@ -243,7 +252,7 @@ impl Serving {
             },
             Ok(Some(Poll::Pending) | None) => return Poll::Pending,
         };
-        processor.handling(at_hand.serial, || handling.set(None));
+        reply::handling(at_hand.serial, || handling.set(None));
         Poll::Ready(Err(bad))
     }
 

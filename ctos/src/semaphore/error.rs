@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::call::CallError;
+use crate::fault::CallError;
 
 /// Why there is no permit, or no passage through a barrier.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -16,13 +16,15 @@ use super::{
     store,
 };
 use crate::{
-    call::lock,
     chassis::Chassis,
     command,
     context::Context,
-    message::{Command, CommandInfo, Message, Replier, Tid},
+    envelope::{Message, Replier},
+    handled::Handled,
+    handler::EventHandler,
+    lock::lock,
+    message::{Command, CommandInfo, Tid},
     sync::Signal,
-    task::{EventHandler, Handled},
     time::Instant,
 };
 
@@ -279,7 +281,7 @@ impl SemaphoreServer {
     /// Changes what is kept, then answers those whom it concerns.
     fn change(cx: &Context, change: impl FnOnce(&mut Shared, &mut Answers)) {
         let mut answers = Answers::default();
-        change(&mut lock(&cx.chassis().blocking.shared), &mut answers);
+        change(&mut lock(&cx.chassis().blocking().shared), &mut answers);
         answers.give();
     }
 
@@ -359,7 +361,7 @@ impl EventHandler for SemaphoreServer {
             }
             ListSemaphores::CODE => {
                 let (ListSemaphores {}, reply) = message.open::<ListSemaphores>()?;
-                let views = lock(&cx.chassis().blocking.shared).views();
+                let views = lock(&cx.chassis().blocking().shared).views();
                 reply.ok(views)
             }
             _ => cx.default_processing(message),

@@ -17,9 +17,9 @@ use super::{
     server::{ReleaseTicket, Shared},
 };
 use crate::{
-    call::lock,
-    chassis::Chassis,
+    chassis::{Chassis, Extension},
     context::Context,
+    lock::lock,
     message::Tid,
     system,
     time::{Clock, Instant},
@@ -39,17 +39,6 @@ pub(crate) struct Store {
 }
 
 impl Store {
-    pub(crate) fn new(clock: Clock) -> Self {
-        Self {
-            semaphores: Mutex::default(),
-            barriers: Mutex::default(),
-            next: AtomicU64::new(0),
-            elsewhere: Mutex::default(),
-            shared: Mutex::default(),
-            clock,
-        }
-    }
-
     pub(super) fn next_hold(&self, chassis: u8) -> Hold {
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         Hold { chassis, number }
@@ -90,9 +79,22 @@ impl Store {
         views.extend(own);
         views
     }
+}
 
-    /// A task has ended: whatever it had, or waited for, is given back, also what it left to others.
-    pub(crate) fn task_ended(&self, chassis: &Arc<Chassis>, tid: Tid) {
+impl Extension for Store {
+    fn new(chassis: &Chassis) -> Self {
+        Self {
+            semaphores: Mutex::default(),
+            barriers: Mutex::default(),
+            next: AtomicU64::new(0),
+            elsewhere: Mutex::default(),
+            shared: Mutex::default(),
+            clock: chassis.clock.clone(),
+        }
+    }
+
+    // Whatever the task had, or waited for, is given back, also what it left to others.
+    fn task_ended(&self, chassis: &Arc<Chassis>, tid: Tid) {
         let semaphores: Vec<_> = lock(&self.semaphores).values().cloned().collect();
         for semaphore in semaphores {
             semaphore.end(|claim| claim.tid == tid);
@@ -117,8 +119,7 @@ impl Store {
         }
     }
 
-    /// Ends all waits: the chassis is being ended.
-    pub(crate) fn close(&self) {
+    fn closed(&self) {
         let semaphores = std::mem::take(&mut *lock(&self.semaphores));
         let barriers = std::mem::take(&mut *lock(&self.barriers));
         let shared = std::mem::take(&mut *lock(&self.shared));
@@ -131,6 +132,20 @@ impl Store {
             drop(waiting);
         }
         drop(shared);
+    }
+}
+
+impl Chassis {
+    /// Its semaphores and barriers.
+    pub(super) fn blocking(&self) -> Arc<Store> {
+        self.extension()
+    }
+
+    /// The semaphores that are kept here, who holds them and who waits: those of the chassis and, on the
+    /// one that boots, those of the app.
+    #[must_use]
+    pub fn semaphores(&self) -> Vec<SemaphoreView> {
+        self.blocking().views()
     }
 }
 
@@ -250,8 +265,8 @@ impl Ticket {
 
     pub(super) fn at_server(cx: &Context) -> Self {
         let chassis = cx.chassis();
-        let hold = chassis.blocking.next_hold(chassis.index());
-        lock(&chassis.blocking.elsewhere).insert(hold, cx.tid());
+        let hold = chassis.blocking().next_hold(chassis.index());
+        lock(&chassis.blocking().elsewhere).insert(hold, cx.tid());
         Self::new(Place::Server(chassis.clone()), hold)
     }
 
@@ -275,7 +290,7 @@ impl Drop for Ticket {
             Place::Barrier(barrier) if !settled => barrier.leave(|claim| claim.hold == self.hold),
             Place::Semaphore(_) | Place::Barrier(_) => {}
             Place::Server(chassis) => {
-                let there = lock(&chassis.blocking.elsewhere)
+                let there = lock(&chassis.blocking().elsewhere)
                     .remove(&self.hold)
                     .is_some();
                 if there && !settled {

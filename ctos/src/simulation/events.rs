@@ -6,8 +6,10 @@ use std::{
 };
 
 use crate::{
-    chassis::{Chassis, TaskRecord},
-    message::{Message, Tid},
+    chassis::Chassis,
+    envelope::Message,
+    message::Tid,
+    task_record::TaskRecord,
     time::{Clock, Instant},
 };
 

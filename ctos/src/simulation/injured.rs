@@ -61,10 +61,13 @@ mod tests {
     use crate::{
         boot::{End, Observer},
         config::load_texts,
-        message::Message,
+        context::Context,
+        envelope::Message,
+        handled::Handled,
+        handler::EventHandler,
+        phase::Phase,
         registry::Registry,
         simulation::{Setup, run},
-        task::{Context, EventHandler, Handled, Phase},
         time::Instant,
     };
 

@@ -16,8 +16,8 @@ use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    call::lock,
     frame::{Frame, Full, Link},
+    lock::lock,
     message::{Flags, SYSTEM_COMMANDS},
     mix,
     time::{Clock, Instant},

@@ -13,8 +13,8 @@ use super::{Simulation, injured, machine::Machine};
 use crate::{
     boot::{self, BootEvent},
     bootstrap::Processes,
-    call::lock,
     chassis::Chassis,
+    lock::lock,
     system,
 };
 
@@ -155,9 +155,9 @@ impl Simulation {
             return;
         };
         let old = &old.chassis;
-        let (app, registry) = (old.app.clone(), old.registry.clone());
+        let (app, registry) = (old.app.clone(), old.registry());
         let new = Chassis::new(index, app, registry, old.clock.clone());
-        if let Some(disk) = old.disk.get() {
+        if let Some(disk) = old.disk() {
             new.set_disk(disk.clone());
         }
         self.events

@@ -8,7 +8,7 @@ use std::{
 };
 
 use super::{CyclicStatistics, Overrun};
-use crate::call::lock;
+use crate::lock::lock;
 
 /// A processor's schedule as others see it.
 #[derive(Debug, Clone, PartialEq, Eq)]

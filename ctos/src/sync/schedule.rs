@@ -23,7 +23,7 @@ use super::{
     source::{self, Pacemaker},
 };
 use crate::{
-    processor::{drop_contained, panic_text},
+    contain::{drop_contained, panic_text},
     time::{Clock, Instant},
 };
 

@@ -16,8 +16,8 @@ use std::{
 };
 
 use crate::{
-    call::lock,
-    processor::panic_text,
+    contain::panic_text,
+    lock::lock,
     time::{Clock, Instant},
 };
 

@@ -1,6 +1,16 @@
 //! Lints on a running chassis: what is probably not meant, told once when it begins and once when it
 //! is over.
 
+use crate::{
+    chassis::{Chassis, Extension},
+    config::TaskConfig,
+    lock::lock,
+    message::Tid,
+    system,
+    task_record::TaskRecord,
+    time::Instant,
+};
+use std::sync::Arc;
 use std::{
     collections::{BTreeMap, VecDeque},
     fmt,
@@ -9,15 +19,6 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-
-use crate::{
-    call::lock,
-    chassis::{Chassis, TaskRecord},
-    config::TaskConfig,
-    message::Tid,
-    system,
-    time::Instant,
-};
 
 /// How long a handler may keep its processor, unless the configuration says otherwise.
 const TURN_LIMIT: Duration = Duration::from_secs(1);
@@ -116,7 +117,18 @@ struct Told<'a> {
     lint: &'a Lint,
 }
 
+impl Extension for Watch {
+    fn new(_: &Chassis) -> Self {
+        Self::default()
+    }
+}
+
 impl Watch {
+    /// That of a chassis.
+    pub(crate) fn of(chassis: &Chassis) -> Arc<Self> {
+        chassis.extension()
+    }
+
     pub(super) fn last_look(&self) -> Instant {
         lock(&self.0).last
     }
@@ -184,7 +196,10 @@ fn tell(chassis: &Chassis, lint: &Lint, present: bool) {
     }
     let told = Told { present, lint };
     let agent = system::agent_tid(chassis.index());
-    chassis.tap.value(agent, "/lint", &told);
+    if let Some(recorder) = chassis.tap.recorder() {
+        let write = |buffer: &mut Vec<u8>| serde_json::to_writer(buffer, &told).is_ok();
+        recorder.value(agent, "/lint", &write);
+    }
 }
 
 type Found = Option<(LintCode, Instant, String)>;
@@ -321,7 +336,8 @@ fn cyclics(
 }
 
 fn command_name(chassis: &Chassis, config: &TaskConfig, code: u16) -> String {
-    let kind = chassis.registry.kind(&config.handler);
+    let registry = chassis.registry();
+    let kind = registry.kind(&config.handler);
     let commands = kind.map_or(&[][..], |kind| kind.commands());
     let known = commands.iter().find(|command| command.code == code);
     match known {

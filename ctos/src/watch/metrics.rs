@@ -1,9 +1,12 @@
 //! What a chassis counts, gathered: a command of its agent, asked by the chassis that boots.
 
+use crate::{
+    chassis::Chassis, command, doors::Refusals, meter::CommandCount, record::Recorders,
+    sync::Histogram,
+};
 use serde::{Deserialize, Serialize};
 
-use super::{lint::Lint, meter::CommandCount};
-use crate::{chassis::Chassis, command, sync::Histogram};
+use super::lint::Lint;
 
 command! {
     /// Asks for all that a chassis counts.
@@ -115,8 +118,8 @@ pub(crate) fn gather_here(chassis: &Chassis) -> ChassisMetrics {
         tasks: tasks.collect(),
         cyclics: cyclics.collect(),
         links: links.collect(),
-        lints: chassis.lints(),
-        refused: chassis.refused.count(),
-        unrecorded: chassis.tap.dropped(),
+        lints: super::lints(chassis),
+        refused: Refusals::of(chassis).count(),
+        unrecorded: Recorders::of(chassis).dropped(),
     }
 }

@@ -27,8 +27,8 @@ use crate::{
     context::{Context, TaskRef},
     doors::{OpenError, Pages},
     message::Tid,
-    runner::record,
     system,
+    task_record::TaskRecord,
 };
 
 /// How long an agent has to answer.
@@ -66,7 +66,7 @@ pub(crate) async fn serve(
     let home = chassis.clone();
     if let Some((_, processor)) = chassis.processors.first() {
         processor.inject(move |processor| {
-            let asker = record("metrics", ASKER, None, Arc::default(), &processor.handle);
+            let asker = TaskRecord::of_runtime("metrics", ASKER, Arc::default(), &processor.handle);
             let cx = Context::new(asker, home, processor.clone(), None);
             processor.spawn(answer(cx, asked), None);
         });

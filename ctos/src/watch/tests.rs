@@ -3,7 +3,7 @@ use super::{
     metrics::{ChassisMetrics, CyclicMetrics, LinkMetrics, Quantiles, TaskMetrics},
     text::page,
 };
-use crate::{time::Instant, watch::meter::CommandCount};
+use crate::{meter::CommandCount, time::Instant};
 
 fn metrics() -> ChassisMetrics {
     ChassisMetrics {
@@ -115,11 +115,13 @@ mod real {
         chassis::Chassis,
         config::load_texts,
         context::Context,
-        mailbox::Acceptance,
-        message::{Command, Message, Tid},
+        delivery::Acceptance,
+        envelope::Message,
+        handled::Handled,
+        handler::EventHandler,
+        message::{Command, Tid},
         registry::Registry,
-        runner::{TaskSpec, record, start_task},
-        task::{EventHandler, Handled},
+        runner::{TaskSpec, start_task},
         time::Clock,
         watch::LintCode,
     };
@@ -153,17 +155,9 @@ mod real {
         let recipe = registry.kind("stuck").unwrap().recipe();
         let chassis = Chassis::new(1, Arc::new(app), Arc::new(registry), Clock::real());
         let _threads = boot::start_processors(&chassis).unwrap();
-        let task = record(
-            "arm",
-            Tid::new(1, 1, 0),
-            Some(&config),
-            recipe,
-            &chassis.processors[1].1,
-        );
-        let spec = TaskSpec {
-            record: task.clone(),
-            config: Some(Box::new(config)),
-        };
+        let tid = Tid::new(1, 1, 0);
+        let spec = TaskSpec::new("arm", tid, Some(config), recipe, &chassis.processors[1].1);
+        let task = spec.record.clone();
         let home = chassis.clone();
         chassis.processors[1].1.inject(move |processor| {
             start_task(&home, processor, spec).unwrap();
@@ -177,10 +171,8 @@ mod real {
         }
         let seen = chassis.clock.now();
         let look = |later_ms| {
-            chassis
-                .watch
-                .look(&chassis, seen + Duration::from_millis(later_ms));
-            chassis.lints()
+            crate::watch::Watch::of(&chassis).look(&chassis, seen + Duration::from_millis(later_ms));
+            crate::watch::lints(&chassis)
         };
         assert_eq!(look(0), []);
         assert_eq!(look(999), [], "not yet over its limit");

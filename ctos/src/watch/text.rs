@@ -5,10 +5,8 @@
 
 use std::fmt::Write;
 
-use super::{
-    meter::bound_s,
-    metrics::{ChassisMetrics, CyclicMetrics, Quantiles},
-};
+use super::metrics::{ChassisMetrics, CyclicMetrics, Quantiles};
+use crate::meter::bound_s;
 
 /// A number of a task.
 type OfTask<T> = fn(&super::metrics::TaskMetrics) -> T;

@@ -8,7 +8,6 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 use super::{Inner, Member, door::may_be_chassis};
 use crate::{
-    call::lock,
     chassis::Chassis,
     link::{
         handshake::{Answer, Greeting, HandshakeError, Hello, Token, greet, hear},
@@ -16,6 +15,7 @@ use crate::{
         shm,
         transport::{Address, ConnectError, Stream, connect, connect_over},
     },
+    lock::lock,
     mix,
     security::Keys,
 };

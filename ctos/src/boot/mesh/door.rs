@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::{Inner, Member, MeshEvent};
 use crate::{
+    doors::Refusals,
     doors::{ACCEPT_PAUSE, Lobby, STRANGER_LIMIT, STRANGERS, Turned},
     link::{
         handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
@@ -158,12 +159,12 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
 impl Inner {
     fn refuse(&self, reason: &str) {
         let chassis = &self.chassis;
-        chassis.refused.note(&chassis.clock, "a caller", reason);
+        Refusals::of(chassis).note(&chassis.clock, "a caller", reason);
     }
 
     /// What a chassis says of itself, for the others.
     fn introduce(&self, member: Member) {
-        let mut state = crate::call::lock(&self.state);
+        let mut state = crate::lock::lock(&self.state);
         if let Some(peer) = state.peers.get_mut(&member.chassis) {
             peer.member = Some(member);
         }

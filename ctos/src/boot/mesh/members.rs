@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use super::{Inner, Member, MeshEvent, Notice, Peer, calls};
 use crate::{
-    call::lock,
     link::session::{Session, state::State},
+    lock::lock,
 };
 
 impl Inner {

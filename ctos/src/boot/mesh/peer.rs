@@ -8,9 +8,9 @@ use tokio::io::{Interest, unix::AsyncFd};
 
 use super::{Inner, MeshEvent};
 use crate::{
-    call::lock,
     frame::Frame,
     link::session::{DownReason, Receiver, Session, state::Event, state::State},
+    lock::lock,
     time::Instant,
 };
 

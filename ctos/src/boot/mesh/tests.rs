@@ -9,17 +9,18 @@ use tokio::{
 
 use super::*;
 use crate::{
-    call::Fault,
-    chassis::WaitFor,
     config::load_texts,
     doors::{NO_PAGE, STRANGERS},
+    envelope::Message,
+    fault::Fault,
     link::{
         handshake::{Answer, Greeting, Hello, greet, hear},
         transport::{Stream, connect},
     },
-    message::{Message, Tid},
+    message::Tid,
     registry::Registry,
     security::{Role, make_key},
+    tap::WaitFor,
     time::Clock,
 };
 

@@ -8,7 +8,6 @@ use tokio::sync::broadcast;
 use super::{Desk, Speaker, Writer, ended, error, failed, tell};
 use crate::{
     boot::{BootEvent, StopStep},
-    call::Fault,
     control::{
         logs::LogLine,
         protocol::{
@@ -19,6 +18,7 @@ use crate::{
         server::News,
         view,
     },
+    fault::Fault,
     system::{self, Interrupt, RestartChassis, RestartTask},
     text::Say,
 };
@@ -45,7 +45,7 @@ impl Desk {
         if chassis.app.task(task).is_none() {
             return self.no_such_name(task);
         }
-        let found = chassis.registry.command_of(&chassis.app, task, command);
+        let found = chassis.registry().command_of(&chassis.app, task, command);
         let info = match found {
             Ok(info) => info,
             Err(finding) => return error(ErrorCode::NoSuchName, finding.to_string()),

@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use super::*;
-use crate::{call::lock, envelope::Envelope};
+use crate::{envelope::Envelope, lock::lock};
 
 const SENDERS: u32 = 3;
 const EACH: u32 = 1500;

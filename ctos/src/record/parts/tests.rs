@@ -221,7 +221,7 @@ mod slow {
         let (place, reader) = breaking(folder.path());
         let app = "[chassis.a]\n[task.t]\nhandler = \"h\"\non = \"a\"\n";
         let app = crate::config::load_texts(&[("app.toml", app)], &[], &[]).unwrap();
-        let names = Arc::new(Names::new(&app, &Registry::new()));
+        let names = Arc::new(Names::new(&app, &Registry::new(), &[]));
         let parts = Parts::open(place, BTreeMap::new()).unwrap();
         let writer = Writer::new(names, parts);
         let limit = 1 << 20;

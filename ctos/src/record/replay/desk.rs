@@ -8,18 +8,21 @@ use std::{
 
 use super::{
     super::{
-        event::Ending,
         lines::{self, Number},
         names::Names,
     },
     ReplayReport,
     script::{Output, Recorded, Script},
 };
+use crate::report::Ending;
 use crate::{
-    call::{Answer, Fault, ReplySlot, lock},
-    chassis::WaitFor,
-    message::{Command, Data, Flags, Message, Tid, ToJson},
+    envelope::Message,
+    fault::Fault,
+    lock::lock,
+    message::{Command, Data, Flags, Tid, ToJson},
+    reply::{Answer, ReplySlot},
     system::{self, FindTid, Missing},
+    tap::WaitFor,
     time::{Clock, Instant},
 };
 

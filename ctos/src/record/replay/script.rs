@@ -13,8 +13,9 @@ use super::{
     ReplayError,
 };
 use crate::{
-    call::{Answer, Fault},
+    fault::Fault,
     message::{Data, Flags, Tid},
+    reply::Answer,
     time::Instant,
 };
 

@@ -5,8 +5,8 @@ use std::sync::Mutex;
 use super::*;
 use crate::{
     boot::{BootEvent, Observer},
-    call::lock,
     config::load_texts,
+    lock::lock,
     registry::Registry,
 };
 
@@ -31,7 +31,7 @@ fn watched() -> (Link, Arc<Witness>, Arc<Mutex<Vec<String>>>) {
         boot: Address::Tcp(([127, 0, 0, 1], 9).into()),
         token: Token(String::new()),
     };
-    let files = files(&chassis.app, &chassis.registry, &[]).unwrap();
+    let files = files(&chassis.app, &chassis.registry(), &[]).unwrap();
     let link = Link::new(&setup, &chassis.app.hosts[0], Arc::new(files));
     let witness = Arc::new(Witness::of_test(&chassis, 1, 2, observer));
     (link, witness, seen)

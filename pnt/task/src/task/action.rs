@@ -306,5 +306,5 @@ pub(super) fn is_asked_once(cx: &Context, action: &net::Action) -> bool {
 /// Whether a task takes what nets take.
 fn is_net(cx: &Context, task: &str) -> bool {
     let task = cx.app().task(task);
-    task.is_some_and(|task| super::load::runs_net(task, cx.registry()))
+    task.is_some_and(|task| super::load::runs_net(task, &cx.registry()))
 }

@@ -49,7 +49,7 @@ impl<S: 'static> Engine<S> {
     fn is_of_net(&self, request: &RequestId) -> bool {
         let name = request.from.split(' ').next().unwrap_or_default();
         let task = self.cx.app().task(name);
-        name != request.from && task.is_some_and(|task| runs_net(task, self.cx.registry()))
+        name != request.from && task.is_some_and(|task| runs_net(task, &self.cx.registry()))
     }
 
     /// Refuses commands that nobody has read, but for those of nets.

@@ -77,7 +77,7 @@ impl<S: 'static> Engine<S> {
         if !findings.has_errors() {
             load::check_app_with(
                 cx.app(),
-                cx.registry(),
+                &cx.registry(),
                 &Limits::default(),
                 Some(&net),
                 &mut findings,

@@ -7,14 +7,21 @@ use std::sync::{
 
 use serde::{Deserialize, Serialize};
 
-use crate::{message::CommandInfo, statistics::add};
+use crate::message::CommandInfo;
 
 /// Upper bounds of the buckets of handler times, ns: powers of four of a microsecond.
 const BUCKETS: usize = 12;
 
 /// The upper bound of a bucket, s.
-pub(super) fn bound_s(bucket: usize) -> f64 {
+pub(crate) fn bound_s(bucket: usize) -> f64 {
     1e-6 * 4_f64.powi(i32::try_from(bucket).unwrap_or(i32::MAX))
+}
+
+/// Adds to a counter that has one writer, the loop of its task: no other addition can come between.
+#[inline]
+pub(crate) fn add(counter: &AtomicU64, more: u64) {
+    let before = counter.load(Ordering::Relaxed);
+    counter.store(before.wrapping_add(more), Ordering::Relaxed);
 }
 
 /// How many messages of a command ended well, and how many otherwise.

@@ -1,0 +1,127 @@
+//! Event handlers and what they can do: the interface that most users of CTOS see.
+//!
+//! An [`EventHandler`] is called with one message at a time and runs to completion; it may wait for
+//! others with `.await` (the report's reply-wait), and its processor goes on with other tasks
+//! meanwhile. The [`Context`] is its door to everything else: other tasks by name, time, randomness,
+//! its arguments, its own children.
+
+use std::future::Future;
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{
+    context::{Context, TaskRef},
+    envelope::Message,
+    handled::{Handled, HandlerError},
+    phase::{Phase, StopReason},
+};
+
+/// A type that handles messages. One value of it, with its queue, is a task.
+///
+/// ```
+/// use ctos::{message::{Command, Message}, task::{Context, EventHandler, Handled}};
+///
+/// ctos::command! {
+///     /// Counts, and tells how often it has.
+///     pub struct Count => u64, 0x0001, "count"
+/// }
+///
+/// struct Counter(u64);
+///
+/// impl EventHandler for Counter {
+///     async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+///         match message.command() {
+///             Count::CODE => {
+///                 let (Count {}, reply) = message.open::<Count>()?;
+///                 self.0 += 1;
+///                 reply.ok(self.0)
+///             }
+///             _ => cx.default_processing(message),
+///         }
+///     }
+/// }
+/// ```
+pub trait EventHandler: 'static {
+    /// Handles one message to its end. An `Err` is the answer to a caller that waits.
+    fn handle(&mut self, cx: &Context, message: Message) -> impl Future<Output = Handled>;
+
+    /// Enters a startup phase; returning `Ok` acknowledges it, an `Err` undoes the boot.
+    fn phase(&mut self, cx: &Context, phase: Phase) -> impl Future<Output = Handled> {
+        let _ = (cx, phase);
+        async { Ok(()) }
+    }
+
+    /// The app is about to be stopped: begins to come to rest, while every task still takes messages.
+    /// Returning `Ok` acknowledges that it is at rest. No message is handled until this returns, so what
+    /// takes longer than a moment goes on beside it: [`Context::quiet_after`].
+    fn quiesce(&mut self, cx: &Context, reason: &StopReason) -> impl Future<Output = Handled> {
+        let _ = (cx, reason);
+        async { Ok(()) }
+    }
+
+    /// Comes to an orderly stop. Hardware is at rest when this returns.
+    fn stop(&mut self, cx: &Context, reason: &StopReason) -> impl Future<Output = Handled> {
+        let _ = (cx, reason);
+        async { Ok(()) }
+    }
+
+    /// Another chassis of the app is gone, with all its tasks.
+    fn chassis_down(&mut self, cx: &Context, chassis: &str) -> impl Future<Output = Handled> {
+        let _ = (cx, chassis);
+        async { Ok(()) }
+    }
+
+    /// Another chassis that was gone is back, and its tasks have passed all phases. Its names lead to
+    /// its new tasks.
+    fn chassis_up(&mut self, cx: &Context, chassis: &str) -> impl Future<Output = Handled> {
+        let _ = (cx, chassis);
+        async { Ok(()) }
+    }
+
+    /// A task that this one [monitors](Context::monitor) takes no messages: it is being restarted, has
+    /// ended, has failed, or its chassis is gone.
+    fn task_down(
+        &mut self,
+        cx: &Context,
+        task: &str,
+        reason: &str,
+    ) -> impl Future<Output = Handled> {
+        let _ = (cx, task, reason);
+        async { Ok(()) }
+    }
+
+    /// A task that this one [monitors](Context::monitor) and that was down takes messages again.
+    fn task_up(&mut self, cx: &Context, task: &TaskRef) -> impl Future<Output = Handled> {
+        let _ = (cx, task);
+        async { Ok(()) }
+    }
+}
+
+/// An event handler that can pass on what it knows: to its next incarnation when it is restarted, and
+/// to another processor, process or host when its task is moved. Registered with
+/// [`Registry::handover`](crate::registry::Registry::handover).
+///
+/// What belongs to the place (children, synchronous functions, files) is not passed on: it ends with the
+/// old handler and is begun again by [`take_over`](Self::take_over) or the startup phases, which the new
+/// handler enters afterwards, in order.
+pub trait Handover: EventHandler {
+    /// What is passed on.
+    type State: Serialize + DeserializeOwned;
+
+    /// Whether the state is good also after a panic of this handler. If not, the next incarnation begins
+    /// afresh.
+    const AFTER_PANIC: bool = false;
+
+    /// Gives the state away. Called between two messages; nothing is called afterwards. Repliers that it
+    /// still holds end without an answer.
+    ///
+    /// # Errors
+    /// Why that cannot be now; the task then stays where it is and goes on.
+    fn hand_over(&mut self) -> Result<Self::State, HandlerError>;
+
+    /// Takes the state of the handler before this one, before the first startup phase.
+    ///
+    /// # Errors
+    /// Why the state cannot be used.
+    fn take_over(&mut self, cx: &Context, state: Self::State) -> Handled;
+}
