@@ -6,16 +6,13 @@ use std::path::Path;
 
 use mutate::Mutator;
 
-use crate::{
-    config::load_texts,
-    frame::Frame,
-    link::{
-        handshake::{Answer, hear, hear_greeting},
-        session::packet::Decoder,
-        transport::Address,
-    },
-    message::{Data, Header},
+use ctos_config::load_texts;
+use ctos_link::{
+    handshake::{Answer, hear, hear_greeting},
+    session::packet::Decoder,
+    transport::Address,
 };
+use ctos_message::{Data, Header, frame::Frame};
 
 /// What is done with an input.
 type Target = fn(&[u8]);
@@ -86,7 +83,7 @@ fn payload(bytes: &[u8]) {
     let data = || Data::Bytes(bytes.to_vec());
     let _ = data().take::<Vec<String>>();
     let _ = data().take::<Vec<Vec<Option<(u64, f32)>>>>();
-    let _ = data().take::<crate::fault::Fault>();
+    let _ = data().take::<ctos_message::fault::Fault>();
     let _ = data().take::<std::collections::BTreeMap<String, Vec<u8>>>();
 }
 
@@ -109,11 +106,11 @@ fn own(target: &str) -> Vec<Vec<u8>> {
             ];
             vec![packets.concat()]
         }
-        "handshake" => vec![crate::link::handshake::greeting_of_corpus()],
+        "handshake" => vec![ctos_link::handshake::greeting_of_corpus()],
         "agent" => crate::remote::corpus(),
-        "config" => vec![crate::config::DEFAULTS.as_bytes().to_vec()],
+        "config" => vec![ctos_config::DEFAULTS.as_bytes().to_vec()],
         _ => {
-            let fault = crate::fault::Fault::NoReply;
+            let fault = ctos_message::fault::Fault::NoReply;
             let texts = ["one".to_owned(), "two".to_owned()];
             vec![
                 postcard::to_stdvec(&fault).unwrap(),

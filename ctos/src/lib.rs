@@ -15,122 +15,56 @@ extern crate self as ctos;
 #[doc(hidden)]
 pub use serde;
 
-#[doc(hidden)]
-pub mod bench;
 pub mod boot;
-
-pub mod chassis;
-pub mod control;
-pub mod disk;
-pub mod doors;
-pub mod realtime;
-pub mod record;
-pub mod registry;
-pub mod remote;
-pub mod semaphore;
-pub mod simulation;
-pub mod supervise;
-pub mod survey;
-pub mod sync;
-pub mod system;
-pub mod text;
-pub mod watch;
-
-mod agent;
-mod asleep;
-mod bootstrap;
-mod children;
-mod circle;
-mod concurrent;
-mod contain;
-mod context;
-mod credits;
-mod delivery;
-mod directory;
-mod envelope;
-mod exchange;
 #[cfg(test)]
 mod fuzz;
-mod handled;
-mod handler;
-mod last_messages;
-mod look;
-mod mailbox;
-mod meter;
-mod moving;
-mod names;
-mod phase;
-mod processor;
-mod reply;
-mod report;
-mod runner;
-mod statistics;
-mod tap;
-mod task_record;
-mod timers;
-mod wait;
-mod waits;
 
-use ctos_link as link;
-use ctos_message::{blob, fault, frame};
-/// Event handlers and what they can do: the interface that most users of CTOS see.
-pub mod task {
-    pub use crate::{
-        children::StartError,
-        context::{Call, Calling, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
-        handled::{Handled, HandlerError},
-        handler::{EventHandler, Handover},
-        phase::{Phase, StopReason},
-    };
-}
-/// How a call ends: with a reply or with an error that names both tasks. Always.
-pub mod call {
-    pub use ctos_message::fault::{CallError, Fault};
-}
-use ctos_time::{lock, park};
-
-pub use context::Context;
-pub use context::DEFAULT_DEADLINE;
 pub use ctos_config::diagnostic;
+#[doc(hidden)]
+pub use ctos_core::bench;
+pub use ctos_core::{
+    Context, DEFAULT_DEADLINE, TaskCounters, call, chassis, disk, message, realtime, recent,
+    registry, semaphore, supervise, sync, task, time,
+};
 pub use ctos_derive::handler;
+pub use ctos_host::{control, doors, remote, text};
 pub use ctos_link::shared_memory;
 pub use ctos_message::{
     Command,
     blob::{Blob, BlobMut},
     command,
 };
+pub use ctos_simulation as simulation;
 pub use ctos_time::seed::mix;
-pub use report::TaskCounters;
 
-/// A task, seen without disturbing it.
-pub mod recent {
-    pub use crate::{
-        look::{LastMessage, TaskLook},
-        report::Ending,
+/// The commands of the runtime itself, and what an app tells of itself.
+pub mod system {
+    pub use ctos_bootstrap::bootstrap::{AppReport, MemberReport};
+    pub use ctos_core::system::{
+        AppResult, CommandDescription, Introspect, MoveTask, Ping, Shutdown, Statistics, TaskName,
     };
 }
 
-/// Time as a service: one clock for the whole app, real or virtual.
-pub mod time {
-    pub(crate) use ctos_time::Drift;
-    pub use ctos_time::{Clock, Instant};
+/// What a chassis tells about its tasks without disturbing them.
+pub mod survey {
+    pub use ctos_core::report::{ChassisReport, QueueReport, TaskReport, WaitReport};
 }
 
-/// Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
-pub mod message {
-    pub use ctos_message::{
-        Command, CommandInfo, Data, Fields, Flags, Header, Payload, PayloadError, SYSTEM_COMMANDS,
-        Tid, ToJson, trimmed,
-    };
-    pub(crate) use ctos_message::{Shape, append};
+/// Watching a running app: lints, which are warnings about what it does.
+pub mod watch {
+    pub use ctos_bootstrap::watch::{Lint, LintCode, lints};
+}
 
-    pub use crate::envelope::{Message, Replier};
+/// Recording: everything that an app does as MCAP, reading it, and replaying one task out of it.
+pub mod record {
+    pub use ctos_record::{
+        Channel, Difference, Ending, Entry, Filter, Number, ReadError, Record, RecordLayer,
+        RecordReport, ReplayError, ReplayReport, Run, file_name, replay, scan, scan_only,
+    };
 }
 
 /// Who may reach an app: keys, roles and TLS.
 pub mod security {
-    #[cfg(test)]
-    pub(crate) use ctos_link::security::browser_of;
     pub use ctos_link::security::{
         BlockingStream, Identity, KeyError, Keys, Listed, Role, RoleError, list_keys, make_key,
     };

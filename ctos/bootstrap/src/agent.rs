@@ -1,0 +1,354 @@
+//! The agent: the task of each chassis that creates the configured tasks, and ends the process.
+
+use std::{sync::Arc, time::Duration};
+
+use tokio::sync::oneshot;
+
+use crate::{
+    survey::{seen, survey},
+    watch::{self, Gather},
+};
+use ctos_config::TaskConfig;
+use ctos_core::{
+    chassis::{BOOT_CHASSIS, Chassis},
+    circle,
+    context::{Context, TaskRef},
+    envelope::{Message, Replier},
+    handled::{Handled, HandlerError},
+    handler::EventHandler,
+    moving::{self, Arrivals},
+    phase::StopReason,
+    runner::{TaskSpec, start_task},
+    system::{
+        AnnounceUp, ChassisUp, CreateTasks, Created, Exit, Load, LookAt, MoveIn, MovedTasks, Place,
+        Rebound, RegisterTid, Settle, Settled, StopTask, Survey, TaskName, Transfer, WaitsFor,
+    },
+};
+use ctos_message::{Command, CommandInfo, Tid};
+use ctos_record::{Attached, BeginRecord, EndRecord, ReadRecord};
+
+/// What an agent takes.
+pub(crate) const COMMANDS: [CommandInfo; 14] = [
+    CreateTasks::INFO,
+    Exit::INFO,
+    Survey::INFO,
+    LookAt::INFO,
+    AnnounceUp::INFO,
+    Gather::INFO,
+    MoveIn::INFO,
+    Transfer::INFO,
+    Settle::INFO,
+    Rebound::INFO,
+    WaitsFor::INFO,
+    BeginRecord::INFO,
+    ReadRecord::INFO,
+    EndRecord::INFO,
+];
+
+/// Exit code of a chassis whose boot is gone.
+const EXIT_ORPHAN: i32 = 5;
+
+/// The agent's state.
+#[derive(Default)]
+pub(crate) struct Agent {
+    tasks: Vec<TaskName>,
+    arrivals: Arrivals,
+    records: Attached,
+}
+
+impl EventHandler for Agent {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        match message.command() {
+            CreateTasks::CODE => {
+                let (CreateTasks { first_slots }, reply) = message.open::<CreateTasks>()?;
+                cx.chassis().directory.start_slots_at(&first_slots);
+                let created = self.create(cx).await?;
+                watch::start(cx);
+                reply.ok(created)
+            }
+            Gather::CODE => {
+                let (Gather {}, reply) = message.open::<Gather>()?;
+                reply.ok(watch::gather_here(cx.chassis()))
+            }
+            Exit::CODE => {
+                let (Exit { code }, reply) = message.open::<Exit>()?;
+                // Before the answer, after which the boot may be gone at any moment.
+                cx.chassis().set_leaving();
+                reply.ok(())?;
+                cx.chassis().exit(code);
+                Ok(())
+            }
+            Survey::CODE => {
+                let (Survey {}, reply) = message.open::<Survey>()?;
+                reply.ok(survey(cx.chassis()))
+            }
+            LookAt::CODE => {
+                let (LookAt { task, without }, reply) = message.open::<LookAt>()?;
+                reply.ok(seen(cx.chassis(), task, &without))
+            }
+            AnnounceUp::CODE => {
+                let (AnnounceUp { chassis }, _) = message.open::<AnnounceUp>()?;
+                for task in cx.chassis().tasks() {
+                    let chassis = chassis.clone();
+                    cx.chassis().post_system(task.tid, ChassisUp { chassis });
+                }
+                Ok(())
+            }
+            MoveIn::CODE => {
+                let (request, reply) = message.open::<MoveIn>()?;
+                self.arrivals.expect(cx, request, reply);
+                Ok(())
+            }
+            Transfer::CODE => {
+                let (Transfer { to, what }, reply) = message.open::<Transfer>()?;
+                take_load(cx, to, what, reply)
+            }
+            Settle::CODE => {
+                let (Settle { place, how }, reply) = message.open::<Settle>()?;
+                self.settle(cx, place, how);
+                reply.ok(())
+            }
+            Rebound::CODE => {
+                let (rebound, reply) = message.open::<Rebound>()?;
+                turn(cx, rebound, reply);
+                Ok(())
+            }
+            WaitsFor::CODE => {
+                let (WaitsFor { task }, reply) = message.open::<WaitsFor>()?;
+                reply.ok(circle::of_task(cx.chassis(), task))
+            }
+            BeginRecord::CODE => {
+                let (request, reply) = message.open::<BeginRecord>()?;
+                match self.records.begin(cx, request, watch::COMMANDS) {
+                    Ok(report) => reply.ok(report),
+                    Err(why) => reply.fail(why),
+                }
+            }
+            ReadRecord::CODE => {
+                let (ReadRecord { key }, reply) = message.open::<ReadRecord>()?;
+                reply.ok(self.records.read(key))
+            }
+            EndRecord::CODE => {
+                let (EndRecord { key }, reply) = message.open::<EndRecord>()?;
+                self.records.end(cx, key, reply);
+                Ok(())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let mut others = cx.chassis().others();
+        if let Some(peer) = others.find(|index| cx.chassis().name_of(*index) == chassis) {
+            self.arrivals.lost(cx, peer);
+            for task in cx.chassis().tasks() {
+                task.mailbox.forget_gate(peer);
+            }
+        }
+        if chassis == BOOT_CHASSIS {
+            tracing::error!("the boot is gone: stopping");
+            self.stop_all(cx).await;
+            cx.chassis().exit(EXIT_ORPHAN);
+        }
+        Ok(())
+    }
+}
+
+impl Agent {
+    /// Creates this chassis's tasks, in the order of the configuration, and registers their names.
+    async fn create(&mut self, cx: &Context) -> Result<Created, HandlerError> {
+        let chassis = cx.chassis().clone();
+        let mut failed: Vec<_> = chassis
+            .realtime()
+            .iter()
+            .filter_map(|grant| Some((format!("processor {}", grant.processor), grant.fatal()?)))
+            .collect();
+        // None before the first move; asked because this chassis may be one that was started again.
+        let moved = cx.call(&Context::server(), MovedTasks {}).await?;
+        for config in chassis.app.tasks.iter() {
+            let Some(config) = placed_here(&chassis, config, &moved) else {
+                continue;
+            };
+            let config = &config;
+            match create_one(cx, &chassis, config).await {
+                Ok(tid) => {
+                    let task = TaskName {
+                        name: config.name.clone(),
+                        tid,
+                    };
+                    // It runs, so it is stopped with the others even if its name cannot be had.
+                    self.tasks.push(task.clone());
+                    if let Err(error) = cx.call(&Context::server(), RegisterTid { task }).await {
+                        failed.push((config.name.clone(), error.reason()));
+                    }
+                }
+                Err(reason) => failed.push((config.name.clone(), reason)),
+            }
+        }
+        Ok(Created {
+            tasks: self.tasks.clone(),
+            failed,
+        })
+    }
+
+    /// A place that a task comes to or has left is settled.
+    fn settle(&mut self, cx: &Context, place: Tid, how: Settled) {
+        match how {
+            Settled::Go { gone } => {
+                let Some(record) = cx.chassis().task(place) else {
+                    return;
+                };
+                for chassis in gone {
+                    record.mailbox.open_gate(chassis);
+                }
+                // Those that went while the place was made ready were told to nobody here.
+                let chassis = cx.chassis();
+                for other in chassis.others().filter(|other| !chassis.is_linked(*other)) {
+                    record.mailbox.forget_gate(other);
+                }
+                self.arrivals.settle(place, true);
+                self.tasks.push(TaskName {
+                    name: record.name.to_string(),
+                    tid: place,
+                });
+            }
+            Settled::Drop => {
+                self.arrivals.settle(place, false);
+            }
+            Settled::Retire => {
+                cx.chassis().remove_task(place);
+                self.tasks.retain(|task| task.tid != place);
+            }
+        }
+    }
+
+    /// Stops the tasks of this chassis when nobody else is left to order it.
+    async fn stop_all(&self, cx: &Context) {
+        let limit = cx.app().stop_timeout;
+        for task in self.tasks.iter().rev() {
+            let here = cx.chassis();
+            if here.directory.current(task.tid).chassis() != here.index() {
+                continue;
+            }
+            let reference = TaskRef::new(task.name.as_str(), task.tid);
+            let order = StopTask {
+                reason: StopReason::ChassisDown {
+                    chassis: BOOT_CHASSIS.to_owned(),
+                },
+                on: Some(here.index()),
+            };
+            let stopped = cx.call(&reference, order).deadline(limit);
+            if let Err(error) = stopped.await
+                && !error.is_gone()
+            {
+                tracing::warn!(task = %task.name, error = %error, "did not stop");
+            }
+        }
+    }
+}
+
+/// The configuration of a task that belongs to this chassis, with the place to which it was moved last.
+fn placed_here(
+    chassis: &Chassis,
+    config: &TaskConfig,
+    moved: &[(String, Place)],
+) -> Option<TaskConfig> {
+    let home = moved.iter().find(|(name, _)| *name == config.name);
+    let Some((_, place)) = home else {
+        return (config.chassis == chassis.name()).then(|| config.clone());
+    };
+    let (name, _) = chassis.processors.get(usize::from(place.processor))?;
+    (place.chassis == chassis.index()).then(|| TaskConfig {
+        chassis: chassis.name().to_owned(),
+        processor: name.clone(),
+        ..config.clone()
+    })
+}
+
+/// Takes what comes by the old place of a task.
+fn take_load(cx: &Context, to: Tid, what: Load, reply: Replier<Transfer>) -> Handled {
+    let chassis = cx.chassis();
+    let opened = match what {
+        Load::Message(message) => {
+            moving::deliver(cx, to, message, reply);
+            return Ok(());
+        }
+        Load::Sync => None,
+        Load::Gate(sender) => Some(sender),
+        Load::Without {
+            chassis: sender,
+            old,
+        } => {
+            if old == chassis.index() || chassis.is_linked(old) {
+                return reply.fail("the old place may still send something");
+            }
+            Some(sender)
+        }
+    };
+    if let (Some(sender), Some(task)) = (opened, chassis.task(to)) {
+        task.mailbox.open_gate(sender);
+    }
+    reply.ok(Ok(Vec::new()))
+}
+
+/// A name has another id now, or none.
+fn turn(cx: &Context, rebound: Rebound, reply: Replier<Rebound>) {
+    let here = cx.clone();
+    match rebound.new {
+        Some(new) if rebound.moved => cx.spawn(async move {
+            // A reply cannot fail, here and below.
+            let _ = match moving::turn(&here, &rebound, new).await {
+                Ok(()) => reply.ok(()),
+                Err(error) => reply.fail(error),
+            };
+        }),
+        new => {
+            let directory = &cx.chassis().directory;
+            directory.rebind(&rebound.name, rebound.old, new);
+            let _ = reply.ok(());
+        }
+    }
+}
+
+/// Builds one task on its processor's thread.
+async fn create_one(
+    cx: &Context,
+    chassis: &Arc<Chassis>,
+    config: &TaskConfig,
+) -> Result<Tid, String> {
+    let registry = chassis.registry();
+    let kind = registry
+        .kind(&config.handler)
+        .ok_or_else(|| format!("nobody registered the event handler `{}`", config.handler))?;
+    let (index, processor) = chassis
+        .processors
+        .iter()
+        .enumerate()
+        .skip(1)
+        .find(|(_, (name, _))| *name == config.processor)
+        .map(|(index, (_, handle))| (index, handle.clone()))
+        .ok_or_else(|| format!("there is no processor `{}`", config.processor))?;
+    let number = u8::try_from(index).map_err(|_| "there are too many processors")?;
+    let slot = chassis.directory.free_slot(number);
+    let slot = slot.ok_or("there are too many tasks")?;
+    let tid = Tid::new(chassis.index(), number, slot);
+    let spec = TaskSpec::new(
+        &config.name,
+        tid,
+        Some(config.clone()),
+        kind.recipe(),
+        &processor,
+    );
+    let (built, building) = oneshot::channel();
+    let home = chassis.clone();
+    processor.inject(move |processor| {
+        // Nobody listens any more when the processor was busy for too long.
+        let _ = built.send(start_task(&home, processor, spec).map_err(|error| error.to_string()));
+    });
+    let limit = cx.app().phase_timeout.max(Duration::from_millis(1));
+    match cx.timeout(limit, building).await {
+        Ok(Ok(started)) => started.map(|()| tid),
+        Ok(Err(_)) => Err("its processor has stopped".to_owned()),
+        Err(elapsed) => Err(format!("its processor is busy: {elapsed}")),
+    }
+}

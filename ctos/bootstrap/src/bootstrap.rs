@@ -1,0 +1,435 @@
+//! The bootstrap service: brings an app up in three acknowledged phases, supervises its chassis, waits
+//! for its end, and takes it down in order. It is a task like any other, so it works the same in real
+//! and in virtual time.
+
+mod board;
+mod explain;
+mod intensity;
+mod outcome;
+mod overview;
+mod quiesce;
+mod sequence;
+mod start;
+mod states;
+mod stop;
+mod supervisor;
+
+use std::{
+    rc::Rc,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use crate::watch;
+use ctos_core::{
+    context::Context,
+    envelope::Message,
+    handled::Handled,
+    handler::EventHandler,
+    phase::{Phase, StopReason},
+    system::{
+        AllLinked, AppResult, AtBreakpoint, ChassisLinked, Finish, Interrupt, ProcessEnded,
+        Progress, RestartChassis, TaskFailed, TaskMoved,
+    },
+};
+use ctos_message::{Command, CommandInfo};
+
+use serde::{Deserialize, Serialize};
+
+use board::{Board, Event};
+use sequence::Sequence;
+
+pub use outcome::{BootError, HostError, Outcome};
+pub use outcome::{contained, io_error};
+pub use overview::{AppReport, MemberReport, Overview};
+pub use start::start_system_tasks;
+pub use states::{BootState, ChassisState};
+
+/// What the service takes.
+pub(crate) const COMMANDS: [CommandInfo; 11] = [
+    AllLinked::INFO,
+    Progress::INFO,
+    Finish::INFO,
+    TaskFailed::INFO,
+    AtBreakpoint::INFO,
+    Interrupt::INFO,
+    ProcessEnded::INFO,
+    ChassisLinked::INFO,
+    RestartChassis::INFO,
+    TaskMoved::INFO,
+    Overview::INFO,
+];
+
+/// What happens while an app is up, for whoever shows it to a person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum BootEvent {
+    /// A chassis was started.
+    Started {
+        /// Its name.
+        chassis: String,
+        /// Its process id, if it has a process of its own.
+        pid: Option<u32>,
+        /// Its host, if that is not the boot's.
+        #[serde(default)]
+        host: Option<String>,
+    },
+    /// A startup phase is over.
+    PhaseDone {
+        /// Which.
+        phase: Phase,
+        /// How many tasks acknowledged it.
+        tasks: usize,
+        /// How long it took.
+        #[serde(rename = "took_s", with = "in_seconds")]
+        took: Duration,
+    },
+    /// A task tells how far it is.
+    Progress {
+        /// The task.
+        task: String,
+        /// Steps done.
+        done: u64,
+        /// Steps in all.
+        total: u64,
+        /// What a step is.
+        step: String,
+        /// What happened at this one.
+        what: String,
+    },
+    /// A line that a chassis wrote to its log.
+    Log {
+        /// The chassis.
+        chassis: String,
+        /// The line.
+        line: String,
+    },
+    /// The app is being stopped.
+    Stopping {
+        /// Why.
+        reason: String,
+    },
+    /// A step of the stop begins.
+    StopStep {
+        /// Which.
+        step: StopStep,
+    },
+    /// The first step of the stop takes its time.
+    QuietAwaited {
+        /// The tasks that are not at rest yet.
+        tasks: Vec<String>,
+    },
+    /// A task did not come to rest in the first step of the stop, which goes on without it.
+    NotQuiet {
+        /// The task.
+        task: String,
+        /// Why not: what it waits for, as far as that can be told.
+        reason: String,
+    },
+    /// The first step of the stop is over.
+    Quiet {
+        /// How many tasks came to rest.
+        tasks: usize,
+        /// How many were asked to.
+        of: usize,
+        /// How long it took.
+        #[serde(rename = "took_s", with = "in_seconds")]
+        took: Duration,
+    },
+    /// A task was stopped, or could not be.
+    Stopped {
+        /// The task.
+        task: String,
+        /// What went wrong, if anything did.
+        error: Option<String>,
+    },
+    /// A chassis is gone, or must go.
+    ChassisFailed {
+        /// The chassis.
+        chassis: String,
+        /// What happened to it.
+        reason: String,
+    },
+    /// The process of a chassis is dead; the next one is started after a pause.
+    Restarting {
+        /// The chassis.
+        chassis: String,
+        /// The number of the next process, counted from 1.
+        incarnation: u32,
+        /// The pause.
+        #[serde(rename = "pause_s", with = "in_seconds")]
+        pause: Duration,
+    },
+    /// A chassis is back, and its tasks have passed all phases.
+    Restarted {
+        /// The chassis.
+        chassis: String,
+        /// How many tasks it has.
+        tasks: usize,
+        /// How long it was away.
+        #[serde(rename = "took_s", with = "in_seconds")]
+        took: Duration,
+    },
+    /// A chassis with `stop_first` has stopped: whatever it moves is at rest.
+    AtRest {
+        /// The chassis.
+        chassis: String,
+    },
+    /// A process was sent a signal because it did not end by itself.
+    Signalled {
+        /// The chassis.
+        chassis: String,
+        /// The signal's name.
+        signal: String,
+    },
+    /// The process that boots was told to end by SIGTERM: the app is stopped as by Ctrl-C.
+    Terminated,
+}
+
+/// A step of the stop of an app, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StopStep {
+    /// All tasks come to rest at the same time: nets end what they have begun, and devices still serve them.
+    Quiesce,
+    /// One task after the other is stopped, those of chassis with `stop_first` first.
+    Tasks,
+    /// The processes end.
+    Processes,
+}
+
+impl StopStep {
+    /// All steps, in order.
+    pub const ALL: [Self; 3] = [Self::Quiesce, Self::Tasks, Self::Processes];
+}
+
+impl std::fmt::Display for StopStep {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(match self {
+            Self::Quiesce => "quiesce",
+            Self::Tasks => "tasks",
+            Self::Processes => "processes",
+        })
+    }
+}
+
+/// Durations as a number of seconds.
+mod in_seconds {
+    use std::time::Duration;
+
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(time: &Duration, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_f64(time.as_secs_f64())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Duration, D::Error> {
+        let seconds = f64::deserialize(from)?;
+        Duration::try_from_secs_f64(seconds).map_err(D::Error::custom)
+    }
+}
+
+/// Sees [`BootEvent`]s as they happen, on the thread of the bootstrap service.
+pub type Observer = Arc<dyn Fn(&BootEvent) + Send + Sync>;
+
+/// Why an app ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum End {
+    /// The task named by `until` finished.
+    Finished(AppResult),
+    /// The person asked for it.
+    Interrupted,
+    /// A chassis is gone.
+    ChassisDown {
+        /// Its name.
+        chassis: String,
+    },
+    /// A chassis failed, and may not be started again.
+    GivenUp {
+        /// Its name.
+        chassis: String,
+        /// Why: how often it was restarted, and what happened to it last.
+        reason: String,
+    },
+    /// A task failed for good.
+    TaskFailed {
+        /// The task.
+        task: String,
+        /// Why.
+        reason: String,
+    },
+    /// A task came to a breakpoint at which the app was to end.
+    Breakpoint {
+        /// The task.
+        task: String,
+        /// Where it stands.
+        reason: String,
+    },
+    /// A startup phase failed and the boot was undone.
+    PhaseFailed {
+        /// Which.
+        phase: Phase,
+        /// Task and reason, for each that did not acknowledge.
+        failures: Vec<(String, String)>,
+    },
+    /// Every task waits for another one: nothing can ever happen again (virtual time only).
+    Stuck,
+}
+
+impl End {
+    /// What the tasks are told.
+    pub fn reason(&self) -> StopReason {
+        match self {
+            Self::Finished(_) => StopReason::Finished,
+            Self::Interrupted => StopReason::Interrupted,
+            Self::ChassisDown { chassis } => StopReason::ChassisDown {
+                chassis: chassis.clone(),
+            },
+            Self::GivenUp { chassis, reason } => StopReason::Failed {
+                what: format!("chassis `{chassis}` {reason}"),
+            },
+            Self::TaskFailed { task, reason } => StopReason::Failed {
+                what: format!("task `{task}` failed: {reason}"),
+            },
+            Self::Breakpoint { reason, .. } => StopReason::Failed {
+                what: reason.clone(),
+            },
+            Self::PhaseFailed { phase, .. } => StopReason::Failed {
+                what: format!("startup phase `{phase}` failed"),
+            },
+            Self::Stuck => StopReason::Failed {
+                what: "every task waits for another one".to_owned(),
+            },
+        }
+    }
+}
+
+/// What the service found out, left where the process that boots picks it up.
+pub type EndSlot = Arc<Mutex<Option<End>>>;
+
+/// Who starts and ends the processes of chassis. What becomes of them is told to the service with
+/// [`ChassisLinked`] and [`ProcessEnded`].
+pub trait Processes: Send + Sync {
+    /// Starts a process for chassis `index`. The one before it is dead.
+    fn start(&self, index: u8, incarnation: u32);
+    /// Ends the process of chassis `index` at once.
+    fn kill(&self, index: u8);
+}
+
+/// What the service is started with.
+#[derive(Clone)]
+pub struct Seat {
+    /// Who is told what happens.
+    pub observer: Observer,
+    /// Where the end of the app is put.
+    pub end: EndSlot,
+    /// Starts and ends the processes of chassis.
+    pub processes: Arc<dyn Processes>,
+}
+
+/// The service's state.
+pub(crate) struct Bootstrap {
+    seat: Seat,
+    board: Option<Rc<Board>>,
+}
+
+impl Bootstrap {
+    pub(crate) fn new(seat: Seat) -> Self {
+        Self { seat, board: None }
+    }
+
+    fn board(&mut self, cx: &Context) -> &Rc<Board> {
+        let seat = &self.seat;
+        self.board
+            .get_or_insert_with(|| Rc::new(Board::new(cx.clone(), seat.clone())))
+    }
+}
+
+impl EventHandler for Bootstrap {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        let board = self.board(cx).clone();
+        match message.command() {
+            AllLinked::CODE => {
+                watch::start(cx);
+                board.all_linked();
+                cx.spawn(Sequence::new(board.clone()).run());
+                for index in board.indices() {
+                    cx.spawn(supervisor::supervise(board.clone(), index));
+                }
+                Ok(())
+            }
+            Progress::CODE => {
+                let (progress, _) = message.open::<Progress>()?;
+                // How far its tasks are is no news any more once the app is being taken down.
+                if board.is_stopping() {
+                    return Ok(());
+                }
+                board.event(&BootEvent::Progress {
+                    task: progress.task,
+                    done: progress.done,
+                    total: progress.total,
+                    step: progress.step,
+                    what: progress.what,
+                });
+                Ok(())
+            }
+            Finish::CODE => {
+                let (Finish { task, result }, _) = message.open::<Finish>()?;
+                let until = cx.app().until.as_deref();
+                if until.is_none_or(|until| until == task) {
+                    board.end(End::Finished(result));
+                }
+                Ok(())
+            }
+            TaskFailed::CODE => {
+                let from = message.from().chassis();
+                let (TaskFailed { task, reason }, _) = message.open::<TaskFailed>()?;
+                board.task_failed(from, task, reason);
+                Ok(())
+            }
+            AtBreakpoint::CODE => {
+                let (AtBreakpoint { task, reason }, _) = message.open::<AtBreakpoint>()?;
+                board.end(End::Breakpoint { task, reason });
+                Ok(())
+            }
+            Interrupt::CODE => {
+                board.end(End::Interrupted);
+                Ok(())
+            }
+            ProcessEnded::CODE => {
+                let (ended, _) = message.open::<ProcessEnded>()?;
+                let dead = Event::Dead {
+                    how: ended.how,
+                    code: ended.code,
+                };
+                board.tell_incarnation(ended.chassis, ended.incarnation, dead);
+                Ok(())
+            }
+            ChassisLinked::CODE => {
+                let (linked, _) = message.open::<ChassisLinked>()?;
+                board.tell_incarnation(linked.chassis, linked.incarnation, Event::Joined);
+                Ok(())
+            }
+            RestartChassis::CODE => {
+                let (RestartChassis { chassis }, reply) = message.open::<RestartChassis>()?;
+                board.restart(chassis, reply)
+            }
+            TaskMoved::CODE => {
+                let (TaskMoved { task, old }, _) = message.open::<TaskMoved>()?;
+                board.moved(task, old);
+                Ok(())
+            }
+            Overview::CODE => {
+                let (Overview {}, reply) = message.open::<Overview>()?;
+                reply.ok(board.report())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        self.board(cx).lost(chassis);
+        Ok(())
+    }
+}

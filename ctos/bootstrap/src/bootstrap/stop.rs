@@ -1,0 +1,88 @@
+//! Stopping tasks in order: politely, one after the other, in the reverse of the order in which they
+//! were created. What does not stop is told, and ended from outside.
+
+use futures_util::future::{Either, select};
+
+use crate::bootstrap::{BootEvent, board::Board};
+use ctos_core::{
+    chassis::BOOT_CHASSIS,
+    context::TaskRef,
+    phase::StopReason,
+    system::{self, Exit, StopTask, TaskName},
+};
+use ctos_message::fault::Fault;
+
+impl Board {
+    /// Stops one task, unless its chassis is gone. Whether it has stopped in order.
+    pub(super) async fn stop_task(&self, task: &TaskName, reason: &StopReason) -> bool {
+        self.order_stop(task, reason, None).await
+    }
+
+    /// Stops one task of chassis `index`, unless it has moved away.
+    pub(super) async fn stop_task_of(&self, index: u8, task: &TaskName, reason: &StopReason) {
+        if self.place_of(task) == index {
+            self.order_stop(task, reason, Some(index)).await;
+        }
+    }
+
+    async fn order_stop(&self, task: &TaskName, reason: &StopReason, on: Option<u8>) -> bool {
+        if !self.cx.chassis().is_linked(self.place_of(task)) {
+            return false;
+        }
+        let reference = TaskRef::new(task.name.as_str(), task.tid);
+        let request = StopTask {
+            reason: reason.clone(),
+            on,
+        };
+        let limit = self.cx.app().stop_timeout;
+        let stopped = self.cx.call(&reference, request).deadline(limit).await;
+        // A task that is not there was shut down before.
+        let failed = stopped
+            .err()
+            .filter(|error| error.fault != Fault::UnknownTask);
+        let error = failed.map(|error| error.reason());
+        let stopped = error.is_none();
+        self.event(&BootEvent::Stopped {
+            task: task.name.clone(),
+            error,
+        });
+        stopped
+    }
+
+    /// As [`Self::stop_task`]; a further interrupt goes on to the next task at once.
+    pub(super) async fn stop_task_or_skip(&self, task: &TaskName, reason: &StopReason) -> bool {
+        let interrupted = std::pin::pin!(self.interrupted());
+        let stopping = std::pin::pin!(self.stop_task(task, reason));
+        match select(stopping, interrupted).await {
+            Either::Left((stopped, _)) => stopped,
+            Either::Right(((), _)) => {
+                self.event(&BootEvent::Stopped {
+                    task: task.name.clone(),
+                    error: Some("skipped at a second interrupt".to_owned()),
+                });
+                false
+            }
+        }
+    }
+
+    /// Tells chassis `index` to end its process. One that does not answer is ended from outside.
+    pub(super) async fn exit_chassis(&self, index: u8, code: i32) {
+        if self.cx.chassis().is_linked(index) {
+            let agent = TaskRef::new("agent", system::agent_tid(index));
+            let limit = self.cx.app().stop_timeout;
+            let _ = self.cx.call(&agent, Exit { code }).deadline(limit).await;
+        }
+    }
+
+    /// The chassis that a task is on now: it may have moved.
+    pub(super) fn place_of(&self, task: &TaskName) -> u8 {
+        self.cx.chassis().directory.current(task.tid).chassis()
+    }
+
+    pub(super) fn stops_first(&self, task: &TaskName) -> bool {
+        let chassis = self.cx.chassis().name_of(self.place_of(task));
+        debug_assert_ne!(chassis, BOOT_CHASSIS);
+        let mut configured = self.cx.app().chassis.iter();
+        configured.any(|config| config.name == chassis && config.stop_first)
+    }
+}

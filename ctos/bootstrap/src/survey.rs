@@ -1,0 +1,116 @@
+//! What a chassis tells about its tasks without disturbing them: read from their records, so that a
+//! task that is busy, or stuck, is seen as well as one that is idle.
+
+use crate::refusals::Refusals;
+use ctos_core::{chassis::Chassis, sync::CyclicStatistics, system::Seen, task_record::TaskRecord};
+use ctos_message::Tid;
+use ctos_record::Recorders;
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
+
+pub use ctos_core::report::{ChassisReport, QueueReport, TaskReport, WaitReport};
+
+/// Everything that is known of `chassis` now.
+pub(crate) fn survey(chassis: &Chassis) -> ChassisReport {
+    if let Some(here) = ctos_core::processor::Processor::here() {
+        here.settle_calls();
+    }
+    let processors = chassis.processors.iter();
+    let cyclic = cyclic_times(&chassis.cyclics());
+    ChassisReport {
+        chassis: chassis.name().to_owned(),
+        pid: std::process::id(),
+        now: chassis.clock.now(),
+        processors: processors.map(|(name, _)| name.clone()).collect(),
+        records: Recorders::of(chassis).reports(),
+        tasks: chassis
+            .tasks()
+            .iter()
+            .map(|task| report(chassis, task, &cyclic))
+            .collect(),
+        refused: Refusals::of(chassis).count(),
+    }
+}
+
+/// What the synchronous functions of each task have taken together.
+fn cyclic_times(functions: &[(String, Arc<CyclicStatistics>)]) -> BTreeMap<String, Duration> {
+    let mut times = BTreeMap::new();
+    for (function, statistics) in functions {
+        if let Some((task, _)) = function.rsplit_once('.') {
+            *times.entry(task.to_owned()).or_insert(Duration::ZERO) += statistics.duration.sum();
+        }
+    }
+    times
+}
+
+/// One of its tasks.
+pub(crate) fn of_task(chassis: &Chassis, task: &TaskRecord) -> TaskReport {
+    report(chassis, task, &cyclic_times(&chassis.cyclics()))
+}
+
+fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Duration>) -> TaskReport {
+    let counters = task.statistics.read();
+    let config = chassis.app.task(&task.name);
+    let handler = config.map_or_else(String::new, |config| config.handler.clone());
+    let any = counters.handled > 0 || counters.began.is_some();
+    let processor = chassis.processors.get(usize::from(task.tid.processor()));
+    TaskReport {
+        name: task.name.to_string(),
+        tid: task.tid,
+        processor: processor.map_or_else(String::new, |(name, _)| name.clone()),
+        command: any.then(|| command_name(chassis, &handler, counters.command)),
+        handler,
+        counters,
+        cyclic: cyclic.get(&*task.name).copied().unwrap_or_default(),
+        phase_since: task.statistics.phase_since(),
+        queue: task.mailbox.lengths(),
+        waits: task
+            .statistics
+            .waits()
+            .map_or_else(Vec::new, |waits| waits.read()),
+    }
+}
+
+/// The name of a command, as far as it is known.
+pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
+    let registry = chassis.registry();
+    let kind = registry.kind(handler);
+    let own = kind.into_iter().flat_map(|kind| kind.commands());
+    let mut all = own.chain(ctos_core::system::ALL);
+    all.find(|command| command.code == code)
+        .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
+}
+
+/// How the task `tid` of `chassis` is.
+pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<Seen> {
+    let record = chassis.task(tid)?;
+    let mut last = record.statistics.activity().recent.look(without);
+    let task = of_task(chassis, &record);
+    for note in &mut last {
+        note.named = command_name(chassis, &task.handler, note.command);
+    }
+    Some(Seen { task, last })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_synchronous_functions_take_is_the_time_of_their_task() {
+        let function = |name: &str, millis: u64| {
+            let statistics = CyclicStatistics::default();
+            statistics.duration.record(Duration::from_millis(millis));
+            (name.to_owned(), Arc::new(statistics))
+        };
+        let functions = [
+            function("arm.servo", 3),
+            function("arm.guard", 4),
+            function("arm.left.servo", 9),
+        ];
+        let times = cyclic_times(&functions);
+        let expected = [("arm", 7), ("arm.left", 9)];
+        let expected =
+            expected.map(|(task, millis)| (task.to_owned(), Duration::from_millis(millis)));
+        assert_eq!(times, BTreeMap::from(expected));
+    }
+}

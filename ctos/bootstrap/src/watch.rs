@@ -1,0 +1,78 @@
+//! Watching a running app: lints, which are warnings about what it does, and metrics for Prometheus.
+//!
+//! A chassis looks at itself from its system processor, on which no handler of the app runs: one that
+//! never returns is still seen. In virtual time the simulation lets it look at the same intervals. The
+//! page `docs/watching.md` lists what is told.
+
+mod lint;
+#[doc(hidden)]
+pub mod metrics;
+
+use std::time::Duration;
+
+use crate::bootstrap::Overview;
+use ctos_core::{chassis::Chassis, context::Context};
+use ctos_message::{Command, CommandInfo};
+use ctos_time::{Clock, Instant};
+
+pub use lint::{Lint, LintCode};
+
+pub(crate) use lint::Watch;
+#[doc(hidden)]
+pub use metrics::{
+    ChassisMetrics, CyclicMetrics, Gather, LinkMetrics, Quantiles, TaskMetrics, gather_here,
+};
+
+/// Commands of the runtime that the core does not know, for records.
+pub const COMMANDS: &[CommandInfo] = &[Gather::INFO, Overview::INFO];
+
+/// How often a chassis looks at itself.
+pub(crate) const INTERVAL: Duration = Duration::from_millis(500);
+/// At most so many looks are taken while a virtual clock jumps once.
+const LOOKS: u32 = 16;
+
+/// Lets this chassis look at itself from now on. In virtual time the simulation does.
+pub(crate) fn start(cx: &Context) {
+    let chassis = cx.chassis().clone();
+    if chassis.clock.origin_ns().is_none() {
+        return;
+    }
+    let watcher = cx.clone();
+    cx.spawn(async move {
+        loop {
+            watcher.sleep(INTERVAL).await;
+            Watch::of(&chassis).look(&chassis, watcher.now());
+        }
+    });
+}
+
+/// The virtual clock is about to jump to `moment`: what the chassis would see on the way, when they would.
+pub fn look_until<'a>(
+    clock: &Clock,
+    chassis: impl Iterator<Item = &'a std::sync::Arc<Chassis>>,
+    moment: Instant,
+) {
+    let mut looks: Vec<_> = chassis
+        .map(|one| {
+            let step = (moment.since(Watch::of(one).last_look()) / LOOKS).max(INTERVAL);
+            (Watch::of(one).last_look() + step, step, one)
+        })
+        .collect();
+    while let Some((due, step, one)) = looks.iter_mut().min_by_key(|(due, _, _)| *due) {
+        if *due >= moment {
+            return;
+        }
+        clock.advance_to(*due);
+        Watch::of(one).look(one, *due);
+        *due = *due + *step;
+    }
+}
+
+/// What is wrong with a chassis at present.
+#[must_use]
+pub fn lints(chassis: &Chassis) -> Vec<Lint> {
+    Watch::of(chassis).lints()
+}
+
+#[cfg(test)]
+mod tests;

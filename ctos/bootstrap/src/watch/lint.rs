@@ -1,0 +1,346 @@
+//! Lints on a running chassis: what is probably not meant, told once when it begins and once when it
+//! is over.
+
+use ctos_config::TaskConfig;
+use ctos_core::{
+    chassis::{Chassis, Extension},
+    system,
+    task_record::TaskRecord,
+};
+use ctos_message::Tid;
+use ctos_time::{Instant, lock::lock};
+use std::sync::Arc;
+use std::{
+    collections::{BTreeMap, VecDeque},
+    fmt,
+    sync::Mutex,
+    time::Duration,
+};
+
+use serde::{Deserialize, Serialize};
+
+/// How long a handler may keep its processor, unless the configuration says otherwise.
+const TURN_LIMIT: Duration = Duration::from_secs(1);
+/// How long a handler may wait for others, unless the configuration says otherwise: longer than any call
+/// does by itself.
+const WAIT_LIMIT: Duration = Duration::from_secs(30);
+/// How long a permit may be held while others wait for one.
+const PERMIT_LIMIT: Duration = Duration::from_secs(10);
+/// A synchronous function that has kept its schedule for so long keeps it again.
+const KEPT_AGAIN: Duration = Duration::from_secs(5);
+/// A queue that has grown at so many looks in a row, and is more than half full, is growing.
+const GROWTH: usize = 5;
+
+/// What a lint is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[non_exhaustive]
+#[serde(rename_all = "kebab-case")]
+pub enum LintCode {
+    /// A handler keeps its processor from everybody else.
+    HandlerBlocks,
+    /// A handler waits for others for longer than it should.
+    HandlerWaits,
+    /// More comes to a task than it can do.
+    QueueGrows,
+    /// A task keeps a permit for long while others wait for one.
+    SemaphoreHeld,
+    /// A synchronous function does not keep its schedule.
+    CyclicOverruns,
+}
+
+impl fmt::Display for LintCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::HandlerBlocks => "handler-blocks",
+            Self::HandlerWaits => "handler-waits",
+            Self::QueueGrows => "queue-grows",
+            Self::SemaphoreHeld => "semaphore-held",
+            Self::CyclicOverruns => "cyclic-overruns",
+        })
+    }
+}
+
+/// Something that is probably not meant.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Lint {
+    /// What it is about.
+    pub code: LintCode,
+    /// The task.
+    pub task: String,
+    /// Its chassis.
+    pub chassis: String,
+    /// Since when, as far as it was seen.
+    pub since: Instant,
+    /// The same in words.
+    pub text: String,
+}
+
+/// What was seen of a task at earlier looks.
+#[derive(Default)]
+struct Seen {
+    /// A poll of its handler, and when it was seen first.
+    poll: Option<(u64, Instant)>,
+    depths: VecDeque<usize>,
+    /// Since when the queue grows.
+    growing: Option<Instant>,
+}
+
+/// What was seen of a synchronous function at earlier looks.
+#[derive(Default)]
+struct SeenCyclic {
+    late: u64,
+    /// Since when it is late, and when it was late last.
+    span: Option<(Instant, Instant)>,
+}
+
+/// Lints by what they are about and what they are of.
+type Lints = BTreeMap<(LintCode, String), Lint>;
+
+#[derive(Default)]
+struct State {
+    last: Instant,
+    seen: BTreeMap<Tid, Seen>,
+    cyclics: BTreeMap<String, SeenCyclic>,
+    present: Lints,
+}
+
+/// What a chassis has seen of itself.
+#[derive(Default)]
+pub(crate) struct Watch(Mutex<State>);
+
+/// A lint as it is stored in the record.
+#[derive(Serialize)]
+struct Told<'a> {
+    present: bool,
+    #[serde(flatten)]
+    lint: &'a Lint,
+}
+
+impl Extension for Watch {
+    fn new(_: &Chassis) -> Self {
+        Self::default()
+    }
+}
+
+impl Watch {
+    /// That of a chassis.
+    pub(crate) fn of(chassis: &Chassis) -> Arc<Self> {
+        chassis.extension()
+    }
+
+    pub(super) fn last_look(&self) -> Instant {
+        lock(&self.0).last
+    }
+
+    pub(super) fn lints(&self) -> Vec<Lint> {
+        lock(&self.0).present.values().cloned().collect()
+    }
+
+    /// Looks at all tasks of `chassis`; tells what is new and what is over.
+    pub(crate) fn look(&self, chassis: &Chassis, now: Instant) {
+        let mut found = Lints::new();
+        let mut state = lock(&self.0);
+        state.last = now;
+        let tasks = chassis.tasks();
+        state
+            .seen
+            .retain(|tid, _| tasks.iter().any(|task| task.tid == *tid));
+        for task in &tasks {
+            // The tasks of the runtime wait for others by their nature.
+            let Some(config) = chassis.app.task(&task.name) else {
+                continue;
+            };
+            let seen = state.seen.entry(task.tid).or_default();
+            let lints = [
+                handler(seen, chassis, task, config, now),
+                queue(seen, task, now),
+            ];
+            for (code, since, text) in lints.into_iter().flatten() {
+                let lint = Lint {
+                    code,
+                    task: task.name.to_string(),
+                    chassis: chassis.name().to_owned(),
+                    since,
+                    text,
+                };
+                found.insert((code, lint.task.clone()), lint);
+            }
+        }
+        semaphores(chassis, now, &mut found);
+        cyclics(&mut state.cyclics, chassis, now, &mut found);
+        let before = std::mem::take(&mut state.present);
+        state.present = found.clone();
+        drop(state);
+        for (key, lint) in &found {
+            if !before.contains_key(key) {
+                tell(chassis, lint, true);
+            }
+        }
+        for (key, lint) in &before {
+            if !found.contains_key(key) {
+                tell(chassis, lint, false);
+            }
+        }
+    }
+}
+
+fn tell(chassis: &Chassis, lint: &Lint, present: bool) {
+    let Lint {
+        code, task, text, ..
+    } = lint;
+    if present {
+        tracing::warn!(task = %task, chassis = chassis.name(), lint = %code, "{text}");
+    } else {
+        tracing::info!(task = %task, chassis = chassis.name(), lint = %code, "over: {text}");
+    }
+    let told = Told { present, lint };
+    let agent = system::agent_tid(chassis.index());
+    if let Some(recorder) = chassis.tap.recorder() {
+        let write = |buffer: &mut Vec<u8>| serde_json::to_writer(buffer, &told).is_ok();
+        recorder.value(agent, "/lint", &write);
+    }
+}
+
+type Found = Option<(LintCode, Instant, String)>;
+
+/// A handler that is at one message for too long.
+fn handler(
+    seen: &mut Seen,
+    chassis: &Chassis,
+    task: &TaskRecord,
+    config: &TaskConfig,
+    now: Instant,
+) -> Found {
+    let poll = task.statistics.poll();
+    seen.poll = poll.map(|poll| match seen.poll {
+        Some((before, since)) if before == poll => (poll, since),
+        _ => (poll, now),
+    });
+    let counters = task.statistics.read();
+    let began = counters.began?;
+    let at_it_s = now.since(began).as_secs_f64();
+    let name = &task.name;
+    let command = command_name(chassis, config, counters.command);
+    if let Some((_, since)) = seen.poll
+        && now.since(since) >= config.handler_limit.unwrap_or(TURN_LIMIT)
+    {
+        let processor = format!("{}/{}", config.chassis, config.processor);
+        let text = format!(
+            "`{name}` has been at `{command}` for {at_it_s:.1} s without waiting for anything: no other task of processor `{processor}` can run"
+        );
+        return Some((LintCode::HandlerBlocks, began, text));
+    }
+    if now.since(began) >= config.handler_limit.unwrap_or(WAIT_LIMIT) {
+        let text = format!(
+            "`{name}` has been at `{command}` for {at_it_s:.1} s, waiting for others; what comes to it meanwhile waits too"
+        );
+        return Some((LintCode::HandlerWaits, began, text));
+    }
+    None
+}
+
+/// A queue that grows and grows.
+fn queue(seen: &mut Seen, task: &TaskRecord, now: Instant) -> Found {
+    let (depth, capacity) = task.mailbox.depth();
+    if seen.depths.len() > GROWTH {
+        seen.depths.pop_front();
+    }
+    seen.depths.push_back(depth);
+    let grown = |(one, next): (&usize, &usize)| one < next;
+    let growing = seen.depths.len() > GROWTH
+        && seen
+            .depths
+            .iter()
+            .zip(seen.depths.iter().skip(1))
+            .all(grown);
+    // Once it grows, it is over when the queue is half empty again, and not at the first pause.
+    seen.growing = match seen.growing {
+        _ if depth * 2 <= capacity => None,
+        None if growing => Some(now),
+        before => before,
+    };
+    let since = seen.growing?;
+    let name = &task.name;
+    let text = format!(
+        "{depth} messages wait for `{name}`, whose queue holds {capacity}, and it does not get round to them"
+    );
+    Some((LintCode::QueueGrows, since, text))
+}
+
+/// Permits that are held for too long while others wait.
+fn semaphores(chassis: &Chassis, now: Instant, found: &mut Lints) {
+    for view in chassis.semaphores() {
+        let Some(next) = view.waiting.first() else {
+            continue;
+        };
+        for holder in &view.holders {
+            let held = now.since(holder.since);
+            if held < PERMIT_LIMIT {
+                continue;
+            }
+            let (name, task) = (&view.name, &holder.task);
+            let text = format!(
+                "`{task}` has held semaphore `{name}` for {:.1} s, and `{next}` waits for it",
+                held.as_secs_f64()
+            );
+            let lint = Lint {
+                code: LintCode::SemaphoreHeld,
+                task: task.clone(),
+                chassis: chassis.name().to_owned(),
+                since: holder.since,
+                text,
+            };
+            found.insert((lint.code, format!("{task} {name}")), lint);
+        }
+    }
+}
+
+/// Synchronous functions that skip periods or take too long.
+fn cyclics(
+    seen: &mut BTreeMap<String, SeenCyclic>,
+    chassis: &Chassis,
+    now: Instant,
+    found: &mut Lints,
+) {
+    let all = chassis.cyclics();
+    seen.retain(|name, _| all.iter().any(|(there, _)| there == name));
+    for (name, statistics) in all {
+        let late = statistics.missed() + statistics.overruns();
+        let before = seen.entry(name.clone()).or_default();
+        if late > before.late {
+            let since = before.span.map_or(now, |(since, _)| since);
+            before.span = Some((since, now));
+        }
+        before.late = late;
+        before.span = before
+            .span
+            .filter(|(_, last)| now.since(*last) < KEPT_AGAIN);
+        let Some((since, _)) = before.span else {
+            continue;
+        };
+        let text = format!(
+            "synchronous function `{name}` does not keep its schedule: {} periods missed and {} overruns so far",
+            statistics.missed(),
+            statistics.overruns()
+        );
+        let lint = Lint {
+            code: LintCode::CyclicOverruns,
+            task: name.split('.').next().unwrap_or_default().to_owned(),
+            chassis: chassis.name().to_owned(),
+            since,
+            text,
+        };
+        found.insert((lint.code, name), lint);
+    }
+}
+
+fn command_name(chassis: &Chassis, config: &TaskConfig, code: u16) -> String {
+    let registry = chassis.registry();
+    let kind = registry.kind(&config.handler);
+    let commands = kind.map_or(&[][..], |kind| kind.commands());
+    let known = commands.iter().find(|command| command.code == code);
+    match known {
+        Some(command) => command.name.to_owned(),
+        None => system::command_name(code),
+    }
+}

@@ -1,0 +1,144 @@
+//! A chassis without a boot, for benchmarks: tasks on processors of this process, and work that runs
+//! among them; and what tests of other crates need of a processor. Not part of the interface.
+
+use crate::{
+    chassis::Chassis,
+    context::{Context, TaskRef},
+    handled::HandlerError,
+    processor::Processor,
+    registry::Registry,
+    runner::{TaskSpec, start_task},
+    task_record::TaskRecord,
+    threads::{ProcessorThread, start_processors},
+};
+use ctos_config::App;
+use ctos_message::Tid;
+use ctos_time::Clock;
+use std::{future::Future, rc::Rc, sync::Arc, sync::mpsc};
+
+/// The slot that work runs as; tasks take those below.
+const WORK: u16 = u16::MAX;
+
+/// The first chassis of an app, running.
+pub struct Bench {
+    chassis: Arc<Chassis>,
+    threads: Vec<ProcessorThread>,
+}
+
+impl Bench {
+    /// Starts the processors of the first chassis of `app`. Its tasks are started one by one.
+    ///
+    /// # Errors
+    /// When the system refuses a thread.
+    pub fn start(app: App, registry: Registry) -> std::io::Result<Self> {
+        let chassis = Chassis::new(1, Arc::new(app), Arc::new(registry), Clock::real());
+        let threads = start_processors(&chassis)?;
+        Ok(Self { chassis, threads })
+    }
+
+    /// Starts `count` tasks of a registered kind in the slots from `first` of configured processor
+    /// number `processor`, counted from 1.
+    ///
+    /// # Errors
+    /// Why one could not be built.
+    pub fn tasks(
+        &self,
+        kind: &str,
+        processor: u8,
+        first: u16,
+        count: u16,
+    ) -> Result<Vec<TaskRef>, HandlerError> {
+        let (sender, started) = mpsc::channel();
+        let home = self.chassis.clone();
+        let kind = kind.to_owned();
+        self.inject(processor, move |here| {
+            let first = Tid::new(home.index(), processor, first);
+            let _ = sender.send(start_row(&home, here, &kind, first, count));
+        })?;
+        started.recv()?
+    }
+
+    /// Makes a task known by its name, as the task identification service would.
+    pub fn name(&self, task: &TaskRef) {
+        self.chassis.directory.learn(task.name(), task.tid());
+    }
+
+    /// Runs `work` as a task of processor number `processor`, and waits for its end.
+    ///
+    /// # Errors
+    /// When there is no such processor, or the work panicked.
+    pub fn run<T: Send + 'static, F: Future<Output = T> + 'static>(
+        &self,
+        processor: u8,
+        work: impl FnOnce(Context) -> F + Send + 'static,
+    ) -> Result<T, HandlerError> {
+        Ok(self.begin(processor, work)?.recv()?)
+    }
+
+    /// [`Self::run`] without waiting: the end comes through the channel.
+    ///
+    /// # Errors
+    /// When there is no such processor.
+    pub fn begin<T: Send + 'static, F: Future<Output = T> + 'static>(
+        &self,
+        processor: u8,
+        work: impl FnOnce(Context) -> F + Send + 'static,
+    ) -> Result<mpsc::Receiver<T>, HandlerError> {
+        let (sender, done) = mpsc::channel();
+        let home = self.chassis.clone();
+        self.inject(processor, move |here| {
+            let tid = Tid::new(home.index(), processor, WORK);
+            let record = TaskRecord::of_runtime("work", tid, Arc::default(), &here.handle);
+            let cx = Context::new(record, home, here.clone(), None);
+            let work = work(cx);
+            let result = async move {
+                let _ = sender.send(work.await);
+            };
+            here.spawn(result, None);
+        })?;
+        Ok(done)
+    }
+
+    fn inject(
+        &self,
+        processor: u8,
+        job: impl FnOnce(&Rc<Processor>) + Send + 'static,
+    ) -> Result<(), HandlerError> {
+        let found = self.chassis.processors.get(usize::from(processor));
+        let (_, handle) = found.ok_or("no such processor")?;
+        handle.inject(job);
+        Ok(())
+    }
+}
+
+/// Starts `count` tasks of a kind, in slots from that of `first` on.
+fn start_row(
+    chassis: &Arc<Chassis>,
+    processor: &Rc<Processor>,
+    kind: &str,
+    first: Tid,
+    count: u16,
+) -> Result<Vec<TaskRef>, HandlerError> {
+    let registry = chassis.registry();
+    let registered = registry.kind(kind).ok_or("no such kind of handler")?;
+    let recipe = registered.recipe();
+    let mut tasks = Vec::with_capacity(usize::from(count));
+    for slot in first.slot()..first.slot() + count {
+        let tid = Tid::new(first.chassis(), first.processor(), slot);
+        let spec = TaskSpec::new(kind, tid, None, recipe.clone(), &processor.handle);
+        tasks.push(TaskRef::new(spec.record.name.clone(), tid));
+        start_task(chassis, processor, spec)?;
+    }
+    Ok(tasks)
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        self.chassis.stop_processors();
+        for thread in self.threads.drain(..) {
+            // Ends when the thread has dropped everything it ran, in whatever way.
+            let _ = thread.ended.blocking_recv();
+        }
+        self.chassis.close();
+    }
+}

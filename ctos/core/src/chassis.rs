@@ -1,0 +1,371 @@
+//! A chassis: the tasks of one process, where their messages go, and what they share.
+//!
+//! Delivery is decided here and nowhere else: a task of this chassis gets a pointer, a task of
+//! another one gets a frame over the link. The sender waits the same way for both.
+
+pub(crate) mod delivery;
+mod extension;
+mod links;
+pub(crate) mod pending;
+mod tasks;
+
+use std::{
+    any::Any,
+    collections::BTreeMap,
+    rc::Rc,
+    sync::{
+        Arc, Mutex, OnceLock, PoisonError, RwLock,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+};
+
+use self::{extension::Extensions, pending::Links, tasks::Tasks};
+use crate::{
+    directory::TaskDirectory,
+    envelope::Message,
+    processor::{Processor, ProcessorHandle},
+    realtime::RealtimeGrant,
+    sync::{CyclicStatistics, Directory, Schedule, ScheduleSettings, ScheduleView},
+    tap::Tap,
+    task_record::TaskRecord,
+};
+use ctos_config::{App, ProcessorConfig};
+use ctos_message::{Tid, fault::Fault};
+use ctos_time::{Clock, lock::lock, park::Park};
+
+pub use self::extension::Extension;
+
+pub use ctos_config::BOOT_CHASSIS;
+
+type OnExit = Box<dyn FnOnce(i32) + Send>;
+
+/// Makes a place where one thread sleeps and looks at the links.
+pub(crate) type MakePark = Box<dyn Fn() -> Arc<dyn Park> + Send + Sync>;
+
+/// Sees each message that a task of the chassis begins to handle.
+pub(crate) type OnDelivery = Box<dyn Fn(&TaskRecord, &Message) + Send + Sync>;
+
+/// One process's share of an app. Shared by its threads.
+pub struct Chassis {
+    index: u8,
+    names: Vec<Arc<str>>,
+    #[doc(hidden)]
+    pub clock: Clock,
+    #[doc(hidden)]
+    pub app: Arc<App>,
+    /// Processor 0 belongs to the runtime; the configured ones follow.
+    #[doc(hidden)]
+    pub processors: Vec<(String, Arc<ProcessorHandle>)>,
+    tasks: RwLock<Tasks>,
+    links: Mutex<Links>,
+    shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
+    #[doc(hidden)]
+    pub directory: TaskDirectory,
+    on_exit: Mutex<Option<OnExit>>,
+    on_delivery: OnceLock<OnDelivery>,
+    /// Set by the first order to stop: from then on a chassis that goes is no news.
+    stopping: AtomicBool,
+    leaving: AtomicBool,
+    next_trace: AtomicU64,
+    cyclics: Arc<Directory>,
+    realtime: Mutex<Vec<RealtimeGrant>>,
+    /// What services keep for it.
+    extensions: Extensions,
+    /// What looks on: a recorder, a replay, nobody.
+    #[doc(hidden)]
+    pub tap: Tap,
+    /// Makes places where threads sleep that look at its links, when these are real ones.
+    parks: OnceLock<MakePark>,
+}
+
+impl Chassis {
+    /// Chassis number `index` of `app`; its processors' threads are started elsewhere.
+    pub(crate) fn bare(index: u8, app: Arc<App>, clock: Clock) -> Arc<Self> {
+        let mut names: Vec<Arc<str>> = vec![BOOT_CHASSIS.into()];
+        names.extend(
+            app.chassis
+                .iter()
+                .map(|chassis| chassis.name.as_str().into()),
+        );
+        let configured = usize::from(index)
+            .checked_sub(1)
+            .and_then(|place| app.chassis.get(place));
+        let configured = configured.map_or(&[][..], |configured| &configured.processors);
+        let processors = std::iter::once("system".to_owned())
+            .chain(configured.iter().map(|one| one.name.clone()))
+            .map(|name| (name, Arc::default()))
+            .collect();
+        Arc::new(Self {
+            index,
+            names,
+            extensions: Extensions::default(),
+            clock,
+            app,
+            processors,
+            tasks: RwLock::default(),
+            links: Mutex::default(),
+            shared: Mutex::default(),
+            directory: TaskDirectory::default(),
+            on_exit: Mutex::default(),
+            on_delivery: OnceLock::new(),
+            stopping: AtomicBool::new(false),
+            leaving: AtomicBool::new(false),
+            next_trace: AtomicU64::new(1),
+            cyclics: Arc::default(),
+            realtime: Mutex::default(),
+            tap: Tap::default(),
+            parks: OnceLock::new(),
+        })
+    }
+
+    /// Its number; 0 is the chassis that booted the app.
+    #[must_use]
+    pub fn index(&self) -> u8 {
+        self.index
+    }
+
+    /// The name of chassis number `index`.
+    #[must_use]
+    pub fn name_of(&self, index: u8) -> &str {
+        self.names
+            .get(usize::from(index))
+            .map_or("unknown", AsRef::as_ref)
+    }
+
+    /// What the configuration says of processor `index`; nothing of the runtime's own, 0.
+    pub(crate) fn processor_config(&self, index: usize) -> Option<&ProcessorConfig> {
+        let chassis = usize::from(self.index).checked_sub(1)?;
+        let processors = &self.app.chassis.get(chassis)?.processors;
+        processors.get(index.checked_sub(1)?)
+    }
+
+    /// Where the thread of processor `index` sleeps and looks at links: nowhere where something must run in time,
+    /// and the runtime's own processor only where there is no other.
+    pub(crate) fn park_of(&self, index: usize) -> Option<Arc<dyn Park>> {
+        let may = match self.processor_config(index) {
+            Some(config) => !config.realtime && config.period.is_none(),
+            None => self.processors.len() == 1,
+        };
+        self.parks.get().filter(|_| may).map(|make| make())
+    }
+
+    /// The synchronous functions that run here, by `task.function`, with what is known of each.
+    #[must_use]
+    pub fn cyclics(&self) -> Vec<(String, Arc<CyclicStatistics>)> {
+        self.cyclics.functions()
+    }
+
+    /// What the system granted to each configured processor; nothing in virtual time.
+    #[must_use]
+    pub fn realtime(&self) -> Vec<RealtimeGrant> {
+        lock(&self.realtime).clone()
+    }
+
+    pub(crate) fn set_realtime(&self, grants: Vec<RealtimeGrant>) {
+        *lock(&self.realtime) = grants;
+    }
+
+    /// Puts `value` where the other tasks of this chassis find it.
+    pub fn share<T: Send + Sync + 'static>(&self, key: &str, value: Arc<T>) {
+        self.tap.used(|| format!("shared memory `{key}`"));
+        lock(&self.shared).insert(key.to_owned(), value);
+    }
+
+    /// What was shared under `key`, if it is a `T`.
+    #[must_use]
+    pub fn shared<T: Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
+        self.tap.used(|| format!("shared memory `{key}`"));
+        lock(&self.shared).get(key)?.clone().downcast::<T>().ok()
+    }
+
+    /// [`Self::add_task`] of one whose handler was just built.
+    pub(crate) fn add_built(&self, task: Arc<TaskRecord>) {
+        let tid = task.tid;
+        self.add_task(task);
+        if let (Some(recorder), Some(task)) = (self.tap.recorder(), self.task(tid)) {
+            recorder.built(tid, &task.name, task.statistics.commands());
+        }
+    }
+
+    /// The app is being taken down.
+    pub(crate) fn set_stopping(&self) {
+        self.stopping.store(true, Ordering::Release);
+    }
+
+    /// `task` begins to handle `message`.
+    #[inline]
+    pub(crate) fn delivered(&self, task: &TaskRecord, message: &Message) {
+        if let Some(on_delivery) = self.on_delivery.get() {
+            on_delivery(task, message);
+        }
+    }
+
+    pub(crate) fn peer_down_fault(&self, peer: u8) -> Fault {
+        Fault::PeerDown {
+            chassis: self.name_of(peer).to_owned(),
+        }
+    }
+}
+
+#[doc(hidden)]
+impl Chassis {
+    /// The app's time, as this chassis sees it.
+    #[must_use]
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// Its name in the configuration.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.name_of(self.index)
+    }
+
+    /// The numbers of all chassis of the app but this one.
+    pub fn others(&self) -> impl Iterator<Item = u8> + '_ {
+        (0..self.names.len())
+            .filter_map(|index| u8::try_from(index).ok())
+            .filter(|index| *index != self.index)
+    }
+
+    /// Processor `index`, to be run by the calling thread.
+    pub fn processor(&self, index: usize) -> Option<Rc<Processor>> {
+        let (name, handle) = self.processors.get(index)?;
+        let mut settings = ScheduleSettings {
+            processor: format!("{}/{name}", self.name()),
+            ..ScheduleSettings::default()
+        };
+        if let Some(config) = self.processor_config(index) {
+            settings.period = config.period;
+            settings.overrun = config.overrun;
+            settings.lead = config.lead();
+        }
+        let schedule = Schedule::new(settings, self.clock.clone());
+        let schedule = schedule.shown_in(self.cyclics.clone());
+        Some(Processor::with_schedule(
+            handle.clone(),
+            self.clock.clone(),
+            schedule,
+        ))
+    }
+
+    /// Its processors' threads sleep there when they have nothing else to do, and look at its links.
+    pub fn set_parks(&self, make: MakePark) {
+        let _ = self.parks.set(make);
+    }
+
+    /// The schedules of the processors here that have synchronous functions.
+    #[must_use]
+    pub fn schedules(&self) -> Vec<ScheduleView> {
+        self.cyclics.schedules()
+    }
+
+    pub fn add_task(&self, task: Arc<TaskRecord>) {
+        self.tasks
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(task);
+    }
+
+    /// Takes a task out; what is in its mailbox is answered.
+    pub fn remove_task(self: &Arc<Self>, tid: Tid) {
+        for extension in self.extensions.all() {
+            extension.task_ended(self, tid);
+        }
+        let entry = self
+            .tasks
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .remove(tid);
+        if let Some(task) = entry {
+            task.mailbox.close();
+        }
+    }
+
+    pub fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
+        self.tasks
+            .read()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get(tid)
+            .cloned()
+    }
+
+    /// The tasks of this chassis, by id.
+    pub fn tasks(&self) -> Vec<Arc<TaskRecord>> {
+        let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
+        tasks.iter().cloned().collect()
+    }
+
+    /// A trace id that no other message of the run has.
+    pub fn fresh_trace(&self) -> u64 {
+        // The high byte keeps the chassis apart; 2^56 messages of one chassis do not come about.
+        (u64::from(self.index) << 56) | self.next_trace.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// This chassis has been told to end: that another is gone is no news from here on, not even of the boot.
+    pub fn set_leaving(&self) {
+        self.set_stopping();
+        self.leaving.store(true, Ordering::Release);
+    }
+
+    /// Whether the app is being taken down.
+    pub fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Acquire)
+    }
+
+    /// Whom to show each message that a task begins to handle. The first one counts.
+    pub fn on_delivery(&self, on_delivery: OnDelivery) {
+        let _ = self.on_delivery.set(on_delivery);
+    }
+
+    /// The name of one of its tasks.
+    pub fn task_name(&self, tid: Tid) -> Option<Arc<str>> {
+        self.task(tid).map(|task| task.name.clone())
+    }
+
+    /// What to do when the chassis shall end.
+    pub fn set_on_exit(&self, on_exit: impl FnOnce(i32) + Send + 'static) {
+        *lock(&self.on_exit) = Some(Box::new(on_exit));
+    }
+
+    /// Ends the chassis with an exit code. The first call counts.
+    pub fn exit(&self, code: i32) {
+        let on_exit = lock(&self.on_exit).take();
+        if let Some(on_exit) = on_exit {
+            on_exit(code);
+        }
+    }
+
+    /// Forgets all tasks and links. What waits in the queues is answered; what waits for others is told
+    /// that they are gone. Without it a chassis that ends inside a process that goes on would keep
+    /// itself alive through its messages.
+    pub fn close(&self) {
+        let tasks =
+            std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
+        for task in tasks.iter() {
+            task.mailbox.close();
+        }
+        let links = std::mem::take(&mut *lock(&self.links));
+        for pending in links.pending.into_values() {
+            let fault = self.peer_down_fault(pending.peer());
+            pending.answer(Err(fault));
+        }
+        lock(&self.shared).clear();
+        for extension in self.extensions.all() {
+            extension.closed();
+        }
+    }
+
+    /// Stops the threads of its processors.
+    pub fn stop_processors(&self) {
+        for (_, handle) in &self.processors {
+            handle.stop();
+        }
+    }
+}
+
+impl std::fmt::Debug for Chassis {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Chassis({} `{}`)", self.index, self.name())
+    }
+}

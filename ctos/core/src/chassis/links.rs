@@ -1,0 +1,494 @@
+//! What goes over the links of a chassis and comes from them: requests, answers, and that nobody waits for
+//! one any more.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use super::{
+    Chassis,
+    delivery::Outcome,
+    pending::{Inbound, Outbound, Pending},
+};
+use crate::{
+    delivery::Acceptance,
+    envelope::{Envelope, Message},
+    reply::{Answer, Remote, ReplySlot},
+    system,
+    tap::{Asked, WaitFor},
+};
+use ctos_message::{
+    Data, Flags, Header,
+    blob::Body,
+    fault::Fault,
+    frame::{BODY_LIMIT, Counts, Frame, Full, Link, NO_DEADLINE},
+};
+use ctos_time::{Instant, lock::lock};
+
+/// A request that came over a link, with the way back.
+struct Request {
+    chassis: Arc<Chassis>,
+    inbound: Arc<Inbound>,
+}
+
+impl Remote for Request {
+    fn answer(&self, answer: Answer) {
+        self.chassis.post_reply(&self.inbound, answer);
+    }
+
+    fn is_abandoned(&self) -> bool {
+        self.inbound.is_abandoned()
+    }
+}
+
+impl Chassis {
+    /// The sender of a request waits no longer: the receiver need not begin, if it has not.
+    pub(crate) fn abandon(&self, Outbound(call): Outbound) {
+        let (pending, link) = {
+            let mut links = lock(&self.links);
+            let Some(pending) = links.pending.remove(&call) else {
+                return;
+            };
+            let link = links.up.get(&pending.peer()).cloned();
+            (pending, link)
+        };
+        if let Some(link) = link {
+            // What is not a request is never refused.
+            let _ = link.post(Frame {
+                header: Header {
+                    flags: Flags::ABANDONED,
+                    size: 0,
+                    ..pending.header
+                },
+                call,
+                trace: pending.trace,
+                left_ns: NO_DEADLINE,
+                body: Body::default(),
+            });
+        }
+    }
+
+    /// Sends a message to another chassis; what `slot` makes is told what `wait` names.
+    pub(super) fn post(
+        &self,
+        message: Message,
+        wait: WaitFor,
+        slot: &mut dyn FnMut() -> Option<ReplySlot>,
+    ) -> Outcome {
+        let Envelope {
+            mut header,
+            trace,
+            deadline,
+            data,
+            ..
+        } = *message.envelope;
+        let peer = header.to.chassis();
+        if wait == WaitFor::Nothing {
+            let chassis = self.name_of(peer).to_owned();
+            return Outcome::Failed(Fault::Elsewhere { chassis });
+        }
+        let body = match body_of(data) {
+            Ok(body) => body,
+            Err(fault) => return Outcome::Failed(fault),
+        };
+        header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
+        header.size = u32::try_from(body.len()).unwrap_or(u32::MAX);
+        let mut links = lock(&self.links);
+        let Some(link) = links.up.get(&peer).cloned() else {
+            drop(links);
+            return Outcome::Failed(self.peer_down_fault(peer));
+        };
+        links.next_call += 1;
+        let call = links.next_call;
+        let pending = Pending {
+            reply: slot(),
+            header,
+            trace,
+        };
+        links.pending.insert(call, pending);
+        drop(links);
+        let posted = link.post(Frame {
+            header,
+            call,
+            trace,
+            left_ns: self.left_ns(deadline),
+            body,
+        });
+        if let Err(Full { bytes }) = posted {
+            let pending = lock(&self.links).pending.remove(&call);
+            let fault = Fault::LinkFull { bytes };
+            return match pending.and_then(|pending| pending.reply) {
+                // Its slot was made: it is told there.
+                Some(reply) => {
+                    reply.answer(Err(fault));
+                    Outcome::Waits(None)
+                }
+                None => Outcome::Failed(fault),
+            };
+        }
+        Outcome::Waits(Some(Outbound(call)))
+    }
+
+    /// How long it is until `deadline`, for the wire.
+    fn left_ns(&self, deadline: Option<Instant>) -> u64 {
+        deadline.map_or(NO_DEADLINE, |deadline| {
+            let left = deadline.since(self.clock.now()).as_nanos();
+            u64::try_from(left).map_or(NO_DEADLINE - 1, |left| left.min(NO_DEADLINE - 1))
+        })
+    }
+
+    /// Sends an answer back over the link that the request came by, if anybody waits for it.
+    pub(crate) fn post_reply(&self, inbound: &Inbound, answer: Answer) {
+        let Inbound {
+            header: request,
+            call,
+            trace,
+            ..
+        } = inbound;
+        let peer = request.from.chassis();
+        let link = {
+            let mut links = lock(&self.links);
+            if !links.close_inbound(peer, inbound) {
+                return;
+            }
+            links.up.get(&peer).cloned()
+        };
+        let Some(link) = link else {
+            return;
+        };
+        if let Some(recorder) = self.tap.recorder() {
+            let asked = Asked::by_header(request, *trace);
+            recorder.replied(inbound.recorded, &asked, answer.as_ref());
+        }
+        let (flags, body) = match answer.and_then(body_of) {
+            Ok(body) => (Flags::REPLY, body),
+            Err(fault) => (
+                Flags::REPLY.with(Flags::FAULT),
+                // A fault is plain data; should it fail to encode, the empty body is read as one.
+                postcard::to_stdvec(&fault).unwrap_or_default().into(),
+            ),
+        };
+        // What is not a request is never refused.
+        let _ = link.post(Frame {
+            header: Header {
+                to: request.from,
+                from: request.to,
+                command: request.command,
+                flags,
+                size: u32::try_from(body.len()).unwrap_or(u32::MAX),
+            },
+            call: *call,
+            trace: *trace,
+            left_ns: NO_DEADLINE,
+            body,
+        });
+    }
+
+    fn receive_reply(&self, peer: u8, call: u64, flags: Flags, body: Body) {
+        let pending = {
+            let mut links = lock(&self.links);
+            // A reply counts only when it comes from the chassis that was asked.
+            match links.pending.get(&call) {
+                Some(pending) if pending.peer() == peer => links.pending.remove(&call),
+                _ => None,
+            }
+        };
+        let Some(pending) = pending else {
+            return;
+        };
+        pending.answer(if flags.contains(Flags::FAULT) {
+            Err(postcard::from_bytes(&body.into_vec()).unwrap_or(Fault::NoReply))
+        } else {
+            Ok(Data::from(body))
+        });
+    }
+
+    /// What went over its links so far, by the name of the chassis at the other end.
+    #[must_use]
+    pub fn link_counts(&self) -> Vec<(String, Counts)> {
+        let up: Vec<_> = {
+            let links = lock(&self.links);
+            let up = links.up.iter();
+            up.map(|(peer, link)| (*peer, link.clone())).collect()
+        };
+        up.into_iter()
+            .map(|(peer, link)| (self.name_of(peer).to_owned(), link.counts()))
+            .collect()
+    }
+
+    /// Whether it is news to the tasks here that `peer` is gone. While the app is taken down the others go
+    /// in their turn, and the boot once this chassis has been told to end.
+    fn tells_of(&self, peer: u8) -> bool {
+        let leaving = self.leaving.load(Ordering::Acquire);
+        !leaving && (peer == 0 || !self.is_stopping())
+    }
+}
+
+#[doc(hidden)]
+impl Chassis {
+    /// Takes a frame that came from chassis `peer` at `now`.
+    pub fn receive(self: &Arc<Self>, peer: u8, frame: Frame, now: Instant) {
+        let Frame {
+            header,
+            call,
+            trace,
+            left_ns,
+            body,
+        } = frame;
+        if header.flags.contains(Flags::REPLY) {
+            return self.receive_reply(peer, call, header.flags, body);
+        }
+        if header.from.chassis() != peer || header.to.chassis() != self.index {
+            tracing::error!(
+                peer = self.name_of(peer),
+                from = %header.from,
+                to = %header.to,
+                "a frame on the wrong link"
+            );
+            return;
+        }
+        if header.flags.contains(Flags::ABANDONED) {
+            let request = lock(&self.links).inbound.remove(&(peer, call));
+            if let Some(request) = request {
+                request.abandon();
+            }
+            return;
+        }
+        let deadline = (left_ns != NO_DEADLINE).then(|| now + Duration::from_nanos(left_ns));
+        let recorder = self.tap.recorder();
+        let recorded = recorder.map_or(0, |recorder| {
+            recorder.arrived(&header, trace, deadline, &body)
+        });
+        let request = Arc::new(Inbound {
+            header,
+            call,
+            trace,
+            recorded,
+            abandoned: AtomicBool::new(false),
+        });
+        lock(&self.links)
+            .inbound
+            .insert((peer, call), request.clone());
+        let request = Arc::new(Request {
+            chassis: self.clone(),
+            inbound: request,
+        });
+        // Every request between chassis waits for one or the other, so that none is lost unseen.
+        let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
+            let slot = ReplySlot::remote(request);
+            (Some(slot), Acceptance::Silent)
+        } else {
+            let slot = ReplySlot::remote(request);
+            (None, Acceptance::Told(slot))
+        };
+        let data = Data::from(body);
+        let mut message = Message::with_data(header.to, header.from, header.command, data)
+            .in_trace(trace)
+            .until(deadline);
+        message.envelope.header = header;
+        message.envelope.recorded = recorded;
+        message.envelope.reply = reply;
+        match self.task(header.to) {
+            Some(task) => task.mailbox.put(message, acceptance),
+            None => {
+                message.refuse(Fault::UnknownTask);
+                acceptance.tell(Err(Fault::UnknownTask));
+            }
+        }
+    }
+
+    /// Connects chassis `peer`.
+    pub fn link_up(&self, peer: u8, link: Arc<dyn Link>) {
+        lock(&self.links).up.insert(peer, link);
+    }
+
+    /// Gives up all links without telling anybody, so that their writers end.
+    pub fn drop_links(&self) {
+        lock(&self.links).up.clear();
+    }
+
+    /// Whether chassis `peer` is connected.
+    pub fn is_linked(&self, peer: u8) -> bool {
+        lock(&self.links).up.contains_key(&peer)
+    }
+
+    /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
+    /// dropped, and every task here is told.
+    pub fn link_down(self: &Arc<Self>, peer: u8) {
+        let ended: Vec<Pending> = {
+            let mut links = lock(&self.links);
+            if links.up.remove(&peer).is_none() {
+                return;
+            }
+            links.inbound.retain(|(from, _), request| {
+                if *from == peer {
+                    request.abandon();
+                }
+                *from != peer
+            });
+            let of_peer: Vec<u64> = links
+                .pending
+                .iter()
+                .filter(|(_, pending)| pending.peer() == peer)
+                .map(|(call, _)| *call)
+                .collect();
+            of_peer
+                .into_iter()
+                .filter_map(|call| links.pending.remove(&call))
+                .collect()
+        };
+        for pending in ended {
+            pending.answer(Err(self.peer_down_fault(peer)));
+        }
+        self.directory.forget_chassis(peer);
+        if !self.tells_of(peer) {
+            return;
+        }
+        let chassis = self.name_of(peer).to_owned();
+        tracing::debug!(chassis = %chassis, "link down");
+        for task in self.tasks() {
+            self.post_system(
+                task.tid,
+                system::ChassisDown {
+                    chassis: chassis.clone(),
+                },
+            );
+        }
+    }
+}
+
+/// The data of a frame.
+fn body_of(data: Data) -> Result<Body, Fault> {
+    let body = data.into_body().map_err(|error| Fault::BadPayload {
+        text: error.to_string(),
+    })?;
+    if body.len() > BODY_LIMIT {
+        let text = format!(
+            "{} bytes of data; a message between chassis holds at most {BODY_LIMIT}",
+            body.len()
+        );
+        return Err(Fault::BadPayload { text });
+    }
+    Ok(body)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+    use crate::{mailbox::queue::TaskQueue, registry::Registry, task_record::TaskRecord};
+    use ctos_config::load_texts;
+    use ctos_message::Tid;
+    use ctos_time::Clock;
+
+    /// A link that keeps what is sent.
+    #[derive(Default)]
+    struct Kept(Mutex<Vec<Frame>>);
+
+    impl Link for Kept {
+        fn post(&self, frame: Frame) -> Result<(), Full> {
+            lock(&self.0).push(frame);
+            Ok(())
+        }
+    }
+
+    fn cell() -> Arc<Chassis> {
+        let text = "[chassis.cell]\n[task.arm]\nhandler = \"arm\"\non = \"cell\"\n";
+        let app = load_texts(&[("app.toml", text)], &[], &[]).unwrap();
+        Chassis::new(1, Arc::new(app), Arc::new(Registry::new()), Clock::real())
+    }
+
+    /// Call `call` of a task of chassis 2, which waits for an answer.
+    fn asked(chassis: &Chassis, call: u64) -> Arc<Inbound> {
+        let request = Arc::new(Inbound {
+            header: Header {
+                to: Tid::new(1, 0, 5),
+                from: Tid::new(2, 0, 5),
+                command: 1,
+                flags: Flags::REPLY_WAIT,
+                size: 0,
+            },
+            call,
+            trace: 1,
+            recorded: 0,
+            abandoned: AtomicBool::new(false),
+        });
+        lock(&chassis.links)
+            .inbound
+            .insert((2, call), request.clone());
+        request
+    }
+
+    #[test]
+    fn frames_of_a_link_come_in_their_order_whichever_threads_of_the_chassis_read_them() {
+        let chassis = cell();
+        let processor = chassis.processor(1).unwrap();
+        let task = TaskRecord::with_room(8, processor.handle.clone(), 0);
+        let queue = TaskQueue::open(task.clone());
+        processor.add_queue(0, queue.clone());
+        chassis.add_task(task.clone());
+        let come = |chassis: &Arc<Chassis>, call: u64| {
+            let mut frame = Frame::of_body(Vec::new());
+            frame.header.to = Tid::new(1, 1, 0);
+            frame.header.from = Tid::new(2, 1, 0);
+            frame.header.command = 1;
+            frame.header.flags = Flags::ACCEPT_WAIT;
+            (frame.call, frame.trace) = (call, call);
+            chassis.receive(2, frame, Instant::START);
+        };
+        // The last two are read by the receiver's own thread.
+        let elsewhere = chassis.clone();
+        let read = std::thread::spawn(move || [1, 2].map(|call| come(&elsewhere, call)));
+        read.join().unwrap();
+        processor.enter();
+        come(&chassis, 3);
+        processor.run_jobs();
+        come(&chassis, 4);
+        let mut next = None;
+        let traces = std::iter::from_fn(|| {
+            _ = queue.poll_next(&mut next);
+            next.take().map(|message| message.trace())
+        });
+        assert_eq!(traces.take(4).collect::<Vec<_>>(), [1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn an_answer_to_an_earlier_life_of_a_chassis_is_none_to_its_call_of_the_same_number() {
+        let chassis = cell();
+        let [first, second] = [(); 2].map(|()| Arc::new(Kept::default()));
+        chassis.link_up(2, first.clone());
+        let early = asked(&chassis, 7);
+        chassis.link_down(2);
+        assert!(early.is_abandoned());
+        chassis.link_up(2, second.clone());
+        let late = asked(&chassis, 7);
+        let answer = |byte| Ok(Data::Bytes(vec![byte]));
+        chassis.post_reply(&early, answer(1));
+        chassis.post_reply(&late, answer(2));
+        chassis.post_reply(&late, answer(3));
+        assert!(lock(&first.0).is_empty());
+        let sent = std::mem::take(&mut *lock(&second.0));
+        let bodies = sent.into_iter().map(|frame| frame.body.into_vec());
+        assert_eq!(bodies.collect::<Vec<_>>(), [[2]]);
+    }
+
+    #[test]
+    fn tasks_are_told_that_a_chassis_is_gone_until_their_own_was_told_to_end() {
+        let chassis = cell();
+        let told = || [0, 2].map(|peer| chassis.tells_of(peer));
+        assert_eq!(told(), [true, true]);
+        chassis.set_stopping();
+        assert_eq!(told(), [true, false], "the others go in their turn");
+        chassis.set_leaving();
+        assert_eq!(
+            told(),
+            [false, false],
+            "the boot may go after the answer to its order"
+        );
+    }
+}

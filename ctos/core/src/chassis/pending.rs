@@ -1,0 +1,84 @@
+//! What went over the links of a chassis and has no answer yet, in both directions.
+
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use crate::reply::{Answer, ReplySlot};
+use ctos_message::{Header, frame::Link};
+
+pub(super) struct Pending {
+    /// Who waits for the answer; `None` when nobody does.
+    pub(super) reply: Option<ReplySlot>,
+    /// What was asked, to take it back.
+    pub(super) header: Header,
+    pub(super) trace: u64,
+}
+
+impl Pending {
+    /// The chassis that was asked.
+    pub(super) fn peer(&self) -> u8 {
+        self.header.to.chassis()
+    }
+
+    pub(super) fn answer(self, answer: Answer) {
+        if let Some(reply) = self.reply {
+            reply.answer(answer);
+        }
+    }
+}
+
+#[derive(Default)]
+pub(super) struct Links {
+    pub(super) up: BTreeMap<u8, Arc<dyn Link>>,
+    /// What this chassis asked others and has no answer to yet.
+    pub(super) pending: BTreeMap<u64, Pending>,
+    pub(super) next_call: u64,
+    /// What others asked this chassis, by chassis and its number for the call.
+    pub(super) inbound: BTreeMap<(u8, u64), Arc<Inbound>>,
+}
+
+/// A request that came over a link and waits for its answer.
+pub(crate) struct Inbound {
+    pub(super) header: Header,
+    pub(super) call: u64,
+    pub(super) trace: u64,
+    pub(super) recorded: u64,
+    /// Set when nobody waits for the answer any more.
+    pub(super) abandoned: AtomicBool,
+}
+
+impl Inbound {
+    /// Whether the caller, or its chassis, is gone.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Acquire)
+    }
+
+    pub(super) fn abandon(&self) {
+        self.abandoned.store(true, Ordering::Release);
+    }
+}
+
+impl Links {
+    /// `request` is no longer under way: whether it still was. A chassis that comes back counts its calls from
+    /// the beginning again, so a request of its new life may have the number of one of an earlier life, whose
+    /// answer nobody waits for.
+    pub(super) fn close_inbound(&mut self, peer: u8, request: &Inbound) -> bool {
+        let Entry::Occupied(entry) = self.inbound.entry((peer, request.call)) else {
+            return false;
+        };
+        let is_it = std::ptr::eq(Arc::as_ptr(entry.get()), request);
+        if is_it {
+            entry.remove();
+        }
+        is_it
+    }
+}
+
+/// The number of a request that went over a link and waits for its answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Outbound(pub(super) u64);

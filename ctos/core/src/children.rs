@@ -1,0 +1,185 @@
+//! Tasks that a task starts while it runs: event handlers of their own beside it, which end with it.
+//!
+//! A child is named after its parent (`PARENT.NAME`), so that everybody can see to whom it belongs, and
+//! so that whoever waits for the name waits for the parent. It fails into its parent: what its own
+//! restart policy does not mend counts as a failure of the parent's handler.
+
+use crate::{
+    context::{Context, TaskRef},
+    phase::{Phase, StopReason},
+    runner::{Origin, TaskSpec, start_at},
+    supervise::Policy,
+    system::{Quiesce, RegisterTid, Shutdown, TaskName},
+};
+use ctos_config::Node;
+use ctos_message::{Tid, fault::CallError};
+
+/// Why a task could not be started by another one.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum StartError {
+    /// Nobody registered the event handler.
+    #[error("`{task}` cannot be started: nobody registered the event handler `{handler}`")]
+    UnknownHandler {
+        /// The task.
+        task: String,
+        /// The handler.
+        handler: String,
+    },
+    /// The name is no name for a task.
+    #[error("`{name}` is no name for a task: it needs 1 to 64 letters, digits, `_`, `-` or `.`")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// The processor has had as many tasks as it can have in one run.
+    #[error("`{task}` cannot be started: its processor has had 65535 tasks in this run")]
+    NoSlot {
+        /// The task.
+        task: String,
+    },
+    /// Its handler could not be built, or refused a startup phase.
+    #[error("`{task}` cannot be started: {reason}")]
+    Refused {
+        /// The task.
+        task: String,
+        /// Why.
+        reason: String,
+    },
+    /// Its name could not be had, or it did not enter its phases.
+    #[error("`{task}` cannot be started: {}", .error.reason())]
+    Call {
+        /// The task.
+        task: String,
+        /// What went wrong.
+        error: CallError,
+    },
+}
+
+fn is_name(name: &str) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    (1..=64).contains(&name.len()) && name.chars().all(allowed)
+}
+
+#[doc(hidden)]
+impl Context {
+    /// Starts the event handler `handler` as a task of its own, called `THIS_TASK.name`, on the same
+    /// processor; `args` are its arguments. It passes the three startup phases before this returns, can
+    /// be found by everybody, and is shut down when this task's handler ends. When it fails, this task's
+    /// handler has failed with it.
+    ///
+    /// # Errors
+    /// [`StartError`]; nothing is left running then.
+    pub async fn start(
+        &self,
+        name: &str,
+        handler: &str,
+        args: Node,
+    ) -> Result<TaskRef, StartError> {
+        let task = format!("{}.{name}", self.name());
+        if !is_name(name) || !is_name(&task) {
+            return Err(StartError::Name { name: task });
+        }
+        let (spec, tid) = self.child_spec(&task, handler, args)?;
+        let origin = Origin::StartedBy(Box::new(self.when_broken()));
+        let began = start_at(self.chassis(), &self.inner.processor, spec, origin);
+        began.map_err(|error| StartError::Refused {
+            task: task.clone(),
+            reason: error.to_string(),
+        })?;
+        let reference = TaskRef::new(task.as_str(), tid);
+        self.inner.family().started.push(reference.clone());
+        match self.bring_up(&reference).await {
+            Ok(()) => Ok(reference),
+            Err(error) => {
+                self.end_started(&reference).await;
+                let mut family = self.inner.family();
+                family.started.retain(|one| *one != reference);
+                Err(StartError::Call { task, error })
+            }
+        }
+    }
+
+    fn child_spec(
+        &self,
+        task: &str,
+        handler: &str,
+        args: Node,
+    ) -> Result<(TaskSpec, Tid), StartError> {
+        let registry = self.registry();
+        let kind = registry.kind(handler);
+        let kind = kind.ok_or_else(|| StartError::UnknownHandler {
+            task: task.to_owned(),
+            handler: handler.to_owned(),
+        })?;
+        let processor = self.tid().processor();
+        let slot = self.chassis().directory.free_slot(processor);
+        let slot = slot.ok_or_else(|| StartError::NoSlot {
+            task: task.to_owned(),
+        })?;
+        let tid = Tid::new(self.chassis().index(), processor, slot);
+        let config = self.config().cloned();
+        let mut config = config.ok_or_else(|| StartError::Refused {
+            task: task.to_owned(),
+            reason: "a task of the runtime starts no others".to_owned(),
+        })?;
+        config.name = task.to_owned();
+        config.handler = handler.to_owned();
+        config.restart = Policy::default();
+        config.args = args;
+        let handle = &self.inner.processor.handle;
+        let spec = TaskSpec::new(task, tid, Some(config), kind.recipe(), handle);
+        Ok((spec, tid))
+    }
+
+    async fn bring_up(&self, child: &TaskRef) -> Result<(), CallError> {
+        let task = TaskName {
+            name: child.name().to_owned(),
+            tid: child.tid(),
+        };
+        self.call(&Self::server(), RegisterTid { task }).await?;
+        let limit = self.app().phase_timeout;
+        for phase in Phase::ALL {
+            let enter = crate::system::EnterPhase { phase };
+            self.call(child, enter).deadline(limit).await?;
+        }
+        Ok(())
+    }
+
+    /// Lets the tasks that this one has started come to rest, all at the same time.
+    pub(crate) fn quiet_after_started(&self, reason: &StopReason) {
+        let family = self.inner.any_family();
+        let started = family.map_or_else(Vec::new, |family| family.started.clone());
+        for task in started {
+            let (cx, reason) = (self.clone(), reason.clone());
+            let name = format!("its task `{}`", task.name());
+            self.quiet_after(move || name.clone(), async move {
+                let limit = cx.app().stop_timeout;
+                match cx.call(&task, Quiesce { reason }).deadline(limit).await {
+                    Err(error) if !error.is_gone() => Err(error.into()),
+                    _ => Ok(()),
+                }
+            });
+        }
+    }
+
+    /// Shuts down the tasks that this one has started, the latest first.
+    pub(crate) async fn end_all_started(&self) {
+        loop {
+            let family = self.inner.any_family();
+            let last = family.and_then(|mut family| family.started.pop());
+            let Some(child) = last else { return };
+            self.end_started(&child).await;
+        }
+    }
+
+    async fn end_started(&self, child: &TaskRef) {
+        let limit = self.app().stop_timeout;
+        if let Err(error) = self.call(child, Shutdown {}).deadline(limit).await
+            && !error.is_gone()
+        {
+            tracing::warn!(task = child.name(), error = %error, "did not shut down");
+        }
+        // Whatever it still does, it does not do as a task of this app any more.
+        self.chassis().remove_task(child.tid());
+    }
+}

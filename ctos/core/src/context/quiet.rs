@@ -1,0 +1,147 @@
+//! Coming to rest before the app is stopped: what a task was told, and what its acknowledgement waits for.
+
+use std::{collections::BTreeMap, future::Future};
+
+use super::core::Context;
+use crate::{envelope::Replier, handled::Handled, phase::StopReason, system::Quiesce};
+
+/// Says what is waited for, in words.
+type Words = Box<dyn Fn() -> String>;
+
+/// What a task knows of the end of its app.
+pub(crate) struct Quiet {
+    reason: StopReason,
+    /// Who is told that it is at rest.
+    reply: Option<Replier<Quiesce>>,
+    /// Whether its handler has said that it is, but for what goes on beside it.
+    said: bool,
+    waits: BTreeMap<u64, Words>,
+    /// The number of the next of them.
+    next: u64,
+    /// Why it did not come to rest.
+    failed: Option<String>,
+}
+
+impl Quiet {
+    fn new(reason: StopReason) -> Self {
+        Self {
+            reason,
+            reply: None,
+            said: false,
+            waits: BTreeMap::new(),
+            next: 0,
+            failed: None,
+        }
+    }
+
+    /// What went on beside the handler has ended with it.
+    pub(super) fn forget(&mut self) -> impl Sized + use<> {
+        self.said = false;
+        std::mem::take(&mut self.waits)
+    }
+}
+
+impl Context {
+    /// Runs `rests` as a child of this task, and lets the acknowledgement of
+    /// [`quiesce`](crate::handler::EventHandler::quiesce) wait for its end; the task takes messages meanwhile.
+    /// Should it be late, `waits_for` tells the person what for. It is dropped when the task is stopped,
+    /// which is `app.stop_timeout_s` after the beginning of the stop at the latest. An error is shown.
+    pub fn quiet_after(
+        &self,
+        waits_for: impl Fn() -> String + 'static,
+        rests: impl Future<Output = Handled> + 'static,
+    ) {
+        let number = self.inner.any_family().and_then(|mut family| {
+            let quiet = family.quiet.as_mut()?;
+            let number = quiet.next;
+            quiet.next += 1;
+            quiet.waits.insert(number, Box::new(waits_for));
+            Some(number)
+        });
+        let cx = self.clone();
+        self.spawn(async move {
+            let ended = rests.await;
+            if let Some(number) = number {
+                cx.rests(number, ended);
+            }
+        });
+    }
+
+    fn rests(&self, number: u64, ended: Handled) {
+        let words = self.inner.any_family().and_then(|mut family| {
+            let quiet = family.quiet.as_mut()?;
+            if let Err(error) = ended {
+                quiet.failed.get_or_insert(error.to_string());
+            }
+            quiet.waits.remove(&number)
+        });
+        drop(words);
+        self.settle();
+    }
+
+    /// The app is about to be stopped. Who waits for this task to be at rest is told later.
+    pub(crate) fn begin_stop(&self, reason: &StopReason, reply: Option<Replier<Quiesce>>) {
+        let mut family = self.inner.family();
+        let quiet = family
+            .quiet
+            .get_or_insert_with(|| Box::new(Quiet::new(reason.clone())));
+        let before = std::mem::replace(&mut quiet.reply, reply);
+        // Not held while whoever waited for it is told.
+        drop(family);
+        drop(before);
+    }
+
+    /// Why the app is being stopped, if it is.
+    pub(crate) fn stop_reason(&self) -> Option<StopReason> {
+        let family = self.inner.any_family()?;
+        Some(family.quiet.as_ref()?.reason.clone())
+    }
+
+    /// The handler is at rest, but for what goes on beside it.
+    pub(crate) fn said_quiet(&self) {
+        if let Some(mut family) = self.inner.any_family()
+            && let Some(quiet) = &mut family.quiet
+        {
+            quiet.said = true;
+        }
+        self.settle();
+    }
+
+    /// Tells that the task is at rest, if it is.
+    fn settle(&self) {
+        let settled = self.inner.any_family().and_then(|mut family| {
+            let quiet = family.quiet.as_mut()?;
+            if !quiet.said || !quiet.waits.is_empty() {
+                return None;
+            }
+            Some((quiet.reply.take()?, quiet.failed.take()))
+        });
+        // A reply cannot fail.
+        let _ = match settled {
+            Some((reply, None)) => reply.ok(()),
+            Some((reply, Some(why))) => reply.fail(why),
+            None => Ok(()),
+        };
+    }
+
+    /// What this task still waits for before it is at rest, in words.
+    pub(crate) fn not_quiet(&self) -> Option<String> {
+        // Not held while they are called: they may reach the task.
+        let waits = std::mem::take(&mut self.inner.any_family()?.quiet.as_mut()?.waits);
+        let words: Vec<String> = waits.values().map(|words| words()).collect();
+        let mut family = self.inner.any_family()?;
+        family.quiet.as_mut()?.waits.extend(waits);
+        (!words.is_empty()).then(|| words.join("; "))
+    }
+}
+
+#[doc(hidden)]
+impl Context {
+    /// Whether the app is being stopped, as far as this task was told: from the call of its handler's
+    /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin nothing then that need not be.
+    #[must_use]
+    pub fn is_stopping(&self) -> bool {
+        let family = self.inner.any_family();
+        family.is_some_and(|family| family.quiet.is_some())
+    }
+}

@@ -1,0 +1,147 @@
+//! The services of the runtime that a task reaches: synchronous functions, semaphores, and the person who
+//! booted the app.
+
+use std::time::Duration;
+
+use super::core::Context;
+use crate::{
+    realtime::{self, Grant},
+    sync::{
+        Cyclic, CyclicError, CyclicHandle, Pacemaker, Synchronous, TickSource, TickSourceHandle,
+    },
+    system::{self, AppResult},
+};
+
+impl Context {
+    // -- synchronous functions --------------------------------------------------------------
+
+    /// Calls a synchronous function every `period` on this task's processor, until the handle is
+    /// dropped. If it panics, it is taken off the schedule and the task's restart policy decides; it has failed if the
+    /// processor has a base period that `period` is no multiple of. [`Self::schedule`] says more of a
+    /// function, and refuses instead.
+    #[must_use]
+    pub fn cyclic(&self, period: Duration, function: impl Cyclic + 'static) -> CyclicHandle {
+        let tap = &self.inner.chassis.tap;
+        tap.used(|| "a synchronous function".to_owned());
+        let schedule = &self.inner.processor.schedule;
+        let free = |name: &String| !schedule.has(&format!("{}.{name}", self.name()));
+        let numbered = (2_u32..).map(|number| format!("cyclic-{number}"));
+        let mut names = std::iter::once("cyclic".to_owned()).chain(numbered);
+        let name = names.find(free).unwrap_or_default();
+        let period = period.max(Duration::from_micros(1));
+        let function = Synchronous::new(name, function).period(period);
+        self.schedule(function).unwrap_or_else(|error| {
+            self.fail(&error.to_string());
+            CyclicHandle::of_nothing()
+        })
+    }
+
+    /// Lets a device say when the base ticks of this task's processor are, until the handle is dropped. The
+    /// processor needs a `period_s`, at which the clock goes on when the device fails. In virtual time
+    /// there is no device, and the clock goes on ticking.
+    ///
+    /// # Errors
+    /// [`CyclicError`]: the processor has no base period, or another source already.
+    pub fn tick_source(
+        &self,
+        source: impl TickSource + 'static,
+    ) -> Result<TickSourceHandle, CyclicError> {
+        let (chassis, index) = (
+            self.inner.chassis.clone(),
+            self.inner.record.tid.processor(),
+        );
+        let handle = self.inner.processor.handle.clone();
+        let pacemaker = Pacemaker {
+            prepare: Box::new(move || {
+                let config = chassis.processor_config(usize::from(index));
+                // Memory was locked for the whole chassis; a refusal was said for the processor.
+                let _ = realtime::prepare_thread(chassis.name(), config, &Grant::NotAsked);
+            }),
+            wake: Box::new(move || handle.unpark()),
+        };
+        let schedule = &self.inner.processor.schedule;
+        schedule.pace(Box::new(source), pacemaker)
+    }
+
+    // -- the person who booted the app ------------------------------------------------------
+
+    /// Shows how far the task is: `done` of `total` steps, each of which is a `step` ("position"), and
+    /// what happened at this one.
+    pub fn progress(&self, done: u64, total: u64, step: &str, what: &str) {
+        let progress = system::Progress {
+            task: self.name().to_owned(),
+            done,
+            total,
+            step: step.to_owned(),
+            what: what.to_owned(),
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, progress);
+    }
+
+    /// Ends the app because this task stands at a breakpoint that was set for that.
+    pub fn end_at_breakpoint(&self, reason: &str) {
+        let at = system::AtBreakpoint {
+            task: self.name().to_owned(),
+            reason: reason.to_owned(),
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, at);
+    }
+
+    /// Reports that this task failed for good; the app is stopped.
+    pub fn fail(&self, reason: &str) {
+        tracing::error!(task = %self.name(), reason, "task failed");
+        let failed = system::TaskFailed {
+            task: self.name().to_owned(),
+            reason: reason.to_owned(),
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, failed);
+    }
+
+    // -- the record ---------------------------------------------------------------------------
+
+    /// Puts `value` on a channel of the record, if the app is recorded: `/firing/carry`, say. It is
+    /// shown there as JSON, with the present moment.
+    pub fn record<T: serde::Serialize + ?Sized>(&self, channel: &str, value: &T) {
+        if let Some(recorder) = self.inner.chassis.tap.recorder() {
+            let write = |buffer: &mut Vec<u8>| serde_json::to_writer(buffer, value).is_ok();
+            recorder.value(self.tid(), channel, &write);
+        }
+    }
+
+    /// Whether the app is recorded: for values that are expensive to make.
+    #[must_use]
+    pub fn is_recording(&self) -> bool {
+        self.inner.chassis.tap.recorder().is_some()
+    }
+}
+
+#[doc(hidden)]
+impl Context {
+    /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
+    /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
+    /// it is taken off the schedule, and the task's restart policy decides.
+    ///
+    /// # Errors
+    /// [`CyclicError`]: data that flows in a circle, a period that does not fit, a name that is taken.
+    pub fn schedule(&self, function: Synchronous) -> Result<CyclicHandle, CyclicError> {
+        let name = format!("{}.{}", self.name(), function.name());
+        let function = function.renamed(name).on_failure(self.when_broken());
+        self.inner.processor.schedule.add(function)
+    }
+
+    /// Ends the app with a result, if `until` of the configuration names this task.
+    pub fn finish(&self, result: AppResult) {
+        let finish = system::Finish {
+            task: self.name().to_owned(),
+            result,
+        };
+        self.inner.chassis.post_system(system::BOOTSTRAP, finish);
+    }
+
+    /// How many recorders have come to this chassis so far, those that are gone included: who records
+    /// changes only can see that a newcomer lacks the whole.
+    #[must_use]
+    pub fn recorders(&self) -> u64 {
+        self.inner.chassis.tap.came()
+    }
+}

@@ -1,0 +1,186 @@
+//! A message as a task gets it, and the right to answer it.
+
+use std::{fmt, marker::PhantomData};
+
+use serde::Serialize;
+
+use crate::{handled::Handled, reply::ReplySlot};
+use ctos_message::{Command, Data, Flags, Header, PayloadError, Tid, fault::Fault};
+use ctos_time::Instant;
+
+/// What an event handler is called with.
+#[derive(Debug)]
+pub struct Message {
+    /// A pointer: messages are passed on often, and wait in the futures of handlers.
+    #[doc(hidden)]
+    pub envelope: Box<Envelope>,
+}
+
+/// What a message consists of.
+#[derive(Debug)]
+pub struct Envelope {
+    pub(crate) header: Header,
+    pub(crate) trace: u64,
+    /// Its number in the record; 0 when it is not in it.
+    pub(crate) recorded: u64,
+    pub(crate) deadline: Option<Instant>,
+    pub data: Data,
+    pub reply: Option<ReplySlot>,
+}
+
+impl Message {
+    /// Ends the call that the message is. Without one, nothing comes of it.
+    pub(crate) fn refuse(self, fault: Fault) {
+        if let Some(slot) = self.envelope.reply {
+            slot.answer(Err(fault));
+        }
+    }
+
+    /// The header.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.envelope.header
+    }
+
+    /// Who sent it.
+    #[must_use]
+    pub fn from(&self) -> Tid {
+        self.envelope.header.from
+    }
+
+    /// The id that this message shares with whatever led to it and whatever follows from it.
+    #[must_use]
+    pub fn trace(&self) -> u64 {
+        self.envelope.trace
+    }
+
+    /// When the sender stops waiting for the reply; `None` when it does not wait for one.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Instant> {
+        self.envelope.deadline
+    }
+
+    /// Takes the typed request and the right to answer it.
+    ///
+    /// # Errors
+    /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
+    pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
+        let Envelope { data, reply, .. } = *self.envelope;
+        match data.take::<C>() {
+            Ok(request) => Ok((request, Replier::new(reply))),
+            Err(error) => {
+                if let Some(slot) = reply {
+                    let text = error.to_string();
+                    slot.answer(Err(Fault::BadPayload { text }));
+                }
+                Err(error)
+            }
+        }
+    }
+}
+
+#[doc(hidden)]
+impl Message {
+    /// A request of `from` that nothing led to and that nobody waits for.
+    pub fn request<T: Serialize + Send + 'static>(
+        to: Tid,
+        from: Tid,
+        command: u16,
+        value: T,
+    ) -> Self {
+        Self::with_data(to, from, command, Data::of(value))
+    }
+
+    /// [`Self::request`] with data of any kind.
+    pub fn with_data(to: Tid, from: Tid, command: u16, data: Data) -> Self {
+        let header = Header {
+            to,
+            from,
+            command,
+            flags: Flags::NONE,
+            size: 0,
+        };
+        let envelope = Box::new(Envelope {
+            header,
+            trace: 0,
+            recorded: 0,
+            deadline: None,
+            data,
+            reply: None,
+        });
+        Self { envelope }
+    }
+
+    /// The same with these flags instead.
+    pub fn flagged(mut self, flags: Flags) -> Self {
+        self.envelope.header.flags = flags;
+        self
+    }
+
+    /// The same in this trace; 0 when nothing led to it: it then begins one of its own.
+    pub fn in_trace(mut self, trace: u64) -> Self {
+        self.envelope.trace = trace;
+        self
+    }
+
+    /// The same with a moment at which the sender stops waiting.
+    pub fn until(mut self, deadline: Option<Instant>) -> Self {
+        self.envelope.deadline = deadline;
+        self
+    }
+
+    /// What the sender asks for.
+    #[must_use]
+    pub fn command(&self) -> u16 {
+        self.envelope.header.command
+    }
+}
+
+/// The right to answer one request, now or later. Dropped without an answer, it tells the caller so.
+#[derive(Debug)]
+pub struct Replier<C: Command> {
+    slot: Option<ReplySlot>,
+    command: PhantomData<fn() -> C>,
+}
+
+impl<C: Command> Replier<C> {
+    fn new(slot: Option<ReplySlot>) -> Self {
+        Self {
+            slot,
+            command: PhantomData,
+        }
+    }
+
+    /// Answers with the reply. `Ok` so that it can end a handler; a one-way message needs no answer
+    /// and gets none.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn ok(self, reply: C::Reply) -> Handled {
+        if let Some(slot) = self.slot {
+            slot.answer(Ok(Data::of(reply)));
+        }
+        Ok(())
+    }
+
+    /// Refuses: the caller gets [`Fault::Refused`] with `text`.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn fail(self, text: impl fmt::Display) -> Handled {
+        if let Some(slot) = self.slot {
+            let text = text.to_string();
+            slot.answer(Err(Fault::Refused { text }));
+        }
+        Ok(())
+    }
+}
+
+#[doc(hidden)]
+impl<C: Command> Replier<C> {
+    /// Whether the caller no longer waits (its deadline passed, or it is gone).
+    #[must_use]
+    pub fn is_abandoned(&self) -> bool {
+        self.slot.as_ref().is_some_and(ReplySlot::is_abandoned)
+    }
+}

@@ -1,0 +1,264 @@
+//! The calls that the tasks of one processor wait for: each waits in a slot, which later calls use again, and
+//! whoever answers holds a [`Ticket`] to it.
+//!
+//! Generations keep a late answer from reaching the slot's next call. It knows neither links nor queues.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use crate::{
+    processor::wake::LocalWake,
+    reply::{Answer, CallKey, Home, NOBODY, Shared, Ticket},
+    timers::TimerKey,
+    wait::Wait,
+};
+use ctos_message::fault::Fault;
+use ctos_time::Instant;
+
+/// After this time a call asks itself whether it can ever end.
+pub(crate) const LONG: Duration = Duration::from_secs(1);
+
+enum State {
+    Free,
+    /// Nobody has answered; with what is woken then, once the caller has looked.
+    Waiting(Option<LocalWake>),
+    Answered(Answer),
+    /// The deadline has passed.
+    Late,
+}
+
+struct Slot {
+    shared: Arc<Shared>,
+    generation: u64,
+    state: State,
+    began: Instant,
+    deadline: Duration,
+    timer: Option<TimerKey>,
+    /// What its task waits for, to be shown if it takes a while.
+    wait: Option<Wait>,
+    long: Long,
+}
+
+/// Whether a call has waited long, as its caller knows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Long {
+    NotYet,
+    ToBeTold,
+    Told,
+}
+
+/// What comes of a timer of a call.
+pub(crate) struct Fired {
+    pub(crate) wake: Option<LocalWake>,
+    /// When to look again.
+    pub(crate) again: Option<Instant>,
+}
+
+/// What a look at a call brings.
+pub(crate) enum Looked {
+    /// Nothing yet.
+    Waiting,
+    /// Nothing yet, for so long that it may be for ever. Told once.
+    Long,
+    /// The answer; the call is over.
+    Ended(Answer),
+    /// None within this time; the call is over.
+    Late(Duration),
+}
+
+/// What is left of a call: to be dropped or undone where no cell is borrowed, because it may run code of others.
+#[must_use]
+#[derive(Default)]
+pub(crate) struct Rest {
+    pub(crate) timer: Option<TimerKey>,
+    _wake: Option<LocalWake>,
+    _answer: Option<Answer>,
+    _wait: Option<Wait>,
+}
+
+/// What came of an answer.
+#[must_use]
+pub(crate) enum Given {
+    /// It waits for its caller, who may be woken.
+    Taken(Option<LocalWake>),
+    /// Nobody waits for it: to be dropped where no cell is borrowed.
+    Unwanted { _answer: Answer },
+}
+
+/// All calls of one processor.
+#[derive(Default)]
+pub(crate) struct Calls {
+    slots: Vec<Slot>,
+    free: Vec<u32>,
+}
+
+impl Calls {
+    /// A new call, which began at `now` and may last until `deadline` from then.
+    pub(crate) fn begin(
+        &mut self,
+        home: impl FnOnce() -> Arc<dyn Home>,
+        now: Instant,
+        deadline: Duration,
+        wait: Option<Wait>,
+    ) -> Ticket {
+        let index = self.free.pop().unwrap_or_else(|| self.add_slot(home()));
+        // The index was free or has just been made.
+        #[allow(clippy::indexing_slicing, reason = "see above")]
+        let slot = &mut self.slots[index as usize];
+        slot.generation += 1;
+        slot.state = State::Waiting(None);
+        slot.began = now;
+        slot.deadline = deadline;
+        slot.wait = wait;
+        slot.long = Long::NotYet;
+        Ticket {
+            shared: slot.shared.clone(),
+            generation: slot.generation,
+        }
+    }
+
+    /// One more slot, which is free.
+    fn add_slot(&mut self, home: Arc<dyn Home>) -> u32 {
+        let index = self.slots.len() as u32;
+        self.slots.push(Slot {
+            shared: Arc::new(Shared {
+                home,
+                slot: index,
+                gone: AtomicU64::new(NOBODY),
+            }),
+            generation: NOBODY,
+            state: State::Free,
+            began: Instant::START,
+            deadline: Duration::ZERO,
+            timer: None,
+            wait: None,
+            long: Long::NotYet,
+        });
+        index
+    }
+
+    fn slot(&mut self, key: CallKey) -> Option<&mut Slot> {
+        let slot = self.slots.get_mut(key.slot as usize)?;
+        let is_it = slot.generation == key.generation && !matches!(slot.state, State::Free);
+        is_it.then_some(slot)
+    }
+
+    /// A call has waited for a while: shows it, and tells when to look after it.
+    pub(crate) fn settle(&mut self, key: CallKey) -> Option<Instant> {
+        let slot = self.slot(key)?;
+        if !matches!(slot.state, State::Waiting(_)) || slot.timer.is_some() {
+            return None;
+        }
+        if let Some(wait) = &mut slot.wait {
+            wait.show(slot.began);
+        }
+        Some(slot.began + slot.deadline.min(LONG))
+    }
+
+    /// Notes the timer of a call.
+    pub(crate) fn set_timer(&mut self, key: CallKey, timer: TimerKey) {
+        if let Some(slot) = self.slot(key) {
+            slot.timer = Some(timer);
+        }
+    }
+
+    /// Takes the answer to a call.
+    pub(crate) fn answer(&mut self, key: CallKey, answer: Answer) -> Given {
+        let Some(slot) = self.slot(key) else {
+            return Given::Unwanted { _answer: answer };
+        };
+        match &mut slot.state {
+            State::Waiting(wake) => {
+                let wake = wake.take();
+                slot.state = State::Answered(answer);
+                Given::Taken(wake)
+            }
+            State::Late => {
+                slot.state = State::Answered(answer);
+                Given::Taken(None)
+            }
+            State::Free | State::Answered(_) => Given::Unwanted { _answer: answer },
+        }
+    }
+
+    /// The timer of a call fires: it has waited long, or its deadline has passed, and whoever has not
+    /// begun with it need not any more.
+    pub(crate) fn fired(&mut self, key: CallKey) -> Fired {
+        let mut fired = Fired {
+            wake: None,
+            again: None,
+        };
+        let Some(slot) = self.slot(key) else {
+            return fired;
+        };
+        let State::Waiting(wake) = &mut slot.state else {
+            return fired;
+        };
+        fired.wake = wake.take();
+        slot.timer = None;
+        if slot.long == Long::NotYet && slot.deadline > LONG {
+            slot.long = Long::ToBeTold;
+            fired.again = Some(slot.began + slot.deadline);
+        } else {
+            slot.shared.gone.store(slot.generation, Ordering::Release);
+            slot.state = State::Late;
+        }
+        fired
+    }
+
+    /// Looks for the answer. While there is none, what `waits` makes is woken when there is. What the call leaves
+    /// comes with it.
+    pub(crate) fn look(
+        &mut self,
+        key: CallKey,
+        waits: impl FnOnce() -> LocalWake,
+    ) -> (Looked, Rest) {
+        let Some(slot) = self.slot(key) else {
+            // A future looks at its own call only until that is over.
+            return (Looked::Ended(Err(Fault::NoReply)), Rest::default());
+        };
+        let mut rest = Rest::default();
+        if let State::Waiting(wake) = &mut slot.state {
+            rest._wake = wake.replace(waits());
+            if slot.long == Long::ToBeTold {
+                slot.long = Long::Told;
+                return (Looked::Long, rest);
+            }
+            return (Looked::Waiting, rest);
+        }
+        rest.timer = slot.timer.take();
+        rest._wait = slot.wait.take();
+        let looked = match std::mem::replace(&mut slot.state, State::Free) {
+            State::Answered(answer) => Looked::Ended(answer),
+            _ => Looked::Late(slot.deadline),
+        };
+        self.free.push(key.slot);
+        (looked, rest)
+    }
+
+    /// Nobody waits for the answer any more.
+    pub(crate) fn give_up(&mut self, key: CallKey) -> Rest {
+        let mut rest = Rest::default();
+        let Some(slot) = self.slot(key) else {
+            return rest;
+        };
+        slot.shared.gone.store(slot.generation, Ordering::Release);
+        rest.timer = slot.timer.take();
+        rest._wait = slot.wait.take();
+        match std::mem::replace(&mut slot.state, State::Free) {
+            State::Waiting(wake) => rest._wake = wake,
+            State::Answered(answer) => rest._answer = Some(answer),
+            State::Free | State::Late => {}
+        }
+        self.free.push(key.slot);
+        rest
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,94 @@
+use std::task::Waker;
+
+use super::*;
+use crate::processor::{Processor, ProcessorHandle};
+use ctos_message::Data;
+use ctos_time::Clock;
+
+const DEADLINE: Duration = Duration::from_secs(5);
+
+fn begin(calls: &mut Calls, home: &Arc<ProcessorHandle>, deadline: Duration) -> Ticket {
+    calls.begin(|| home.clone(), at(1), deadline, None)
+}
+
+fn look(calls: &mut Calls, key: CallKey) -> Looked {
+    calls
+        .look(key, || LocalWake::Waker(Waker::noop().clone()))
+        .0
+}
+
+fn number(looked: Looked) -> Option<u8> {
+    match looked {
+        Looked::Ended(Ok(data)) => data.take().ok(),
+        _ => None,
+    }
+}
+
+fn answer(number: u8) -> Answer {
+    Ok(Data::of(number))
+}
+
+fn at(millis: u64) -> Instant {
+    Instant::START + Duration::from_millis(millis)
+}
+
+#[test]
+fn one_slot_serves_call_after_call_and_keeps_late_answers_from_the_next() {
+    let (mut calls, home) = (Calls::default(), Arc::default());
+    let first = begin(&mut calls, &home, DEADLINE);
+    let gone = first.key();
+    drop(calls.give_up(gone));
+    assert!(first.is_abandoned());
+    let second = begin(&mut calls, &home, DEADLINE);
+    let key = second.key();
+    assert_eq!(gone.slot, key.slot, "a free slot was not used");
+    assert!(!second.is_abandoned());
+    let late = calls.answer(gone, answer(1));
+    assert!(matches!(late, Given::Unwanted { .. }));
+    assert!(matches!(look(&mut calls, key), Looked::Waiting));
+    let given = calls.answer(key, answer(2));
+    assert!(matches!(given, Given::Taken(Some(_))));
+    assert_eq!(number(look(&mut calls, key)), Some(2));
+}
+
+#[test]
+fn a_call_with_little_time_is_looked_after_at_its_deadline() {
+    let (mut calls, home) = (Calls::default(), Arc::default());
+    let little = Duration::from_millis(1);
+    let ticket = begin(&mut calls, &home, little);
+    let key = ticket.key();
+    assert_eq!(calls.settle(key), Some(at(1) + little));
+    assert!(calls.fired(key).again.is_none());
+    assert!(ticket.is_abandoned());
+    assert!(matches!(look(&mut calls, key), Looked::Late(after) if after == little));
+}
+
+#[test]
+fn a_long_wait_is_told_once_before_the_deadline() {
+    let (mut calls, home) = (Calls::default(), Arc::default());
+    let ticket = begin(&mut calls, &home, DEADLINE);
+    let key = ticket.key();
+    assert_eq!(calls.settle(key), Some(at(1) + LONG));
+    let fired = calls.fired(key);
+    assert_eq!(fired.again, Some(at(1) + DEADLINE));
+    assert!(matches!(look(&mut calls, key), Looked::Long));
+    assert!(matches!(look(&mut calls, key), Looked::Waiting));
+    assert!(!ticket.is_abandoned());
+    assert_eq!(calls.fired(key).again, None);
+    assert!(matches!(look(&mut calls, key), Looked::Late(DEADLINE)));
+    let late = calls.answer(key, answer(1));
+    assert!(matches!(late, Given::Unwanted { .. }));
+}
+
+#[test]
+fn a_call_that_has_ended_leaves_no_timer() {
+    let processor = Processor::new(Arc::default(), Clock::virtual_clock());
+    let ticket = processor.begin_call(Instant::START, DEADLINE, None);
+    let key = ticket.key();
+    assert_eq!(processor.next_deadline(), Some(Instant::START + LONG));
+    processor.enter();
+    ticket.answer(answer(1));
+    let cx = std::task::Context::from_waker(Waker::noop());
+    assert_eq!(number(processor.poll_call(key, &cx)), Some(1));
+    assert_eq!(processor.next_deadline(), None);
+}

@@ -1,0 +1,44 @@
+//! How a handler ends.
+
+use std::fmt;
+
+/// What a handler returns.
+pub type Handled = Result<(), HandlerError>;
+
+/// Why a handler could not do what it was asked. The caller gets the text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HandlerError {
+    /// A pointer, so that what a handler returns costs nothing to pass on.
+    said: Box<Said>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Said {
+    text: String,
+}
+
+#[doc(hidden)]
+impl HandlerError {
+    /// An error that says `text`.
+    #[must_use]
+    pub fn new(text: impl Into<String>) -> Self {
+        let said = Said { text: text.into() };
+        Self {
+            said: Box::new(said),
+        }
+    }
+}
+
+impl fmt::Display for HandlerError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.said.text)
+    }
+}
+
+/// Every error, and text, can end a handler. (For this, `HandlerError` is itself not an `Error`.)
+impl<E: Into<Box<dyn std::error::Error>>> From<E> for HandlerError {
+    fn from(error: E) -> Self {
+        let error: Box<dyn std::error::Error> = error.into();
+        Self::new(error.to_string())
+    }
+}

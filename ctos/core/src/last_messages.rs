@@ -1,0 +1,136 @@
+//! The last messages of a task: who sent them, when they were begun, what became of them.
+//!
+//! Nothing is kept of a task before somebody has looked at it: until then a message costs one load.
+
+use std::{
+    collections::VecDeque,
+    sync::{Mutex, OnceLock},
+    time::Duration,
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::report::Ending;
+use ctos_message::Tid;
+use ctos_time::{Instant, lock::lock};
+
+/// So many messages of a task are kept.
+const KEPT: usize = 16;
+
+/// The short form of a message.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Note {
+    pub(crate) from: Tid,
+    pub command: u16,
+    pub named: String,
+    pub(crate) began: Instant,
+    pub(crate) ended: Option<(Duration, Ending)>,
+}
+
+/// The last messages of one task, once somebody has looked at it.
+#[derive(Debug, Default)]
+pub struct Recent(OnceLock<Box<Mutex<Kept>>>);
+
+#[derive(Debug, Default)]
+struct Kept {
+    without: Vec<u16>,
+    notes: VecDeque<Note>,
+}
+
+impl Kept {
+    fn push(&mut self, note: Note) {
+        if self.notes.len() == KEPT {
+            self.notes.pop_front();
+        }
+        self.notes.push_back(note);
+    }
+}
+
+impl Recent {
+    /// What is kept, which begins with the first call.
+    pub fn look(&self, without: &[u16]) -> Vec<Note> {
+        let mut kept = lock(self.0.get_or_init(Box::default));
+        for command in without {
+            if !kept.without.contains(command) {
+                kept.without.push(*command);
+            }
+        }
+        kept.notes.iter().cloned().collect()
+    }
+
+    /// The handler is called with a message of `from`.
+    #[inline]
+    pub(crate) fn began(&self, from: Tid, command: u16, began: Instant) {
+        if let Some(kept) = self.0.get() {
+            let mut kept = lock(kept);
+            if !kept.without.contains(&command) {
+                kept.push(Note {
+                    from,
+                    command,
+                    named: String::new(),
+                    began,
+                    ended: None,
+                });
+            }
+        }
+    }
+
+    /// The handler has returned from the message that was begun last.
+    #[inline]
+    pub(crate) fn ended(&self, command: u16, now: Instant, ending: impl FnOnce() -> Ending) {
+        if let Some(kept) = self.0.get() {
+            let mut kept = lock(kept);
+            // One that was begun before anybody looked is not there.
+            let open = kept.notes.back_mut().filter(|note| note.ended.is_none());
+            if let Some(note) = open.filter(|note| note.command == command) {
+                note.ended = Some((now.since(note.began), ending()));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FROM: Tid = Tid::new(1, 1, 7);
+
+    fn at(nanos: u64) -> Instant {
+        Instant::from_nanos(nanos)
+    }
+
+    #[test]
+    fn nothing_is_kept_before_somebody_looks_and_no_more_than_the_last_ones_after() {
+        let recent = Recent::default();
+        recent.began(FROM, 1, at(1));
+        assert!(recent.look(&[9]).is_empty());
+        // The end of a message that was begun before is no message.
+        recent.ended(1, at(2), || Ending::Done);
+        assert!(recent.look(&[]).is_empty());
+        for count in 0..100 {
+            recent.began(FROM, 1, at(10 * count));
+            recent.ended(1, at(10 * count + 3), || Ending::Done);
+            recent.began(FROM, 9, at(10 * count + 4));
+            recent.ended(9, at(10 * count + 5), || Ending::Stopped);
+        }
+        let kept = recent.look(&[]);
+        assert_eq!(kept.len(), KEPT);
+        let end = Some((Duration::from_nanos(3), Ending::Done));
+        assert!(
+            kept.iter()
+                .all(|note| note.command == 1 && note.ended == end)
+        );
+        assert_eq!(kept.last().map(|note| note.began), Some(at(990)));
+    }
+
+    #[test]
+    fn the_message_at_hand_is_open_until_its_handler_returns() {
+        let recent = Recent::default();
+        recent.look(&[]);
+        recent.began(FROM, 4, at(5));
+        assert_eq!(recent.look(&[])[0].ended, None);
+        recent.ended(4, at(25), || Ending::Refused("no".to_owned()));
+        let end = Some((Duration::from_nanos(20), Ending::Refused("no".to_owned())));
+        assert_eq!(recent.look(&[])[0].ended, end);
+    }
+}

@@ -1,0 +1,124 @@
+//! The core of CTOS: tasks and their queues, processors, calls, names, time, synchronization, semaphores and the rules
+//! of supervision.
+//!
+//! It knows no socket, no file, no process, no recorder and no simulation. Users see it as a part of `ctos`; the
+//! modules that only the other crates of the runtime use are hidden from its documentation.
+//!
+//! From below: what is told ([`report`], [`phase`], [`handled`]), answers ([`reply`], [`envelope`]), the executor
+//! ([`processor`]) with the calls that wait there ([`exchange`]), queues ([`mailbox`]), the [`chassis`], the
+//! [`context`] of a task, event handlers ([`handler`], [`registry`]), their loop ([`runner`], [`moving`]), and the
+//! services that are tasks themselves ([`names`], [`semaphore`]).
+
+extern crate self as ctos;
+
+/// For the code that [`command!`](ctos_message::command) writes.
+#[doc(hidden)]
+pub use serde;
+
+mod asleep;
+#[doc(hidden)]
+pub mod bench;
+pub mod chassis;
+#[doc(hidden)]
+pub mod children;
+pub mod circle;
+mod concurrent;
+#[doc(hidden)]
+pub mod contain;
+#[doc(hidden)]
+pub mod context;
+mod credits;
+#[doc(hidden)]
+pub mod delivery;
+mod directory;
+pub mod disk;
+#[doc(hidden)]
+pub mod envelope;
+#[doc(hidden)]
+pub mod exchange;
+#[doc(hidden)]
+pub mod handled;
+#[doc(hidden)]
+pub mod handler;
+#[doc(hidden)]
+pub mod last_messages;
+#[doc(hidden)]
+pub mod look;
+#[doc(hidden)]
+pub mod mailbox;
+#[doc(hidden)]
+pub mod meter;
+#[doc(hidden)]
+pub mod moving;
+#[doc(hidden)]
+pub mod names;
+#[doc(hidden)]
+pub mod phase;
+#[doc(hidden)]
+pub mod processor;
+pub mod realtime;
+pub mod registry;
+#[doc(hidden)]
+pub mod reply;
+#[doc(hidden)]
+pub mod report;
+#[doc(hidden)]
+pub mod runner;
+pub mod semaphore;
+#[doc(hidden)]
+pub mod statistics;
+pub mod supervise;
+pub mod sync;
+#[doc(hidden)]
+pub mod system;
+#[doc(hidden)]
+pub mod tap;
+#[doc(hidden)]
+pub mod task_record;
+#[doc(hidden)]
+pub mod threads;
+mod timers;
+mod wait;
+#[doc(hidden)]
+pub mod waits;
+
+pub use context::{Context, DEFAULT_DEADLINE};
+pub use ctos_message::{Command, command};
+pub use report::TaskCounters;
+
+/// Event handlers and what they can do: the interface that most users of CTOS see.
+pub mod task {
+    pub use crate::{
+        children::StartError,
+        context::{Call, Calling, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
+        handled::{Handled, HandlerError},
+        handler::{EventHandler, Handover},
+        phase::{Phase, StopReason},
+    };
+}
+/// How a call ends: with a reply or with an error that names both tasks. Always.
+pub mod call {
+    pub use ctos_message::fault::{CallError, Fault};
+}
+/// A task, seen without disturbing it.
+pub mod recent {
+    pub use crate::{
+        look::{LastMessage, TaskLook},
+        report::Ending,
+    };
+}
+
+/// Time as a service: one clock for the whole app, real or virtual.
+pub mod time {
+    pub use ctos_time::{Clock, Instant};
+}
+
+/// Messages: a 16-byte header (receiver, sender, command, flags, data size) and data.
+pub mod message {
+    pub use ctos_message::{
+        Command, CommandInfo, Data, Fields, Flags, Header, Payload, PayloadError, SYSTEM_COMMANDS,
+        Tid, ToJson, trimmed,
+    };
+
+    pub use crate::envelope::{Message, Replier};
+}

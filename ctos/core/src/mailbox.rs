@@ -1,0 +1,193 @@
+//! A task's bounded queue: a high-priority lane and a normal one, and senders that wait for room.
+//!
+//! First in, first out per lane, so also per pair of sender and receiver. Each lane has its own room
+//! and its own line of waiting senders: a flood of normal messages cannot keep an urgent one out.
+//! Messages of the runtime itself (phases, stop, a dead chassis) travel in the high-priority lane and
+//! are never refused.
+//!
+//! The queue itself ([`queue::TaskQueue`]) belongs to the task's processor and needs no lock. What everybody
+//! else sees of it is the [`Mailbox`]: its credits, and the processor to bring messages to.
+
+mod gate;
+pub(crate) mod queue;
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+use crate::{
+    credits::Credits,
+    delivery::{Acceptance, Delivery, Offered, Order, Place, is_urgent, refuse},
+    envelope::Message,
+    processor::{Processor, ProcessorHandle},
+    report::QueueReport,
+};
+use ctos_message::fault::Fault;
+
+/// The queue of one task, for everybody.
+pub struct Mailbox {
+    /// Of each priority.
+    capacity: u32,
+    home: Arc<ProcessorHandle>,
+    slot: u16,
+    closed: AtomicBool,
+    urgent: Credits,
+    normal: Credits,
+}
+
+impl Mailbox {
+    /// The queue of the task in `slot` of the processor `home`, with room for `capacity` messages of
+    /// each priority.
+    pub(crate) fn new(capacity: usize, home: Arc<ProcessorHandle>, slot: u16) -> Self {
+        Self {
+            // More messages than that have no memory to be in.
+            capacity: u32::try_from(capacity.max(1)).unwrap_or(u32::MAX),
+            home,
+            slot,
+            closed: AtomicBool::new(false),
+            urgent: Credits::default(),
+            normal: Credits::default(),
+        }
+    }
+
+    /// How many messages of each priority it has room for.
+    fn capacity(&self) -> usize {
+        self.capacity as usize
+    }
+
+    /// Whether the task takes nothing more.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+
+    fn credits(&self, urgent: bool) -> &Credits {
+        if urgent { &self.urgent } else { &self.normal }
+    }
+
+    /// How much is in it, as senders on other threads see it.
+    pub fn lengths(&self) -> QueueReport {
+        QueueReport {
+            urgent: self.urgent.taken() as u64,
+            normal: self.normal.taken() as u64,
+            waiting: (self.urgent.waiting() + self.normal.waiting()) as u64,
+            capacity: self.capacity() as u64,
+        }
+    }
+
+    /// How many messages are in it, on their way to it or wait for a credit, and how many of each priority
+    /// it holds.
+    pub fn depth(&self) -> (usize, usize) {
+        let depth = |credits: &Credits| credits.taken() + credits.waiting();
+        (depth(&self.urgent) + depth(&self.normal), self.capacity())
+    }
+
+    /// Why a message finds no place.
+    pub(crate) fn full(&self) -> Fault {
+        Fault::Full {
+            capacity: self.capacity(),
+        }
+    }
+
+    /// Takes a credit for a message, if there is one for it now, and if the task takes anything.
+    pub(super) fn take_credit(&self, message: Message) -> Result<Message, Offered> {
+        if self.is_closed() {
+            return Err(Offered::Closed(message));
+        }
+        let (urgent, system) = is_urgent(&message);
+        let credits = self.credits(urgent);
+        if system {
+            credits.take_always();
+        } else if !credits.take(self.capacity()) {
+            return Err(Offered::NoRoom(message));
+        }
+        Ok(message)
+    }
+
+    /// Puts a message in if there is a credit for it now.
+    pub(crate) fn offer(&self, message: Message) -> Offered {
+        match self.take_credit(message) {
+            Ok(message) => {
+                let place = Place::Queue;
+                self.bring(Delivery { message, place });
+                Offered::Taken
+            }
+            Err(offered) => offered,
+        }
+    }
+
+    /// Puts a message in or lets it wait for a credit; `acceptance` is told when it is in, or why not. A
+    /// refused message that waits for a reply is answered with the reason.
+    pub fn put(&self, message: Message, acceptance: Acceptance) {
+        match self.offer(message) {
+            Offered::Taken => acceptance.tell(Ok(())),
+            Offered::NoRoom(message) => self.line_up(message, acceptance),
+            Offered::Closed(message) => refuse(message, acceptance, &Fault::Stopping),
+        }
+    }
+
+    /// Lets a message for which there was no credit wait for one.
+    pub(crate) fn line_up(&self, message: Message, acceptance: Acceptance) {
+        let (urgent, _) = is_urgent(&message);
+        if !self.credits(urgent).line_up(self.capacity()) {
+            return refuse(message, acceptance, &self.full());
+        }
+        let place = Place::Line(acceptance);
+        self.bring(Delivery { message, place });
+    }
+
+    /// Brings a message to the queue, straight if this thread runs the task's processor.
+    fn bring(&self, delivery: Delivery) {
+        match Processor::at_hand(&self.home) {
+            Some(processor) => match processor.queue(self.slot) {
+                Some(queue) => queue.take_in(&processor, delivery),
+                None => delivery.refuse(),
+            },
+            None => self.home.bring_message(self.slot, delivery),
+        }
+    }
+
+    fn shut(&self, shut: bool) {
+        self.urgent.shut(shut);
+        self.normal.shut(shut);
+    }
+
+    /// Its queue is about to be made, with gates that are closed.
+    pub(crate) fn close_gates(&self) {
+        self.shut(true);
+    }
+
+    /// Lets in what came straight from `chassis`, in its order, and whatever comes from there later.
+    pub fn open_gate(&self, chassis: u8) {
+        self.order(Order::OpenGate(chassis));
+    }
+
+    /// Drops what came straight from `chassis`, which is gone: nobody was told that it was taken.
+    pub fn forget_gate(&self, chassis: u8) {
+        self.order(Order::ForgetGate(chassis));
+    }
+
+    /// Brings an order to the queue, behind the messages that were brought before it.
+    fn order(&self, order: Order) {
+        match Processor::here_if(&self.home) {
+            Some(processor) => {
+                if let Some(queue) = processor.queue(self.slot) {
+                    queue.obey(&processor, order);
+                }
+            }
+            None => self.home.bring_order(self.slot, order),
+        }
+    }
+
+    /// Takes nothing more; everything inside is answered with [`Fault::Stopping`].
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::Release);
+        match Processor::here_if(&self.home) {
+            Some(processor) => processor.close_queue(self.slot),
+            None => self.home.bring_close(self.slot),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,355 @@
+//! The queue of one task, on its processor. It needs no lock.
+
+use std::{
+    cell::{Cell, RefCell, RefMut},
+    collections::{BTreeSet, VecDeque},
+    future::poll_fn,
+    rc::Rc,
+    sync::{Arc, atomic::Ordering},
+    task::Poll,
+};
+
+use super::gate::Gate;
+use crate::{
+    credits::most_waiting,
+    delivery::{Acceptance, Delivery, Offered, Order, Place, is_urgent, refuse},
+    envelope::Message,
+    processor::{Inlet, Processor, wake::FutureId},
+    system::{Broke, StopTask, interrupts},
+    task_record::TaskRecord,
+};
+use ctos_message::{Command, fault::Fault};
+
+#[derive(Default)]
+pub(super) struct Lane {
+    pub(super) queue: VecDeque<Message>,
+    /// While it holds anybody, whoever comes waits, too: nobody is overtaken.
+    pub(super) waiting: VecDeque<(Message, Acceptance)>,
+}
+
+/// Who is told when messages have been taken.
+#[derive(Default)]
+struct Admitted {
+    /// Have their messages in the queue now.
+    admitted: Vec<Acceptance>,
+    /// Gave up before there was a credit for them.
+    given_up: Vec<(Message, Acceptance)>,
+}
+
+impl Admitted {
+    /// Where no cell is borrowed: what is dropped and told here may run code of others.
+    fn tell(self) {
+        drop(self.given_up);
+        for acceptance in self.admitted {
+            acceptance.tell(Ok(()));
+        }
+    }
+}
+
+/// What the task's loop wants to be woken for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum WaitsFor {
+    /// Nothing: it runs, or has not begun.
+    Nothing,
+    /// The next message.
+    Message,
+    /// A message that interrupts its handler, which is at work.
+    Interruption,
+}
+
+#[derive(Default)]
+pub(super) struct Lanes {
+    pub(super) urgent: Lane,
+    pub(super) normal: Lane,
+    /// Nothing more is taken into the queues: the task is about to leave, or has left.
+    pub(super) held: bool,
+    pub(super) gate: Option<Box<Gate>>,
+}
+
+impl Lanes {
+    pub(super) fn lane(&mut self, urgent: bool) -> &mut Lane {
+        if urgent {
+            &mut self.urgent
+        } else {
+            &mut self.normal
+        }
+    }
+}
+
+/// The queue of one task, on its processor.
+pub(crate) struct TaskQueue {
+    lanes: RefCell<Lanes>,
+    /// Whose it is.
+    pub(super) task: Arc<TaskRecord>,
+    /// The future that is the task's loop, once it has begun.
+    runner: Cell<Option<FutureId>>,
+    pub(super) waits_for: Cell<WaitsFor>,
+    /// Messages in the queue that interrupt a handler at work.
+    pub(super) interruptions: Cell<u32>,
+}
+
+impl TaskQueue {
+    /// The queue behind the mailbox of `task`, which keeps what comes straight from the chassis `closed` until their gates
+    /// are opened.
+    pub(crate) fn gated(task: Arc<TaskRecord>, closed: BTreeSet<u8>) -> Rc<Self> {
+        let gate = Gate {
+            closed,
+            held: Vec::new(),
+        };
+        let queue = Self::open(task);
+        queue.lanes().gate = Some(Box::new(gate));
+        queue
+    }
+
+    /// The queue behind the mailbox of `task`, which takes in what comes.
+    pub(crate) fn open(task: Arc<TaskRecord>) -> Rc<Self> {
+        Rc::new(Self {
+            lanes: RefCell::default(),
+            task,
+            runner: Cell::new(None),
+            waits_for: Cell::new(WaitsFor::Nothing),
+            interruptions: Cell::new(0),
+        })
+    }
+
+    pub(super) fn lanes(&self) -> RefMut<'_, Lanes> {
+        self.lanes.borrow_mut()
+    }
+
+    /// Names the future that takes the messages: it is woken when there are some.
+    pub(crate) fn set_runner(&self, runner: FutureId) {
+        self.runner.set(Some(runner));
+    }
+
+    /// Something is there that the loop of the task looks for, though not in the queue.
+    pub(super) fn wake_idle(&self, processor: &Processor) {
+        if self.waits_for.get() == WaitsFor::Message {
+            self.wake(processor);
+        }
+    }
+
+    /// A message of `command` is in the queue now: wakes whom it concerns.
+    fn has_come(&self, processor: &Processor, command: u16) {
+        let interruption = interrupts(command);
+        if interruption {
+            self.interruptions.set(self.interruptions.get() + 1);
+        }
+        let wakes = match self.waits_for.get() {
+            WaitsFor::Nothing => false,
+            WaitsFor::Message => true,
+            WaitsFor::Interruption => interruption,
+        };
+        if wakes {
+            self.wake(processor);
+        }
+    }
+
+    fn wake(&self, processor: &Processor) {
+        self.waits_for.set(WaitsFor::Nothing);
+        if let Some(runner) = self.runner.get() {
+            processor.wake(runner);
+        }
+    }
+
+    /// The next message, high priority first.
+    pub(crate) fn take(&self) -> Option<Message> {
+        let mut lanes = self.lanes();
+        let urgent = !lanes.urgent.queue.is_empty();
+        let lane = lanes.lane(urgent);
+        let message = lane.queue.pop_front()?;
+        let others_wait = !lane.waiting.is_empty();
+        drop(lanes);
+        self.task.mailbox.credits(urgent).give(1);
+        if others_wait {
+            self.admit();
+        }
+        if interrupts(message.command()) {
+            self.interruptions
+                .set(self.interruptions.get().saturating_sub(1));
+        }
+        Some(message)
+    }
+
+    /// Gives the credits there are to those who wait, and tells them.
+    pub(super) fn admit(&self) {
+        let mut told = Admitted::default();
+        let mailbox = &self.task.mailbox;
+        let mut lanes = self.lanes();
+        if lanes.held {
+            return;
+        }
+        for urgent in [true, false] {
+            let credits = mailbox.credits(urgent);
+            let lane = lanes.lane(urgent);
+            while let Some((_, acceptance)) = lane.waiting.front() {
+                let given_up = acceptance.is_abandoned();
+                if !given_up && !credits.take_past_others(mailbox.capacity()) {
+                    break;
+                }
+                let Some((message, acceptance)) = lane.waiting.pop_front() else {
+                    break;
+                };
+                credits.leave_line();
+                if given_up {
+                    told.given_up.push((message, acceptance));
+                } else {
+                    lane.queue.push_back(message);
+                    told.admitted.push(acceptance);
+                }
+            }
+        }
+        drop(lanes);
+        told.tell();
+    }
+
+    /// Puts the next message, high priority first, into `next`; none once the queue is closed. For the loop
+    /// of the task, which is woken when there is one, and polled by nobody else.
+    pub(crate) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+        if self.task.mailbox.is_closed() {
+            return Poll::Ready(());
+        }
+        *next = self.take();
+        if next.is_some() {
+            return Poll::Ready(());
+        }
+        self.waits_for.set(WaitsFor::Message);
+        Poll::Pending
+    }
+
+    /// The first message in the queue whose command is `wanted`, among those that interrupt a handler. If
+    /// there is none, the task's loop is woken when there is one of those. `Err` when the queue is closed.
+    fn look_for(&self, wanted: fn(u16) -> bool) -> Result<Option<u16>, ()> {
+        if self.task.mailbox.is_closed() {
+            return Err(());
+        }
+        if self.interruptions.get() > 0 {
+            let lanes = self.lanes();
+            let mut commands = lanes.urgent.queue.iter().map(Message::command);
+            if let Some(found) = commands.find(|command| wanted(*command)) {
+                return Ok(Some(found));
+            }
+        }
+        self.waits_for.set(WaitsFor::Interruption);
+        Ok(None)
+    }
+
+    /// Whether the handler at work is to make way; then, whether that is because a part of it broke, and
+    /// no order. If not, the task's loop is woken when it is.
+    pub(crate) fn interruption(&self) -> Option<bool> {
+        match self.look_for(interrupts) {
+            Ok(None) => None,
+            Ok(Some(command)) => Some(command == Broke::CODE),
+            Err(()) => Some(false),
+        }
+    }
+
+    /// Ends when a [`StopTask`] waits in the queue. For the loop of the task, and awaited by nobody else.
+    pub(crate) async fn stop_waits(&self) {
+        poll_fn(
+            |_| match self.look_for(|command| command == StopTask::CODE) {
+                Ok(None) => Poll::Pending,
+                Ok(Some(_)) | Err(()) => Poll::Ready(()),
+            },
+        )
+        .await;
+    }
+}
+
+impl Inlet for TaskQueue {
+    fn offer(&self, processor: &Processor, message: Message) -> Offered {
+        match self.task.mailbox.take_credit(message) {
+            Ok(message) => {
+                let place = Place::Queue;
+                self.take_in(processor, Delivery { message, place });
+                Offered::Taken
+            }
+            Err(offered) => offered,
+        }
+    }
+
+    fn obey(&self, processor: &Processor, order: Order) {
+        match order {
+            Order::OpenGate(chassis) => self.open_gate(processor, chassis),
+            Order::ForgetGate(chassis) => {
+                let mut lanes = self.lanes();
+                let gone = lanes.gate.as_mut().map(|gate| gate.take_out(chassis));
+                drop(lanes);
+                drop(gone);
+            }
+        }
+    }
+
+    fn take_in(&self, processor: &Processor, delivery: Delivery) {
+        if self.task.mailbox.is_closed() {
+            return delivery.refuse();
+        }
+        let Delivery { message, place } = delivery;
+        let (urgent, _) = is_urgent(&message);
+        let (mailbox, command) = (&self.task.mailbox, message.command());
+        let credits = mailbox.credits(urgent);
+        let mut lanes = self.lanes();
+        let held = lanes.held;
+        if let Some(gate) = lanes.gate.as_mut().filter(|gate| gate.keeps(&message)) {
+            let acceptance = match place {
+                Place::Queue => {
+                    credits.give(1);
+                    Acceptance::Silent
+                }
+                Place::Line(acceptance) => {
+                    credits.leave_line();
+                    acceptance
+                }
+            };
+            if gate.held.len() < most_waiting(mailbox.capacity()) {
+                return gate.held.push((message, acceptance));
+            }
+            drop(lanes);
+            return refuse(message, acceptance, &mailbox.full());
+        }
+        let lane = lanes.lane(urgent);
+        let acceptance = match place {
+            Place::Queue => Acceptance::Silent,
+            Place::Line(acceptance) => {
+                let may = !held && lane.waiting.is_empty();
+                if !may || !credits.take_past_others(mailbox.capacity()) {
+                    lane.waiting.push_back((message, acceptance));
+                    drop(lanes);
+                    if held {
+                        self.wake_idle(processor);
+                    }
+                    return;
+                }
+                credits.leave_line();
+                acceptance
+            }
+        };
+        lane.queue.push_back(message);
+        drop(lanes);
+        self.has_come(processor, command);
+        acceptance.tell(Ok(()));
+    }
+
+    fn close(&self, processor: &Processor) {
+        self.task.mailbox.closed.store(true, Ordering::Release);
+        let Lanes {
+            urgent,
+            normal,
+            gate,
+            ..
+        } = self.lanes.take();
+        for (message, acceptance) in gate.into_iter().flat_map(|gate| gate.held) {
+            refuse(message, acceptance, &Fault::Stopping);
+        }
+        for lane in [urgent, normal] {
+            for message in lane.queue {
+                refuse(message, Acceptance::Silent, &Fault::Stopping);
+            }
+            for (message, acceptance) in lane.waiting {
+                refuse(message, acceptance, &Fault::Stopping);
+            }
+        }
+        if let Some(runner) = self.runner.get() {
+            processor.wake(runner);
+        }
+    }
+}

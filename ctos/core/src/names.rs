@@ -1,0 +1,338 @@
+//! The task identification service: which task has which symbolic name.
+//!
+//! One task for the whole app, on the chassis that boots it (the report's figure 4). Chassis remember
+//! what they were told until the task ends, moves, or its chassis is gone; they are told of each.
+//! A name belongs to one task at a time, and a task id to one name for the whole run.
+
+mod away;
+mod moves;
+mod waiting;
+
+use std::{
+    cell::RefCell,
+    collections::{BTreeMap, BTreeSet},
+    rc::Rc,
+};
+
+use tokio::sync::oneshot;
+
+use away::Presence;
+
+use crate::{
+    context::Context,
+    envelope::{Message, Replier},
+    handled::Handled,
+    handler::EventHandler,
+    system::{
+        self, AbortMove, AwaitTid, Change, ChassisNews, CommitMove, FindTid, FirstSlots, Monitor,
+        MoveTask, MovedTasks, NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged,
+        TaskName, WhoWaits,
+    },
+};
+use ctos_message::{Command, CommandInfo, Tid};
+
+/// What the service takes.
+pub const COMMANDS: [CommandInfo; 14] = [
+    RegisterTid::INFO,
+    QueryTid::INFO,
+    FindTid::INFO,
+    ChassisNews::INFO,
+    AwaitTid::INFO,
+    WhoWaits::INFO,
+    Monitor::INFO,
+    TaskChanged::INFO,
+    FirstSlots::INFO,
+    MoveTask::INFO,
+    CommitMove::INFO,
+    AbortMove::INFO,
+    MovedTasks::INFO,
+    NamesOf::INFO,
+];
+
+/// A task that waits for a name.
+struct Waiter {
+    name: String,
+    reply: Replier<AwaitTid>,
+}
+
+/// A move that has begun.
+#[derive(Default)]
+struct Move {
+    /// Set when the name has the new place: ends when every chassis has turned to it.
+    turned: Option<oneshot::Receiver<()>>,
+}
+
+#[derive(Default)]
+pub struct Names {
+    names: BTreeMap<String, Tid>,
+    /// Every id that was ever registered, with its name.
+    used: BTreeMap<Tid, String>,
+    /// The last id of each name that has none now.
+    past: BTreeMap<String, Tid>,
+    waiting: BTreeMap<String, Vec<Waiter>>,
+    monitors: BTreeMap<String, BTreeSet<Tid>>,
+    /// Names whose task takes no messages at the moment.
+    down: BTreeSet<String>,
+    moves: BTreeMap<String, Move>,
+    /// Where tasks are that have moved; when their chassis is started again, they begin there.
+    homes: BTreeMap<String, Place>,
+    /// Places that no task may move to any more.
+    forbidden: BTreeSet<Tid>,
+    /// Chassis that are not there, and who waits for them.
+    presence: Presence,
+    /// Tasks that have moved, with their old id and the chassis that still send by the old place.
+    turning: BTreeMap<String, (Tid, BTreeSet<u8>)>,
+}
+
+/// The service's state.
+#[derive(Default, Clone)]
+pub struct TidServer {
+    state: Rc<RefCell<Names>>,
+}
+
+impl EventHandler for TidServer {
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        let from = message.from();
+        match message.command() {
+            RegisterTid::CODE => {
+                let (RegisterTid { task }, reply) = message.open::<RegisterTid>()?;
+                match self.register(cx, task) {
+                    Ok(()) => reply.ok(()),
+                    Err(why) => reply.fail(why),
+                }
+            }
+            QueryTid::CODE => {
+                let (QueryTid { name }, reply) = message.open::<QueryTid>()?;
+                let state = self.state.borrow();
+                let found = state.seen_from(from.chassis(), &name);
+                reply.ok(found.ok_or_else(|| state.names.keys().cloned().collect()))
+            }
+            FindTid::CODE => {
+                let (request, reply) = message.open::<FindTid>()?;
+                self.state.borrow_mut().asked(cx, from, request, reply)
+            }
+            ChassisNews::CODE => {
+                let (ChassisNews { news }, reply) = message.open::<ChassisNews>()?;
+                self.heard(cx, news);
+                reply.ok(())
+            }
+            AwaitTid::CODE => {
+                let (AwaitTid { name, waiter }, reply) = message.open::<AwaitTid>()?;
+                self.state.borrow_mut().wait(from, name, waiter, reply)
+            }
+            WhoWaits::CODE => {
+                let (WhoWaits { name }, reply) = message.open::<WhoWaits>()?;
+                reply.ok(self.state.borrow_mut().who_waits(&name))
+            }
+            Monitor::CODE => {
+                let (Monitor { name }, reply) = message.open::<Monitor>()?;
+                let mut state = self.state.borrow_mut();
+                let up = state.names.contains_key(&name) && !state.down.contains(&name);
+                state.monitors.entry(name).or_default().insert(from);
+                reply.ok(up)
+            }
+            TaskChanged::CODE => {
+                let (TaskChanged { task, change }, reply) = message.open::<TaskChanged>()?;
+                self.changed(cx, task, change);
+                reply.ok(())
+            }
+            FirstSlots::CODE => {
+                let (FirstSlots { chassis }, reply) = message.open::<FirstSlots>()?;
+                reply.ok(self.state.borrow().first_slots(chassis))
+            }
+            MoveTask::CODE => {
+                let (request, reply) = message.open::<MoveTask>()?;
+                let (service, here) = (self.clone(), cx.clone());
+                cx.spawn(async move {
+                    // A reply cannot fail.
+                    let _ = match service.move_task(&here, request).await {
+                        Ok(place) => reply.ok(place),
+                        Err(why) => reply.fail(why),
+                    };
+                });
+                Ok(())
+            }
+            CommitMove::CODE => {
+                let (commit, reply) = message.open::<CommitMove>()?;
+                match self.commit(cx, commit) {
+                    Ok(()) => reply.ok(()),
+                    Err(why) => reply.fail(why),
+                }
+            }
+            AbortMove::CODE => {
+                let (AbortMove { new }, reply) = message.open::<AbortMove>()?;
+                let mut state = self.state.borrow_mut();
+                let committed = state.used.contains_key(&new);
+                if !committed {
+                    state.forbidden.insert(new);
+                }
+                reply.ok(committed)
+            }
+            MovedTasks::CODE => {
+                let (MovedTasks {}, reply) = message.open::<MovedTasks>()?;
+                let state = self.state.borrow();
+                let homes = state.homes.iter();
+                reply.ok(homes.map(|(name, place)| (name.clone(), *place)).collect())
+            }
+            NamesOf::CODE => {
+                let (NamesOf { tids }, reply) = message.open::<NamesOf>()?;
+                let state = self.state.borrow();
+                let name = |tid: &Tid| state.used.get(tid).cloned();
+                reply.ok(tids.iter().map(name).collect())
+            }
+            _ => cx.default_processing(message),
+        }
+    }
+
+    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+        let here = cx.chassis();
+        let gone: Vec<TaskName> = {
+            let state = self.state.borrow();
+            let all = state.names.iter();
+            all.filter(|(_, tid)| here.name_of(tid.chassis()) == chassis)
+                .map(|(name, tid)| TaskName {
+                    name: name.clone(),
+                    tid: *tid,
+                })
+                .collect()
+        };
+        for task in gone {
+            let reason = format!("its chassis `{chassis}` is gone");
+            self.state.borrow_mut().free(&task);
+            self.notify(cx, &task, &Change::Ended { reason });
+        }
+        let mut state = self.state.borrow_mut();
+        if let Some(index) = here.others().find(|index| here.name_of(*index) == chassis) {
+            state.presence.lost(cx, index);
+        }
+        state.answer_waiting(cx);
+        Ok(())
+    }
+}
+
+impl Names {
+    /// The id under which `chassis` is to send to a task: the old one until it has turned to the new
+    /// place, so that what it sends takes one way.
+    fn seen_from(&self, chassis: u8, name: &str) -> Option<Tid> {
+        match self.turning.get(name) {
+            Some((old, slow)) if slow.contains(&chassis) => Some(*old),
+            _ => self.names.get(name).copied(),
+        }
+    }
+
+    /// The name has no task any more.
+    fn free(&mut self, task: &TaskName) -> bool {
+        if self.names.get(&task.name) != Some(&task.tid) {
+            return false;
+        }
+        self.names.remove(&task.name);
+        self.past.insert(task.name.clone(), task.tid);
+        true
+    }
+
+    fn first_slots(&self, chassis: u8) -> Vec<u16> {
+        let mut first = Vec::new();
+        for tid in self.used.keys().filter(|tid| tid.chassis() == chassis) {
+            let processor = usize::from(tid.processor());
+            if first.len() <= processor {
+                first.resize(processor + 1, 0);
+            }
+            if let Some(slot) = first.get_mut(processor) {
+                *slot = tid.slot().saturating_add(1).max(*slot);
+            }
+        }
+        first
+    }
+}
+
+impl TidServer {
+    fn register(&self, cx: &Context, task: TaskName) -> Result<(), String> {
+        let mut state = self.state.borrow_mut();
+        let place = |tid: Tid| {
+            let chassis = cx.chassis().name_of(tid.chassis());
+            format!("task {tid} on chassis `{chassis}`")
+        };
+        match state.names.get(&task.name) {
+            Some(tid) if *tid == task.tid => return Ok(()),
+            Some(tid) => {
+                return Err(format!(
+                    "the name `{}` belongs to {} already, so {} cannot have it",
+                    task.name,
+                    place(*tid),
+                    place(task.tid)
+                ));
+            }
+            None => {}
+        }
+        if let Some(other) = state.used.get(&task.tid) {
+            return Err(format!(
+                "the id {} was that of `{other}`; no other task of this run can have it",
+                task.tid
+            ));
+        }
+        state.used.insert(task.tid, task.name.clone());
+        state.names.insert(task.name.clone(), task.tid);
+        let before = state.past.remove(&task.name);
+        let waiters = state.waiting.remove(&task.name).unwrap_or_default();
+        drop(state);
+        if let Some(old) = before {
+            broadcast(cx, &task.name, old, Some(task.tid));
+        }
+        for waiter in waiters {
+            // A reply cannot fail.
+            let _ = waiter.reply.ok(Ok(task.tid));
+        }
+        self.state.borrow_mut().answer_waiting(cx);
+        self.notify(cx, &task, &Change::Up);
+        Ok(())
+    }
+
+    fn changed(&self, cx: &Context, task: TaskName, change: Change) {
+        if let Change::Ended { .. } = change {
+            if !self.state.borrow_mut().free(&task) {
+                return;
+            }
+            broadcast(cx, &task.name, task.tid, None);
+        }
+        self.notify(cx, &task, &change);
+    }
+
+    /// Tells those who monitor a task, if the change is one.
+    fn notify(&self, cx: &Context, task: &TaskName, change: &Change) {
+        let mut state = self.state.borrow_mut();
+        let news = match change {
+            Change::Up => state.down.remove(&task.name),
+            Change::Down { .. } => state.down.insert(task.name.clone()),
+            // Also when it was being restarted: it will not come up by itself.
+            Change::Ended { .. } => {
+                state.down.insert(task.name.clone());
+                true
+            }
+        };
+        if !news {
+            return;
+        }
+        for watcher in state.monitors.get(&task.name).into_iter().flatten() {
+            let changed = TaskChanged {
+                task: task.clone(),
+                change: change.clone(),
+            };
+            cx.chassis().post_system(*watcher, changed);
+        }
+    }
+}
+
+/// Tells every chassis that a name has another id, or none.
+fn broadcast(cx: &Context, name: &str, old: Tid, new: Option<Tid>) {
+    let chassis = cx.chassis();
+    let everybody = chassis.others().filter(|index| chassis.is_linked(*index));
+    for index in everybody.chain([chassis.index()]) {
+        let rebound = Rebound {
+            name: name.to_owned(),
+            old,
+            new,
+            moved: false,
+        };
+        chassis.post_system(system::agent_tid(index), rebound);
+    }
+}

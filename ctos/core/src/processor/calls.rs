@@ -1,0 +1,88 @@
+//! The calls that the tasks of a processor wait for.
+
+use std::{task::Context as PollContext, time::Duration};
+
+use super::{
+    core::{Processor, Timed},
+    handle::ProcessorHandle,
+};
+use crate::{
+    exchange::{Given, Looked, Rest},
+    reply::{Answer, CallKey, Home, Ticket},
+    wait::Wait,
+};
+use ctos_time::Instant;
+
+/// After this time a call that still waits has a timer, and is shown; earlier where the processor has nothing to do.
+const YOUNG: Duration = Duration::from_millis(1);
+
+impl Processor {
+    /// Begins a call that a future of this processor makes at `now`; `wait` is shown if it takes a while.
+    pub(crate) fn begin_call(
+        &self,
+        now: Instant,
+        deadline: Duration,
+        wait: Option<Wait>,
+    ) -> Ticket {
+        let mut calls = self.calls.borrow_mut();
+        let ticket = calls.begin(|| self.handle.clone(), now, deadline, wait);
+        let mut young = self.young.borrow_mut();
+        if young.is_empty() || deadline < YOUNG {
+            let settle_at = now + deadline.min(YOUNG);
+            self.settle_at.set(settle_at.min(self.settle_at.get()));
+        }
+        young.push(ticket.key());
+        ticket
+    }
+
+    /// Sets timers for the young calls that still wait, and shows what they wait for. Most have ended by then and
+    /// never need either.
+    pub fn settle_calls(&self) {
+        let mut young = self.young.borrow_mut();
+        let mut calls = self.calls.borrow_mut();
+        for key in young.drain(..) {
+            if let Some(look_at) = calls.settle(key) {
+                let timer = self.timers.borrow_mut().insert(look_at, Timed::Call(key));
+                calls.set_timer(key, timer);
+            }
+        }
+        self.settle_at.set(Instant::LAST);
+    }
+
+    /// Looks for the answer to a call.
+    pub(crate) fn poll_call(&self, key: CallKey, cx: &PollContext<'_>) -> Looked {
+        let (looked, rest) = self.calls.borrow_mut().look(key, || self.waits(cx));
+        self.drop_rest(rest);
+        looked
+    }
+
+    /// Nobody waits for the answer to a call any more.
+    pub(crate) fn give_up_call(&self, key: CallKey) {
+        let rest = self.calls.borrow_mut().give_up(key);
+        self.drop_rest(rest);
+    }
+
+    fn drop_rest(&self, rest: Rest) {
+        if let Some(timer) = rest.timer {
+            self.timers.borrow_mut().remove(timer);
+        }
+        drop(rest);
+    }
+
+    /// Takes the answer to a call of this processor.
+    pub(crate) fn take_answer(&self, key: CallKey, answer: Answer) {
+        let given = self.calls.borrow_mut().answer(key, answer);
+        if let Given::Taken(Some(wake)) = given {
+            self.wake_local(wake);
+        }
+    }
+}
+
+impl Home for ProcessorHandle {
+    fn take_answer(&self, key: CallKey, answer: Answer) {
+        match Processor::here_if(self) {
+            Some(processor) => processor.take_answer(key, answer),
+            None => self.bring_answer(key, answer),
+        }
+    }
+}

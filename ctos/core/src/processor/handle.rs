@@ -1,0 +1,144 @@
+//! The part of a processor that other threads may touch, and what they bring to it.
+
+use std::{
+    rc::Rc,
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::core::Processor;
+use crate::processor::wake::FutureId;
+use crate::{
+    asleep::Asleep,
+    delivery::{Delivery, Order},
+    reply::{Answer, CallKey},
+};
+use ctos_time::{lock::lock, park::Parker};
+
+/// Work brought to a processor from another thread.
+pub(super) type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
+
+/// What other threads bring to a processor.
+pub(super) enum Item {
+    /// A message for the task in a slot.
+    Message(u16, Delivery),
+    /// The answer to a call that a task of the processor waits for.
+    Answer(CallKey, Answer),
+    /// A future is ready.
+    Wake(FutureId),
+    /// The task in a slot takes nothing more.
+    Close(u16),
+    /// An order to the queue of the task in a slot.
+    Order(u16, Order),
+    Job(Job),
+    /// Nothing but a reason to look up.
+    Nudge,
+}
+
+/// The part of a processor that other threads may touch.
+pub struct ProcessorHandle {
+    inbox: Sender<Item>,
+    /// The other end, until the processor takes it.
+    outlet: Mutex<Option<Receiver<Item>>>,
+    pub(super) asleep: Asleep,
+    /// Where its thread sleeps.
+    pub(crate) parker: Parker,
+    pub(super) stop: AtomicBool,
+    /// How long the thread looks for work before it sleeps, ns.
+    pub(super) spin_ns: AtomicU64,
+    /// Whether the thread lets others have its core before it sleeps.
+    pub(super) shares_core: AtomicBool,
+}
+
+impl Default for ProcessorHandle {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl ProcessorHandle {
+    /// That of a processor that has no thread yet.
+    pub(crate) fn new() -> Self {
+        let (inbox, outlet) = crossbeam_channel::unbounded();
+        Self {
+            inbox,
+            outlet: Mutex::new(Some(outlet)),
+            asleep: Asleep::default(),
+            parker: Parker::default(),
+            stop: AtomicBool::new(false),
+            spin_ns: AtomicU64::new(0),
+            shares_core: AtomicBool::new(false),
+        }
+    }
+
+    /// Where what is brought comes out; nothing ever does for a second processor of the same handle.
+    pub(super) fn take_outlet(&self) -> Receiver<Item> {
+        let outlet = lock(&self.outlet).take();
+        outlet.unwrap_or_else(crossbeam_channel::never)
+    }
+
+    /// Runs `job` on the processor's thread, soon.
+    pub fn inject(&self, job: impl FnOnce(&Rc<Processor>) + Send + 'static) {
+        // What is refused is dropped here, outside of all locks: the processor is gone.
+        drop(self.bring(Item::Job(Box::new(job))));
+    }
+
+    /// Ends [`Processor::run`] after the present step.
+    pub(crate) fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
+        self.unpark();
+    }
+
+    /// Wakes the processor, if it sleeps.
+    pub(crate) fn unpark(&self) {
+        drop(self.bring(Item::Nudge));
+    }
+
+    /// How long the thread looks for work before it sleeps. Worth it only where those who bring work
+    /// run on other cores.
+    pub(crate) fn set_spin(&self, spin: Duration) {
+        let spin_ns = u64::try_from(spin.as_nanos()).unwrap_or(u64::MAX);
+        self.spin_ns.store(spin_ns, Ordering::Relaxed);
+    }
+
+    /// Whether another processor runs on the same core: then the thread lets it have that before it sleeps.
+    pub(crate) fn set_shares_core(&self, shares: bool) {
+        self.shares_core.store(shares, Ordering::Relaxed);
+    }
+
+    /// Brings a message for the task in `slot`.
+    pub(crate) fn bring_message(&self, slot: u16, delivery: Delivery) {
+        if let Err(Item::Message(_, delivery)) = self.bring(Item::Message(slot, delivery)) {
+            delivery.refuse();
+        }
+    }
+
+    /// Tells the processor that the task in `slot` takes nothing more.
+    pub(crate) fn bring_close(&self, slot: u16) {
+        drop(self.bring(Item::Close(slot)));
+    }
+
+    /// Brings an order to the queue of the task in `slot`.
+    pub(crate) fn bring_order(&self, slot: u16, order: Order) {
+        drop(self.bring(Item::Order(slot, order)));
+    }
+
+    /// Brings the answer to a call. Without a processor nobody waits for it.
+    pub(crate) fn bring_answer(&self, key: CallKey, answer: Answer) {
+        drop(self.bring(Item::Answer(key, answer)));
+    }
+
+    /// Brings something, unless the processor is gone.
+    pub(super) fn bring(&self, item: Item) -> Result<(), Item> {
+        self.inbox.send(item).map_err(|refused| refused.0)?;
+        if self.asleep.must_be_woken() {
+            self.parker.unpark();
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,151 @@
+//! What is ready is polled, what panics is contained.
+
+use std::{
+    future::Future,
+    num::NonZeroU64,
+    panic::{AssertUnwindSafe, catch_unwind},
+    rc::Rc,
+    sync::{Arc, atomic::AtomicBool},
+    task::{Context as PollContext, Poll, Waker},
+};
+
+use super::{
+    core::Processor,
+    futures::{Entry, FutureWaker, PanicHook, Running, WakerOf},
+    wake::{FutureId, LocalWake},
+};
+use crate::contain::{drop_contained, panic_text};
+
+impl Processor {
+    /// Adds a future; the id cancels it again.
+    pub fn spawn(
+        &self,
+        future: impl Future<Output = ()> + 'static,
+        on_panic: Option<PanicHook>,
+    ) -> FutureId {
+        let mut futures = self.futures.borrow_mut();
+        let index = futures.free.pop().unwrap_or_else(|| {
+            futures.entries.push(Entry::default());
+            (futures.entries.len() - 1) as u32
+        });
+        // The index was free or has just been made.
+        #[allow(clippy::indexing_slicing, reason = "see above")]
+        let entry = &mut futures.entries[index as usize];
+        let generation = NonZeroU64::MIN.saturating_add(entry.generation);
+        entry.generation = generation.get();
+        let id = FutureId { generation, index };
+        let shared = Arc::new(FutureWaker {
+            id,
+            brought: AtomicBool::new(false),
+            processor: self.handle.clone(),
+        });
+        entry.taken = true;
+        entry.ready = true;
+        entry.running = Some(Running {
+            future: Box::pin(future),
+            waker: Waker::from(shared.clone()),
+            on_panic,
+        });
+        entry.shared = Some(shared);
+        futures.ready.push_back(id);
+        id
+    }
+
+    /// Drops a future. A future that cancels itself ends at its next await.
+    pub(crate) fn cancel(&self, id: FutureId) {
+        let running = self.futures.borrow_mut().remove(id);
+        // Dropped outside the borrow: destructors may spawn, wake or cancel.
+        drop_contained(running);
+    }
+
+    /// A future is ready to be polled.
+    pub(crate) fn wake(&self, id: FutureId) {
+        let mut futures = self.futures.borrow_mut();
+        if let Some(entry) = futures.entry(id)
+            && !entry.ready
+        {
+            entry.ready = true;
+            futures.ready.push_back(id);
+        }
+    }
+
+    pub(super) fn wake_local(&self, wake: LocalWake) {
+        match wake {
+            LocalWake::Future(id) => self.wake(id),
+            LocalWake::Waker(waker) => waker.wake(),
+        }
+    }
+
+    /// What the future polled with `cx` is woken by.
+    pub(super) fn waits(&self, cx: &PollContext<'_>) -> LocalWake {
+        match self.current.get() {
+            Some((id, waker)) if waker == WakerOf::the(cx.waker()) => LocalWake::Future(id),
+            _ => LocalWake::Waker(cx.waker().clone()),
+        }
+    }
+
+    /// How many futures are ready to be polled.
+    pub fn ready_count(&self) -> usize {
+        self.futures.borrow().ready.len()
+    }
+
+    /// Polls the `index`-th ready future. False when there is none.
+    pub fn poll_ready(self: &Rc<Self>, index: usize) -> bool {
+        let Some((id, running)) = self.take_ready(index) else {
+            return false;
+        };
+        if let Some(running) = running {
+            self.enter();
+            self.poll_running(id, running);
+        }
+        true
+    }
+
+    /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
+    fn poll_running(&self, id: FutureId, mut running: Running) {
+        self.current.set(Some((id, WakerOf::the(&running.waker))));
+        let polled = {
+            let Running { future, waker, .. } = &mut running;
+            let mut cx = PollContext::from_waker(waker);
+            self.leave();
+            catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
+        };
+        self.current.set(None);
+        self.moment();
+        if !matches!(polled, Ok(Poll::Pending)) {
+            let Running {
+                future, on_panic, ..
+            } = running;
+            drop_contained(future);
+            self.cancel(id);
+            if let (Err(panic), Some(on_panic)) = (polled, on_panic) {
+                on_panic(panic_text(panic.as_ref()));
+            }
+            return;
+        }
+        let cancelled = {
+            let mut futures = self.futures.borrow_mut();
+            match futures.entry(id) {
+                Some(entry) => {
+                    entry.running = Some(running);
+                    None
+                }
+                None => Some(running),
+            }
+        };
+        // It was cancelled while it was polled.
+        if cancelled.is_some() {
+            drop_contained(cancelled);
+        }
+    }
+
+    fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Running>)> {
+        let mut futures = self.futures.borrow_mut();
+        let id = futures.ready.remove(index)?;
+        let running = futures.entry(id).and_then(|entry| {
+            entry.ready = false;
+            entry.running.take()
+        });
+        Some((id, running))
+    }
+}

@@ -1,0 +1,374 @@
+//! Event handlers by the name that the configuration uses for them.
+
+mod codes;
+#[cfg(test)]
+mod tests;
+mod waiting;
+
+use std::{
+    collections::{BTreeMap, BTreeSet, btree_map::Entry},
+    future::Future,
+    rc::Rc,
+    sync::Arc,
+};
+
+use crate::{
+    chassis::{Chassis, Extension},
+    context::Context,
+    envelope::Message,
+    handled::{Handled, HandlerError},
+    handler::{EventHandler, Handover},
+    runner::dynamic::{DynHandler, WithHandover},
+};
+use ctos_config::{
+    App, TaskConfig,
+    diagnostic::{Finding, Findings},
+};
+use ctos_message::{Command, CommandInfo};
+use ctos_time::Clock;
+
+type Build = Box<dyn Fn(&Context) -> Result<Box<dyn DynHandler>, HandlerError> + Send + Sync>;
+type CheckTask = Box<dyn Fn(&TaskConfig, &App, &mut Findings) + Send + Sync>;
+type WaitsFor = Box<dyn Fn(&TaskConfig) -> Vec<String> + Send + Sync>;
+type Speaks = Box<dyn Fn(&TaskConfig) -> Vocabulary + Send + Sync>;
+type CheckApp = Box<dyn Fn(&App, &Registry, &mut Findings) + Send + Sync>;
+
+/// Names that the files of a task may use, by what they stand for.
+pub type Vocabulary = BTreeMap<&'static str, BTreeSet<String>>;
+
+/// What all tasks of a kind share: how to build their handlers, and which commands these take.
+#[doc(hidden)]
+pub struct Recipe {
+    pub commands: Arc<[CommandInfo]>,
+    pub build: Build,
+}
+
+impl Default for Recipe {
+    /// For what takes no messages and is not built.
+    fn default() -> Self {
+        Self {
+            commands: Arc::default(),
+            build: Box::new(|_| Err("it is not built".into())),
+        }
+    }
+}
+
+/// A kind of event handler: how to build one, which commands it takes, how to check its arguments.
+pub struct HandlerKind {
+    name: String,
+    recipe: Arc<Recipe>,
+    checks: Vec<CheckTask>,
+    waits_for: Option<WaitsFor>,
+    vocabulary: Option<Speaks>,
+}
+
+impl HandlerKind {
+    /// Adds a check that also sees the rest of the app.
+    pub fn check_in_app(
+        &mut self,
+        check: impl Fn(&TaskConfig, &App, &mut Findings) + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.checks.push(Box::new(check));
+        self
+    }
+
+    /// Declares the words of its own that the files of a task of this kind may use, for editors.
+    pub fn speaks(
+        &mut self,
+        words: impl Fn(&TaskConfig) -> Vocabulary + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.vocabulary = Some(Box::new(words));
+        self
+    }
+
+    /// The words of its own that the files of this task may use.
+    #[must_use]
+    pub fn vocabulary(&self, task: &TaskConfig) -> Vocabulary {
+        let words = self.vocabulary.as_ref();
+        words.map_or_else(Vocabulary::new, |words| words(task))
+    }
+
+    /// Declares which other tasks a task of this kind waits for before it has finished its startup:
+    /// those whose answers its `phase` awaits. Tasks that wait for each other in a circle are found
+    /// before anything starts.
+    pub fn waits_for(
+        &mut self,
+        names: impl Fn(&TaskConfig) -> Vec<String> + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.waits_for = Some(Box::new(names));
+        self
+    }
+
+    /// The names of the tasks that `task` waits for in its startup, as far as that is declared.
+    pub(crate) fn waits_for_names(&self, task: &TaskConfig) -> Vec<String> {
+        let names = self.waits_for.as_ref().map(|names| names(task));
+        names.unwrap_or_default()
+    }
+}
+
+#[doc(hidden)]
+impl HandlerKind {
+    /// The name in the configuration.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The commands it takes.
+    #[must_use]
+    pub fn commands(&self) -> &[CommandInfo] {
+        &self.recipe.commands
+    }
+
+    /// The command called `name`.
+    #[must_use]
+    pub fn command(&self, name: &str) -> Option<CommandInfo> {
+        let mut commands = self.commands().iter().copied();
+        commands.find(|command| command.name == name)
+    }
+
+    /// Adds a check of a task's arguments that runs before anything starts.
+    pub fn check(
+        &mut self,
+        check: impl Fn(&TaskConfig, &mut Findings) + Send + Sync + 'static,
+    ) -> &mut Self {
+        self.check_in_app(move |task, _, findings| check(task, findings))
+    }
+
+    pub fn recipe(&self) -> Arc<Recipe> {
+        self.recipe.clone()
+    }
+}
+
+impl std::fmt::Debug for HandlerKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "HandlerKind(`{}`)", self.name)
+    }
+}
+
+/// Every kind of event handler that a program offers to its configurations.
+#[derive(Default)]
+pub struct Registry {
+    kinds: BTreeMap<String, HandlerKind>,
+    app_checks: BTreeMap<&'static str, CheckApp>,
+}
+
+impl Registry {
+    /// Registers a type of event handler. A later registration of the same name replaces the
+    /// earlier one.
+    pub fn handler<H: EventHandler>(
+        &mut self,
+        name: &str,
+        commands: &[CommandInfo],
+        build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
+    ) -> &mut HandlerKind {
+        let build: Build = Box::new(move |cx| {
+            let handler: Box<dyn DynHandler> = Box::new(build(cx)?);
+            Ok(handler)
+        });
+        self.add(name, commands, build)
+    }
+
+    /// Registers a kind of event handler that passes its state on: its tasks can be moved while they run,
+    /// and a restarted one goes on where the last one ended.
+    pub fn handover<H: Handover>(
+        &mut self,
+        name: &str,
+        commands: &[CommandInfo],
+        build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
+    ) -> &mut HandlerKind {
+        let build: Build = Box::new(move |cx| {
+            let handler: Box<dyn DynHandler> = Box::new(WithHandover(build(cx)?));
+            Ok(handler)
+        });
+        self.add(name, commands, build)
+    }
+
+    fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {
+        let kind = HandlerKind {
+            name: name.to_owned(),
+            recipe: Arc::new(Recipe {
+                commands: commands.into(),
+                build,
+            }),
+            checks: Vec::new(),
+            waits_for: None,
+            vocabulary: None,
+        };
+        match self.kinds.entry(name.to_owned()) {
+            Entry::Vacant(free) => free.insert(kind),
+            Entry::Occupied(there) => {
+                let there = there.into_mut();
+                *there = kind;
+                there
+            }
+        }
+    }
+
+    /// Registers a plain function as an event handler for one command.
+    pub fn function<C, F, Fut>(&mut self, name: &str, function: F) -> &mut HandlerKind
+    where
+        C: Command,
+        F: Fn(Context, C) -> Fut + Clone + Send + Sync + 'static,
+        Fut: Future<Output = Result<C::Reply, HandlerError>> + 'static,
+    {
+        self.handler(name, &[C::INFO], move |_| {
+            Ok(FunctionHandler {
+                function: Rc::new(function.clone()),
+                command: std::marker::PhantomData::<fn(C)>,
+            })
+        })
+    }
+
+    /// Adds a check of the whole app that runs before anything starts. A later one of the same name
+    /// replaces the earlier one, so that several crates may ask for the same check.
+    pub fn app_check(
+        &mut self,
+        name: &'static str,
+        check: impl Fn(&App, &Self, &mut Findings) + Send + Sync + 'static,
+    ) {
+        self.app_checks.insert(name, Box::new(check));
+    }
+
+    /// The kind of handler called `name`.
+    #[must_use]
+    pub fn kind(&self, name: &str) -> Option<&HandlerKind> {
+        self.kinds.get(name)
+    }
+
+    /// All kinds, by name.
+    pub fn kinds(&self) -> impl Iterator<Item = &HandlerKind> {
+        self.kinds.values()
+    }
+
+    /// What the handler of `task` takes under `command`.
+    ///
+    /// # Errors
+    /// A finding without a place when the task or its command is unknown.
+    pub fn command_of(&self, app: &App, task: &str, command: &str) -> Result<CommandInfo, Finding> {
+        let Some(config) = app.task(task) else {
+            let names = app.tasks.iter().map(|task| task.name.as_str());
+            return Err(Finding::error(
+                "ctos::config::unknown_task",
+                format!("no task is called `{task}`"),
+            )
+            .suggest(task, names));
+        };
+        let commands = self
+            .kind(&config.handler)
+            .map_or(&[][..], HandlerKind::commands);
+        commands
+            .iter()
+            .copied()
+            .find(|info| info.name == command)
+            .ok_or_else(|| {
+                Finding::error(
+                    "ctos::config::unknown_command",
+                    format!("task `{task}` takes no command `{command}`"),
+                )
+                .suggest(command, commands.iter().map(|info| info.name))
+            })
+    }
+}
+
+#[doc(hidden)]
+impl Registry {
+    /// No kinds.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Checks a whole app: every handler is known, every task's arguments hold, and whatever the
+    /// crates of the program check across tasks.
+    #[must_use]
+    pub fn check(&self, app: &App) -> Findings {
+        let mut findings = app.warnings.clone();
+        for task in &app.tasks {
+            match self.kind(&task.handler) {
+                Some(kind) => {
+                    codes::check(kind, task, &mut findings);
+                    for check in &kind.checks {
+                        check(task, app, &mut findings);
+                    }
+                }
+                None => findings.push(
+                    Finding::error(
+                        "ctos::config::unknown_handler",
+                        format!(
+                            "task `{}` names the event handler `{}`, which nobody registered",
+                            task.name, task.handler
+                        ),
+                    )
+                    .at(task.handler_place.clone())
+                    .suggest(&task.handler, self.kinds.keys().map(String::as_str)),
+                ),
+            }
+        }
+        waiting::check(app, self, &mut findings);
+        for check in self.app_checks.values() {
+            check(app, self, &mut findings);
+        }
+        findings
+    }
+}
+
+impl Extension for Registry {
+    fn new(_: &Chassis) -> Self {
+        Self::default()
+    }
+}
+
+impl Chassis {
+    /// The kinds of event handlers that this program knows.
+    #[must_use]
+    pub fn registry(&self) -> Arc<Registry> {
+        self.extension()
+    }
+}
+
+#[doc(hidden)]
+impl Chassis {
+    /// Chassis number `index` of `app`, whose event handlers are those of `registry`; its processors' threads are
+    /// started elsewhere.
+    pub fn new(index: u8, app: Arc<App>, registry: Arc<Registry>, clock: Clock) -> Arc<Self> {
+        let chassis = Self::bare(index, app, clock);
+        chassis.extend(registry);
+        chassis
+    }
+}
+
+impl Context {
+    /// The kinds of event handlers that this program knows.
+    #[must_use]
+    pub fn registry(&self) -> Arc<Registry> {
+        self.chassis().registry()
+    }
+}
+
+impl std::fmt::Debug for Registry {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.kinds.keys()).finish()
+    }
+}
+
+/// An event handler made of one function.
+struct FunctionHandler<C, F> {
+    function: Rc<F>,
+    command: std::marker::PhantomData<fn(C)>,
+}
+
+impl<C, F, Fut> EventHandler for FunctionHandler<C, F>
+where
+    C: Command,
+    F: Fn(Context, C) -> Fut + 'static,
+    Fut: Future<Output = Result<C::Reply, HandlerError>> + 'static,
+{
+    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+        if message.command() != C::CODE {
+            return cx.default_processing(message);
+        }
+        let (request, reply) = message.open::<C>()?;
+        reply.ok((self.function)(cx.clone(), request).await?)
+    }
+}

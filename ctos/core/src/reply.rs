@@ -1,0 +1,421 @@
+//! The way of an answer: the right to give it, wherever that goes, and the futures of those who wait for
+//! it outside of all tasks. (Tasks wait in [`crate::exchange`].)
+
+use std::{
+    cell::{Cell, RefCell},
+    fmt,
+    future::Future,
+    pin::Pin,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    task::{Context as PollContext, Poll, Waker},
+};
+
+use ctos_message::{Data, fault::Fault};
+use ctos_time::lock::lock;
+
+/// What comes back.
+pub type Answer = Result<Data, Fault>;
+
+#[derive(Default)]
+enum PromiseState {
+    #[default]
+    Empty,
+    Waiting(Waker),
+    Answered(Answer),
+    Taken,
+}
+
+/// One answer on its way from any thread to the one future that waits for it.
+#[derive(Default)]
+pub struct Promise {
+    state: Mutex<PromiseState>,
+    abandoned: AtomicBool,
+}
+
+impl Promise {
+    /// Whether nobody waits any more.
+    fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Acquire)
+    }
+
+    /// Gives the answer; later ones are ignored.
+    pub(crate) fn fulfil(&self, answer: Answer) {
+        let mut state = lock(&self.state);
+        if matches!(*state, PromiseState::Answered(_) | PromiseState::Taken) {
+            return;
+        }
+        let before = std::mem::replace(&mut *state, PromiseState::Answered(answer));
+        drop(state);
+        if let PromiseState::Waiting(waker) = before {
+            waker.wake();
+        }
+    }
+}
+
+/// The waiting end of a [`Promise`]. Dropping it tells whoever makes the promise that nobody waits.
+pub struct Waiting {
+    promise: Arc<Promise>,
+    /// Takes the question back, when it went over a link.
+    take_back: Option<Box<dyn FnOnce() + Send>>,
+}
+
+impl Waiting {
+    /// Waits for an answer of this process.
+    pub fn here(promise: Arc<Promise>) -> Self {
+        let take_back = None;
+        Self { promise, take_back }
+    }
+
+    /// The same; `take_back` is called if it is dropped.
+    pub(crate) fn or_else(mut self, take_back: impl FnOnce() + Send + 'static) -> Self {
+        self.take_back = Some(Box::new(take_back));
+        self
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.promise.abandoned.store(true, Ordering::Release);
+        if let Some(take_back) = self.take_back.take() {
+            take_back();
+        }
+    }
+}
+
+impl Future for Waiting {
+    type Output = Answer;
+
+    fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Answer> {
+        let mut state = lock(&self.promise.state);
+        match std::mem::replace(&mut *state, PromiseState::Taken) {
+            PromiseState::Answered(answer) => Poll::Ready(answer),
+            PromiseState::Taken => Poll::Ready(Err(Fault::NoReply)),
+            PromiseState::Empty | PromiseState::Waiting(_) => {
+                *state = PromiseState::Waiting(cx.waker().clone());
+                Poll::Pending
+            }
+        }
+    }
+}
+
+/// Where the calls of one processor wait.
+pub(crate) trait Home: Send + Sync {
+    /// Takes the answer to a call, from any thread.
+    fn take_answer(&self, key: CallKey, answer: Answer);
+}
+
+/// A request that came over a link.
+pub(crate) trait Remote: Send + Sync {
+    /// Sends the answer back; nothing comes of it when that was done already.
+    fn answer(&self, answer: Answer);
+    /// Whether the caller, or its chassis, is gone.
+    fn is_abandoned(&self) -> bool;
+}
+
+/// One slot, as those who answer see it.
+pub(crate) struct Shared {
+    pub(crate) home: Arc<dyn Home>,
+    pub(crate) slot: u32,
+    /// The last generation whose caller went without its answer; [`NOBODY`] before there is one.
+    pub(crate) gone: AtomicU64,
+}
+
+/// No call has this generation.
+pub(crate) const NOBODY: u64 = 0;
+
+/// The right to answer one call, from any thread. Whoever holds one must use it: a ticket that is
+/// merely dropped leaves its caller to its deadline.
+pub(crate) struct Ticket {
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) generation: u64,
+}
+
+impl Ticket {
+    /// Gives the answer. When the caller waits no longer, nothing comes of it.
+    pub(crate) fn answer(self, answer: Answer) {
+        self.shared.home.take_answer(self.key(), answer);
+    }
+
+    /// Whether the caller waits no longer.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.generation <= self.shared.gone.load(Ordering::Acquire)
+    }
+
+    /// Names the call that the ticket is for.
+    pub(crate) fn key(&self) -> CallKey {
+        CallKey {
+            slot: self.shared.slot,
+            generation: self.generation,
+        }
+    }
+}
+
+/// Names one call among all that one processor has ever waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct CallKey {
+    pub(crate) slot: u32,
+    pub(crate) generation: u64,
+}
+
+/// Where an answer goes.
+enum ReplyTo {
+    /// To a call of a task of this chassis.
+    Local(Ticket),
+    /// To somebody in this process who is no task.
+    Outside(Arc<Promise>),
+    /// Over a link.
+    Remote(Arc<dyn Remote>),
+}
+
+/// The right to answer one message. Dropped without an answer, it tells the caller
+/// [`Fault::NoReply`]: at once, or, where the handler of the message itself drops it, when it is known
+/// how that handler ended, which may be a better answer.
+pub struct ReplySlot {
+    to: Option<ReplyTo>,
+    /// The message at hand; 0 while it is not being handled.
+    serial: u64,
+}
+
+impl ReplySlot {
+    pub(crate) fn call(ticket: Ticket) -> Self {
+        Self::of(ReplyTo::Local(ticket))
+    }
+
+    pub fn outside(promise: Arc<Promise>) -> Self {
+        Self::of(ReplyTo::Outside(promise))
+    }
+
+    pub(crate) fn remote(request: Arc<dyn Remote>) -> Self {
+        Self::of(ReplyTo::Remote(request))
+    }
+
+    fn of(to: ReplyTo) -> Self {
+        let to = Some(to);
+        Self { to, serial: 0 }
+    }
+
+    /// Gives the answer. Every answer to a message passes here on its way out.
+    pub fn answer(mut self, answer: Answer) {
+        match self.to.take() {
+            Some(ReplyTo::Local(ticket)) => ticket.answer(answer),
+            Some(ReplyTo::Outside(promise)) => promise.fulfil(answer),
+            Some(ReplyTo::Remote(request)) => request.answer(answer),
+            None => {}
+        }
+    }
+
+    /// Whether nobody waits for the answer any more.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        match &self.to {
+            Some(ReplyTo::Local(ticket)) => ticket.is_abandoned(),
+            Some(ReplyTo::Outside(promise)) => promise.is_abandoned(),
+            Some(ReplyTo::Remote(request)) => request.is_abandoned(),
+            None => true,
+        }
+    }
+
+    /// Message number `serial` is about to be handled.
+    pub(crate) fn set_serial(&mut self, serial: u64) {
+        self.serial = serial;
+    }
+
+    /// What is enough to answer in place of whoever has the slot.
+    pub(crate) fn key(&self) -> Option<ReplyKey> {
+        Some(match self.to.as_ref()? {
+            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.shared.clone(), ticket.generation),
+            ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
+            ReplyTo::Remote(request) => ReplyKey::Remote(request.clone()),
+        })
+    }
+}
+
+impl Drop for ReplySlot {
+    fn drop(&mut self) {
+        if let Some(to) = self.to.take() {
+            drop_unanswered(Self {
+                to: Some(to),
+                serial: self.serial,
+            });
+        }
+    }
+}
+
+#[cold]
+fn drop_unanswered(slot: ReplySlot) {
+    let serial = slot.serial;
+    let is_at_hand = HANDLING.try_with(|handling| serial != 0 && serial == handling.get());
+    if is_at_hand == Ok(true) {
+        ORPHANS.with(|orphans| orphans.borrow_mut().push(slot));
+    } else {
+        slot.answer(Err(Fault::NoReply));
+    }
+}
+
+impl fmt::Debug for ReplySlot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ReplySlot {{ open: {} }}", self.to.is_some())
+    }
+}
+
+/// Names an answer that is owed, without the right to give it: for the loop of the task, whose handler
+/// has that right, and may have passed it on.
+pub(crate) enum ReplyKey {
+    /// To a call of a task of this chassis.
+    Local(Arc<Shared>, u64),
+    /// To somebody in this process who is no task.
+    Outside(Arc<Promise>),
+    /// Over a link.
+    Remote(Arc<dyn Remote>),
+}
+
+impl ReplyKey {
+    /// Answers in place of whoever has the right to; nothing comes of it when that was done already.
+    pub(crate) fn answer(self, answer: Answer) {
+        match self {
+            Self::Local(shared, generation) => Ticket { shared, generation }.answer(answer),
+            Self::Outside(promise) => promise.fulfil(answer),
+            Self::Remote(request) => request.answer(answer),
+        }
+    }
+}
+
+// -- rights to answer that a handler at work drops ----------------------------------------------
+
+/// How many messages one thread may number.
+const PER_THREAD: u64 = 1 << 44;
+
+/// Counts the threads that number messages.
+static THREADS: AtomicU64 = AtomicU64::new(0);
+
+thread_local! {
+    /// The message whose handler is at work; 0: none is.
+    static HANDLING: Cell<u64> = const { Cell::new(0) };
+    /// Rights to answer that handlers at work have dropped.
+    static ORPHANS: RefCell<Vec<ReplySlot>> = const { RefCell::new(Vec::new()) };
+    static NEXT: Cell<u64> = Cell::new(THREADS.fetch_add(1, Ordering::Relaxed) * PER_THREAD + 1);
+}
+
+/// A number for a message that is about to be handled; no other message of the process has it.
+pub(crate) fn next_serial() -> u64 {
+    NEXT.with(|next| next.replace(next.get() + 1))
+}
+
+/// Runs code of the handler of message `serial`: the right to answer it, dropped in there, is kept
+/// until it is known how the handler ended.
+pub(crate) fn handling<T>(serial: u64, code: impl FnOnce() -> T) -> T {
+    struct Restore(u64);
+    impl Drop for Restore {
+        fn drop(&mut self) {
+            HANDLING.set(self.0);
+        }
+    }
+    let _restore = Restore(HANDLING.replace(serial));
+    code()
+}
+
+/// The right to answer message `serial`, if its handler dropped it.
+pub(crate) fn take_orphan(serial: u64) -> Option<ReplySlot> {
+    ORPHANS.with(|orphans| {
+        let mut orphans = orphans.borrow_mut();
+        let place = orphans.iter().position(|slot| slot.serial == serial)?;
+        Some(orphans.swap_remove(place))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{rc::Rc, time::Duration};
+
+    use super::*;
+    use crate::{exchange::Looked, processor::Processor};
+    use ctos_time::{Clock, Instant};
+
+    fn call() -> (Rc<Processor>, ReplySlot, CallKey) {
+        let processor = Processor::new(Arc::default(), Clock::virtual_clock());
+        processor.enter();
+        let ticket = processor.begin_call(Instant::START, Duration::from_secs(1), None);
+        let key = ticket.key();
+        (processor, ReplySlot::call(ticket), key)
+    }
+
+    fn answer(processor: &Processor, key: CallKey) -> Option<Answer> {
+        match processor.poll_call(key, &PollContext::from_waker(Waker::noop())) {
+            Looked::Ended(answer) => Some(answer),
+            Looked::Waiting | Looked::Long | Looked::Late(..) => None,
+        }
+    }
+
+    #[test]
+    fn an_answer_reaches_its_call_and_no_later_one() {
+        let (processor, slot, key) = call();
+        slot.answer(Ok(Data::of(1_u8)));
+        let first = answer(&processor, key).unwrap().unwrap();
+        assert_eq!(first.take::<u8>().unwrap(), 1);
+        // The next call uses the same slot.
+        let next = processor.begin_call(Instant::START, Duration::from_secs(1), None);
+        processor.take_answer(key, Ok(Data::of(2_u8)));
+        assert!(answer(&processor, next.key()).is_none());
+    }
+
+    #[test]
+    fn the_first_answer_counts() {
+        let (processor, slot, key) = call();
+        processor.take_answer(key, Ok(Data::of(1_u8)));
+        slot.answer(Ok(Data::of(2_u8)));
+        let first = answer(&processor, key).unwrap().unwrap();
+        assert_eq!(first.take::<u8>().unwrap(), 1);
+    }
+
+    #[test]
+    fn a_request_dropped_without_an_answer_still_ends_the_call() {
+        let (processor, slot, key) = call();
+        assert!(answer(&processor, key).is_none());
+        drop(slot);
+        assert_eq!(
+            answer(&processor, key).unwrap().unwrap_err(),
+            Fault::NoReply
+        );
+    }
+
+    #[test]
+    fn what_a_handler_drops_is_answered_when_it_has_ended() {
+        let (processor, mut slot, key) = call();
+        slot.set_serial(7);
+        handling(7, || drop(slot));
+        assert!(answer(&processor, key).is_none());
+        assert!(take_orphan(8).is_none());
+        let mut slot = take_orphan(7).unwrap();
+        slot.set_serial(0);
+        drop(slot);
+        assert_eq!(
+            answer(&processor, key).unwrap().unwrap_err(),
+            Fault::NoReply
+        );
+    }
+
+    #[test]
+    fn a_caller_that_gave_up_is_seen_by_the_receiver() {
+        let (processor, slot, key) = call();
+        assert!(!slot.is_abandoned());
+        processor.give_up_call(key);
+        assert!(slot.is_abandoned());
+        let next = processor.begin_call(Instant::START, Duration::from_secs(1), None);
+        assert!(slot.is_abandoned());
+        slot.answer(Ok(Data::of(1_u8)));
+        assert!(answer(&processor, next.key()).is_none());
+    }
+
+    #[test]
+    fn an_answer_from_another_thread_comes_home() {
+        let (processor, slot, key) = call();
+        std::thread::spawn(move || slot.answer(Ok(Data::of(1_u8))))
+            .join()
+            .unwrap();
+        assert!(answer(&processor, key).is_none());
+        assert!(processor.run_jobs());
+        assert!(answer(&processor, key).is_some_and(|answer| answer.is_ok()));
+    }
+}

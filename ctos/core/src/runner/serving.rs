@@ -1,0 +1,280 @@
+//! The messages of a task, one after the other: which are begun, who is told how each ended.
+
+use crate::{
+    contain::panic_text,
+    context::Context,
+    envelope::Message,
+    handled::{Handled, HandlerError},
+    handler::EventHandler,
+    mailbox::queue::TaskQueue,
+    reply,
+    reply::ReplyKey,
+    report::Ending as HandlerEnding,
+    statistics::Activity,
+    system::StopTask,
+    tap,
+    tap::Asked,
+    task_record::TaskRecord,
+};
+use ctos_message::{Command, SYSTEM_COMMANDS, fault::Fault};
+use ctos_time::Instant;
+use std::{
+    cell::Cell,
+    future::{Future, poll_fn},
+    panic::{AssertUnwindSafe, catch_unwind},
+    pin::{Pin, pin},
+    rc::Rc,
+    sync::Arc,
+    task::{Context as PollContext, Poll},
+};
+
+/// What the loop of a task needs besides its handler.
+pub struct Serving {
+    pub(super) cx: Context,
+    pub(super) record: Arc<TaskRecord>,
+    pub(super) activity: Arc<Activity>,
+    pub(super) queue: Rc<TaskQueue>,
+    /// It was told to stop: nothing more is begun, or hardware at rest would move again.
+    pub(super) stopped: Cell<bool>,
+}
+
+/// Why the handling of a task's messages was interrupted.
+pub enum Served {
+    /// By a message that is not for the handler, or not for it alone.
+    Next(Message),
+    /// By a panic that said so.
+    Panicked(String),
+    /// By the end of the queue.
+    Closed,
+}
+
+/// How the handling of one message ended.
+pub(super) type Ended = Result<(), Bad>;
+
+/// How the handling of one message ended otherwise than well.
+pub(super) enum Bad {
+    Refused(HandlerError),
+    Panicked(String),
+    /// By a message that ends whatever it does; whether because a part of it broke.
+    Interrupted(bool),
+}
+
+/// The message that is being handled.
+pub(super) struct AtHand {
+    command: u16,
+    pub(super) serial: u64,
+    began: Instant,
+    /// To whom the answer is owed.
+    owed: Option<ReplyKey>,
+    /// The message, for the record, if there is one.
+    noted: Option<tap::AtHand>,
+}
+
+impl Serving {
+    /// Puts the next message that is to be handled into `next`; none once the queue is closed.
+    pub(super) fn poll_next(&self, next: &mut Option<Message>) -> Poll<()> {
+        loop {
+            if self.queue.poll_next(next).is_pending() {
+                return Poll::Pending;
+            }
+            if next.as_ref().is_none_or(|message| self.is_wanted(message)) {
+                return Poll::Ready(());
+            }
+            if let Some(message) = next.take() {
+                self.pass_over(message);
+            }
+        }
+    }
+
+    /// The next message that is to be handled; `None` once the queue is closed.
+    pub(super) async fn next(&self) -> Option<Message> {
+        let mut next = None;
+        poll_fn(|_| self.poll_next(&mut next)).await;
+        next
+    }
+
+    /// Whether a message is still to be begun.
+    fn is_wanted(&self, message: &Message) -> bool {
+        if self.refuses(message) {
+            return false;
+        }
+        let Some(slot) = &message.envelope.reply else {
+            return true;
+        };
+        // A stop is carried out even when whoever ordered it had to go on.
+        !slot.is_abandoned() || message.command() == StopTask::CODE
+    }
+
+    /// Ends a message that is not begun.
+    fn pass_over(&self, message: Message) {
+        let command = message.command();
+        tracing::debug!(task = %self.cx.name(), command, "caller gave up, or the task is stopping");
+        message.refuse(Fault::Stopping);
+    }
+
+    fn refuses(&self, message: &Message) -> bool {
+        self.stopped.get() && message.command() < SYSTEM_COMMANDS
+    }
+
+    /// The handler is called with `message`: every message passes here on its way to a handler.
+    pub(super) fn begin(&self, message: &mut Message) -> AtHand {
+        let processor = self.cx.processor();
+        let chassis = self.cx.chassis();
+        let (began, command) = (processor.recent(), message.command());
+        let serial = reply::next_serial();
+        let owed = message.envelope.reply.as_mut().and_then(|slot| {
+            slot.set_serial(serial);
+            slot.key()
+        });
+        chassis.delivered(&self.record, message);
+        self.activity.begin(command, began);
+        self.activity.recent.began(message.from(), command, began);
+        let noted = chassis.tap.observer().map(|observer| {
+            let noted = tap::AtHand {
+                id: message.envelope.recorded,
+                asked: Asked::of(message),
+                began,
+            };
+            observer.began(&noted);
+            noted
+        });
+        AtHand {
+            command,
+            serial,
+            began,
+            owed,
+            noted,
+        }
+    }
+
+    /// The handler has ended, in whatever way: what it owes is answered. What its panic said, if it
+    /// panicked.
+    pub(super) fn end(&self, at_hand: AtHand, ended: Ended) -> Option<String> {
+        let AtHand {
+            command,
+            serial,
+            began,
+            owed,
+            noted,
+        } = at_hand;
+        let processor = self.cx.processor();
+        let statistics = &self.activity;
+        let now = processor.moment();
+        statistics.end(ended.is_ok(), now.since(began));
+        let ending = || match &ended {
+            Ok(()) => HandlerEnding::Done,
+            Err(Bad::Refused(error)) => HandlerEnding::Refused(error.to_string()),
+            Err(Bad::Panicked(text)) => HandlerEnding::Panicked(text.clone()),
+            Err(Bad::Interrupted(_)) => HandlerEnding::Stopped,
+        };
+        statistics.recent.ended(command, now, ending);
+        if let (Some(noted), Some(observer)) = (noted, self.cx.chassis().tap.observer()) {
+            observer.ended(&noted, now, ending());
+        }
+        match ended {
+            Ok(()) => {
+                // A right to answer that it kept is still good; one that it dropped is not.
+                drop(reply::take_orphan(serial).map(|mut slot| {
+                    slot.set_serial(0);
+                    slot
+                }));
+                None
+            }
+            Err(bad) => self.end_badly(command, serial, owed, bad),
+        }
+    }
+
+    /// The handler has ended otherwise than well.
+    fn end_badly(
+        &self,
+        command: u16,
+        serial: u64,
+        owed: Option<ReplyKey>,
+        bad: Bad,
+    ) -> Option<String> {
+        let _processor = self.cx.processor();
+        let (fault, panic) = match bad {
+            Bad::Refused(error) => {
+                tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
+                let text = error.to_string();
+                (Fault::Refused { text }, None)
+            }
+            Bad::Interrupted(true) => {
+                let text = "a part of it did, while it was handled".to_owned();
+                (Fault::Panicked { text }, None)
+            }
+            Bad::Interrupted(false) => (Fault::Stopping, None),
+            Bad::Panicked(text) => {
+                tracing::error!(task = %self.cx.name(), command, panic = %text, "handler panicked");
+                let fault = Fault::Panicked { text: text.clone() };
+                (fault, Some(text))
+            }
+        };
+        match (reply::take_orphan(serial), owed) {
+            (Some(slot), _) => slot.answer(Err(fault)),
+            (None, Some(key)) => key.answer(Err(fault)),
+            (None, None) => {}
+        }
+        panic
+    }
+
+    /// Polls a handler: to its end, its panic, or, if it is `interruptible`, an order to stop. With any of these it is
+    /// dropped, while it is still at work: what it owes then is told apart from what others owe.
+    pub(super) fn poll<F: Future<Output = Handled>>(
+        &self,
+        at_hand: &AtHand,
+        mut handling: Pin<&mut Option<F>>,
+        interruptible: bool,
+        cx: &mut PollContext<'_>,
+    ) -> Poll<Ended> {
+        let processor = self.cx.processor();
+        processor.leave();
+        let polled = self.activity.meter.in_poll(|| {
+            catch_unwind(AssertUnwindSafe(|| {
+                reply::handling(at_hand.serial, || {
+                    let polled = handling.as_mut().as_pin_mut()?.poll(cx);
+                    if polled.is_ready() {
+                        handling.set(None);
+                    }
+                    Some(polled)
+                })
+            }))
+        });
+        let bad = match polled {
+            Ok(Some(Poll::Ready(Ok(())))) => return Poll::Ready(Ok(())),
+            Ok(Some(Poll::Ready(Err(error)))) => Bad::Refused(error),
+            Err(panic) => Bad::Panicked(panic_text(panic.as_ref())),
+            // A handler that waits for others must not delay an orderly stop: it is dropped there.
+            Ok(Some(Poll::Pending)) if interruptible => match self.queue.interruption() {
+                Some(broke) => Bad::Interrupted(broke),
+                None => return Poll::Pending,
+            },
+            Ok(Some(Poll::Pending) | None) => return Poll::Pending,
+        };
+        reply::handling(at_hand.serial, || handling.set(None));
+        Poll::Ready(Err(bad))
+    }
+
+    /// See [`DynHandler::serve`].
+    pub(crate) async fn serve<H: EventHandler>(&self, handler: &mut H, first: Message) -> Served {
+        let mut next = Some(first);
+        // One context serves message after message.
+        let mut cx = self.cx.within(0);
+        while let Some(mut message) = next.take() {
+            let at_hand = self.begin(&mut message);
+            cx.set_trace(message.trace());
+            let ended = {
+                let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
+                poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await
+            };
+            if let Some(panic) = self.end(at_hand, ended) {
+                return Served::Panicked(panic);
+            }
+            next = self.next().await;
+            if let Some(of_runtime) = next.take_if(|next| next.command() >= SYSTEM_COMMANDS) {
+                return Served::Next(of_runtime);
+            }
+        }
+        Served::Closed
+    }
+}

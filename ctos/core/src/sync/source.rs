@@ -1,0 +1,136 @@
+//! Ticks that come from a device instead of the clock: an encoder card's interrupt, a timer of the
+//! kernel, a bus master's frame.
+//!
+//! A thread of its own waits for the device, so the device may block as it likes and the processor still
+//! takes messages between ticks. It has the processor's priority and CPU; what it adds to the way
+//! of a tick is one wake-up on the same core.
+
+use std::{
+    fmt, io,
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    thread::JoinHandle,
+};
+
+use crate::contain::panic_text;
+use ctos_time::{Clock, Instant, lock::lock};
+
+/// A device that says when the ticks of a processor are.
+pub trait TickSource: Send {
+    /// Waits for the device's next tick. Returns how many have come since it was called last: 1, or more
+    /// when some went unseen. It returns 0 at least every 100 ms when there are none, so that it
+    /// can be taken away.
+    ///
+    /// # Errors
+    /// When the device gives no more ticks. The clock then counts on at the processor's base period,
+    /// and the tasks with functions there have failed.
+    fn wait(&mut self) -> io::Result<u64>;
+}
+
+/// What a device's thread has seen, for the processor.
+#[derive(Debug, Default)]
+pub(super) struct Ticks {
+    /// Odd while the next two are being written.
+    version: AtomicU64,
+    count: AtomicU64,
+    stamp_ns: AtomicU64,
+    /// Set when no more ticks come.
+    over: AtomicBool,
+    failure: Mutex<Option<String>>,
+}
+
+impl Ticks {
+    /// Ticks so far and the moment of the last one; `None` while they are being written: the
+    /// processor is woken again when they are.
+    pub(super) fn read(&self) -> Option<(u64, Instant)> {
+        let before = self.version.load(Ordering::SeqCst);
+        let count = self.count.load(Ordering::SeqCst);
+        let stamp = self.stamp_ns.load(Ordering::SeqCst);
+        let whole = before.is_multiple_of(2) && before == self.version.load(Ordering::SeqCst);
+        whole.then(|| (count, Instant::from_nanos(stamp)))
+    }
+
+    /// Only the device's thread writes.
+    fn write(&self, more: u64, at: Instant) {
+        self.version.fetch_add(1, Ordering::SeqCst);
+        self.stamp_ns.store(at.as_nanos(), Ordering::SeqCst);
+        self.count.fetch_add(more, Ordering::SeqCst);
+        self.version.fetch_add(1, Ordering::SeqCst);
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.over.load(Ordering::Acquire)
+    }
+
+    fn fail(&self, reason: String) {
+        *lock(&self.failure) = Some(reason);
+        self.over.store(true, Ordering::Release);
+    }
+
+    /// How it ended, if it has: with a failure, or because it was taken away.
+    pub(super) fn end(&self) -> Option<Option<String>> {
+        self.is_over().then(|| lock(&self.failure).take())
+    }
+}
+
+/// Keeps a processor paced by its device; dropped, it gives the pace back to the clock.
+#[derive(Debug)]
+pub struct TickSourceHandle {
+    /// `None` in virtual time, where there are no devices.
+    ticks: Option<Arc<Ticks>>,
+}
+
+impl TickSourceHandle {
+    pub(super) fn new(ticks: Option<Arc<Ticks>>) -> Self {
+        Self { ticks }
+    }
+}
+
+impl Drop for TickSourceHandle {
+    fn drop(&mut self) {
+        if let Some(ticks) = &self.ticks {
+            ticks.over.store(true, Ordering::Release);
+        }
+    }
+}
+
+/// What the thread that waits for a device needs of its processor.
+pub(crate) struct Pacemaker {
+    /// Makes the calling thread like the processor's: CPU and priority.
+    pub(crate) prepare: Box<dyn FnOnce() + Send>,
+    /// Wakes the processor.
+    pub(crate) wake: Box<dyn Fn() + Send>,
+}
+
+impl fmt::Debug for Pacemaker {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Pacemaker(..)")
+    }
+}
+
+/// Starts the thread that waits for `source`.
+pub(super) fn start(
+    name: String,
+    mut source: Box<dyn TickSource>,
+    pacemaker: Pacemaker,
+    clock: Clock,
+) -> io::Result<(Arc<Ticks>, JoinHandle<()>)> {
+    let ticks = Arc::new(Ticks::default());
+    let written = ticks.clone();
+    let thread = std::thread::Builder::new().name(name).spawn(move || {
+        (pacemaker.prepare)();
+        while !written.is_over() {
+            match catch_unwind(AssertUnwindSafe(|| source.wait())) {
+                Ok(Ok(0)) => continue,
+                Ok(Ok(more)) => written.write(more, clock.now()),
+                Ok(Err(error)) => written.fail(error.to_string()),
+                Err(panic) => written.fail(format!("it panicked: {}", panic_text(panic.as_ref()))),
+            }
+            (pacemaker.wake)();
+        }
+    })?;
+    Ok((ticks, thread))
+}

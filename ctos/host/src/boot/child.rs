@@ -1,0 +1,210 @@
+//! The process of one chassis: connects to the others, runs its processors until it is told to end.
+
+use ctos_record as record;
+use std::{os::fd::AsFd, sync::Arc};
+
+use tokio::{io::AsyncReadExt, net::unix::pipe, sync::oneshot};
+
+use crate::boot::mesh::{self, FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent};
+use ctos_bootstrap::watch;
+use ctos_config::App;
+use ctos_core::{chassis::Chassis, registry::Registry};
+use ctos_link::{handshake::Token, transport::Address};
+use ctos_record;
+use ctos_time::Clock;
+
+/// Why a chassis could not start.
+#[derive(Debug, thiserror::Error)]
+pub enum ChildError {
+    /// The configuration has no such chassis.
+    #[error("the configuration has no chassis `{0}`")]
+    Unknown(String),
+    /// It could not be connected.
+    #[error("cannot connect to {what}: {reason}")]
+    Connect {
+        /// To whom.
+        what: String,
+        /// Why not.
+        reason: String,
+    },
+    /// Its address is taken.
+    #[error(
+        "cannot listen on {address}: {reason}; another program uses the port, or it is not one of this host: choose another `listen`, or leave it out for a free one"
+    )]
+    Listen {
+        /// The address of the configuration.
+        address: String,
+        /// What the system said.
+        reason: String,
+    },
+    /// Its keys cannot be used.
+    #[error("{0}")]
+    Keys(String),
+    /// The system refused a thread or a timer.
+    #[error("cannot start: {0}")]
+    System(#[from] std::io::Error),
+}
+
+/// Runs chassis `name` of `app` until the boot at `boot` tells it to end, or is gone.
+/// Returns the process's exit code.
+///
+/// # Errors
+/// [`ChildError`] when it cannot be connected; the boot is told, if it can be reached.
+pub fn run_chassis(
+    app: App,
+    registry: Registry,
+    name: &str,
+    boot: &Address,
+    origin_ns: u64,
+) -> Result<i32, ChildError> {
+    let app = Arc::new(app);
+    let index = app
+        .chassis
+        .iter()
+        .position(|chassis| chassis.name == name)
+        .and_then(|position| u8::try_from(position + 1).ok())
+        .ok_or_else(|| ChildError::Unknown(name.to_owned()))?;
+    let token = Token(std::env::var(crate::boot::launcher::TOKEN_VARIABLE).unwrap_or_default());
+    let chassis = Chassis::new(index, app, Arc::new(registry), Clock::real_from(origin_ns));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let incarnation = std::env::var(crate::boot::launcher::INCARNATION_VARIABLE).ok();
+    let incarnation = incarnation.and_then(|text| text.parse().ok()).unwrap_or(1);
+    let who = Identification { token, incarnation };
+    let recording = record::start(std::slice::from_ref(&chassis), watch::COMMANDS)?;
+    let code = runtime.block_on(serve(&chassis, boot, who));
+    runtime.shutdown_background();
+    if let Some(recording) = recording {
+        recording.finish();
+    }
+    code
+}
+
+async fn serve(
+    chassis: &Arc<Chassis>,
+    boot: &Address,
+    who: Identification,
+) -> Result<i32, ChildError> {
+    let (sender, mut exited) = oneshot::channel();
+    chassis.set_on_exit(move |code| {
+        // The receiver lives as long as this function.
+        let _ = sender.send(code);
+    });
+    ctos_bootstrap::bootstrap::start_system_tasks(chassis, None);
+    let limit = chassis.app.phase_timeout;
+    let mut tether = Tether::taken()?;
+    let connected = tokio::select! {
+        connected = tokio::time::timeout(limit, connect(chassis, boot, who)) => connected,
+        () = tether.cut() => return Err(ChildError::Connect {
+            what: "the app".to_owned(),
+            reason: "the agent that started this chassis is gone, or has ended its run".to_owned(),
+        }),
+    };
+    let mut mesh = connected.map_err(|_| ChildError::Connect {
+        what: "the other chassis".to_owned(),
+        reason: format!("not done within {:.3} s", limit.as_secs_f64()),
+    })??;
+    let threads = ctos_core::threads::start_processors(chassis)?;
+    let code = loop {
+        tokio::select! {
+            // Without a sender left, every chassis thread is gone: an error exit.
+            code = &mut exited => break code.unwrap_or(1),
+            () = tether.cut() => {
+                tracing::error!("the agent that started this chassis is gone, or has ended its run");
+                // Its tasks are stopped as when the boot is gone.
+                chassis.link_down(0);
+            }
+            // What becomes of the others, the tasks see.
+            _ = mesh.next() => {}
+        }
+    };
+    finish(chassis, &mut mesh).await;
+    chassis.stop_processors();
+    // A processor that is stuck in a handler must not keep the process; it ends with it.
+    let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
+    let _ = tokio::time::timeout(FLUSH_LIMIT, ended).await;
+    Ok(code)
+}
+
+/// The hold that an agent has on the chassis that it started: their standard input, which ends with it.
+struct Tether(Option<pipe::Receiver>);
+
+impl Tether {
+    /// That of this process, if an agent started it.
+    fn taken() -> std::io::Result<Self> {
+        if std::env::var_os(crate::boot::launcher::TETHER_VARIABLE).is_none() {
+            return Ok(Self(None));
+        }
+        let input = std::io::stdin().as_fd().try_clone_to_owned()?;
+        Ok(Self(Some(pipe::Receiver::from_owned_fd(input)?)))
+    }
+
+    /// Ends, once, when the agent lets go.
+    async fn cut(&mut self) {
+        let Some(input) = &mut self.0 else {
+            return std::future::pending().await;
+        };
+        let mut ignored = [0; 64];
+        while let Ok(1..) = input.read(&mut ignored).await {}
+        self.0 = None;
+    }
+}
+
+/// Lets the last frames out.
+async fn finish(chassis: &Arc<Chassis>, mesh: &mut Mesh) {
+    chassis.drop_links();
+    mesh.close().await;
+}
+
+/// Connects to the boot and, as that says, to every other chassis.
+async fn connect(
+    chassis: &Arc<Chassis>,
+    boot: &Address,
+    who: Identification,
+) -> Result<Mesh, ChildError> {
+    let token = who.token.clone();
+    let mut mesh = match Mesh::start(chassis, who).await {
+        Ok(mesh) => mesh,
+        Err(error) => {
+            let error = match error {
+                MeshError::Listen { address, error } => ChildError::Listen {
+                    address,
+                    reason: error.to_string(),
+                },
+                MeshError::Wait(error) => ChildError::System(error),
+                MeshError::Keys(error) => ChildError::Keys(error.to_string()),
+                MeshError::Zenoh(error) => ChildError::Connect {
+                    what: "the network of [zenoh]".to_owned(),
+                    reason: error.to_string(),
+                },
+            };
+            // Without keys that can be used it cannot be told; the boot sees the process end.
+            let keys = mesh::keys_of(&chassis.app).ok().flatten();
+            Mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
+            return Err(error);
+        }
+    };
+    mesh.join(boot);
+    loop {
+        match mesh.next().await {
+            Some(MeshEvent::Joined { .. }) => return Ok(mesh),
+            // Another chassis that goes is the boot's affair; without the boot there is no app.
+            Some(MeshEvent::Down {
+                chassis: 0, reason, ..
+            }) => {
+                return Err(ChildError::Connect {
+                    what: format!("the boot at {boot}"),
+                    reason: reason.to_string(),
+                });
+            }
+            Some(_) => {}
+            None => {
+                return Err(ChildError::Connect {
+                    what: "the other chassis".to_owned(),
+                    reason: "the mesh has ended".to_owned(),
+                });
+            }
+        }
+    }
+}

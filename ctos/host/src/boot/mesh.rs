@@ -1,0 +1,463 @@
+//! The mesh: who connects to whom, for as long as the app runs.
+//!
+//! Every chassis has a mesh. The boot's is called by all others and tells them of each other; of any two
+//! others, one calls ([`calls`]). Calls are taken for the whole run, so a chassis that was started again
+//! (with a higher incarnation number) can join: the link of its predecessor goes down first, then its
+//! own comes up. Streams that break are had anew until the peer counts as silent.
+//!
+//! Knows sessions and streams; what supervision makes of a chassis that is gone is not its business.
+
+mod call;
+mod door;
+mod members;
+mod peer;
+
+use std::{
+    collections::BTreeMap,
+    io,
+    path::Path,
+    sync::{Arc, Mutex, OnceLock},
+    time::Duration,
+};
+
+use serde::{Deserialize, Serialize};
+use tokio::{runtime::Handle, sync::mpsc};
+
+use ctos_bootstrap::refusals::Refusals;
+use ctos_config::{App, InjuryConfig, SameHost};
+use ctos_core::chassis::Chassis;
+use ctos_link::{
+    handshake::{Process, Token},
+    injure::Injury,
+    reactor::{LinkParker, Reactor},
+    security::{KeyError, Keys},
+    session::{
+        DownReason, Limits, Session,
+        state::{Event, State},
+    },
+    shm::Shared,
+    transport::{Address, Listener},
+    zenoh::Fabric,
+};
+use ctos_message::fault::Fault;
+use ctos_time::lock::lock;
+
+/// How long the last frames may take when a process ends.
+pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
+
+/// What the mesh of one chassis tells that of another.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+enum Notice {
+    /// From the boot: who belongs to the app now.
+    Members { round: u32, members: Vec<Member> },
+    /// To the boot: connected to all members of that round.
+    Ready { round: u32 },
+}
+
+/// A chassis that others can call.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct Member {
+    chassis: u8,
+    incarnation: u32,
+    process: Process,
+    listen: Vec<Address>,
+}
+
+/// What happens to the links of a chassis.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum MeshEvent {
+    /// A chassis is connected to this one.
+    Up { chassis: u8, incarnation: u32 },
+    /// At the boot: a chassis is connected to every other one. Elsewhere: this one (and `chassis` is its
+    /// number).
+    Joined { chassis: u8, incarnation: u32 },
+    /// A chassis is gone.
+    Down {
+        chassis: u8,
+        incarnation: u32,
+        reason: DownReason,
+    },
+    /// A chassis that was started cannot take part.
+    Unable { chassis: u8, reason: String },
+}
+
+/// Why a mesh could not be made.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum MeshError {
+    /// The address of the configuration cannot be listened at.
+    #[error("cannot listen at {address}: {error}")]
+    Listen { address: String, error: io::Error },
+    /// The system does not let it wait for its links.
+    #[error("cannot wait for links: {0}")]
+    Wait(io::Error),
+    /// The keys cannot be used.
+    #[error("the keys of [security] cannot be used: {0}")]
+    Keys(#[from] KeyError),
+    /// The network of `[zenoh]` cannot be joined.
+    #[error("cannot join the network of [zenoh]: {0}")]
+    Zenoh(io::Error),
+}
+
+/// Who this chassis is to the others.
+pub(crate) struct Identification {
+    pub(crate) token: Token,
+    /// How often it was started; the first time is 1.
+    pub(crate) incarnation: u32,
+}
+
+/// A peer as this mesh knows it.
+#[derive(Default)]
+struct Peer {
+    incarnation: u32,
+    session: Option<Arc<Session>>,
+    /// What the boot, or the peer itself, said of it.
+    member: Option<Member>,
+    /// At the boot: the last round for which it is connected to all.
+    ready: u32,
+    /// Somebody is calling it.
+    called: bool,
+}
+
+#[derive(Default)]
+struct Roll {
+    peers: BTreeMap<u8, Peer>,
+    /// At the boot: of the last announcement. Elsewhere: of the last one heard.
+    round: u32,
+    /// Elsewhere: the members of that round, until they are all connected.
+    awaited: Option<Vec<Member>>,
+}
+
+/// What the tasks of a mesh share.
+struct Inner {
+    chassis: Arc<Chassis>,
+    who: Identification,
+    process: Process,
+    keys: Option<Arc<Keys>>,
+    fabric: Option<Arc<Fabric>>,
+    runtime: Handle,
+    /// Who reads what comes over plain sockets and shared memory.
+    reactor: Arc<Reactor>,
+    /// Whether chassis of this host are joined through shared memory.
+    shares_memory: bool,
+    listen: OnceLock<Vec<Address>>,
+    state: Mutex<Roll>,
+    /// Whose link the chassis has: number and incarnation. Held while that changes.
+    live: Mutex<BTreeMap<u8, u32>>,
+    events: mpsc::UnboundedSender<MeshEvent>,
+}
+
+/// The links of one chassis.
+pub(crate) struct Mesh {
+    inner: Arc<Inner>,
+    events: mpsc::UnboundedReceiver<MeshEvent>,
+    doors: Vec<tokio::task::JoinHandle<()>>,
+}
+
+/// Whether chassis `ours` calls chassis `theirs` (number and incarnation): the one that came later does,
+/// and of two that came together the one with the higher number.
+fn calls(ours: (u8, u32), theirs: (u8, u32)) -> bool {
+    (ours.1, ours.0) > (theirs.1, theirs.0)
+}
+
+impl Mesh {
+    /// Listens where the configuration says, from now on.
+    ///
+    /// # Errors
+    /// [`MeshError`].
+    pub(crate) async fn start(
+        chassis: &Arc<Chassis>,
+        who: Identification,
+    ) -> Result<Self, MeshError> {
+        Self::start_as(chassis, who, Process::this()).await
+    }
+
+    async fn start_as(
+        chassis: &Arc<Chassis>,
+        who: Identification,
+        process: Process,
+    ) -> Result<Self, MeshError> {
+        let app = &chassis.app;
+        let keys = keys_of(app)?;
+        let fabric = Fabric::join(app, chassis.index() == 0)
+            .await
+            .map_err(MeshError::Zenoh)?;
+        let listeners = listeners(chassis, keys.as_ref(), fabric.as_ref()).await?;
+        let addresses: io::Result<Vec<Address>> = listeners.iter().map(Listener::address).collect();
+        let addresses = addresses.map_err(|error| MeshError::Listen {
+            address: chassis.name().to_owned(),
+            error,
+        })?;
+        let spin = app.links.spin_here();
+        let reactor = Reactor::new(chassis.name(), chassis.clock.clone(), spin);
+        let reactor = reactor.map_err(MeshError::Wait)?;
+        let links = reactor.clone();
+        chassis.set_parks(Box::new(move || Arc::new(LinkParker::new(links.clone()))));
+        let (sender, events) = mpsc::unbounded_channel();
+        let inner = Arc::new(Inner {
+            chassis: chassis.clone(),
+            who,
+            process,
+            keys,
+            fabric,
+            runtime: Handle::current(),
+            reactor,
+            shares_memory: shares_memory(app.links.same_host),
+            listen: OnceLock::from(addresses),
+            state: Mutex::default(),
+            live: Mutex::default(),
+            events: sender,
+        });
+        let doors = listeners
+            .into_iter()
+            .map(|listener| tokio::spawn(door::keep(inner.clone(), listener)))
+            .collect();
+        Ok(Self {
+            inner,
+            events,
+            doors,
+        })
+    }
+
+    /// The keys of the app, if it has any.
+    pub(crate) fn keys(&self) -> Option<Arc<Keys>> {
+        self.inner.keys.clone()
+    }
+
+    /// Where this chassis can be called, the nearest first.
+    pub(crate) fn addresses(&self) -> &[Address] {
+        self.inner.addresses()
+    }
+
+    /// At the boot: from now on only this incarnation of `chassis`, or a later one, may call; the link
+    /// of an earlier one goes down.
+    pub(crate) fn expect(&self, chassis: u8, incarnation: u32) {
+        self.inner.supersede(chassis, incarnation);
+    }
+
+    /// What happens next.
+    pub(crate) async fn next(&mut self) -> Option<MeshEvent> {
+        self.events.recv().await
+    }
+
+    /// How many callers were refused so far.
+    pub(crate) fn refused(&self) -> u64 {
+        Refusals::of(&self.inner.chassis).count()
+    }
+
+    /// Joins the app whose boot listens at `boot`; what comes of it are events.
+    pub(crate) fn join(&self, boot: &Address) {
+        let near = match boot {
+            Address::Unix(_) | Address::Zenoh(_) => true,
+            Address::Tcp(at) => at.ip().to_canonical().is_loopback(),
+        };
+        let member = Member {
+            chassis: 0,
+            incarnation: 1,
+            // One of another host is seen by nobody here.
+            process: if near {
+                self.inner.process.clone()
+            } else {
+                Process::unseen()
+            },
+            listen: vec![boot.clone()],
+        };
+        self.inner.call(member);
+    }
+
+    /// Tells the boot at `boot` why `chassis` cannot start.
+    pub(crate) async fn unable(
+        boot: &Address,
+        chassis: &Chassis,
+        keys: Option<&Arc<Keys>>,
+        token: &Token,
+        reason: &str,
+    ) {
+        call::unable(boot, chassis, keys, token, reason).await;
+    }
+
+    /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
+    pub(crate) async fn close(&mut self) {
+        tracing::debug!(refused = self.refused(), "the mesh closes");
+        for door in self.doors.drain(..) {
+            door.abort();
+        }
+        let sessions: Vec<Arc<Session>> = {
+            let mut state = lock(&self.inner.state);
+            let peers = state.peers.values_mut();
+            peers.filter_map(|peer| peer.session.take()).collect()
+        };
+        for session in &sessions {
+            session.close();
+        }
+        let down = sessions.iter().map(|session| {
+            let mut state = session.watch();
+            async move {
+                // An error says that the session is gone.
+                let _ = state.wait_for(|state| *state == State::Down).await;
+            }
+        });
+        let down = futures_util::future::join_all(down);
+        // What cannot be written within the limit belongs to a peer that no longer reads.
+        let _ = tokio::time::timeout(FLUSH_LIMIT, down).await;
+        if let Some(fabric) = &self.inner.fabric {
+            fabric.close().await;
+        }
+        self.inner.reactor.close();
+    }
+}
+
+impl Drop for Mesh {
+    fn drop(&mut self) {
+        self.inner.reactor.close();
+        for door in &self.doors {
+            door.abort();
+        }
+    }
+}
+
+/// The keys that an app names.
+///
+/// # Errors
+/// When they cannot be used.
+pub(crate) fn keys_of(app: &App) -> Result<Option<Arc<Keys>>, KeyError> {
+    let Some(security) = &app.security else {
+        return Ok(None);
+    };
+    let place = |path: &Path| app.folder.join(path);
+    let keys = Keys::load(&place(&security.key), &place(&security.authority))?;
+    Ok(Some(Arc::new(keys)))
+}
+
+/// Where this chassis listens: for its own host, and where the configuration says. The first is where
+/// others of this host call.
+async fn listeners(
+    chassis: &Arc<Chassis>,
+    keys: Option<&Arc<Keys>>,
+    fabric: Option<&Arc<Fabric>>,
+) -> Result<Vec<Listener>, MeshError> {
+    let app = &chassis.app;
+    let listen = app.listens_at(chassis.name());
+    let mut listeners = Vec::new();
+    if let Some(fabric) = fabric {
+        let listener = fabric.listen(chassis.name()).await;
+        let listener = listener.map_err(MeshError::Zenoh)?;
+        listeners.push(Listener::Zenoh(listener, keys.cloned()));
+    }
+    if matches!(app.links.same_host, SameHost::Shared | SameHost::Unix) {
+        let listener = Listener::unix(chassis.name()).map_err(|error| MeshError::Listen {
+            address: "a socket of this user's own".to_owned(),
+            error,
+        })?;
+        listeners.push(listener);
+    }
+    if listen.is_some() || app.links.same_host == SameHost::Tcp || listeners.is_empty() {
+        let address = listen.unwrap_or_else(|| ([127, 0, 0, 1], 0).into());
+        let listener = Listener::tcp(address, keys.cloned()).await;
+        listeners.push(listener.map_err(|error| MeshError::Listen {
+            address: address.to_string(),
+            error,
+        })?);
+    }
+    if app.links.same_host != SameHost::Zenoh {
+        // For those on other hosts that cannot be called more directly.
+        listeners.sort_by_key(|listener| matches!(listener, Listener::Zenoh(..)));
+    }
+    Ok(listeners)
+}
+
+impl Inner {
+    fn addresses(&self) -> &[Address] {
+        self.listen.get().map_or(&[], Vec::as_slice)
+    }
+
+    #[cfg(test)]
+    fn session(&self, chassis: u8) -> Option<Arc<Session>> {
+        lock(&self.state).peers.get(&chassis)?.session.clone()
+    }
+
+    fn send(&self, event: MeshEvent) {
+        // Nobody may listen any more.
+        let _ = self.events.send(event);
+    }
+
+    /// Ends the session of an earlier incarnation than `incarnation`. False when there is a later one.
+    fn supersede(&self, chassis: u8, incarnation: u32) -> bool {
+        let old = {
+            let mut state = lock(&self.state);
+            let peer = state.peers.entry(chassis).or_default();
+            if peer.incarnation >= incarnation {
+                return peer.incarnation == incarnation;
+            }
+            peer.incarnation = incarnation;
+            peer.called = false;
+            peer.member = None;
+            peer.session.take()
+        };
+        if let Some(old) = old {
+            // Its successor is there, so nothing more can come of it.
+            old.event(Event::PeerEnded, DownReason::Ended);
+            old.event(Event::Silence, DownReason::Ended);
+        }
+        true
+    }
+
+    /// The session with an incarnation of `chassis`, made when there is none. `None` when a later
+    /// incarnation is known.
+    fn session_with(
+        self: &Arc<Self>,
+        chassis: u8,
+        incarnation: u32,
+        process: &Process,
+    ) -> Option<Arc<Session>> {
+        if !self.supersede(chassis, incarnation) {
+            return None;
+        }
+        let mut state = lock(&self.state);
+        let peer = state.peers.entry(chassis).or_default();
+        if let Some(session) = &peer.session {
+            return Some(session.clone());
+        }
+        let app = &self.chassis.app;
+        let limits = Limits {
+            timeout: app.links.peer_timeout,
+            room: app.links.room,
+            // A fault is plain data; should it fail to encode, the empty body is read as one.
+            full: |bytes| postcard::to_stdvec(&Fault::LinkFull { bytes }).unwrap_or_default(),
+        };
+        let injury = self.injury(&app.links.injury, chassis);
+        let receiver = peer::PeerReceiver {
+            mesh: Arc::downgrade(self),
+            chassis,
+            incarnation,
+        };
+        let clock = self.chassis.clock.clone();
+        let session = Session::new(clock, limits, injury, Box::new(receiver));
+        peer.session = Some(session.clone());
+        self.runtime.spawn(peer::keep(session.clone()));
+        if self.process.sees(process) {
+            self.runtime
+                .spawn(peer::watch(session.clone(), process.pid));
+        }
+        Some(session)
+    }
+
+    fn injury(&self, config: &InjuryConfig, peer: u8) -> Option<Injury> {
+        let (from, to) = (self.chassis.name(), self.chassis.name_of(peer));
+        Injury::of(config, self.chassis.app.seed, from, to)
+    }
+}
+
+/// Whether the configuration wants memory to be shared and the system has some.
+fn shares_memory(same_host: SameHost) -> bool {
+    if same_host != SameHost::Shared {
+        return false;
+    }
+    let made = Shared::make();
+    if let Err(error) = &made {
+        tracing::warn!(error = %error, "no memory can be shared: the chassis of this host are joined by sockets");
+    }
+    made.is_ok()
+}
+
+#[cfg(test)]
+mod tests;

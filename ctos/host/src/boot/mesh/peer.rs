@@ -1,0 +1,137 @@
+//! One peer of a mesh: who takes what its session brings, who looks after the session, and who sees its
+//! process end.
+
+use std::sync::{Arc, Weak};
+
+use rustix::process::{Pid, PidfdFlags, pidfd_open};
+use tokio::io::{Interest, unix::AsyncFd};
+
+use super::{Inner, MeshEvent};
+use ctos_link::session::{
+    DownReason, Receiver, Session,
+    state::{Event, State},
+};
+use ctos_message::frame::Frame;
+use ctos_time::{Instant, lock::lock};
+
+/// Exit code of a chassis that the boot has given up: it was silent for too long.
+const EXIT_GIVEN_UP: i32 = 6;
+
+/// Looks after a session until it is over.
+pub(super) async fn keep(session: Arc<Session>) {
+    let mut ticks = tokio::time::interval(session.pulse_every());
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    while session.state() != State::Down {
+        ticks.tick().await;
+        session.keep();
+    }
+}
+
+/// Tells a session when the process at its other end is gone.
+#[allow(
+    deprecated,
+    reason = "the file belongs to the watcher alone, which is what the function's replacement asks to be promised in unsafe code"
+)]
+pub(super) async fn watch(session: Arc<Session>, pid: u32) {
+    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
+    let opened = pid.map(|pid| pidfd_open(pid, PidfdFlags::NONBLOCK));
+    let ended = match opened {
+        Some(Ok(process)) => AsyncFd::with_interest(process, Interest::READABLE),
+        Some(Err(rustix::io::Errno::SRCH)) => {
+            return session.event(Event::PeerEnded, DownReason::Ended);
+        }
+        // Then its silence tells.
+        _ => return,
+    };
+    let Ok(process) = ended else {
+        return;
+    };
+    let mut state = session.watch();
+    tokio::select! {
+        _ = process.readable() => session.event(Event::PeerEnded, DownReason::Ended),
+        _ = state.wait_for(|state| *state == State::Down) => {}
+    }
+}
+
+/// Takes what one session brings.
+pub(super) struct PeerReceiver {
+    pub(super) mesh: Weak<Inner>,
+    pub(super) chassis: u8,
+    pub(super) incarnation: u32,
+}
+
+impl Receiver for PeerReceiver {
+    fn up(&self, session: Arc<Session>) {
+        let Some(mesh) = self.mesh.upgrade() else {
+            return;
+        };
+        {
+            let mut live = lock(&mesh.live);
+            live.insert(self.chassis, self.incarnation);
+            mesh.chassis.link_up(self.chassis, session);
+        }
+        mesh.send(MeshEvent::Up {
+            chassis: self.chassis,
+            incarnation: self.incarnation,
+        });
+        // The session shows that it is up only when this has returned.
+        let runtime = mesh.runtime.clone();
+        runtime.spawn(async move { mesh.changed() });
+    }
+
+    fn frame(&self, frame: Frame, now: Instant) {
+        if let Some(mesh) = self.mesh.upgrade() {
+            mesh.chassis.receive(self.chassis, frame, now);
+        }
+    }
+
+    fn notice(&self, bytes: Vec<u8>) {
+        let Some(mesh) = self.mesh.upgrade() else {
+            return;
+        };
+        match postcard::from_bytes(&bytes) {
+            Ok(notice) => mesh.heard(self.chassis, notice),
+            Err(error) => {
+                let peer = mesh.chassis.name_of(self.chassis);
+                tracing::error!(peer, error = %error, "a message of the mesh cannot be read");
+            }
+        }
+    }
+
+    fn down(&self, reason: &DownReason) {
+        let Some(mesh) = self.mesh.upgrade() else {
+            return;
+        };
+        let peer = mesh.chassis.name_of(self.chassis);
+        match reason {
+            DownReason::Bye | DownReason::Closed => {
+                tracing::debug!(peer, reason = %reason, "link down");
+            }
+            // Those that end in their order are no news.
+            _ if mesh.chassis.is_stopping() => tracing::debug!(peer, reason = %reason, "link down"),
+            _ => tracing::warn!(peer, reason = %reason, "link down"),
+        }
+        if self.chassis == 0 && *reason == DownReason::GivenUp {
+            tracing::error!(
+                "the boot has given this chassis up, which was silent for too long: it ends"
+            );
+            // Before the tasks see that the boot is gone, and take that for the reason.
+            mesh.chassis.exit(EXIT_GIVEN_UP);
+        }
+        {
+            let mut live = lock(&mesh.live);
+            // The link of a successor must not go down with this one.
+            if live.get(&self.chassis) == Some(&self.incarnation) {
+                live.remove(&self.chassis);
+                mesh.chassis.link_down(self.chassis);
+            }
+        }
+        mesh.send(MeshEvent::Down {
+            chassis: self.chassis,
+            incarnation: self.incarnation,
+            reason: reason.clone(),
+        });
+        let runtime = mesh.runtime.clone();
+        runtime.spawn(async move { mesh.changed() });
+    }
+}

@@ -1,0 +1,356 @@
+//! The process that boots: starts one process per chassis, connects them, and sees them end.
+
+use ctos_record as record;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    net::SocketAddr,
+    sync::Arc,
+    time::Duration,
+};
+
+use tokio::{
+    signal::unix::{SignalKind, signal},
+    sync::oneshot,
+};
+
+use crate::{
+    boot::{
+        launcher::Launcher,
+        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+        processes::{Keeper, Process, Starter},
+    },
+    control::{Gate, LogStore, Server, Ticker},
+    doors::PortSecret,
+    remote::{Hosts, HostsSetup},
+};
+use ctos_bootstrap::{
+    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, Seat, io_error as io},
+    watch,
+};
+use ctos_config::App;
+use ctos_core::{chassis::Chassis, registry::Registry, system};
+use ctos_link::{
+    handshake::Token,
+    security::Keys,
+    transport::{Address, Listener},
+};
+use ctos_record;
+use ctos_time::{Clock, lock::lock};
+
+/// How chassis are started, and who watches.
+pub struct Setup<'a> {
+    /// How chassis of this host are started.
+    pub launcher: &'a Launcher,
+    /// What chassis of other hosts are told besides the app.
+    pub options: &'a [String],
+    /// Who is told what happens.
+    pub observer: &'a Observer,
+}
+
+/// Boots `app` with one process per chassis.
+pub fn boot(
+    clock: &Clock,
+    app: &Arc<App>,
+    registry: &Arc<Registry>,
+    setup: &Setup<'_>,
+) -> Result<Outcome, BootError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(io("cannot start the runtime"))?;
+    let chassis = Chassis::new(0, app.clone(), registry.clone(), clock.clone());
+    let recording = record::start(std::slice::from_ref(&chassis), watch::COMMANDS)
+        .map_err(io("cannot record"))?;
+    let outcome = runtime.block_on(run(&chassis, setup));
+    runtime.shutdown_background();
+    if let Some(recording) = recording {
+        recording.finish();
+    }
+    outcome
+}
+
+async fn run(chassis: &Arc<Chassis>, setup: &Setup<'_>) -> Result<Outcome, BootError> {
+    let mut started = Started::default();
+    let outcome = run_processes(chassis, setup, &mut started).await;
+    // Those that are still in the list were not brought up: nothing moves yet, and nobody may be left.
+    for mut process in started.processes {
+        process.kill();
+        process.ended().await;
+    }
+    started.hosts.close().await;
+    outcome
+}
+
+/// Listens for tools; without keys those know the secret of the port.
+async fn open_gate(address: SocketAddr, keys: Option<Arc<Keys>>) -> std::io::Result<Gate> {
+    let is_open = keys.is_none();
+    let listener = Listener::tcp(address, keys).await?;
+    let secret = match listener.address()? {
+        Address::Tcp(bound) if is_open => Some(PortSecret::new(bound)?),
+        _ => None,
+    };
+    Ok(Gate { listener, secret })
+}
+
+/// What must not be left behind.
+#[derive(Default)]
+struct Started {
+    /// Those that have not been seen to end.
+    processes: Vec<Process>,
+    hosts: Hosts,
+}
+
+/// Starts the processes and runs the app to its end. What is to be undone is left in `started`.
+async fn run_processes(
+    chassis: &Arc<Chassis>,
+    setup: &Setup<'_>,
+    started: &mut Started,
+) -> Result<Outcome, BootError> {
+    let token = Token::fresh().map_err(io("cannot make the run's secret"))?;
+    let who = Identification {
+        token: token.clone(),
+        incarnation: 1,
+    };
+    let mut mesh = Mesh::start(chassis, who)
+        .await
+        .map_err(|error| match error {
+            MeshError::Listen { address, error } => {
+                io(format!("cannot listen at {address}"))(error)
+            }
+            MeshError::Wait(error) => io("cannot wait for links")(error),
+            MeshError::Keys(error) => BootError::Keys(error.to_string()),
+            MeshError::Zenoh(error) => io("cannot join the network of [zenoh]")(error),
+        })?;
+    let Some(address) = mesh.addresses().first().cloned() else {
+        return Err(io("cannot listen")(
+            std::io::ErrorKind::AddrNotAvailable.into(),
+        ));
+    };
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(io("cannot watch Ctrl-C"))?;
+    let mut terminate = signal(SignalKind::terminate()).map_err(io("cannot watch SIGTERM"))?;
+    let gate = match chassis.app.control {
+        Some(address) => {
+            let gate = open_gate(address, mesh.keys()).await;
+            Some(gate.map_err(io(format!("cannot listen at {address}, as [control] says")))?)
+        }
+        None => None,
+    };
+    let is_tcp = |address: &&Address| matches!(address, Address::Tcp(_));
+    let beyond = mesh.addresses().iter().find(is_tcp).unwrap_or(&address);
+    let hosts = HostsSetup {
+        chassis,
+        keys: mesh.keys(),
+        options: setup.options,
+        boot: beyond.clone(),
+        token: token.clone(),
+    };
+    started.hosts = tokio::select! {
+        hosts = Hosts::connect(&hosts) => hosts.map_err(BootError::Hosts)?,
+        _ = interrupt.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => {
+            (setup.observer)(&BootEvent::Terminated);
+            return Ok(interrupted(chassis));
+        }
+    };
+    let processes = &mut started.processes;
+    let logs = Arc::new(LogStore::new(chassis.clock.clone()));
+    let (ticker, observer) = &Ticker::observe(setup.observer);
+    let starter = Starter {
+        chassis: chassis.clone(),
+        launcher: setup.launcher.clone(),
+        observer: observer.clone(),
+        boot: address,
+        token: token.clone(),
+        logs: logs.clone(),
+        hosts: started.hosts.clone(),
+    };
+    for index in chassis.others() {
+        processes.push(starter.start(index, 1)?);
+    }
+    let limit = chassis.app.phase_timeout;
+    let mut missing: BTreeSet<u8> = chassis.others().collect();
+    tokio::select! {
+        connected = tokio::time::timeout(limit, connect(chassis, &mut mesh, processes, &mut missing)) => {
+            match connected {
+                Ok(connected) => connected?,
+                Err(_) => return Err(late(chassis, &missing, limit)),
+            }
+        }
+        _ = interrupt.recv() => return Ok(interrupted(chassis)),
+        _ = terminate.recv() => {
+            observer(&BootEvent::Terminated);
+            return Ok(interrupted(chassis));
+        }
+    };
+    let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
+    let seat = Seat {
+        observer: observer.clone(),
+        end: EndSlot::default(),
+        processes: orders,
+    };
+    let (sender, mut exited) = oneshot::channel();
+    chassis.set_on_exit(move |code| {
+        // The receiver lives until the service has exited.
+        let _ = sender.send(code);
+    });
+    ctos_bootstrap::bootstrap::start_system_tasks(chassis, Some(&seat));
+    if let Some(address) = chassis.app.metrics {
+        let served = crate::metrics::serve(chassis, address).await;
+        served.map_err(|error| io("metrics")(std::io::Error::other(error)))?;
+    }
+    let threads =
+        ctos_core::threads::start_processors(chassis).map_err(io("cannot start a thread"))?;
+    let server = Server::start(chassis, &logs, ticker.clone(), gate);
+    let mut newcomers = Newcomers::default();
+    chassis.post_system(system::BOOTSTRAP, system::AllLinked {});
+    loop {
+        tokio::select! {
+            _ = &mut exited => break,
+            _ = interrupt.recv() => chassis.post_system(system::BOOTSTRAP, system::Interrupt {}),
+            _ = terminate.recv() => {
+                observer(&BootEvent::Terminated);
+                chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
+            }
+            (index, incarnation) = keeper.serve() => mesh.expect(index, incarnation),
+            // What a chassis that is gone means is decided by the tasks, which have been told.
+            Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
+        }
+    }
+    let end = lock(&seat.end).take().unwrap_or(End::Interrupted);
+    let took = chassis.clock.now().since_start();
+    chassis.drop_links();
+    // What cannot be written belongs to a chassis that no longer reads; its process is ended below.
+    mesh.close().await;
+    let casualties = keeper.end(chassis.app.stop_timeout, &end).await;
+    chassis.stop_processors();
+    for thread in threads {
+        // The service is the last thing that ran on it.
+        let _ = thread.ended.await;
+    }
+    chassis.close();
+    let outcome = Outcome {
+        end,
+        casualties,
+        took,
+    };
+    server.finish(&outcome).await;
+    Ok(outcome)
+}
+
+fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
+    Outcome {
+        end: End::Interrupted,
+        casualties: Vec::new(),
+        took: chassis.clock.now().since_start(),
+    }
+}
+
+fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> BootError {
+    let missing = missing
+        .iter()
+        .map(|index| format!("`{}`", chassis.name_of(*index)));
+    BootError::Late {
+        chassis: missing.collect(),
+        limit_s: limit.as_secs_f64(),
+    }
+}
+
+/// The processes that joined the running app, by chassis.
+#[derive(Default)]
+struct Newcomers(BTreeMap<u8, u32>);
+
+impl Newcomers {
+    /// Tells the bootstrap service of a process that has just been connected to all the others. The mesh
+    /// tells of each chassis again whenever one joins.
+    fn welcome(&mut self, chassis: &Arc<Chassis>, event: &MeshEvent) {
+        match event {
+            MeshEvent::Joined {
+                chassis: index,
+                incarnation,
+            } if *incarnation > self.0.get(index).copied().unwrap_or(1) => {
+                self.0.insert(*index, *incarnation);
+                let linked = system::ChassisLinked {
+                    chassis: *index,
+                    incarnation: *incarnation,
+                };
+                chassis.post_system(system::BOOTSTRAP, linked);
+            }
+            MeshEvent::Unable {
+                chassis: index,
+                reason,
+            } => {
+                // Its process ends, which the supervisor sees.
+                tracing::error!(chassis = chassis.name_of(*index), reason, "cannot join");
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Waits until all chassis are connected to each other and to this one. `missing` says at any time who
+/// is not.
+async fn connect(
+    chassis: &Arc<Chassis>,
+    mesh: &mut Mesh,
+    processes: &mut [Process],
+    missing: &mut BTreeSet<u8>,
+) -> Result<(), BootError> {
+    for index in missing.iter() {
+        mesh.expect(*index, 1);
+    }
+    while !missing.is_empty() {
+        let event = tokio::select! {
+            // The process first: that it ended says more than that its connection did.
+            biased;
+            ended = first_exit(processes) => return Err(ended),
+            event = mesh.next() => event,
+        };
+        let (index, reason) = match event {
+            Some(MeshEvent::Joined { chassis, .. }) => {
+                missing.remove(&chassis);
+                continue;
+            }
+            Some(MeshEvent::Up { .. }) => continue,
+            Some(MeshEvent::Down {
+                chassis,
+                ref reason,
+                ..
+            }) => (chassis, reason.to_string()),
+            Some(MeshEvent::Unable {
+                chassis,
+                ref reason,
+            }) => (chassis, reason.clone()),
+            None => return Err(io("cannot listen")(std::io::ErrorKind::BrokenPipe.into())),
+        };
+        let error = BootError::Chassis {
+            chassis: chassis.name_of(index).to_owned(),
+            reason,
+        };
+        // A connection that breaks off mostly belongs to a process that is just ending; one that
+        // said why it cannot start has said more than its end would.
+        if matches!(&event, Some(MeshEvent::Unable { .. })) {
+            return Err(error);
+        }
+        let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+        return Err(ended.unwrap_or(error));
+    }
+    Ok(())
+}
+
+/// Ends when the first process does.
+async fn first_exit(processes: &mut [Process]) -> BootError {
+    let waits = processes.iter_mut().map(|process| {
+        let name = process.name.clone();
+        let lines = process.last_lines.clone();
+        Box::pin(async move { (name, process.ended().await, lines) })
+    });
+    let ((chassis, ending, lines), _, _) = futures_util::future::select_all(waits).await;
+    let how = ending.how;
+    let lines = lock(&lines).text();
+    let reason = if lines.is_empty() {
+        format!("it {how}")
+    } else {
+        format!("it {how}; its last lines:\n{lines}")
+    };
+    BootError::Chassis { chassis, reason }
+}

@@ -1,0 +1,331 @@
+//! The processes of an app, as the one that boots sees them: started, watched, ended. Some are its own
+//! children, others those of agents on other hosts.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use rustix::process::Signal;
+use tokio::{
+    process::Command,
+    sync::{mpsc, watch},
+};
+
+use crate::{
+    boot::{
+        launcher::{INCARNATION_VARIABLE, Launcher, TOKEN_VARIABLE},
+        spawn::{self, Ending, LastLines, Tether},
+    },
+    control::LogStore,
+    remote::{HostLink, Hosts},
+};
+use ctos_bootstrap::bootstrap::{BootError, BootEvent, End, Observer, Processes};
+use ctos_core::{chassis::Chassis, system};
+use ctos_link::{handshake::Token, transport::Address};
+use ctos_time::lock::lock;
+
+/// A chassis's process.
+pub(super) struct Process {
+    pub(super) name: String,
+    incarnation: u32,
+    pub(super) last_lines: Arc<Mutex<LastLines>>,
+    home: Home,
+    ended: watch::Receiver<Option<Ending>>,
+}
+
+/// Where a process lives.
+enum Home {
+    /// A child of this process.
+    Here(mpsc::UnboundedSender<Signal>),
+    /// A child of the agent of that host.
+    There { link: HostLink, index: u8 },
+}
+
+impl Process {
+    /// Waits until it has ended and its last words are known.
+    pub(super) async fn ended(&mut self) -> Ending {
+        let gone = || Ending {
+            how: "ended unseen".to_owned(),
+            code: None,
+        };
+        // Whoever watches it goes only when the boot does.
+        let ended = self.ended.wait_for(Option::is_some).await;
+        ended.map_or_else(|_| gone(), |ending| ending.clone().unwrap_or_else(gone))
+    }
+
+    /// Ends it at once.
+    pub(super) fn kill(&self) {
+        self.signal(Signal::KILL);
+    }
+
+    fn signal(&self, signal: Signal) {
+        match &self.home {
+            Home::Here(signals) => {
+                // One that has ended needs no signal.
+                let _ = signals.send(signal);
+            }
+            Home::There { link, index } => link.signal(*index, self.incarnation, signal),
+        }
+    }
+}
+
+/// Hears everything of one process, wherever it lives.
+pub(crate) struct Witness {
+    chassis: Arc<Chassis>,
+    pub(crate) index: u8,
+    pub(crate) incarnation: u32,
+    pub(crate) name: String,
+    host: Option<String>,
+    observer: Observer,
+    logs: Arc<LogStore>,
+    last_lines: Arc<Mutex<LastLines>>,
+    ended: Mutex<Option<watch::Sender<Option<Ending>>>>,
+}
+
+impl Witness {
+    /// One whose process nobody starts.
+    #[cfg(test)]
+    pub(crate) fn of_test(
+        chassis: &Arc<Chassis>,
+        index: u8,
+        incarnation: u32,
+        observer: Observer,
+    ) -> Self {
+        Self {
+            chassis: chassis.clone(),
+            index,
+            incarnation,
+            name: chassis.name_of(index).to_owned(),
+            host: None,
+            observer,
+            logs: Arc::new(LogStore::new(chassis.clock.clone())),
+            last_lines: Arc::default(),
+            ended: Mutex::new(None),
+        }
+    }
+
+    /// It runs.
+    pub(crate) fn started(&self, pid: Option<u32>) {
+        self.logs.begin(&self.name, self.incarnation, pid);
+        (self.observer)(&BootEvent::Started {
+            chassis: self.name.clone(),
+            pid,
+            host: self.host.clone(),
+        });
+    }
+
+    /// Whether it, or one before it, can be talked to.
+    pub(crate) fn is_linked(&self) -> bool {
+        self.chassis.is_linked(self.index)
+    }
+
+    /// It has written a line to its log.
+    pub(crate) fn line(&self, line: String) {
+        lock(&self.last_lines).push(line.clone());
+        self.logs.add(&self.name, self.incarnation, &line);
+        let chassis = self.name.clone();
+        (self.observer)(&BootEvent::Log { chassis, line });
+    }
+
+    /// It has ended. Only the first time counts.
+    pub(crate) fn ended(&self, ending: Ending) {
+        let Some(ended) = lock(&self.ended).take() else {
+            return;
+        };
+        // The service is told of the end of every process; of that of the app it has no use.
+        self.chassis.post_system(
+            system::BOOTSTRAP,
+            system::ProcessEnded {
+                chassis: self.index,
+                incarnation: self.incarnation,
+                how: ending.how.clone(),
+                code: ending.code,
+            },
+        );
+        // Nobody may be left to see it.
+        let _ = ended.send(Some(ending));
+    }
+}
+
+/// How processes are started, and who hears of them.
+pub(super) struct Starter {
+    pub(super) chassis: Arc<Chassis>,
+    pub(super) launcher: Launcher,
+    pub(super) observer: Observer,
+    pub(super) boot: Address,
+    pub(super) token: Token,
+    pub(super) logs: Arc<LogStore>,
+    pub(super) hosts: Hosts,
+}
+
+impl Starter {
+    /// Starts the process of chassis `index`; its log is shown line by line. One on another host may
+    /// turn out later not to have started: it ends then.
+    pub(super) fn start(&self, index: u8, incarnation: u32) -> Result<Process, BootError> {
+        let name = self.chassis.name_of(index).to_owned();
+        let host = self.chassis.app.host_of(&name);
+        let last_lines = Arc::new(Mutex::new(LastLines::default()));
+        let (ending, ended) = watch::channel(None);
+        let witness = Arc::new(Witness {
+            chassis: self.chassis.clone(),
+            index,
+            incarnation,
+            name: name.clone(),
+            host: host.map(|host| host.name.clone()),
+            observer: self.observer.clone(),
+            logs: self.logs.clone(),
+            last_lines: last_lines.clone(),
+            ended: Mutex::new(Some(ending)),
+        });
+        let home = match host.and_then(|host| self.hosts.link(&host.name)) {
+            Some(link) => {
+                link.start(witness);
+                Home::There { link, index }
+            }
+            None => self.start_here(witness)?,
+        };
+        Ok(Process {
+            name,
+            incarnation,
+            last_lines,
+            home,
+            ended,
+        })
+    }
+
+    fn start_here(&self, witness: Arc<Witness>) -> Result<Home, BootError> {
+        let origin = self.chassis.clock.origin_ns().unwrap_or(0);
+        let mut command = Command::new(&self.launcher.program);
+        command
+            .args(&self.launcher.arguments)
+            .args(["--chassis", &witness.name, "--boot", &self.boot.to_string()])
+            .args(["--origin", &origin.to_string()])
+            .env(TOKEN_VARIABLE, &self.token.0)
+            .env(INCARNATION_VARIABLE, witness.incarnation.to_string());
+        // Its lines are read by this thread, which has then told that it runs.
+        let (heard, at_end) = (witness.clone(), witness.clone());
+        let spawned = spawn::spawn(
+            command,
+            Tether::No,
+            move |line| heard.line(line),
+            move |ending| at_end.ended(ending),
+        )
+        .map_err(ctos_bootstrap::bootstrap::io_error(format!(
+            "cannot start chassis `{}`",
+            witness.name
+        )))?;
+        witness.started(spawned.pid);
+        Ok(Home::Here(spawned.signals))
+    }
+}
+
+enum Order {
+    Start(u8, u32),
+    Kill(u8),
+}
+
+/// Takes the orders of the bootstrap service, which runs on another thread.
+pub(super) struct Orders(mpsc::UnboundedSender<Order>);
+
+impl Processes for Orders {
+    fn start(&self, index: u8, incarnation: u32) {
+        // The receiver lives until the service has ended.
+        let _ = self.0.send(Order::Start(index, incarnation));
+    }
+
+    fn kill(&self, index: u8) {
+        let _ = self.0.send(Order::Kill(index));
+    }
+}
+
+/// The processes of an app that is up, by chassis.
+pub(super) struct Keeper {
+    starter: Starter,
+    orders: mpsc::UnboundedReceiver<Order>,
+    processes: BTreeMap<u8, Process>,
+}
+
+impl Keeper {
+    /// Keeps `processes`, which are those of chassis 1, 2, ...
+    pub(super) fn new(starter: Starter, processes: Vec<Process>) -> (Self, Arc<Orders>) {
+        let (sender, orders) = mpsc::unbounded_channel();
+        let keeper = Self {
+            starter,
+            orders,
+            processes: (1..).zip(processes).collect(),
+        };
+        (keeper, Arc::new(Orders(sender)))
+    }
+
+    /// Carries out orders until a process was started: that of which chassis, and which incarnation.
+    pub(super) async fn serve(&mut self) -> (u8, u32) {
+        loop {
+            match self.orders.recv().await {
+                Some(Order::Start(index, incarnation)) => {
+                    self.start(index, incarnation);
+                    return (index, incarnation);
+                }
+                Some(Order::Kill(index)) => {
+                    if let Some(process) = self.processes.get(&index) {
+                        process.kill();
+                    }
+                }
+                None => std::future::pending().await,
+            }
+        }
+    }
+
+    fn start(&mut self, index: u8, incarnation: u32) {
+        match self.starter.start(index, incarnation) {
+            Ok(process) => {
+                self.processes.insert(index, process);
+            }
+            Err(error) => {
+                let how = format!("could not be started again: {error}");
+                let chassis = &self.starter.chassis;
+                let ended = system::ProcessEnded {
+                    chassis: index,
+                    incarnation,
+                    how,
+                    code: None,
+                };
+                chassis.post_system(system::BOOTSTRAP, ended);
+            }
+        }
+    }
+
+    /// Waits for all processes: those that do not end by themselves get SIGTERM, then SIGKILL.
+    /// Names those that ended otherwise than they should have.
+    pub(super) async fn end(self, limit: Duration, end: &End) -> Vec<(String, String)> {
+        let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
+        let mut casualties = Vec::new();
+        for mut process in self.processes.into_values() {
+            let mut ended = tokio::time::timeout(limit, process.ended()).await;
+            for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
+                if ended.is_ok() {
+                    break;
+                }
+                (self.starter.observer)(&BootEvent::Signalled {
+                    chassis: process.name.clone(),
+                    signal: name.to_owned(),
+                });
+                process.signal(number);
+                ended = tokio::time::timeout(limit, process.ended()).await;
+            }
+            match ended {
+                Ok(ending) if ending.code == Some(expected) => {}
+                Ok(ending) => casualties.push((process.name, ending.how)),
+                Err(_) => casualties.push((process.name, "could not be ended".to_owned())),
+            }
+        }
+        casualties
+    }
+}
+
+impl std::fmt::Debug for Process {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Process(`{}` {})", self.name, self.incarnation)
+    }
+}

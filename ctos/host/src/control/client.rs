@@ -1,0 +1,569 @@
+//! The client's end of the control socket: plain blocking calls, for programs that do nothing else.
+
+use std::{
+    fmt,
+    io::{self, BufRead, BufReader, Read, Write},
+    net::{SocketAddr, TcpStream, ToSocketAddrs},
+    os::unix::net::UnixStream,
+    path::PathBuf,
+    time::Duration,
+};
+
+use base64::{Engine, engine::general_purpose::STANDARD};
+
+use crate::{
+    control::{
+        Socket,
+        gate::Shown,
+        place,
+        protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
+    },
+    doors::{Secret, SecretError},
+};
+use ctos_link::security::{BlockingStream, KeyError, Keys, Role};
+use ctos_message::{Command, Data};
+
+/// Why an app could not be asked, or said no.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// No app runs.
+    #[error("no app is running; start one with `ctos boot FILE`")]
+    NoApp,
+    /// No app has this name.
+    #[error("no running app is called `{name}`; there are: {}", .known.join(", "))]
+    NoSuchApp {
+        /// The name.
+        name: String,
+        /// Those that run.
+        known: Vec<String>,
+    },
+    /// There are several.
+    #[error("several apps are running; choose one with `--app`: {}", .known.join(", "))]
+    Several {
+        /// Their names and processes, as `--app` takes them.
+        known: Vec<String>,
+    },
+    /// The key of this tool cannot be used, or the app does not prove who it is.
+    #[error("{at}: {error}")]
+    Key {
+        /// Where the app should be.
+        at: String,
+        /// What is wrong.
+        error: KeyError,
+    },
+    /// What answers there has a key, and not that of an app.
+    #[error("{at}: what answers there has a key with the role `{role}`, and an app has `boot`")]
+    Impostor {
+        /// Where the app should be.
+        at: String,
+        /// The role.
+        role: Role,
+    },
+    /// The secret of its port cannot be read.
+    #[error("--token-file: {0}")]
+    Secret(#[from] SecretError),
+    /// It does not answer.
+    #[error("cannot reach app `{app}`{}: {error}", of(*.pid))]
+    Unreachable {
+        /// The app.
+        app: String,
+        /// Its process; 0 for one on another host.
+        pid: u32,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// It took too long.
+    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .limit.as_secs_f64())]
+    TimedOut {
+        /// The app.
+        app: String,
+        /// Its process; 0 for one on another host.
+        pid: u32,
+        /// The limit.
+        limit: Duration,
+    },
+    /// It answered what this version cannot read.
+    #[error("cannot read what app `{app}` answers: {reason}; is it of another version?")]
+    Garbled {
+        /// The app.
+        app: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// It said no.
+    #[error("{}", .0.message)]
+    Refused(ErrorView),
+}
+
+/// The process of an app, in brackets.
+fn of(pid: u32) -> String {
+    match pid {
+        0 => String::new(),
+        pid => format!(" (pid {pid})"),
+    }
+}
+
+impl ClientError {
+    /// Whether a name was wrong.
+    #[must_use]
+    pub fn is_no_such_name(&self) -> bool {
+        match self {
+            Self::NoSuchApp { .. } => true,
+            Self::Refused(error) => error.code == ErrorCode::NoSuchName,
+            _ => false,
+        }
+    }
+
+    /// Whether something took too long.
+    #[must_use]
+    pub fn is_timed_out(&self) -> bool {
+        match self {
+            Self::TimedOut { .. } => true,
+            Self::Refused(error) => error.code == ErrorCode::TimedOut,
+            _ => false,
+        }
+    }
+
+    /// Whether a key, or its role, is not enough.
+    #[must_use]
+    pub fn is_not_allowed(&self) -> bool {
+        match self {
+            Self::Key { .. } | Self::Impostor { .. } | Self::Secret(_) => true,
+            Self::Refused(error) => error.code == ErrorCode::NotAllowed,
+            _ => false,
+        }
+    }
+
+    /// Whether the app said no.
+    #[must_use]
+    pub fn is_refused(&self) -> bool {
+        matches!(self, Self::Refused(error) if error.code == ErrorCode::Failed)
+    }
+}
+
+/// The apps of this user that run.
+#[must_use]
+pub fn apps() -> Vec<Socket> {
+    place::sockets(&place::folder())
+}
+
+/// The app called `name`, which may be its process id or `NAME-PID` too; without a name the only one.
+///
+/// # Errors
+/// [`ClientError`] when there is none, or more than one.
+pub fn find(name: Option<&str>) -> Result<Socket, ClientError> {
+    choose(apps(), name)
+}
+
+fn choose(apps: Vec<Socket>, name: Option<&str>) -> Result<Socket, ClientError> {
+    let full = |app: &Socket| format!("{}-{}", app.app, app.pid);
+    let known: Vec<String> = apps.iter().map(full).collect();
+    if known.is_empty() {
+        return Err(ClientError::NoApp);
+    }
+    let mut chosen = apps.into_iter().filter(|app| {
+        name.is_none_or(|name| app.app == name || app.pid.to_string() == name || full(app) == name)
+    });
+    match (chosen.next(), chosen.next()) {
+        (Some(app), None) => Ok(app),
+        (Some(_), Some(_)) => Err(ClientError::Several { known }),
+        (None, _) => Err(ClientError::NoSuchApp {
+            name: name.unwrap_or_default().to_owned(),
+            known,
+        }),
+    }
+}
+
+/// What an app is spoken to over.
+trait Wire: Read + Write + Send {
+    /// How long each reading may take.
+    fn read_within(&self, limit: Option<Duration>) -> io::Result<()>;
+    /// How long each writing may take.
+    fn write_within(&self, limit: Option<Duration>) -> io::Result<()>;
+}
+
+macro_rules! wire {
+    ($stream:ty, $socket:ident => $of:expr) => {
+        impl Wire for $stream {
+            fn read_within(&self, limit: Option<Duration>) -> io::Result<()> {
+                let $socket = self;
+                $of.set_read_timeout(limit)
+            }
+
+            fn write_within(&self, limit: Option<Duration>) -> io::Result<()> {
+                let $socket = self;
+                $of.set_write_timeout(limit)
+            }
+        }
+    };
+}
+
+wire!(UnixStream, stream => stream);
+wire!(TcpStream, stream => stream);
+wire!(BlockingStream, stream => stream.sock);
+
+/// What a tool shows to an app on another host.
+#[derive(Debug)]
+pub enum Pass {
+    /// A key, over TLS.
+    Key(Box<Keys>),
+    /// The secret of a port without keys.
+    Secret(Secret),
+    /// The secret of a port of this host and user, which is looked up.
+    OwnPort,
+}
+
+/// The secret of the port that was called.
+fn own_secret(stream: &TcpStream) -> io::Result<Secret> {
+    Secret::of_port(stream.peer_addr()?).map_err(|error| {
+        let hint = "does it want a key (--key), or the secret of its port (--token-file)?";
+        io::Error::other(format!("{hint} ({error})"))
+    })
+}
+
+/// A connection to an app.
+pub struct Client {
+    app: Socket,
+    limit: Duration,
+    stream: BufReader<Box<dyn Wire>>,
+    /// What has come of the next answer.
+    begun: Vec<u8>,
+    /// What it may mean when the other end hangs up.
+    hung_up: Option<&'static str>,
+    /// It has answered anything.
+    heard: bool,
+}
+
+impl fmt::Debug for Client {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Client({:?})", self.app)
+    }
+}
+
+impl Client {
+    /// Connects to an app whose answers are waited for `limit` long.
+    ///
+    /// # Errors
+    /// [`ClientError::Unreachable`].
+    pub fn connect(app: Socket, limit: Duration) -> Result<Self, ClientError> {
+        match UnixStream::connect(&app.path) {
+            Ok(stream) => Self::over(Box::new(stream), app, limit, None),
+            Err(error) => Err(ClientError::Unreachable {
+                app: app.app,
+                pid: app.pid,
+                error,
+            }),
+        }
+    }
+
+    /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
+    /// `pass` there. Its answers are waited for `limit` long.
+    ///
+    /// # Errors
+    /// [`ClientError::Unreachable`], also when nobody knows the secret of the port, and [`ClientError::Key`]
+    /// when the app does not prove who it is.
+    pub fn connect_at(at: &str, pass: &Pass, limit: Duration) -> Result<Self, ClientError> {
+        let app = Socket {
+            app: at.to_owned(),
+            pid: 0,
+            path: PathBuf::new(),
+        };
+        let unreachable = |error| ClientError::Unreachable {
+            app: at.to_owned(),
+            pid: 0,
+            error,
+        };
+        let mut stream = called(at, limit).map_err(unreachable)?;
+        let keys = match pass {
+            Pass::Key(keys) => keys,
+            Pass::Secret(_) | Pass::OwnPort => {
+                let token = match pass {
+                    Pass::Secret(secret) => secret.clone(),
+                    _ => own_secret(&stream).map_err(unreachable)?,
+                };
+                let shown = serde_json::to_string(&Shown { token });
+                let shown = shown.map_err(io::Error::other).map_err(unreachable)?;
+                let told = stream.write_all(format!("{shown}\n").as_bytes());
+                told.map_err(unreachable)?;
+                let hint = "it hung up; does it want a key (--key), or belong to another user?";
+                return Self::over(Box::new(stream), app, limit, Some(hint));
+            }
+        };
+        let key = |error| ClientError::Key {
+            at: at.to_owned(),
+            error,
+        };
+        let (stream, identity) = keys.call_blocking(stream).map_err(key)?;
+        if !identity.may(Role::Boot) {
+            return Err(ClientError::Impostor {
+                at: at.to_owned(),
+                role: identity.role,
+            });
+        }
+        let hint = "it hung up; is this key of its authority?";
+        Self::over(Box::new(stream), app, limit, Some(hint))
+    }
+
+    fn over(
+        stream: Box<dyn Wire>,
+        app: Socket,
+        limit: Duration,
+        hung_up: Option<&'static str>,
+    ) -> Result<Self, ClientError> {
+        let limited = stream
+            .read_within(Some(limit))
+            .and_then(|()| stream.write_within(Some(limit)));
+        match limited {
+            Ok(()) => Ok(Self {
+                app,
+                limit,
+                stream: BufReader::new(stream),
+                begun: Vec::new(),
+                hung_up,
+                heard: false,
+            }),
+            Err(error) => Err(ClientError::Unreachable {
+                app: app.app,
+                pid: app.pid,
+                error,
+            }),
+        }
+    }
+
+    /// The app. Of one on another host its address is known, in the place of its name, and no process
+    /// (0).
+    #[must_use]
+    pub fn app(&self) -> &Socket {
+        &self.app
+    }
+
+    /// Waits for each further answer as long as it takes.
+    ///
+    /// # Errors
+    /// [`ClientError::Unreachable`].
+    pub fn wait_for_ever(&mut self) -> Result<(), ClientError> {
+        let set = self.stream.get_ref().read_within(None);
+        set.map_err(|error| self.failed(error))
+    }
+
+    /// Asks. The answers are read with [`Self::read`].
+    ///
+    /// # Errors
+    /// [`ClientError::Unreachable`] and [`ClientError::TimedOut`].
+    pub fn ask(&mut self, request: Request) -> Result<(), ClientError> {
+        let ask = Ask {
+            version: VERSION,
+            request,
+        };
+        let line = serde_json::to_string(&ask).map_err(|error| ClientError::Garbled {
+            app: self.app.app.clone(),
+            reason: error.to_string(),
+        })?;
+        if line.len() >= REQUEST_LIMIT {
+            return Err(ClientError::Refused(ErrorView {
+                code: ErrorCode::BadRequest,
+                message: too_long(Some(line.len() + 1)),
+                known: Vec::new(),
+            }));
+        }
+        let stream = self.stream.get_mut();
+        let written = stream
+            .write_all(format!("{line}\n").as_bytes())
+            .and_then(|()| stream.flush());
+        written.map_err(|error| self.failed(error))
+    }
+
+    /// The next answer; `None` when the app has closed the connection.
+    ///
+    /// # Errors
+    /// [`ClientError`], also [`ClientError::Refused`] when the answer is an error.
+    pub fn read(&mut self) -> Result<Option<Answer>, ClientError> {
+        match self.stream.read_until(b'\n', &mut self.begun) {
+            Ok(_) => {}
+            Err(error) => return Err(self.failed(error)),
+        }
+        self.whole()
+    }
+
+    /// The next answer if it comes within `limit`. What has come of it by then is kept, so that one may ask
+    /// again.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_within(&mut self, limit: Duration) -> Result<Within, ClientError> {
+        let set = self.stream.get_ref().read_within(Some(limit));
+        set.map_err(|error| self.failed(error))?;
+        let read = self.stream.read_until(b'\n', &mut self.begun);
+        let usual = self.stream.get_ref().read_within(Some(self.limit));
+        usual.map_err(|error| self.failed(error))?;
+        match read {
+            Ok(_) => Ok(match self.whole()? {
+                Some(answer) => Within::Answer(Box::new(answer)),
+                None => Within::Closed,
+            }),
+            Err(error) if is_late(&error) => Ok(Within::NotYet),
+            Err(error) => Err(self.failed(error)),
+        }
+    }
+
+    /// The answer that has been read to its end.
+    fn whole(&mut self) -> Result<Option<Answer>, ClientError> {
+        let bytes = std::mem::take(&mut self.begun);
+        if bytes.is_empty() {
+            if self.hung_up.is_some() && !self.heard {
+                return Err(self.failed(io::ErrorKind::UnexpectedEof.into()));
+            }
+            return Ok(None);
+        }
+        let line = String::from_utf8_lossy(&bytes);
+        let answer = serde_json::from_str(&line);
+        // What is no line of an app at all is the end of an attempt to speak TLS.
+        let is_line = line.starts_with('{');
+        self.heard |= is_line;
+        match answer {
+            Ok(Answer::Error(error)) => Err(ClientError::Refused(error)),
+            Ok(answer) => Ok(Some(answer)),
+            Err(_) if !is_line && self.hung_up.is_some() => {
+                Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
+            }
+            Err(error) => Err(ClientError::Garbled {
+                app: self.app.app.clone(),
+                reason: error.to_string(),
+            }),
+        }
+    }
+
+    /// Sends a task one of its commands and waits for its answer, as long as the app does. Needs the role
+    /// `call`.
+    ///
+    /// # Errors
+    /// As [`Self::read`], and [`ClientError::Garbled`] when the answer is no `C::Reply`.
+    pub fn call<C: Command>(
+        &mut self,
+        task: &str,
+        request: C,
+        within: Duration,
+    ) -> Result<C::Reply, ClientError> {
+        let garbled = |client: &Self, reason: String| ClientError::Garbled {
+            app: client.app.app.clone(),
+            reason,
+        };
+        let encoded = Data::of(request).into_bytes();
+        let encoded = encoded.map_err(|error| garbled(self, error.to_string()))?;
+        self.wait_for_ever()?;
+        let answer = self.get(Request::Call {
+            task: task.to_owned(),
+            command: C::NAME.to_owned(),
+            data: STANDARD.encode(encoded),
+            within_s: within.as_secs_f64(),
+        })?;
+        let Answer::Reply { data } = answer else {
+            return Err(garbled(self, "it is not the answer to a call".to_owned()));
+        };
+        let bytes = STANDARD.decode(data);
+        let bytes = bytes.map_err(|error| garbled(self, error.to_string()))?;
+        let reply = Data::Bytes(bytes).take::<C::Reply>();
+        reply.map_err(|error| garbled(self, error.to_string()))
+    }
+
+    /// Asks for what is answered in one line.
+    ///
+    /// # Errors
+    /// As [`Self::read`]; [`ClientError::Unreachable`] when the app goes instead of answering.
+    pub fn get(&mut self, request: Request) -> Result<Answer, ClientError> {
+        self.ask(request)?;
+        match self.read()? {
+            Some(answer) => Ok(answer),
+            None => Err(self.failed(io::ErrorKind::UnexpectedEof.into())),
+        }
+    }
+
+    fn failed(&self, error: io::Error) -> ClientError {
+        let (app, pid) = (self.app.app.clone(), self.app.pid);
+        match error.kind() {
+            _ if is_late(&error) => ClientError::TimedOut {
+                app,
+                pid,
+                limit: self.limit,
+            },
+            // What a refusal looks like from here.
+            io::ErrorKind::UnexpectedEof
+            | io::ErrorKind::ConnectionReset
+            | io::ErrorKind::BrokenPipe
+            | io::ErrorKind::InvalidData
+                if !self.heard && self.hung_up.is_some() =>
+            {
+                let hint = self.hung_up.unwrap_or_default();
+                let error = io::Error::new(error.kind(), format!("{hint} ({error})"));
+                ClientError::Unreachable { app, pid, error }
+            }
+            _ => ClientError::Unreachable { app, pid, error },
+        }
+    }
+}
+
+/// What came within a time limit.
+#[derive(Debug)]
+pub enum Within {
+    /// An answer.
+    Answer(Box<Answer>),
+    /// Nothing whole.
+    NotYet,
+    /// The app has closed the connection.
+    Closed,
+}
+
+/// Whether the time was over before anything came.
+fn is_late(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut
+    )
+}
+
+/// Calls the first address of `at` that answers.
+fn called(at: &str, limit: Duration) -> io::Result<TcpStream> {
+    let addresses: Vec<SocketAddr> = at.to_socket_addrs()?.collect();
+    let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name leads to no address");
+    for address in addresses {
+        match TcpStream::connect_timeout(&address, limit) {
+            Ok(stream) => {
+                stream.set_nodelay(true)?;
+                stream.set_read_timeout(Some(limit))?;
+                stream.set_write_timeout(Some(limit))?;
+                return Ok(stream);
+            }
+            Err(error) => failed = error,
+        }
+    }
+    Err(failed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn socket(app: &str, pid: u32) -> Socket {
+        Socket {
+            app: app.to_owned(),
+            pid,
+            path: format!("{app}-{pid}.sock").into(),
+        }
+    }
+
+    #[test]
+    fn the_app_is_the_only_one_or_the_one_that_is_named() {
+        let both = || vec![socket("cell", 7), socket("cell", 8), socket("lab", 9)];
+        let pid = |name: Option<&str>| choose(both(), name).map(|app| app.pid).ok();
+        assert_eq!(pid(Some("lab")), Some(9));
+        assert_eq!(pid(Some("8")), Some(8));
+        assert_eq!(pid(Some("cell-7")), Some(7));
+        assert_eq!(pid(Some("cell")), None);
+        assert_eq!(pid(None), None);
+        let only = choose(vec![socket("lab", 9)], None);
+        assert_eq!(only.map(|app| app.pid).ok(), Some(9));
+        let error = choose(both(), Some("leb")).unwrap_err();
+        assert!(error.is_no_such_name() && error.to_string().contains("lab-9"));
+        assert!(matches!(choose(Vec::new(), None), Err(ClientError::NoApp)));
+    }
+}

@@ -1,0 +1,343 @@
+//! Where a client is served: its requests are read one after the other, and only what its role permits
+//! is answered.
+
+mod requests;
+
+use std::{
+    collections::BTreeSet,
+    io,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use tokio::{
+    io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
+    sync::broadcast,
+};
+
+use crate::{
+    control::{
+        LogStore,
+        moves::Moving,
+        protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
+        recording::Recordings,
+        server::{News, Ticker},
+        view,
+    },
+    doors,
+    text::Gone,
+};
+use ctos_bootstrap::refusals::Refusals;
+use ctos_core::chassis::Chassis;
+use ctos_link::security::Role;
+use ctos_message::{Tid, fault::Fault};
+
+/// Where a client is read, and where it is answered.
+pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
+pub(super) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
+
+/// A client, as far as it has proved who it is.
+pub(super) struct Client {
+    pub(super) who: String,
+    pub(super) role: Role,
+}
+
+/// There are too many clients.
+pub(super) fn busy() -> Answer {
+    error(ErrorCode::Busy, "too many clients at once")
+}
+
+pub(super) fn error(code: ErrorCode, message: impl Into<String>) -> Answer {
+    Answer::Error(ErrorView {
+        code,
+        message: message.into(),
+        known: Vec::new(),
+    })
+}
+
+fn failed(fault: &Fault) -> Answer {
+    match fault {
+        Fault::Refused { text } => error(ErrorCode::Failed, text),
+        Fault::Deadline { after } => error(
+            ErrorCode::TimedOut,
+            format!("no answer within {:.1} s", after.as_secs_f64()),
+        ),
+        Fault::PeerDown { chassis } => {
+            error(ErrorCode::Failed, format!("chassis `{chassis}` is gone"))
+        }
+        other => error(ErrorCode::Failed, other.to_string()),
+    }
+}
+
+pub(super) async fn tell(writer: &mut Writer, answer: &Answer) -> io::Result<()> {
+    let mut line = serde_json::to_vec(answer)?;
+    line.push(b'\n');
+    writer.write_all(&line).await?;
+    writer.flush().await
+}
+
+/// What clients are served from.
+pub(super) struct Desk {
+    chassis: Arc<Chassis>,
+    logs: Arc<LogStore>,
+    ticker: Ticker,
+    recordings: Arc<Recordings>,
+    /// Counts the clients, so that no two have the same name.
+    speakers: AtomicU64,
+}
+
+/// A client, as the tasks know it that it says lines to.
+struct Speaker {
+    name: String,
+    /// Those that it has spoken to.
+    heard: BTreeSet<Tid>,
+}
+
+impl Desk {
+    /// Serves the clients of the app whose boot is `chassis`.
+    pub(super) fn new(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Self {
+        Self {
+            chassis: chassis.clone(),
+            logs: logs.clone(),
+            ticker: ticker.clone(),
+            recordings: Arc::default(),
+            speakers: AtomicU64::new(0),
+        }
+    }
+
+    /// Logs and counts that somebody was refused.
+    pub(super) fn refuse(&self, who: &str, reason: &str) {
+        let chassis = &self.chassis;
+        Refusals::of(chassis).note(&chassis.clock, who, reason);
+    }
+
+    /// What a client may not have, if it may not have it.
+    fn not_allowed(&self, client: &Client, request: &Request) -> Option<Answer> {
+        let needed = request.role();
+        if client.role >= needed {
+            return None;
+        }
+        let reason = format!("`{}` takes the role `{needed}`", request.word());
+        self.refuse(&client.who, &reason);
+        let text = format!(
+            "{} has the role `{}`, and {reason}",
+            client.who, client.role
+        );
+        Some(error(ErrorCode::NotAllowed, text))
+    }
+
+    /// Serves one client until it goes, and tells so whom it has spoken to.
+    pub(super) async fn client(
+        &self,
+        client: &Client,
+        reader: Reader,
+        writer: Writer,
+    ) -> io::Result<()> {
+        let number = self.speakers.fetch_add(1, Ordering::Relaxed) + 1;
+        let mut speaker = Speaker {
+            name: format!("{}-{number}@boot", client.who.replace(' ', "-")),
+            heard: BTreeSet::new(),
+        };
+        let served = self.serve(client, &mut speaker, reader, writer).await;
+        for task in speaker.heard {
+            let who = speaker.name.clone();
+            self.chassis.post_system(task, Gone { who });
+        }
+        served
+    }
+
+    async fn serve(
+        &self,
+        client: &Client,
+        speaker: &mut Speaker,
+        reader: Reader,
+        mut writer: Writer,
+    ) -> io::Result<()> {
+        let mut reader = BufReader::new(reader);
+        let mut news = self.ticker.subscribe();
+        loop {
+            let mut line = Vec::new();
+            let mut limited = (&mut reader).take(REQUEST_LIMIT as u64);
+            tokio::select! {
+                read = limited.read_until(b'\n', &mut line) => {
+                    if read? == 0 {
+                        return Ok(());
+                    }
+                }
+                // A client that asks for nothing must not be waited for when the app has ended.
+                () = ended(&mut news) => return Ok(()),
+            }
+            // Whoever says what is no request is no tool: what else it says is not obeyed.
+            let ask = match read_ask(&line) {
+                Ok(ask) => ask,
+                Err(unreadable) => return self.hang_up(client, &mut writer, unreadable).await,
+            };
+            match ask {
+                Ok(ask) if ask.version > VERSION => {
+                    let text = format!(
+                        "this app speaks version {VERSION} of the protocol, not {}",
+                        ask.version
+                    );
+                    tell(&mut writer, &error(ErrorCode::BadRequest, text)).await?;
+                }
+                Ok(ask) if let Some(refused) = self.not_allowed(client, &ask.request) => {
+                    tell(&mut writer, &refused).await?;
+                }
+                Ok(ask) => {
+                    let answered = std::pin::pin!(self.answer(ask.request, speaker, &mut writer));
+                    tokio::select! {
+                        biased;
+                        answered = answered => answered?,
+                        () = closed(&mut reader) => return Ok(()),
+                    }
+                }
+                Err(reason) => {
+                    let text = format!("cannot read the request: {reason}");
+                    tell(&mut writer, &error(ErrorCode::BadRequest, text)).await?;
+                }
+            }
+        }
+    }
+
+    /// Says why the connection ends.
+    async fn hang_up(
+        &self,
+        client: &Client,
+        writer: &mut Writer,
+        unreadable: Unreadable,
+    ) -> io::Result<()> {
+        let text = unreadable.to_string();
+        self.refuse(&client.who, &text);
+        match unreadable {
+            Unreadable::Http => {
+                writer.write_all(doors::NO_PAGE.as_bytes()).await?;
+                writer.flush().await
+            }
+            _ => tell(writer, &error(ErrorCode::BadRequest, text)).await,
+        }
+    }
+
+    async fn answer(
+        &self,
+        request: Request,
+        speaker: &mut Speaker,
+        writer: &mut Writer,
+    ) -> io::Result<()> {
+        match request {
+            Request::Say(request) => {
+                let answer = self.say(request, speaker).await;
+                tell(writer, &answer).await
+            }
+            Request::Ps {} => {
+                let answer = view::app(&self.chassis, &self.logs).await;
+                let answer = answer.map_or_else(|fault| failed(&fault), Answer::App);
+                tell(writer, &answer).await
+            }
+            Request::Status { name } => {
+                let answer = self.status(&name).await;
+                tell(writer, &answer).await
+            }
+            Request::Logs(request) => self.logs(&request, writer).await,
+            Request::Stop { now } => self.stop(now, writer).await,
+            Request::Restart { name } => {
+                let answer = self.restart(&name).await;
+                tell(writer, &answer).await
+            }
+            Request::Record(request) => self.record(request, writer).await,
+            Request::RecordStop { key } => {
+                let answer = if self.recordings.stop(key) {
+                    Answer::Done {}
+                } else {
+                    error(ErrorCode::NoSuchName, format!("there is no record {key}"))
+                };
+                tell(writer, &answer).await
+            }
+            Request::Call {
+                task,
+                command,
+                data,
+                within_s,
+            } => {
+                let answer = self.call(&task, &command, &data, within_s).await;
+                tell(writer, &answer).await
+            }
+            Request::Move { task, to } => {
+                let mut moving = Moving::new(&self.chassis, &self.logs, task, to);
+                while let Some(answer) = moving.next().await {
+                    tell(writer, &answer).await?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+/// A line that is no request of any version.
+#[derive(Debug, thiserror::Error)]
+enum Unreadable {
+    #[error("it speaks HTTP, and this is no page")]
+    Http,
+    #[error("{}", too_long(None))]
+    TooLong,
+    #[error("the request is cut off: it has no end of line")]
+    Cut,
+    #[error("cannot read the request: {0}")]
+    Rubbish(serde_json::Error),
+}
+
+/// What every request of every version has.
+#[derive(serde::Deserialize)]
+#[expect(dead_code, reason = "it is only looked whether they are there")]
+struct AnyAsk {
+    version: u32,
+    request: AnyRequest,
+}
+
+#[derive(serde::Deserialize)]
+#[expect(dead_code, reason = "as above")]
+struct AnyRequest {
+    kind: String,
+}
+
+/// Reads a line: a request, or why this version does not know it.
+fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
+    if doors::is_http(line) {
+        return Err(Unreadable::Http);
+    }
+    if line.last() != Some(&b'\n') {
+        let is_long = line.len() >= REQUEST_LIMIT;
+        return Err(if is_long {
+            Unreadable::TooLong
+        } else {
+            Unreadable::Cut
+        });
+    }
+    match serde_json::from_slice::<Ask>(line) {
+        Ok(ask) => Ok(Ok(ask)),
+        Err(reason) => match serde_json::from_slice::<AnyAsk>(line) {
+            Ok(_) => Ok(Err(reason)),
+            Err(_) => Err(Unreadable::Rubbish(reason)),
+        },
+    }
+}
+
+/// Ends when the app has.
+async fn ended(news: &mut broadcast::Receiver<News>) {
+    loop {
+        match news.recv().await {
+            Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return,
+            Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
+        }
+    }
+}
+
+/// Ends when the client has closed its end, also while it is being answered.
+async fn closed(reader: &mut BufReader<Reader>) {
+    match reader.fill_buf().await {
+        Ok([]) | Err(_) => {}
+        // Its next request, which is read in its turn.
+        Ok(_) => std::future::pending().await,
+    }
+}

@@ -1,0 +1,235 @@
+//! Where callers stay until they have shown who they are. There is always room for one more: the one who
+//! has been silent longest goes for it, so that idle strangers keep no member out.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use tokio::sync::oneshot;
+
+use ctos_time::lock::lock;
+
+/// How long the next caller waits after one was turned out. It bounds how fast strangers can turn out
+/// others: a member has at least as many of these as there are places to show who it is.
+const PAUSE: Duration = Duration::from_millis(2);
+
+/// Why a caller was not heard to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Turned {
+    #[error("it did not show who it is in time")]
+    Late,
+    #[error("others came, and it had not shown who it is")]
+    Crowded,
+}
+
+/// The places of a port for callers who have not shown who they are.
+pub(crate) struct Lobby {
+    most: usize,
+    guests: Mutex<Guests>,
+}
+
+#[derive(Default)]
+struct Guests {
+    last: u64,
+    /// Those that may be turned out, the longest silent first.
+    silent: BTreeMap<u64, oneshot::Sender<()>>,
+    /// Those that may not.
+    served: usize,
+}
+
+impl Lobby {
+    pub(crate) fn new(most: usize) -> Arc<Self> {
+        Arc::new(Self {
+            most,
+            guests: Mutex::default(),
+        })
+    }
+
+    /// Lets one more in, for whom the longest silent one goes; `None` when all are being served.
+    pub(crate) async fn enter(self: &Arc<Self>) -> Option<Guest> {
+        let crowded = {
+            let guests = lock(&self.guests);
+            guests.silent.len() + guests.served >= self.most
+        };
+        if crowded {
+            let turned = self.turn_out();
+            tokio::time::sleep(PAUSE).await;
+            if !turned {
+                return None;
+            }
+        }
+        let (sender, turned) = oneshot::channel();
+        let number = lock(&self.guests).seat(sender);
+        let seat = Arc::new(Seat {
+            lobby: self.clone(),
+            number: Mutex::new(Some(number)),
+        });
+        Some(Guest { seat, turned })
+    }
+
+    /// Turns out the longest silent one, if there is one.
+    pub(crate) fn turn_out(&self) -> bool {
+        // Its sender is dropped, which it hears.
+        lock(&self.guests).silent.pop_first().is_some()
+    }
+}
+
+impl Guests {
+    fn seat(&mut self, sender: oneshot::Sender<()>) -> u64 {
+        self.last += 1;
+        self.silent.insert(self.last, sender);
+        self.last
+    }
+}
+
+/// A caller in a lobby.
+pub(crate) struct Guest {
+    seat: Arc<Seat>,
+    turned: oneshot::Receiver<()>,
+}
+
+/// Its place there; free when this is dropped.
+pub(crate) struct Seat {
+    lobby: Arc<Lobby>,
+    /// Nothing while it is served.
+    number: Mutex<Option<u64>>,
+}
+
+impl Guest {
+    /// Its place, to be marked while it is served.
+    pub(crate) fn seat(&self) -> Arc<Seat> {
+        self.seat.clone()
+    }
+
+    /// Does `what` with the caller, unless it is turned out or `limit` has passed.
+    ///
+    /// # Errors
+    /// [`Turned`].
+    pub(crate) async fn hear<T>(
+        self,
+        limit: Duration,
+        what: impl Future<Output = T>,
+    ) -> Result<T, Turned> {
+        let heard = tokio::time::timeout(limit, self.stay(what)).await;
+        heard.unwrap_or(Err(Turned::Late))
+    }
+
+    /// As [`Self::hear`], without a limit.
+    ///
+    /// # Errors
+    /// [`Turned::Crowded`].
+    pub(crate) async fn stay<T>(self, what: impl Future<Output = T>) -> Result<T, Turned> {
+        let Self {
+            seat: _seat,
+            turned,
+        } = self;
+        tokio::select! {
+            done = what => Ok(done),
+            _ = turned => Err(Turned::Crowded),
+        }
+    }
+}
+
+/// A caller that is being served, and so not turned out.
+pub(crate) struct Served {
+    seat: Arc<Seat>,
+    sender: Option<oneshot::Sender<()>>,
+}
+
+impl Seat {
+    /// Not turned out until what is returned is dropped; `None` when it has been.
+    pub(crate) fn serve(self: &Arc<Self>) -> Option<Served> {
+        let number = lock(&self.number).take()?;
+        let mut guests = lock(&self.lobby.guests);
+        let sender = guests.silent.remove(&number)?;
+        guests.served += 1;
+        drop(guests);
+        Some(Served {
+            seat: self.clone(),
+            sender: Some(sender),
+        })
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let Some(sender) = self.sender.take() else {
+            return;
+        };
+        let mut guests = lock(&self.seat.lobby.guests);
+        guests.served -= 1;
+        let number = guests.seat(sender);
+        drop(guests);
+        *lock(&self.seat.number) = Some(number);
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        if let Some(number) = lock(&self.number).take() {
+            lock(&self.lobby.guests).silent.remove(&number);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run<T>(test: impl Future<Output = T>) -> T {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_time()
+            .build();
+        runtime.unwrap().block_on(test)
+    }
+
+    const FOREVER: Duration = Duration::from_secs(3600);
+
+    #[test]
+    fn the_longest_silent_goes_for_the_next_and_places_of_those_that_went_are_free() {
+        run(async {
+            let lobby = Lobby::new(2);
+            let first = lobby.enter().await.unwrap();
+            let second = lobby.enter().await.unwrap();
+            let third = lobby.enter().await.unwrap();
+            let silent = std::future::pending::<()>;
+            assert_eq!(first.stay(silent()).await, Err(Turned::Crowded));
+            drop(second);
+            let fourth = lobby.enter().await.unwrap();
+            assert_eq!(third.hear(FOREVER, async { 3 }).await, Ok(3));
+            assert_eq!(fourth.hear(FOREVER, async { 4 }).await, Ok(4));
+        });
+    }
+
+    #[test]
+    fn who_is_served_is_not_turned_out_and_afterwards_has_been_silent_for_the_shortest_time() {
+        run(async {
+            let lobby = Lobby::new(2);
+            let busy = lobby.enter().await.unwrap();
+            let served = busy.seat().serve().unwrap();
+            let idle = lobby.enter().await.unwrap();
+            let next = lobby.enter().await.unwrap();
+            let silent = std::future::pending::<()>;
+            assert_eq!(idle.stay(silent()).await, Err(Turned::Crowded));
+            let also = next.seat().serve().unwrap();
+            assert!(lobby.enter().await.is_none());
+            drop(also);
+            drop(served);
+            let _last = lobby.enter().await.unwrap();
+            assert_eq!(next.stay(silent()).await, Err(Turned::Crowded));
+            assert_eq!(busy.stay(async { 1 }).await, Ok(1));
+        });
+    }
+
+    #[test]
+    fn who_says_nothing_is_heard_no_longer_than_the_limit() {
+        run(async {
+            let guest = Lobby::new(1).enter().await.unwrap();
+            let silent = std::future::pending::<()>();
+            let heard = guest.hear(Duration::from_millis(1), silent).await;
+            assert_eq!(heard, Err(Turned::Late));
+        });
+    }
+}

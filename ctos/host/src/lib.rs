@@ -1,0 +1,11 @@
+//! The host of an app in real time: its processes, on this machine and on others, the links between them, the control
+//! socket, and what is served to people and tools.
+
+extern crate ctos_core as ctos;
+
+pub mod boot;
+pub mod control;
+pub mod doors;
+mod metrics;
+pub mod remote;
+pub mod text;

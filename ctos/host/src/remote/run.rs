@@ -1,0 +1,457 @@
+//! One run of an app on the agent's host: its files, its processes, and the connection to its boot.
+//!
+//! It outlives the connection for as long as a peer may be silent; then everything of it is ended and
+//! removed.
+
+use std::{
+    collections::BTreeMap,
+    io,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use rustix::process::Signal;
+use tokio::{
+    process::{ChildStdin, Command},
+    sync::{mpsc, watch},
+};
+
+use super::{
+    agent::{AgentEvent, AgentObserver},
+    unpack::Unpacked,
+    wire::{
+        AppFiles, Asked, Connection, FRAME_LIMIT, Outbox, Pulse, ToAgent, ToBoot, WireError, ticks,
+    },
+};
+use crate::boot::{
+    launcher::{INCARNATION_VARIABLE, TETHER_VARIABLE, TOKEN_VARIABLE},
+    spawn::{self, Ending, LAST_WORDS, Tether},
+};
+use ctos_core::registry::Registry;
+use ctos_link::{handshake::Token, transport::Address};
+use ctos_time::Clock;
+
+/// What all runs of an agent have in common.
+pub(super) struct Common {
+    pub(super) program: PathBuf,
+    /// Where runs have their folders.
+    pub(super) folder: PathBuf,
+    /// What to tell chassis of the agent's own keys.
+    pub(super) key_arguments: Vec<String>,
+    pub(super) registry: Registry,
+    pub(super) observer: AgentObserver,
+    pub(super) stopping: watch::Receiver<bool>,
+}
+
+/// A boot is back.
+pub(super) enum Return {
+    /// With a new connection.
+    Connected(Connection),
+    /// With a new run in the place of this one.
+    Anew,
+}
+
+/// What a boot said of its run.
+pub(super) struct About {
+    pub(super) app: String,
+    pub(super) silence: Duration,
+    pub(super) stop: Duration,
+}
+
+/// A process of the run.
+struct Child {
+    name: String,
+    incarnation: u32,
+    pid: Option<u32>,
+    signals: Option<mpsc::UnboundedSender<Signal>>,
+    tether: Option<ChildStdin>,
+    /// How many lines its log has so far.
+    lines: Arc<AtomicU64>,
+    ended: Option<Ending>,
+}
+
+/// A process has ended.
+struct Gone {
+    chassis: u8,
+    incarnation: u32,
+    ending: Ending,
+}
+
+/// Why a run is over.
+enum Over {
+    Bye,
+    Lost(String),
+    Refused,
+    Stopping,
+}
+
+/// A run.
+pub(super) struct Run {
+    common: Arc<Common>,
+    about: About,
+    outbox: Arc<Outbox<ToBoot>>,
+    unpacked: Option<Unpacked>,
+    children: BTreeMap<u8, Child>,
+    gone: (mpsc::UnboundedSender<Gone>, mpsc::UnboundedReceiver<Gone>),
+}
+
+impl Run {
+    pub(super) fn new(common: Arc<Common>, about: About, outbox: Arc<Outbox<ToBoot>>) -> Self {
+        Self {
+            common,
+            about,
+            outbox,
+            unpacked: None,
+            children: BTreeMap::new(),
+            gone: mpsc::unbounded_channel(),
+        }
+    }
+
+    /// Serves the boot over `first`, and over each connection that it makes anew, until the run is over
+    /// and nothing of it is left.
+    pub(super) async fn serve(
+        mut self,
+        first: Connection,
+        mut anew: mpsc::UnboundedReceiver<Return>,
+    ) {
+        let mut connection = Some(first);
+        let why = match self.live(&mut connection, &mut anew).await {
+            Over::Bye => "the boot has ended it".to_owned(),
+            Over::Refused => "it cannot run here".to_owned(),
+            Over::Stopping => "the agent is being stopped".to_owned(),
+            Over::Lost(reason) => {
+                tracing::warn!(app = self.about.app, reason, "a run is ended");
+                // Nobody is left to hear of it.
+                connection = None;
+                reason
+            }
+        };
+        self.end().await;
+        // Its folder goes with it.
+        self.unpacked = None;
+        self.tell(&AgentEvent::Over {
+            app: self.about.app.clone(),
+            why,
+        });
+        self.outbox.say(ToBoot::Over);
+        if let Some(connection) = connection {
+            self.farewell(connection).await;
+        }
+    }
+
+    fn tell(&self, event: &AgentEvent) {
+        (self.common.observer)(event);
+    }
+
+    async fn live(
+        &mut self,
+        connection: &mut Option<Connection>,
+        anew: &mut mpsc::UnboundedReceiver<Return>,
+    ) -> Over {
+        let mut pulse = Pulse::new(self.about.silence);
+        let mut ticks = ticks(&pulse);
+        let mut stopping = self.common.stopping.clone();
+        let mut broke = String::new();
+        loop {
+            let heard = async {
+                match connection.as_mut() {
+                    Some(connection) => connection.hear().await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                heard = heard => match heard {
+                    Ok(ToAgent::Bye) => return Over::Bye,
+                    Ok(said) => {
+                        pulse.heard();
+                        if let (ToAgent::App(_), Some(connection)) = (&said, connection.as_mut()) {
+                            connection.limit(FRAME_LIMIT);
+                        }
+                        if let Err(over) = self.heard(said) {
+                            return over;
+                        }
+                    }
+                    Err(WireError::Garbled(error)) => {
+                        return Over::Lost(format!("the boot says what cannot be read: {error}"));
+                    }
+                    // A frame that is too long, or what is no TLS.
+                    Err(WireError::Io(error)) if error.kind() == io::ErrorKind::InvalidData => {
+                        return Over::Lost(format!("the boot says what cannot be read: {error}"));
+                    }
+                    Err(error) => {
+                        tracing::debug!(app = self.about.app, error = %error, "a boot is away");
+                        broke = error.to_string();
+                        *connection = None;
+                    }
+                },
+                Some(back) = anew.recv() => match back {
+                    Return::Connected(new) => {
+                        pulse.heard();
+                        *connection = Some(new);
+                        self.say_all();
+                    }
+                    Return::Anew => return Over::Lost("its boot has begun anew".to_owned()),
+                },
+                Some(gone) = self.gone.1.recv() => self.ended(gone),
+                _ = ticks.tick() => if let Err(error) = pulse.look() {
+                    let reason = if connection.is_some() { error.to_string() } else { broke };
+                    return Over::Lost(format!("its boot is gone: {reason}"));
+                },
+                _ = stopping.wait_for(|stopping| *stopping) => return Over::Stopping,
+            }
+        }
+    }
+
+    fn heard(&mut self, said: ToAgent) -> Result<(), Over> {
+        match said {
+            ToAgent::App(files) => match self.unpack(*files) {
+                Ok(()) => self.outbox.say(ToBoot::Unpacked),
+                Err(reason) => {
+                    self.tell(&AgentEvent::Refused {
+                        who: format!("app `{}`", self.about.app),
+                        reason: reason.clone(),
+                    });
+                    self.outbox.say(ToBoot::Refused { reason });
+                    return Err(Over::Refused);
+                }
+            },
+            ToAgent::Start {
+                chassis,
+                name,
+                incarnation,
+                origin_ns,
+                boot,
+                token,
+            } => {
+                let how = How {
+                    name,
+                    incarnation,
+                    origin_ns,
+                    boot,
+                    token,
+                };
+                self.start(chassis, how);
+            }
+            ToAgent::Signal {
+                chassis,
+                incarnation,
+                signal,
+            } => {
+                let child = self.children.get(&chassis);
+                let child = child.filter(|child| child.incarnation == incarnation);
+                if let Some(signals) = child.and_then(|child| child.signals.as_ref()) {
+                    // One that has ended needs none.
+                    let _ = signals.send(match signal {
+                        Asked::Term => Signal::TERM,
+                        Asked::Kill => Signal::KILL,
+                    });
+                }
+            }
+            ToAgent::Ping { number } => self.outbox.say(ToBoot::Pong {
+                number,
+                monotonic_ns: Clock::real().origin_ns().unwrap_or(0),
+            }),
+            ToAgent::Bye => {}
+        }
+        Ok(())
+    }
+
+    /// Lays the app's files down, in a folder that only this user may enter.
+    fn unpack(&mut self, files: AppFiles) -> Result<(), String> {
+        if self.unpacked.is_some() {
+            return Err("the app's files were sent twice".to_owned());
+        }
+        self.unpacked = Some(Unpacked::new(&self.common, files)?);
+        Ok(())
+    }
+
+    /// Starts a process, unless that was done.
+    fn start(&mut self, chassis: u8, how: How) {
+        if let Some(child) = self.children.get(&chassis)
+            && child.incarnation >= how.incarnation
+        {
+            self.say_of(chassis);
+            return;
+        }
+        let mut child = Child {
+            name: how.name.clone(),
+            incarnation: how.incarnation,
+            pid: None,
+            signals: None,
+            tether: None,
+            lines: Arc::default(),
+            ended: None,
+        };
+        match self.spawn(chassis, &how, &child.lines) {
+            Ok(spawned) => {
+                child.pid = spawned.pid;
+                child.signals = Some(spawned.signals);
+                child.tether = spawned.tether;
+                self.tell(&AgentEvent::Started {
+                    app: self.about.app.clone(),
+                    chassis: how.name,
+                    pid: spawned.pid,
+                });
+            }
+            Err(reason) => {
+                child.ended = Some(Ending {
+                    how: format!("could not be started: {reason}"),
+                    code: None,
+                });
+            }
+        }
+        self.children.insert(chassis, child);
+        self.say_of(chassis);
+    }
+
+    fn spawn(
+        &self,
+        chassis: u8,
+        how: &How,
+        lines: &Arc<AtomicU64>,
+    ) -> Result<spawn::Spawned, String> {
+        let unpacked = self.unpacked.as_ref();
+        let unpacked = unpacked.ok_or("the app's files were not sent")?;
+        let command = self.command(unpacked, how);
+        let incarnation = how.incarnation;
+        let (outbox, counted) = (self.outbox.clone(), lines.clone());
+        let line = move |text: String| {
+            let number = counted.fetch_add(1, Ordering::Relaxed) + 1;
+            outbox.say(ToBoot::Line {
+                chassis,
+                incarnation,
+                number,
+                text,
+            });
+        };
+        let gone = self.gone.0.clone();
+        let ended = move |ending| {
+            // The run waits for all its processes.
+            let _ = gone.send(Gone {
+                chassis,
+                incarnation,
+                ending,
+            });
+        };
+        let spawned = spawn::spawn(command, Tether::Stdin, line, ended);
+        spawned.map_err(|error| format!("{}: {error}", self.common.program.display()))
+    }
+
+    fn command(&self, unpacked: &Unpacked, how: &How) -> Command {
+        let mut command = unpacked.command(&self.common);
+        command
+            .args(["--chassis", &how.name, "--boot", &how.boot.to_string()])
+            .args(["--origin", &how.origin_ns.to_string()])
+            .env(TOKEN_VARIABLE, &how.token.0)
+            .env(INCARNATION_VARIABLE, how.incarnation.to_string())
+            .env(TETHER_VARIABLE, "1");
+        command
+    }
+
+    fn ended(&mut self, gone: Gone) {
+        let Some(child) = self.children.get_mut(&gone.chassis) else {
+            return;
+        };
+        if child.incarnation != gone.incarnation {
+            return;
+        }
+        child.signals = None;
+        child.tether = None;
+        let event = AgentEvent::Ended {
+            app: self.about.app.clone(),
+            chassis: child.name.clone(),
+            how: gone.ending.how.clone(),
+        };
+        child.ended = Some(gone.ending);
+        self.tell(&event);
+        self.say_of(gone.chassis);
+    }
+
+    /// Says how a process is.
+    fn say_of(&self, chassis: u8) {
+        let Some(child) = self.children.get(&chassis) else {
+            return;
+        };
+        let incarnation = child.incarnation;
+        if let Some(ending) = &child.ended {
+            self.outbox.say(ToBoot::Ended {
+                chassis,
+                incarnation,
+                ending: ending.clone(),
+                lines: child.lines.load(Ordering::Relaxed),
+            });
+        } else {
+            self.outbox.say(ToBoot::Started {
+                chassis,
+                incarnation,
+                pid: child.pid,
+            });
+        }
+    }
+
+    /// To a boot that is back: what it may have missed.
+    fn say_all(&self) {
+        if self.unpacked.is_some() {
+            self.outbox.say(ToBoot::Unpacked);
+        }
+        for chassis in self.children.keys() {
+            self.say_of(*chassis);
+        }
+    }
+
+    /// Ends what is left of the run: lets it go, which it takes as the loss of its boot and stops in
+    /// order, then SIGTERM, then SIGKILL.
+    async fn end(&mut self) {
+        for child in self.children.values_mut() {
+            child.tether = None;
+        }
+        let rung = self.about.stop;
+        for signal in [None, Some(Signal::TERM), Some(Signal::KILL)] {
+            if let Some(signal) = signal {
+                for child in self.children.values() {
+                    if let Some(signals) = &child.signals {
+                        tracing::warn!(chassis = child.name, signal = ?signal, "does not end by itself");
+                        // One that has ended needs none.
+                        let _ = signals.send(signal);
+                    }
+                }
+            }
+            let all = async {
+                while self.children.values().any(|child| child.ended.is_none()) {
+                    match self.gone.1.recv().await {
+                        Some(gone) => self.ended(gone),
+                        None => return,
+                    }
+                }
+            };
+            let limit = match signal {
+                // Its end is seen when its log is read, for which it has some time.
+                Some(Signal::KILL) => rung.max(2 * LAST_WORDS),
+                _ => rung,
+            };
+            if tokio::time::timeout(limit, all).await.is_ok() {
+                return;
+            }
+        }
+        tracing::error!(app = self.about.app, "processes of a run cannot be ended");
+    }
+
+    /// Lets the boot hear the last of it, and hang up.
+    async fn farewell(&self, mut connection: Connection) {
+        let hung_up = async { while connection.hear::<ToAgent>().await.is_ok() {} };
+        let _ = tokio::time::timeout(self.about.silence, hung_up).await;
+    }
+}
+
+/// How to start a process.
+struct How {
+    name: String,
+    incarnation: u32,
+    origin_ns: u64,
+    boot: Address,
+    token: Token,
+}

@@ -1,0 +1,413 @@
+//! What a boot and the agent of another host say to each other, and the connection that carries it.
+//!
+//! A caller first says who it is ([`Hello`], at most as much as any stranger may); what follows are
+//! frames: a length of four bytes and postcard. Both ends may have the connection anew while their run
+//! lives, so everything that is said may be said twice, and lines of a log are numbered.
+
+use std::{
+    collections::VecDeque,
+    io,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use futures_util::StreamExt;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use tokio::{
+    io::{AsyncWriteExt, ReadHalf, WriteHalf},
+    sync::Notify,
+    task::JoinHandle,
+};
+use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
+
+use crate::{
+    boot::spawn::{Ending, LINE_LIMIT},
+    doors::Secret,
+};
+use ctos_config::Bundle;
+use ctos_link::{
+    handshake::{Process, Token},
+    transport::{Address, Stream},
+};
+use ctos_time::{Clock, Instant, lock::lock};
+
+/// The first bytes of a boot that calls an agent: the protocol.
+pub(crate) const GREETING: [u8; 8] = *b"ctosagt\0";
+
+/// The version of what follows; both ends must have the same.
+pub(crate) const PROTOCOL: u32 = 2;
+
+/// How much the files of an app may come to, bytes.
+pub(crate) const BUNDLE_LIMIT: usize = 64 << 20;
+
+/// The longest frame but the one with the app's files, bytes: a line of a log and what is around it.
+pub(crate) const FRAME_LIMIT: usize = 4 * LINE_LIMIT;
+
+/// How long a caller may take to say who it is, and an agent to answer.
+pub(crate) const HELLO_LIMIT: Duration = Duration::from_secs(5);
+
+/// How many lines of logs may wait for a slow connection; further ones are lost, and counted.
+pub(crate) const LINES_WAITING: usize = 2048;
+
+/// A boot says who it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Hello {
+    pub(crate) protocol: u32,
+    /// The version of the program.
+    pub(crate) version: String,
+    /// Its run: the same when it calls again.
+    pub(crate) run: Token,
+    /// The run before it, which this boot has lost: nothing of it may be left when this one begins.
+    pub(crate) replaces: Option<Token>,
+    pub(crate) app: String,
+    /// A run that is silent for so long is gone, ms.
+    pub(crate) silence_ms: u64,
+    /// How long each rung of stopping may take, ms.
+    pub(crate) stop_ms: u64,
+    /// That of the agent's port, where there are no keys.
+    pub(crate) secret: Option<Secret>,
+}
+
+/// What the agent answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) enum HelloAnswer {
+    /// Frames from here on. Whether the agent has the run already, with its processes; and which
+    /// process it is itself.
+    Welcome { known: bool, process: Process },
+    /// No.
+    Refused { reason: String },
+}
+
+/// A handler as a program has it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct HandlerView {
+    pub(crate) name: String,
+    /// Code and name of each command that it takes.
+    pub(crate) commands: Vec<(u16, String)>,
+}
+
+/// What an agent needs to start chassis of an app.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct AppFiles {
+    pub(crate) bundle: Bundle,
+    /// What to tell chassis besides the app: how much to log.
+    pub(crate) options: Vec<String>,
+    /// The handlers that the app names, as the boot has them.
+    pub(crate) handlers: Vec<HandlerView>,
+    /// Whether the app is recorded.
+    pub(crate) recorded: bool,
+}
+
+/// What a boot says to an agent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) enum ToAgent {
+    /// First, in a new run.
+    App(Box<AppFiles>),
+    /// Start a process; nothing happens if it was started.
+    Start {
+        chassis: u8,
+        name: String,
+        incarnation: u32,
+        /// The start of the app on the agent's monotonic clock, ns.
+        origin_ns: u64,
+        /// Where the boot listens.
+        boot: Address,
+        token: Token,
+    },
+    /// Send a process a signal.
+    Signal {
+        chassis: u8,
+        incarnation: u32,
+        signal: Asked,
+    },
+    /// Say that you live.
+    Ping { number: u64 },
+    /// The run is over: nothing of it may be left.
+    Bye,
+}
+
+/// The signals that a boot may send.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Asked {
+    Term,
+    Kill,
+}
+
+/// What an agent says to a boot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) enum ToBoot {
+    /// The app's files are there.
+    Unpacked,
+    /// The app cannot run here.
+    Refused { reason: String },
+    /// A process runs.
+    Started {
+        chassis: u8,
+        incarnation: u32,
+        pid: Option<u32>,
+    },
+    /// A line of its log; they are numbered from 1.
+    Line {
+        chassis: u8,
+        incarnation: u32,
+        number: u64,
+        text: String,
+    },
+    /// A process has ended, or could not be started, after so many lines.
+    Ended {
+        chassis: u8,
+        incarnation: u32,
+        ending: Ending,
+        lines: u64,
+    },
+    /// It lives. What its monotonic clock shows, ns.
+    Pong { number: u64, monotonic_ns: u64 },
+    /// Nothing of the run is left.
+    Over,
+}
+
+/// What may stand in an [`Outbox`].
+pub(crate) trait Said: Serialize + Send + 'static {
+    /// Whether it may be dropped when there are too many.
+    fn may_be_dropped(&self) -> bool;
+}
+
+impl Said for ToBoot {
+    fn may_be_dropped(&self) -> bool {
+        matches!(self, Self::Line { .. })
+    }
+}
+
+impl Said for ToAgent {
+    fn may_be_dropped(&self) -> bool {
+        false
+    }
+}
+
+/// What waits to be said, in order. It outlives the connection.
+pub(crate) struct Outbox<T> {
+    waiting: Mutex<Waiting<T>>,
+    news: Notify,
+}
+
+struct Waiting<T> {
+    items: VecDeque<T>,
+    droppable: usize,
+}
+
+impl<T: Said> Outbox<T> {
+    pub(crate) fn new() -> Arc<Self> {
+        Arc::new(Self {
+            waiting: Mutex::new(Waiting {
+                items: VecDeque::new(),
+                droppable: 0,
+            }),
+            news: Notify::new(),
+        })
+    }
+
+    /// Adds `item`; one that may be dropped only while there is room for it.
+    pub(crate) fn say(&self, item: T) {
+        {
+            let mut waiting = lock(&self.waiting);
+            if item.may_be_dropped() {
+                if waiting.droppable == LINES_WAITING {
+                    return;
+                }
+                waiting.droppable += 1;
+            }
+            waiting.items.push_back(item);
+        }
+        self.news.notify_one();
+    }
+
+    async fn next(&self) -> T {
+        loop {
+            {
+                let mut waiting = lock(&self.waiting);
+                if let Some(item) = waiting.items.pop_front() {
+                    waiting.droppable -= usize::from(item.may_be_dropped());
+                    return item;
+                }
+            }
+            self.news.notified().await;
+        }
+    }
+
+    /// How much waits.
+    #[cfg(test)]
+    pub(crate) fn len(&self) -> usize {
+        lock(&self.waiting).items.len()
+    }
+}
+
+/// Why a connection is of no use any more.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum WireError {
+    #[error("the connection broke: {0}")]
+    Io(#[from] io::Error),
+    #[error("the other end hung up")]
+    HungUp,
+    #[error("what it says cannot be read: {0}")]
+    Garbled(#[from] postcard::Error),
+    #[error("nothing was heard of it for {:.3} s", .0.as_secs_f64())]
+    Silence(Duration),
+}
+
+/// A connection after the hello.
+pub(crate) struct Connection {
+    frames: FramedRead<ReadHalf<Stream>, LengthDelimitedCodec>,
+    writer: JoinHandle<WireError>,
+}
+
+impl Connection {
+    /// Reads frames of at most `limit` bytes from `stream`, and writes what is in `outbox`; a frame
+    /// that cannot be written within `silence` ends it.
+    pub(crate) fn new<T: Said>(
+        stream: Stream,
+        outbox: Arc<Outbox<T>>,
+        limit: usize,
+        silence: Duration,
+    ) -> Self {
+        let (reader, writer) = tokio::io::split(stream);
+        let codec = LengthDelimitedCodec::builder()
+            .max_frame_length(limit)
+            .little_endian()
+            .new_codec();
+        Self {
+            frames: FramedRead::new(reader, codec),
+            writer: tokio::spawn(write(writer, outbox, silence)),
+        }
+    }
+
+    /// From now on frames may have at most `limit` bytes.
+    pub(crate) fn limit(&mut self, limit: usize) {
+        self.frames.decoder_mut().set_max_frame_length(limit);
+    }
+
+    /// What the other end says next. Nothing is lost when this is dropped before it ends.
+    ///
+    /// # Errors
+    /// [`WireError`]: the connection is of no use any more.
+    pub(crate) async fn hear<T: DeserializeOwned>(&mut self) -> Result<T, WireError> {
+        tokio::select! {
+            frame = self.frames.next() => {
+                let frame = frame.ok_or(WireError::HungUp)??;
+                Ok(postcard::from_bytes(&frame)?)
+            }
+            error = &mut self.writer => Err(error.unwrap_or(WireError::HungUp)),
+        }
+    }
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.writer.abort();
+    }
+}
+
+async fn write<T: Said>(
+    mut stream: WriteHalf<Stream>,
+    outbox: Arc<Outbox<T>>,
+    silence: Duration,
+) -> WireError {
+    loop {
+        let item = outbox.next().await;
+        let frame = match postcard::to_stdvec(&item) {
+            Ok(body) => framed(body),
+            Err(error) => return error.into(),
+        };
+        let written = async {
+            stream.write_all(&frame).await?;
+            stream.flush().await
+        };
+        // The files of an app may take longer than one sign of life on a slow line; they are watched by
+        // who sends them.
+        let limit = silence + Duration::from_secs(frame.len() as u64 >> 20);
+        match tokio::time::timeout(limit, written).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => return error.into(),
+            Err(_) => return WireError::Silence(limit),
+        }
+    }
+}
+
+fn framed(body: Vec<u8>) -> Vec<u8> {
+    let length = u32::try_from(body.len()).unwrap_or(u32::MAX).to_le_bytes();
+    [&length[..], &body].concat()
+}
+
+/// Says one thing on a stream that ends then, so that the other end hears it whatever it has said
+/// itself in the meantime.
+pub(crate) async fn say_last(mut stream: Stream, answer: &HelloAnswer) {
+    use tokio::io::AsyncReadExt;
+    let told = async {
+        ctos_link::handshake::say(&mut stream, answer).await.ok()?;
+        stream.shutdown().await.ok()?;
+        let mut rest = [0; 1024];
+        // Bytes that nobody reads would take the answer with them when the stream is closed.
+        while stream.read(&mut rest).await.ok()? > 0 {}
+        Some(())
+    };
+    let _ = tokio::time::timeout(HELLO_LIMIT, told).await;
+}
+
+/// Tells a peer that is silent from one that was not listened to: a process that was frozen must not
+/// blame others.
+pub(crate) struct Pulse {
+    clock: Clock,
+    limit: Duration,
+    heard: Instant,
+    due: Instant,
+}
+
+/// How many signs of life fit into the time after which silence counts.
+const PULSES: u32 = 4;
+
+impl Pulse {
+    pub(crate) fn new(limit: Duration) -> Self {
+        let clock = Clock::real();
+        let now = clock.now();
+        Self {
+            due: now + limit / PULSES,
+            heard: now,
+            clock,
+            limit,
+        }
+    }
+
+    /// How often to look.
+    pub(crate) fn every(&self) -> Duration {
+        (self.limit / PULSES).max(Duration::from_millis(1))
+    }
+
+    /// Something was heard.
+    pub(crate) fn heard(&mut self) {
+        self.heard = self.clock.now();
+    }
+
+    /// Looks: whether nothing was heard for too long.
+    ///
+    /// # Errors
+    /// That it was.
+    pub(crate) fn look(&mut self) -> Result<(), WireError> {
+        let now = self.clock.now();
+        let late = now.since(self.due);
+        self.due = now + self.every();
+        if late > self.limit / 2 {
+            // This process itself did not run.
+            self.heard = now;
+        }
+        if now.since(self.heard) > self.limit {
+            return Err(WireError::Silence(self.limit));
+        }
+        Ok(())
+    }
+}
+
+/// Ticks for a [`Pulse`].
+pub(crate) fn ticks(pulse: &Pulse) -> tokio::time::Interval {
+    let mut ticks = tokio::time::interval(pulse.every());
+    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    ticks
+}

@@ -1,0 +1,97 @@
+//! What is noted of an app while it runs: messages and what becomes of them, which come by the million,
+//! and what is told besides.
+//!
+//! Knows nothing of files and nothing of JSON.
+
+use serde::{Deserialize, Serialize};
+
+use ctos_core::{phase::Phase, report::Ending};
+use ctos_message::{Tid, fault::Fault};
+
+/// On which chassis, seen from the message, something was noted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Side {
+    /// Sender and receiver are here.
+    Here,
+    /// The sender is here, the receiver on another chassis.
+    Sender,
+    /// The receiver is here, the sender on another chassis.
+    Receiver,
+}
+
+impl Side {
+    pub(crate) const fn word(self) -> &'static str {
+        match self {
+            Self::Here => "here",
+            Self::Sender => "sender",
+            Self::Receiver => "receiver",
+        }
+    }
+}
+
+/// Which message something happened to. Numbers of messages are those of one record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Key {
+    pub(crate) id: u64,
+    /// The task that receives it, handles it and answers it.
+    pub(crate) task: Tid,
+    /// The task that sends it and gets the answer.
+    pub(crate) peer: Tid,
+    pub(crate) command: u16,
+    pub(crate) trace: u64,
+}
+
+/// What happened to a message. Moments are ns since the start of the app.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Step {
+    /// It was sent, or came over a link; its data follows.
+    Sent {
+        flags: u16,
+        deadline: Option<u64>,
+        side: Side,
+    },
+    /// A handler was called with it.
+    Began,
+    /// It returned.
+    Ended { began: u64, ending: Ending },
+    /// Its sender has what it waited for: the reply, whose data follows, the acceptance of a one-way
+    /// message, or a fault.
+    Answered {
+        side: Side,
+        /// Whether its sender had it in the turn in which it sent, and did not wait.
+        at_once: bool,
+        fault: Option<Fault>,
+    },
+}
+
+/// Something that happened to a message, with its moment and the chassis on which it happened.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Traffic {
+    pub(crate) at: u64,
+    pub(crate) chassis: u8,
+    pub(crate) key: Key,
+    pub(crate) step: Step,
+}
+
+/// What is told besides.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) enum What {
+    /// A task has entered a startup phase; without one, its handler has been built.
+    Phase { task: Tid, phase: Option<Phase> },
+    /// A line of the log; its fields follow as a JSON object.
+    Log {
+        level: u8,
+        target: String,
+        task: Option<String>,
+        message: String,
+    },
+    /// A value that a task put on a channel of its own; it follows as JSON.
+    Value { channel: String },
+}
+
+/// Something told, with its moment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Told {
+    pub(crate) at: u64,
+    pub(crate) what: What,
+}

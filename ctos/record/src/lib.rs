@@ -1,0 +1,160 @@
+//! Recording: every message, handler, reply, phase, firing and log line of an app as MCAP, and what can
+//! be done with such a file: read it, and replay one task out of it.
+//!
+//! Each process writes a file of its own, so that the end of one takes nothing from another; a simulated
+//! app, which is one process, writes one. What is noted costs its processor a lock that nobody else
+//! takes and some bytes in a buffer, which a writer beside it puts into the file as they are; lines that
+//! people and viewers read are made of them when the file is read. The page `docs/recording.md` shows how
+//! it is used.
+
+extern crate ctos_core as ctos;
+
+#[doc(hidden)]
+pub mod attach;
+mod batch;
+mod event;
+mod glossary;
+mod lines;
+mod log;
+mod names;
+mod parts;
+mod read;
+mod recorder;
+mod recorders;
+mod replay;
+mod traffic;
+mod writer;
+
+use ctos_config::{App, RecordConfig};
+use ctos_core::chassis::Chassis;
+use ctos_message::CommandInfo;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
+
+pub use lines::Number;
+pub use log::RecordLayer;
+pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan, scan_only};
+pub use replay::{Difference, ReplayError, ReplayReport, replay};
+
+pub use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
+
+pub use ctos_core::report::{Ending, RecordReport};
+pub use recorders::Recorders;
+
+use names::Names;
+use parts::{Parts, Place};
+use recorder::Recorder;
+use writer::Writer;
+
+/// How long the end of an app waits for the disk of its record.
+const CLOSE_LIMIT: Duration = Duration::from_secs(5);
+
+/// The record of this process, while it is written.
+pub struct Recording(Arc<Recorder>);
+
+impl Recording {
+    /// Records a chassis that was started again, too.
+    pub fn add(&self, chassis: &Chassis) {
+        Recorders::record(chassis, self.0.clone());
+    }
+
+    /// Writes what is left and closes the file.
+    pub fn finish(self) {
+        self.0.finish(CLOSE_LIMIT);
+    }
+}
+
+/// Begins to record the chassis of this process, if the configuration says so: one in real time, all
+/// of them in virtual time. `runtime` are commands of the runtime that the core does not know.
+///
+/// # Errors
+/// When the file cannot be made: an app that is to be recorded does not run without it.
+pub fn start(
+    chassis: &[Arc<Chassis>],
+    runtime: &[CommandInfo],
+) -> std::io::Result<Option<Recording>> {
+    let Some(first) = chassis.first() else {
+        return Ok(None);
+    };
+    let app = &first.app;
+    let Some(config) = &app.record else {
+        return Ok(None);
+    };
+    let real = first.clock.origin_ns();
+    let path = match real {
+        Some(_) => file_of(app, config, Some(first.name())),
+        None => file_of(app, config, None),
+    };
+    let names = Arc::new(Names::new(app, &first.registry(), runtime));
+    let place = Place::new(path, config.max_bytes, config.keep);
+    let parts = Parts::open(place, run_of(first)).map_err(std::io::Error::other)?;
+    let writer = Writer::new(names, parts);
+    let clock = first.clock.clone();
+    let recorder = match real {
+        Some(_) => {
+            let lanes = first.processors.len();
+            Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)?
+        }
+        None => Recorder::inline(clock, writer, config.buffer_bytes),
+    };
+    for one in chassis {
+        Recorders::record(one, recorder.clone());
+    }
+    log::attach(&recorder, first.index());
+    Ok(Some(Recording(recorder)))
+}
+
+/// The file of a record of app `name` in a folder where no configuration says it: `NAME.mcap`.
+#[must_use]
+pub fn file_name(name: &str) -> String {
+    let plain = |letter: char| {
+        if letter.is_ascii_alphanumeric() || "_-".contains(letter) {
+            letter
+        } else {
+            '_'
+        }
+    };
+    let name: String = name.chars().take(64).map(plain).collect();
+    format!("{name}.mcap")
+}
+
+/// The file of one process: `run.mcap` becomes `run.CHASSIS.mcap`.
+fn file_of(app: &App, config: &RecordConfig, chassis: Option<&str>) -> PathBuf {
+    let path = app.folder.join(&config.file);
+    match chassis {
+        Some(chassis) => file_named(&path, chassis),
+        None => path,
+    }
+}
+
+fn file_named(path: &Path, chassis: &str) -> PathBuf {
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push(".");
+    name.push(chassis);
+    if let Some(extension) = path.extension() {
+        name.push(".");
+        name.push(extension);
+    }
+    path.with_file_name(name)
+}
+
+/// Of what a file is the record.
+fn run_of(chassis: &Chassis) -> BTreeMap<String, String> {
+    let app = &chassis.app;
+    let mut run = BTreeMap::from([
+        ("app".to_owned(), app.name.clone()),
+        ("seed".to_owned(), app.seed.to_string()),
+    ]);
+    if let Some(origin) = chassis.clock.origin_ns() {
+        run.insert("chassis".to_owned(), chassis.name().to_owned());
+        run.insert("time".to_owned(), "real".to_owned());
+        run.insert("origin_ns".to_owned(), origin.to_string());
+    } else {
+        run.insert("time".to_owned(), "virtual".to_owned());
+    }
+    run
+}

@@ -1,0 +1,179 @@
+//! The log's way into the record: a layer of `tracing-subscriber` that the program adds to its
+//! subscriber, and to which the recorder attaches itself when it begins.
+
+use std::{
+    fmt,
+    sync::{
+        Arc, Mutex, OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use serde_json::{Map, Value};
+use tracing::{
+    Event, Level, Subscriber,
+    field::{Field, Visit},
+};
+use tracing_subscriber::layer::{Context, Layer};
+
+use super::{
+    event::{Told, What},
+    recorder::Recorder,
+};
+use ctos_message::Tid;
+use ctos_time::lock::lock;
+
+#[derive(Clone)]
+struct Attached {
+    recorder: Arc<Recorder>,
+    chassis: u8,
+}
+
+/// Puts log lines into the records of this process, while there are any. Filter it like any other layer.
+#[derive(Default)]
+pub struct RecordLayer {
+    attached: OnceLock<Attached>,
+    /// Those that came later, and go again.
+    guests: Mutex<Vec<Attached>>,
+    visited: AtomicBool,
+}
+
+impl RecordLayer {
+    /// A layer that nothing is attached to yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+impl fmt::Debug for RecordLayer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let attached = self.attached.get().is_some();
+        write!(f, "RecordLayer {{ attached: {attached} }}")
+    }
+}
+
+/// Lets the log of this thread's subscriber go to `recorder` too, if it has a [`RecordLayer`].
+pub(crate) fn attach(recorder: &Arc<Recorder>, chassis: u8) {
+    tracing::dispatcher::get_default(|dispatch| {
+        if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
+            let recorder = recorder.clone();
+            // A second record of one process has no log lines of its own.
+            let _ = layer.attached.set(Attached { recorder, chassis });
+        }
+    });
+}
+
+/// Lets the log go to `recorder` too, until it is dismissed.
+pub(super) fn admit(recorder: &Arc<Recorder>, chassis: u8) {
+    with_guests(|guests| {
+        let recorder = recorder.clone();
+        guests.push(Attached { recorder, chassis });
+    });
+}
+
+/// Ends what [`admit`] began.
+pub(super) fn dismiss(recorder: &Arc<Recorder>) {
+    with_guests(|guests| guests.retain(|guest| !Arc::ptr_eq(&guest.recorder, recorder)));
+}
+
+fn with_guests(mut change: impl FnMut(&mut Vec<Attached>)) {
+    tracing::dispatcher::get_default(|dispatch| {
+        if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
+            let mut guests = lock(&layer.guests);
+            change(&mut guests);
+            layer.visited.store(!guests.is_empty(), Ordering::Release);
+        }
+    });
+}
+
+impl<S: Subscriber> Layer<S> for RecordLayer {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        if let Some(attached) = self.attached.get() {
+            note(attached, event);
+        }
+        if self.visited.load(Ordering::Acquire) {
+            // Not under the lock: a recorder may have something to log itself.
+            let guests = lock(&self.guests).clone();
+            for guest in &guests {
+                note(guest, event);
+            }
+        }
+    }
+}
+
+/// Puts a line into one record.
+fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
+    let mut line = Line::default();
+    event.record(&mut line);
+    let told = Told {
+        at: recorder.now(),
+        what: What::Log {
+            level: level_of(*event.metadata().level()),
+            target: event.metadata().target().to_owned(),
+            task: line.task,
+            message: line.message,
+        },
+    };
+    let fields = line.fields;
+    // On the runtime's own processor: which one this thread belongs to is not known here.
+    recorder.told(Tid::new(*chassis, 0, 0), &told, |buffer| {
+        serde_json::to_writer(buffer, &fields).is_ok()
+    });
+}
+
+/// The numbers that viewers expect.
+fn level_of(level: Level) -> u8 {
+    match level {
+        Level::ERROR => 4,
+        Level::WARN => 3,
+        Level::INFO => 2,
+        _ => 1,
+    }
+}
+
+/// The fields of one event.
+#[derive(Default)]
+struct Line {
+    message: String,
+    task: Option<String>,
+    fields: Map<String, Value>,
+}
+
+impl Line {
+    fn put(&mut self, field: &Field, value: Value) {
+        match (field.name(), value) {
+            ("message", Value::String(text)) => self.message = text,
+            ("task", Value::String(task)) => self.task = Some(task),
+            (name, value) => {
+                self.fields.insert(name.to_owned(), value);
+            }
+        }
+    }
+}
+
+impl Visit for Line {
+    fn record_f64(&mut self, field: &Field, value: f64) {
+        self.put(field, value.into());
+    }
+
+    fn record_i64(&mut self, field: &Field, value: i64) {
+        self.put(field, value.into());
+    }
+
+    fn record_u64(&mut self, field: &Field, value: u64) {
+        self.put(field, value.into());
+    }
+
+    fn record_bool(&mut self, field: &Field, value: bool) {
+        self.put(field, value.into());
+    }
+
+    fn record_str(&mut self, field: &Field, value: &str) {
+        self.put(field, value.into());
+    }
+
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        self.put(field, format!("{value:?}").into());
+    }
+}

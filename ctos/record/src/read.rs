@@ -1,0 +1,498 @@
+//! Reading records, those too that were not closed: everything up to the last chunk that is whole.
+//!
+//! Several files are read as one, in the order of their moments. What happened to messages stands in a file
+//! as it was noted, and is turned here into the lines that everybody reads.
+
+use std::{
+    collections::BTreeMap,
+    fs::File,
+    io::{self, BufWriter, Read, Write},
+    os::unix::fs::OpenOptionsExt,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use mcap::{
+    WriteOptions,
+    records::{MessageHeader, Metadata, Record as Part},
+    sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
+};
+
+use super::{
+    event::Traffic,
+    glossary::Glossary,
+    lines::{self, EVENTS, Schema},
+    parts::{LOST, NAMES, RUN},
+    traffic::Events,
+};
+use ctos_time::Instant;
+
+/// The longest record of a file that is read, bytes.
+const RECORD_LIMIT: usize = 256 * 1024 * 1024;
+
+/// Why a record could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file cannot be opened, read or written.
+    #[error("{path}: {error}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// It is no MCAP file.
+    #[error("{path} is no MCAP file: {reason}")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with its beginning.
+        reason: String,
+    },
+}
+
+/// A channel of a record.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Channel {
+    /// Its name, `/message/arm` for example.
+    pub topic: String,
+    /// The name of its schema.
+    pub schema: String,
+    schema_text: Vec<u8>,
+    schema_encoding: String,
+    encoding: String,
+}
+
+impl Channel {
+    fn new(topic: String, schema: Schema) -> Self {
+        Self {
+            topic,
+            schema: schema.name.to_owned(),
+            schema_text: schema.text.as_bytes().to_vec(),
+            schema_encoding: schema.language.to_owned(),
+            encoding: schema.encoding.to_owned(),
+        }
+    }
+}
+
+/// One line of a record.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Entry {
+    /// When it happened.
+    pub at: Instant,
+    /// Where it stands.
+    pub channel: Arc<Channel>,
+    /// What stands there: one JSON object.
+    pub json: Vec<u8>,
+}
+
+/// What a file is the record of, and how it ends.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Run {
+    /// The file.
+    pub path: PathBuf,
+    /// What its writer noted: `app`, `seed`, `time`, `chassis`, `part`, ...
+    pub noted: BTreeMap<String, String>,
+    /// Why it ends before its end; `None` when it was closed in order.
+    pub torn: Option<String>,
+    /// Events that its writer knows it lacks.
+    pub lost: u64,
+    /// Lines of each channel, and the bytes that they take in the file.
+    pub channels: BTreeMap<String, (u64, u64)>,
+    /// The first and the last moment.
+    pub span: Option<(Instant, Instant)>,
+}
+
+impl Run {
+    /// Lines in all.
+    #[must_use]
+    pub fn lines(&self) -> u64 {
+        self.channels.values().map(|(lines, _)| lines).sum()
+    }
+}
+
+/// Which lines of a record are wanted.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Filter {
+    /// Names of channels, in which `*` stands for any letters; none: all.
+    pub topics: Vec<String>,
+    /// Nothing before this moment.
+    pub from: Option<Instant>,
+    /// Nothing after this moment.
+    pub to: Option<Instant>,
+}
+
+impl Filter {
+    /// Whether a line at `at` of channel `topic` is wanted.
+    #[must_use]
+    pub fn takes(&self, topic: &str, at: Instant) -> bool {
+        let topics = &self.topics;
+        self.from.is_none_or(|from| at >= from)
+            && self.to.is_none_or(|to| at <= to)
+            && (topics.is_empty() || topics.iter().any(|pattern| matches(pattern, topic)))
+    }
+}
+
+/// Whether `text` is `pattern`, in which `*` stands for any letters.
+pub(super) fn matches(pattern: &str, text: &str) -> bool {
+    let mut parts = pattern.split('*');
+    let Some(mut rest) = parts.next().and_then(|first| text.strip_prefix(first)) else {
+        return false;
+    };
+    let Some(last) = parts.next_back() else {
+        return rest.is_empty();
+    };
+    for part in parts {
+        match rest.find(part) {
+            Some(place) => rest = rest.get(place + part.len()..).unwrap_or(""),
+            None => return false,
+        }
+    }
+    rest.ends_with(last)
+}
+
+/// Several files read as one.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Record {
+    /// The files.
+    pub runs: Vec<Run>,
+    /// The lines wanted, in the order of their moments.
+    pub entries: Vec<Entry>,
+}
+
+impl Record {
+    /// Reads `paths`. A file that breaks off is read up to there, and says so in its [`Run`].
+    ///
+    /// # Errors
+    /// [`ReadError`] when a file cannot be read at all.
+    pub fn read(paths: &[PathBuf], filter: &Filter) -> Result<Self, ReadError> {
+        let mut record = Self::default();
+        for path in paths {
+            let entries = &mut record.entries;
+            record
+                .runs
+                .push(scan_only(path, filter, |entry| entries.push(entry))?);
+        }
+        // Stable: lines of one file at one moment keep their order.
+        record.entries.sort_by_key(|entry| entry.at);
+        Ok(record)
+    }
+
+    /// Writes the lines as one file, which must not be there yet.
+    ///
+    /// # Errors
+    /// [`ReadError`] when it cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), ReadError> {
+        let failed = |error: io::Error| ReadError::Io {
+            path: path.to_owned(),
+            error,
+        };
+        let mut options = File::options();
+        let file = options.write(true).create_new(true).mode(0o600).open(path);
+        let file = file.map_err(failed)?;
+        self.write_to(BufWriter::new(file))
+            .map_err(|error| failed(io::Error::other(error)))
+    }
+
+    fn write_to(&self, file: BufWriter<File>) -> mcap::McapResult<()> {
+        let mut writer = WriteOptions::new()
+            .compression(None)
+            .profile("ctos")
+            .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
+            .create(file)?;
+        for run in &self.runs {
+            let mut noted = run.noted.clone();
+            noted.insert("file".to_owned(), run.path.display().to_string());
+            writer.write_metadata(&Metadata {
+                name: RUN.to_owned(),
+                metadata: noted,
+            })?;
+        }
+        let lost: u64 = self.runs.iter().map(|run| run.lost).sum();
+        writer.write_metadata(&Metadata {
+            name: LOST.to_owned(),
+            metadata: BTreeMap::from([("events".to_owned(), lost.to_string())]),
+        })?;
+        let mut sequences: BTreeMap<u16, u32> = BTreeMap::new();
+        for entry in &self.entries {
+            let channel = &entry.channel;
+            let schema = writer.add_schema(
+                &channel.schema,
+                &channel.schema_encoding,
+                &channel.schema_text,
+            )?;
+            let id =
+                writer.add_channel(schema, &channel.topic, &channel.encoding, &BTreeMap::new())?;
+            let sequence = sequences.entry(id).or_default();
+            *sequence = sequence.wrapping_add(1);
+            let header = MessageHeader {
+                channel_id: id,
+                sequence: *sequence,
+                log_time: entry.at.as_nanos(),
+                publish_time: entry.at.as_nanos(),
+            };
+            writer.write_to_known_channel(&header, &entry.json)?;
+        }
+        writer.finish()?;
+        writer.into_inner().flush()?;
+        Ok(())
+    }
+}
+
+/// What has been read of a file so far.
+struct Scan<'a> {
+    filter: &'a Filter,
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    channels: BTreeMap<u16, Arc<Channel>>,
+    glossary: Glossary,
+    /// The channels of what happened to messages, by their names.
+    traffic: BTreeMap<String, Arc<Channel>>,
+    run: Run,
+    closed: bool,
+}
+
+impl<'a> Scan<'a> {
+    fn new(path: &Path, filter: &'a Filter) -> Self {
+        Self {
+            filter,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            glossary: Glossary::default(),
+            traffic: BTreeMap::new(),
+            run: Run {
+                path: path.to_owned(),
+                ..Run::default()
+            },
+            closed: false,
+        }
+    }
+
+    /// Takes one record of the file.
+    fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
+        match part {
+            Part::Schema { header, data } => {
+                let schema = (header.name, header.encoding, data.into_owned());
+                self.schemas.insert(header.id, schema);
+            }
+            Part::Channel(channel) => {
+                let (schema, schema_encoding, schema_text) = self
+                    .schemas
+                    .get(&channel.schema_id)
+                    .cloned()
+                    .unwrap_or_default();
+                self.channels.insert(
+                    channel.id,
+                    Arc::new(Channel {
+                        topic: channel.topic,
+                        schema,
+                        schema_text,
+                        schema_encoding,
+                        encoding: channel.message_encoding,
+                    }),
+                );
+            }
+            Part::Message { header, data } => self.message(&header, &data, see),
+            Part::Metadata(metadata) if metadata.name == NAMES => {
+                self.names(&metadata.metadata);
+            }
+            Part::Metadata(metadata) if metadata.name == RUN => {
+                self.run.noted.extend(metadata.metadata);
+            }
+            Part::Metadata(metadata) if metadata.name == LOST => {
+                let events = metadata.metadata.get("events");
+                self.run.lost = events.and_then(|count| count.parse().ok()).unwrap_or(0);
+            }
+            Part::Footer(_) => self.closed = true,
+            _ => {}
+        }
+    }
+
+    fn names(&mut self, metadata: &BTreeMap<String, String>) {
+        if !self.glossary.add(metadata) {
+            self.tear("the names in it cannot be read");
+        }
+    }
+
+    /// What follows cannot be trusted.
+    fn tear(&mut self, why: &str) {
+        self.run.torn.get_or_insert_with(|| why.to_owned());
+    }
+
+    fn message(&mut self, header: &MessageHeader, data: &[u8], see: &mut impl FnMut(Entry)) {
+        let Some(channel) = self.channels.get(&header.channel_id).cloned() else {
+            return;
+        };
+        if channel.encoding == EVENTS.encoding {
+            return self.stretch(data, see);
+        }
+        let at = Instant::from_nanos(header.log_time);
+        self.count(&channel.topic, at, data.len());
+        if self.filter.takes(&channel.topic, at) {
+            let json = data.to_vec();
+            see(Entry { at, channel, json });
+        }
+    }
+
+    fn count(&mut self, topic: &str, at: Instant, bytes: usize) {
+        let channels = &mut self.run.channels;
+        if !channels.contains_key(topic) {
+            channels.insert(topic.to_owned(), (0, 0));
+        }
+        if let Some(counted) = channels.get_mut(topic) {
+            counted.0 += 1;
+            counted.1 += u64::try_from(bytes).unwrap_or(0);
+        }
+        let span = self.run.span.get_or_insert((at, at));
+        span.0 = span.0.min(at);
+        span.1 = span.1.max(at);
+    }
+
+    /// Takes what happened to messages.
+    fn stretch(&mut self, bytes: &[u8], see: &mut impl FnMut(Entry)) {
+        let mut events = Events::new(bytes);
+        for (event, data, length) in events.by_ref() {
+            let (topic, schema) =
+                lines::channel_of(&event.step, &self.glossary.task(event.key.task));
+            let at = Instant::from_nanos(event.at);
+            self.count(&topic, at, length);
+            if self.filter.takes(&topic, at) {
+                self.line(topic, schema, &event, data, see);
+            }
+        }
+        if !events.is_at_end() {
+            self.tear("what happened to messages cannot be read any further");
+        }
+    }
+
+    fn line(
+        &mut self,
+        topic: String,
+        schema: Schema,
+        event: &Traffic,
+        data: &[u8],
+        see: &mut impl FnMut(Entry),
+    ) {
+        match lines::traffic(event, data, &self.glossary) {
+            Ok(json) => {
+                let channel = self
+                    .traffic
+                    .entry(topic)
+                    .or_insert_with_key(|topic| Arc::new(Channel::new(topic.clone(), schema)));
+                see(Entry {
+                    at: Instant::from_nanos(event.at),
+                    channel: channel.clone(),
+                    json,
+                });
+            }
+            Err(error) => self.tear(&error.to_string()),
+        }
+    }
+}
+
+/// Reads one file from its beginning to where it ends or breaks off.
+///
+/// # Errors
+/// [`ReadError`] when it cannot be opened, or is no MCAP file from its first byte.
+pub fn scan(path: &Path, see: impl FnMut(Entry)) -> Result<Run, ReadError> {
+    scan_only(path, &Filter::default(), see)
+}
+
+/// As [`scan`], but shows only what `filter` takes; the rest is counted.
+///
+/// # Errors
+/// As [`scan`].
+pub fn scan_only(
+    path: &Path,
+    filter: &Filter,
+    mut see: impl FnMut(Entry),
+) -> Result<Run, ReadError> {
+    let failed = |error| ReadError::Io {
+        path: path.to_owned(),
+        error,
+    };
+    let mut file = File::open(path).map_err(failed)?;
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(RECORD_LIMIT);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut scan = Scan::new(path, filter);
+    let mut begun = false;
+    while let Some(event) = reader.next_event() {
+        let torn = match event {
+            Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                let read = file.read(reader.insert(wanted)).map_err(failed)?;
+                reader.notify_read(read);
+                None
+            }
+            Ok(LinearReadEvent::Record { data, opcode }) => {
+                begun = true;
+                match mcap::parse_record(opcode, data) {
+                    Ok(part) => {
+                        scan.take(part, &mut see);
+                        None
+                    }
+                    Err(error) => Some(error),
+                }
+            }
+            Err(error) => Some(error),
+        };
+        if let Some(error) = torn {
+            if !begun {
+                return Err(ReadError::Format {
+                    path: path.to_owned(),
+                    reason: error.to_string(),
+                });
+            }
+            scan.run.torn = Some(error.to_string());
+            break;
+        }
+        if scan.closed || scan.run.torn.is_some() {
+            break;
+        }
+    }
+    if !begun {
+        return Err(ReadError::Format {
+            path: path.to_owned(),
+            reason: "it holds nothing".to_owned(),
+        });
+    }
+    if !scan.closed && scan.run.torn.is_none() {
+        scan.run.torn = Some("it was not closed".to_owned());
+    }
+    Ok(scan.run)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_star_stands_for_any_letters() {
+        let cases = [
+            ("/log/*", "/log/arm", true),
+            ("/log/*", "/message/arm", false),
+            ("*arm", "/log/arm", true),
+            ("*", "", true),
+            ("/m*/a*m", "/message/arm", true),
+            ("/m*/a*m", "/message/a", false),
+            ("/log/arm", "/log/arm2", false),
+            ("a*a", "a", false),
+        ];
+        for (pattern, text, expected) in cases {
+            assert_eq!(matches(pattern, text), expected, "{pattern} {text}");
+        }
+    }
+
+    #[test]
+    fn rubbish_is_an_error_that_names_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rubbish.mcap");
+        std::fs::write(&path, b"this is no record at all, only text").unwrap();
+        let error = Record::read(&[path], &Filter::default()).unwrap_err();
+        assert!(matches!(error, ReadError::Format { .. }), "{error}");
+        assert!(error.to_string().contains("rubbish.mcap"), "{error}");
+        let missing = Record::read(&[folder.path().join("none.mcap")], &Filter::default());
+        assert!(matches!(missing, Err(ReadError::Io { .. })));
+    }
+}

@@ -1,0 +1,305 @@
+//! Between those who note what happens and the disk: a bounded buffer for each processor, emptied by
+//! one writer.
+//!
+//! Noting takes a lock that only the writer ever contends for, and never waits for the disk: a buffer
+//! that is full drops what comes and counts it. In real time the writer is a thread of its own; in
+//! virtual time it is called where a buffer has grown, so that one seed gives one record.
+
+use std::{
+    sync::{
+        Arc, Condvar, Mutex, PoisonError, TryLockError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+
+use super::{
+    batch::Batch,
+    event::{Told, Traffic},
+    writer::Writer,
+};
+use crate::names::Names;
+use ctos_core::report::RecordReport;
+use ctos_message::{CommandInfo, Tid};
+use ctos_time::{Clock, Instant, lock::lock};
+
+/// A buffer of this size wakes the writer, bytes.
+const WAKE: usize = 128 * 1024;
+/// How often the writer looks unasked.
+const LOOK: Duration = Duration::from_millis(100);
+
+#[derive(Default)]
+struct Lane {
+    batch: Batch,
+    dropped: u64,
+}
+
+/// The writer, and the buffers that it has emptied: they go back to the lanes in turn.
+struct Emptying {
+    writer: Writer,
+    batches: Vec<Batch>,
+}
+
+/// What the writer's thread is told, and tells.
+#[derive(Default)]
+struct Alarm {
+    full: bool,
+    end: bool,
+    ended: bool,
+}
+
+/// Takes notes of one process, or of all chassis of a simulated app.
+pub(crate) struct Recorder {
+    clock: Clock,
+    lanes: Vec<Mutex<Lane>>,
+    limit: usize,
+    next_id: AtomicU64,
+    /// Events that found no room in the buffers.
+    dropped: AtomicU64,
+    /// Events that found none on the disk.
+    unwritten: AtomicU64,
+    report: Mutex<RecordReport>,
+    writer: Mutex<Option<Emptying>>,
+    threaded: bool,
+    flush: Duration,
+    ended: AtomicBool,
+    alarm: Mutex<Alarm>,
+    alarmed: Condvar,
+    names: Arc<Names>,
+}
+
+impl Recorder {
+    /// A recorder with `lanes` buffers of at most `limit` bytes, whose writer is called at once when
+    /// one has grown.
+    pub(crate) fn inline(clock: Clock, writer: Writer, limit: usize) -> Arc<Self> {
+        Arc::new(Self::new(clock, writer, 1, limit, LOOK, false))
+    }
+
+    /// A recorder whose writer is a thread.
+    ///
+    /// # Errors
+    /// When the system refuses the thread.
+    pub(crate) fn threaded(
+        clock: Clock,
+        writer: Writer,
+        lanes: usize,
+        limit: usize,
+        flush: Duration,
+    ) -> std::io::Result<Arc<Self>> {
+        let recorder = Arc::new(Self::new(clock, writer, lanes.max(1), limit, flush, true));
+        let worker = recorder.clone();
+        std::thread::Builder::new()
+            .name("recorder".to_owned())
+            .spawn(move || worker.run())?;
+        Ok(recorder)
+    }
+
+    fn new(
+        clock: Clock,
+        writer: Writer,
+        lanes: usize,
+        limit: usize,
+        flush: Duration,
+        threaded: bool,
+    ) -> Self {
+        let names = writer.names().clone();
+        let report = Mutex::new(writer.report());
+        let batches = (0..lanes).map(|_| Batch::default()).collect();
+        Self {
+            clock,
+            lanes: (0..lanes).map(|_| Mutex::default()).collect(),
+            limit,
+            next_id: AtomicU64::new(1),
+            dropped: AtomicU64::new(0),
+            unwritten: AtomicU64::new(0),
+            report,
+            writer: Mutex::new(Some(Emptying { writer, batches })),
+            threaded,
+            flush,
+            ended: AtomicBool::new(false),
+            alarm: Mutex::default(),
+            alarmed: Condvar::new(),
+            names,
+        }
+    }
+
+    /// The present moment, ns.
+    pub(crate) fn now(&self) -> u64 {
+        self.clock.now().as_nanos()
+    }
+
+    pub(crate) fn fresh_id(&self) -> u64 {
+        self.next_id.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Events that found no room, here or on the disk.
+    pub(crate) fn dropped(&self) -> u64 {
+        let unwritten = self.unwritten.load(Ordering::Relaxed);
+        self.dropped.load(Ordering::Relaxed) + unwritten
+    }
+
+    /// A task has a name from now on, and takes these commands.
+    pub(crate) fn named(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
+        self.names.name(task, name);
+        self.names.takes(name, commands);
+    }
+
+    /// How the record is.
+    pub(crate) fn report(&self) -> RecordReport {
+        lock(&self.report).clone()
+    }
+
+    /// Notes what happened to a message at the processor of `place`. False when it was dropped.
+    #[inline]
+    pub(crate) fn traffic(
+        &self,
+        place: Tid,
+        event: &Traffic,
+        data: impl FnOnce(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        self.note(place, |batch| {
+            batch.traffic(event, data);
+            true
+        })
+    }
+
+    /// Notes what is told at the processor of `place`. False when it was dropped.
+    pub(crate) fn told(
+        &self,
+        place: Tid,
+        told: &Told,
+        data: impl FnOnce(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        self.note(place, |batch| batch.told(told, data).is_ok())
+    }
+
+    #[inline]
+    fn note(&self, place: Tid, add: impl FnOnce(&mut Batch) -> bool) -> bool {
+        if self.ended.load(Ordering::Relaxed) {
+            return false;
+        }
+        let place = usize::from(place.processor());
+        let Some(lane) = self.lanes.get(place).or_else(|| self.lanes.first()) else {
+            return false;
+        };
+        let mut lane = lock(lane);
+        if lane.batch.len() >= self.limit || !add(&mut lane.batch) {
+            lane.dropped += 1;
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+            return false;
+        }
+        let grown = lane.batch.len() >= WAKE;
+        drop(lane);
+        if grown {
+            self.call_writer();
+        }
+        true
+    }
+
+    #[cold]
+    fn call_writer(&self) {
+        if !self.threaded {
+            return self.write(false);
+        }
+        let mut alarm = lock(&self.alarm);
+        if !alarm.full {
+            alarm.full = true;
+            self.alarmed.notify_one();
+        }
+    }
+
+    /// Empties the buffers. Does nothing when somebody is at it already: what the writer itself has
+    /// logged comes by here.
+    fn write(&self, flush: bool) {
+        let mut writer = match self.writer.try_lock() {
+            Ok(writer) => writer,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
+        let Some(Emptying { writer, batches }) = writer.as_mut() else {
+            return;
+        };
+        let mut dropped = 0;
+        for (lane, batch) in self.lanes.iter().zip(&mut *batches) {
+            let mut lane = lock(lane);
+            std::mem::swap(&mut lane.batch, batch);
+            dropped += std::mem::take(&mut lane.dropped);
+        }
+        let now = self.now();
+        writer.write(now, batches, dropped);
+        batches.iter_mut().for_each(Batch::clear);
+        if flush {
+            writer.flush(now);
+        }
+        self.tell(writer);
+    }
+
+    fn tell(&self, writer: &Writer) {
+        self.unwritten.store(writer.unwritten(), Ordering::Relaxed);
+        *lock(&self.report) = writer.report();
+    }
+
+    /// The writer's thread.
+    fn run(&self) {
+        let mut flushed = self.clock.now();
+        loop {
+            let mut alarm = lock(&self.alarm);
+            if !alarm.full && !alarm.end {
+                alarm = self
+                    .alarmed
+                    .wait_timeout(alarm, LOOK.min(self.flush))
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .0;
+            }
+            let end = alarm.end;
+            alarm.full = false;
+            drop(alarm);
+            let now: Instant = self.clock.now();
+            let due = now.since(flushed) >= self.flush;
+            if due {
+                flushed = now;
+            }
+            self.write(due);
+            if end {
+                break;
+            }
+        }
+        self.close();
+        lock(&self.alarm).ended = true;
+        self.alarmed.notify_all();
+    }
+
+    fn close(&self) {
+        let writer = lock(&self.writer).take();
+        if let Some(Emptying { mut writer, .. }) = writer {
+            writer.close(self.now());
+            self.tell(&writer);
+        }
+    }
+
+    /// Writes what is left and closes the file; what is noted afterwards is lost. A disk that does not
+    /// answer within `limit` is left to itself.
+    pub(crate) fn finish(&self, limit: Duration) {
+        if self.ended.swap(true, Ordering::AcqRel) {
+            return;
+        }
+        if !self.threaded {
+            self.write(false);
+            return self.close();
+        }
+        let mut alarm = lock(&self.alarm);
+        alarm.end = true;
+        self.alarmed.notify_all();
+        let waited = self
+            .alarmed
+            .wait_timeout_while(alarm, limit, |alarm| !alarm.ended);
+        let (alarm, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        if !alarm.ended {
+            let limit_s = limit.as_secs_f64();
+            tracing::error!(
+                limit_s,
+                "the record was not closed in time: its disk does not answer"
+            );
+        }
+    }
+}

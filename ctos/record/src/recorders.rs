@@ -1,0 +1,349 @@
+//! Who looks on at a chassis: its recorders, those that came while it ran too, or a replay.
+
+use std::sync::{
+    Arc, OnceLock, PoisonError, RwLock,
+    atomic::{AtomicBool, AtomicU64, Ordering},
+};
+
+use super::{
+    event::{Key, Side, Step, Told, Traffic, What},
+    recorder::Recorder,
+    replay::Desk,
+};
+use ctos_core::{
+    chassis::{Chassis, Extension},
+    envelope::Message,
+    phase::Phase,
+    reply::ReplySlot,
+    report::{Ending, RecordReport},
+    tap::{Asked, AtHand, Observer, WaitFor, WriteData},
+};
+use ctos_message::{CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
+use ctos_time::Instant;
+
+enum Target {
+    Record(Arc<Recorder>),
+    Replay(Arc<Desk>),
+}
+
+/// What looks on.
+#[derive(Default)]
+pub struct Recorders {
+    /// The chassis.
+    index: u8,
+    /// What was there when the chassis began. Set once.
+    first: OnceLock<Target>,
+    /// Whether there are guests.
+    visited: AtomicBool,
+    /// Recorders that came while the chassis ran, and may go before it does.
+    guests: RwLock<Vec<Arc<Recorder>>>,
+    /// How many recorders have come so far.
+    came: AtomicU64,
+    /// Numbers messages while there are guests alone.
+    next_id: AtomicU64,
+}
+
+impl Extension for Recorders {
+    fn new(chassis: &Chassis) -> Self {
+        Self {
+            index: chassis.index(),
+            ..Self::default()
+        }
+    }
+}
+
+impl Recorders {
+    /// Those of a chassis, who are shown everything that passes there.
+    pub fn of(chassis: &Chassis) -> Arc<Self> {
+        let all = chassis.extension::<Self>();
+        chassis.tap.set(all.clone());
+        all
+    }
+
+    /// From now on everything goes to `recorder`. The first call counts.
+    pub(crate) fn record(chassis: &Chassis, recorder: Arc<Recorder>) {
+        let all = Self::of(chassis);
+        all.came.fetch_add(1, Ordering::AcqRel);
+        let _ = all.first.set(Target::Record(recorder));
+        chassis.tap.watch(true);
+    }
+
+    /// From now on everything goes to `recorder` too.
+    pub(super) fn admit(chassis: &Chassis, recorder: Arc<Recorder>) {
+        let all = Self::of(chassis);
+        all.came.fetch_add(1, Ordering::AcqRel);
+        let mut guests = all.guests.write().unwrap_or_else(PoisonError::into_inner);
+        guests.push(recorder);
+        all.visit(chassis, &guests);
+    }
+
+    /// From now on nothing goes to `recorder` any more.
+    pub(super) fn dismiss(chassis: &Chassis, recorder: &Arc<Recorder>) {
+        let all = Self::of(chassis);
+        let mut guests = all.guests.write().unwrap_or_else(PoisonError::into_inner);
+        guests.retain(|guest| !Arc::ptr_eq(guest, recorder));
+        all.visit(chassis, &guests);
+    }
+
+    /// These are all guests.
+    fn visit(&self, chassis: &Chassis, guests: &[Arc<Recorder>]) {
+        let visited = !guests.is_empty();
+        self.visited.store(visited, Ordering::Release);
+        chassis.tap.watch(visited || self.first.get().is_some());
+    }
+
+    /// From now on everything goes to a replay. The first call counts.
+    pub(crate) fn replay_at(chassis: &Chassis, desk: Arc<Desk>) {
+        let _ = Self::of(chassis).first.set(Target::Replay(desk));
+        chassis.tap.watch(true);
+    }
+
+    /// The replay that answers in place of the other tasks, if there is one.
+    fn desk(&self) -> Option<&Arc<Desk>> {
+        match self.first.get()? {
+            Target::Replay(desk) => Some(desk),
+            Target::Record(_) => None,
+        }
+    }
+
+    fn first(&self) -> Option<&Arc<Recorder>> {
+        match self.first.get()? {
+            Target::Record(recorder) => Some(recorder),
+            Target::Replay(_) => None,
+        }
+    }
+
+    fn guests(&self) -> Vec<Arc<Recorder>> {
+        if !self.visited.load(Ordering::Acquire) {
+            return Vec::new();
+        }
+        let guests = self.guests.read().unwrap_or_else(PoisonError::into_inner);
+        guests.clone()
+    }
+
+    /// All who record.
+    pub(crate) fn recorders(&self) -> Vec<Arc<Recorder>> {
+        let mut all: Vec<_> = self.first().cloned().into_iter().collect();
+        all.extend(self.guests());
+        all
+    }
+
+    /// How the records are.
+    pub fn reports(&self) -> Vec<RecordReport> {
+        let recorders = self.recorders();
+        recorders.iter().map(|recorder| recorder.report()).collect()
+    }
+
+    /// Events that the records lack; `None` when nothing is recorded.
+    pub fn dropped(&self) -> Option<u64> {
+        let recorders = self.recorders();
+        let all = recorders.iter().map(|recorder| recorder.dropped()).sum();
+        (!recorders.is_empty()).then_some(all)
+    }
+
+    fn fresh_id(&self) -> u64 {
+        match self.first() {
+            Some(recorder) => recorder.fresh_id(),
+            None => self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
+        }
+    }
+
+    /// Notes with everybody who records what happened to a message, at `at`, or now; whether somebody took
+    /// it.
+    fn traffic(
+        &self,
+        place: Tid,
+        at: Option<Instant>,
+        key: Key,
+        step: Step,
+        data: impl Fn(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        let first = self.first();
+        let event = |recorder: &Recorder| Traffic {
+            at: at.map_or_else(|| recorder.now(), Instant::as_nanos),
+            chassis: self.index,
+            key,
+            step,
+        };
+        match first {
+            Some(only) if !self.visited.load(Ordering::Relaxed) => {
+                only.traffic(place, &event(only), data)
+            }
+            _ => {
+                let recorders = self.recorders();
+                let Some(one) = recorders.first() else {
+                    return false;
+                };
+                let event = event(one);
+                let mut noted = false;
+                for recorder in &recorders {
+                    noted |= recorder.traffic(place, &event, &data);
+                }
+                noted
+            }
+        }
+    }
+
+    /// Notes with everybody who records what is told now.
+    fn told(&self, place: Tid, what: impl FnOnce() -> What, data: impl Fn(&mut Vec<u8>) -> bool) {
+        let recorders = self.recorders();
+        let Some(one) = recorders.first() else {
+            return;
+        };
+        let told = Told {
+            at: one.now(),
+            what: what(),
+        };
+        for recorder in &recorders {
+            recorder.told(place, &told, &data);
+        }
+    }
+
+    fn fresh_key(&self, header: &Header, trace: u64) -> Key {
+        key_of(self.fresh_id(), &Asked::by_header(header, trace))
+    }
+
+    fn side_of(&self, to: Tid) -> Side {
+        if to.chassis() == self.index {
+            Side::Here
+        } else {
+            Side::Sender
+        }
+    }
+
+    fn note_answer(
+        &self,
+        id: u64,
+        asked: &Asked,
+        side: Side,
+        at_once: bool,
+        answer: Result<&Data, &Fault>,
+    ) {
+        let step = Step::Answered {
+            side,
+            at_once,
+            fault: answer.err().cloned(),
+        };
+        // Noted where it happened: at the one who answers, or at the one who asked.
+        let place = if side == Side::Receiver {
+            asked.to
+        } else {
+            asked.by
+        };
+        self.traffic(place, None, key_of(id, asked), step, |buffer| {
+            answer.is_ok_and(|data| data.append_to(buffer).is_ok())
+        });
+    }
+}
+
+fn key_of(id: u64, asked: &Asked) -> Key {
+    Key {
+        id,
+        task: asked.to,
+        peer: asked.by,
+        command: asked.command,
+        trace: asked.trace,
+    }
+}
+
+impl Observer for Recorders {
+    fn is_recording(&self) -> bool {
+        self.first().is_some() || self.visited.load(Ordering::Relaxed)
+    }
+
+    fn replays(&self) -> bool {
+        self.desk().is_some()
+    }
+
+    fn replay(&self, message: &Message, wait: WaitFor, now: Instant, slot: ReplySlot) {
+        if let Some(desk) = self.desk() {
+            desk.dispatch(message, wait, now, slot);
+        }
+    }
+
+    fn sent(&self, message: &Message, wait: WaitFor) -> u64 {
+        let header = message.header();
+        let key = self.fresh_key(header, message.trace());
+        let step = Step::Sent {
+            flags: header.flags.with(wait.flags()).bits(),
+            deadline: message.deadline().map(Instant::as_nanos),
+            side: self.side_of(header.to),
+        };
+        let data = |buffer: &mut Vec<u8>| message.envelope.data.append_to(buffer).is_ok();
+        let noted = self.traffic(header.from, None, key, step, data);
+        if noted { key.id } else { 0 }
+    }
+
+    fn arrived(&self, header: &Header, trace: u64, deadline: Option<Instant>, body: &Body) -> u64 {
+        let key = self.fresh_key(header, trace);
+        let step = Step::Sent {
+            flags: header.flags.bits(),
+            deadline: deadline.map(Instant::as_nanos),
+            side: Side::Receiver,
+        };
+        let noted = self.traffic(header.to, None, key, step, |buffer| {
+            body.append_to(buffer);
+            true
+        });
+        if noted { key.id } else { 0 }
+    }
+
+    fn began(&self, at_hand: &AtHand) {
+        let AtHand { id, asked, began } = at_hand;
+        if self.is_recording() {
+            let key = key_of(*id, asked);
+            self.traffic(asked.to, Some(*began), key, Step::Began, |_| true);
+        }
+    }
+
+    fn ended(&self, at_hand: &AtHand, now: Instant, ending: Ending) {
+        let AtHand { id, asked, began } = at_hand;
+        if let Some(desk) = self.desk() {
+            return desk.ended(asked.command, ending);
+        }
+        let began = began.as_nanos();
+        let step = Step::Ended { began, ending };
+        self.traffic(asked.to, Some(now), key_of(*id, asked), step, |_| true);
+    }
+
+    fn answered(&self, id: u64, asked: &Asked, at_once: bool, answer: Result<&Data, &Fault>) {
+        self.note_answer(id, asked, self.side_of(asked.to), at_once, answer);
+    }
+
+    fn replied(&self, id: u64, asked: &Asked, answer: Result<&Data, &Fault>) {
+        self.note_answer(id, asked, Side::Receiver, false, answer);
+    }
+
+    fn built(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
+        for recorder in self.recorders() {
+            recorder.named(task, name, commands);
+        }
+        self.told(task, || What::Phase { task, phase: None }, |_| true);
+    }
+
+    fn phase(&self, task: Tid, phase: Phase) {
+        let phase = Some(phase);
+        self.told(task, || What::Phase { task, phase }, |_| true);
+    }
+
+    fn value(&self, task: Tid, channel: &str, value: WriteData<'_>) {
+        let what = || What::Value {
+            channel: if channel.starts_with('/') {
+                channel.to_owned()
+            } else {
+                format!("/{channel}")
+            },
+        };
+        self.told(task, what, value);
+    }
+
+    fn used(&self, what: &str) {
+        if let Some(desk) = self.desk() {
+            desk.used(what.to_owned());
+        }
+    }
+
+    fn came(&self) -> u64 {
+        self.came.load(Ordering::Acquire)
+    }
+}

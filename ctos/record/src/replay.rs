@@ -1,0 +1,389 @@
+//! Replay: one task out of a record, alone on a virtual clock. It gets its messages at the recorded
+//! moments and the recorded answers to what it asks; what it sends, answers and returns is compared
+//! with the record.
+//!
+//! A handler that takes everything from its [`Context`](ctos_core::context::Context) does the same again. What
+//! it takes from elsewhere (shared memory, synchronous functions, devices) is in no record; the report
+//! names what was used.
+
+mod desk;
+mod script;
+
+use crate::recorders::Recorders;
+use ctos_config::{App, TaskConfig, TimeMode};
+use ctos_core::{
+    chassis::Chassis,
+    delivery::Acceptance,
+    envelope::Message,
+    processor::Processor,
+    registry::{HandlerKind, Registry},
+    reply::{Promise, ReplySlot, Waiting},
+    runner::{TaskSpec, start_task},
+};
+use ctos_message::{Data, Flags, Tid};
+use ctos_time::{Clock, Instant};
+use std::{collections::BTreeMap, fmt, rc::Rc, sync::Arc};
+
+use futures_util::FutureExt;
+
+use super::{
+    lines::{self, Number},
+    read::Record,
+};
+use crate::names::Names;
+
+pub(crate) use desk::Desk;
+use script::{Begun, Recorded, Script, Step, What};
+
+/// Why a task could not be replayed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ReplayError {
+    /// The configuration has no such task.
+    #[error("the configuration has no task `{task}`; it has: {}", .known.join(", "))]
+    NoTask {
+        /// The name.
+        task: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// The record has nothing of the task.
+    #[error("the record holds nothing that `{task}` did; it holds: {}", .known.join(", "))]
+    NotRecorded {
+        /// The task.
+        task: String,
+        /// Tasks of which it holds something.
+        known: Vec<String>,
+    },
+    /// The record is not complete where it matters.
+    #[error("the record cannot be replayed: {reason}")]
+    Incomplete {
+        /// What it lacks.
+        reason: String,
+    },
+    /// The handler could not be built.
+    #[error("`{task}` cannot be built: {reason}")]
+    Build {
+        /// The task.
+        task: String,
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// The first place at which a task did something else than the record says.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Difference {
+    /// When, ns since the start of the app.
+    pub at_ns: u64,
+    /// The trace it belongs to, `CHASSIS.NUMBER`; empty for none.
+    pub trace: String,
+    /// What the record says.
+    pub expected: String,
+    /// What the task did.
+    pub got: String,
+}
+
+/// What a replay found.
+#[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize)]
+pub struct ReplayReport {
+    /// The task.
+    pub task: String,
+    /// Messages it was given.
+    pub messages: u64,
+    /// What it sent, answered and returned that is as recorded.
+    pub same: u64,
+    /// What is not.
+    pub different: u64,
+    /// The first difference.
+    pub first: Option<Difference>,
+    /// What it used that no record holds.
+    pub used: Vec<String>,
+    /// Events that the record is known to lack.
+    pub lost: u64,
+}
+
+impl ReplayReport {
+    /// Whether it did all that the record says and nothing else.
+    #[must_use]
+    pub fn is_same(&self) -> bool {
+        self.different == 0
+    }
+
+    fn same(&mut self) {
+        self.same += 1;
+    }
+
+    fn differs(&mut self, at: Instant, trace: u64, expected: String, got: String) {
+        self.different += 1;
+        if self.first.is_none() {
+            let trace = lines::Number::of_trace(trace);
+            self.first = Some(Difference {
+                at_ns: at.as_nanos(),
+                trace: if trace.number == 0 {
+                    String::new()
+                } else {
+                    trace.to_string()
+                },
+                expected,
+                got,
+            });
+        }
+    }
+}
+
+impl fmt::Display for ReplayReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            task,
+            messages,
+            same,
+            different,
+            ..
+        } = self;
+        if *different == 0 {
+            write!(
+                f,
+                "`{task}` did the same again: {messages} messages, {same} results compared"
+            )?;
+        } else {
+            write!(
+                f,
+                "`{task}` did otherwise: {messages} messages, {same} results the same, {different} different"
+            )?;
+        }
+        if let Some(first) = &self.first {
+            let at = Instant::from_nanos(first.at_ns);
+            let trace = match first.trace.as_str() {
+                "" => String::new(),
+                trace => format!(", trace {trace}"),
+            };
+            write!(
+                f,
+                "\nfirst difference at {at}{trace}\n  expected  {}\n  got       {}",
+                first.expected, first.got
+            )?;
+        }
+        for used in &self.used {
+            write!(f, "\nnot in any record: {used}")?;
+        }
+        if self.lost > 0 {
+            write!(f, "\nthe record lacks {} events", self.lost)?;
+        }
+        Ok(())
+    }
+}
+
+/// Lets task `task` of `app` do again what it did in `record`, and compares.
+///
+/// # Errors
+/// [`ReplayError`] when it cannot be tried.
+pub fn replay(
+    app: App,
+    registry: Registry,
+    task: &str,
+    record: &Record,
+) -> Result<ReplayReport, ReplayError> {
+    let Some(config) = app.task(task).cloned() else {
+        let known = app.tasks.iter().map(|task| task.name.clone()).collect();
+        let task = task.to_owned();
+        return Err(ReplayError::NoTask { task, known });
+    };
+    let mut script = Script::of(record, task)?;
+    let mut app = app;
+    app.time = TimeMode::Virtual;
+    app.record = None;
+    app.metrics = None;
+    if let Some(seed) = script.seed {
+        app.seed = seed;
+    }
+    let names = Arc::new(Names::new(&app, &registry, &[]));
+    let clock = Clock::virtual_clock();
+    let chassis = Chassis::new(
+        script.tid.chassis(),
+        Arc::new(app),
+        Arc::new(registry),
+        clock.clone(),
+    );
+    let desk = Arc::new(Desk::new(clock.clone(), names, &mut script));
+    Recorders::replay_at(&chassis, desk.clone());
+    // The configuration may have fewer processors now than it had then.
+    let last = chassis.processors.len().saturating_sub(1);
+    let index = usize::from(script.tid.processor()).min(last);
+    let processor = chassis
+        .processor(index)
+        .ok_or_else(|| ReplayError::Incomplete {
+            reason: "its chassis has no processor".to_owned(),
+        })?;
+    // Without a kind it is not built.
+    let registry = chassis.registry();
+    let kind = registry.kind(&config.handler);
+    let recipe = kind.map_or_else(Arc::default, HandlerKind::recipe);
+    let handle = &processor.handle;
+    let stage = Stage {
+        tid: script.tid,
+        spec: Some(TaskSpec::new(
+            task,
+            script.tid,
+            Some(config.clone()),
+            recipe,
+            handle,
+        )),
+        config,
+        chassis,
+        processor,
+        clock,
+        desk,
+        waiting: BTreeMap::new(),
+        messages: 0,
+    };
+    let mut report = stage.play(script.steps)?;
+    report.lost = script.lost;
+    Ok(report)
+}
+
+/// The task and what stands around it.
+struct Stage {
+    tid: Tid,
+    /// The task, until it is started.
+    spec: Option<TaskSpec>,
+    config: TaskConfig,
+    chassis: Arc<Chassis>,
+    processor: Rc<Processor>,
+    clock: Clock,
+    desk: Arc<Desk>,
+    /// The answers that the task owes, by the number of the message.
+    waiting: BTreeMap<Number, (u16, Waiting)>,
+    messages: u64,
+}
+
+impl Stage {
+    fn play(mut self, steps: Vec<Step>) -> Result<ReplayReport, ReplayError> {
+        let mut built = false;
+        for Step { at, trace, what } in steps {
+            self.run_until(at);
+            if !built {
+                self.build()?;
+                built = true;
+            }
+            match what {
+                What::Built => {}
+                What::Begin(message) => self.begin(message),
+                What::Answer { id, answer } => self.desk.answer(id, answer.into_answer()),
+                What::Output(index) => {
+                    if !self.desk.is_done(index) {
+                        self.run_due();
+                    }
+                    self.desk.must_be_done(index, at);
+                }
+                What::Ended { command, ending } => self.ended(at, trace, command, &ending),
+                What::Replied { id, answer } => self.replied(at, trace, id, &answer),
+            }
+            self.settle();
+        }
+        self.run_due();
+        self.processor.clear();
+        self.chassis.close();
+        let mut report = self.desk.report(&self.config.name);
+        report.messages = self.messages;
+        Ok(report)
+    }
+
+    fn build(&mut self) -> Result<(), ReplayError> {
+        let failed = |reason: String| ReplayError::Build {
+            task: self.config.name.clone(),
+            reason,
+        };
+        let handler = &self.config.handler;
+        if self.chassis.registry().kind(handler).is_none() {
+            let why = format!("nobody registered the event handler `{handler}`");
+            return Err(failed(why));
+        }
+        let Some(spec) = self.spec.take() else {
+            return Ok(());
+        };
+        start_task(&self.chassis, &self.processor, spec)
+            .map_err(|error| failed(error.to_string()))?;
+        self.settle();
+        Ok(())
+    }
+
+    /// Lets everything happen that is due before `at`, moment by moment, and moves the clock there.
+    fn run_until(&self, at: Instant) {
+        while let Some(next) = self.processor.next_deadline().filter(|next| *next < at) {
+            self.clock.advance_to(next);
+            self.processor.schedule.run();
+            self.processor.fire_timers();
+            self.settle();
+        }
+        self.clock.advance_to(at);
+    }
+
+    /// Lets everything happen that is due now. What the record says comes before it at one moment is
+    /// done first.
+    fn run_due(&self) {
+        self.processor.schedule.run();
+        self.processor.fire_timers();
+        self.settle();
+    }
+
+    /// Polls until nothing can go on by itself.
+    fn settle(&self) {
+        loop {
+            // A name is asked for again: whether another task had found it before, the record tells.
+            self.chassis.directory.forget_names();
+            let jobs = self.processor.run_jobs();
+            if !jobs && !self.processor.poll_ready(0) {
+                return;
+            }
+        }
+    }
+
+    /// Gives the task a message.
+    fn begin(&mut self, begun: Begun) {
+        self.messages += 1;
+        let reply = begun.flags.contains(Flags::REPLY_WAIT).then(|| {
+            let promise = Arc::new(Promise::default());
+            self.waiting
+                .insert(begun.id, (begun.command, Waiting::here(promise.clone())));
+            ReplySlot::outside(promise)
+        });
+        let data = Data::Bytes(begun.data);
+        let mut message = Message::with_data(self.tid, begun.from, begun.command, data)
+            .flagged(begun.flags)
+            .in_trace(begun.trace)
+            .until(begun.deadline);
+        message.envelope.reply = reply;
+        if let Some(task) = self.chassis.task(self.tid) {
+            task.mailbox.put(message, Acceptance::Silent);
+        }
+    }
+
+    /// Compares how a handler ended.
+    fn ended(&self, at: Instant, trace: u64, command: u16, expected: &(String, String)) {
+        // It was interrupted by an order to stop, which is among the messages that follow.
+        if expected.0 == "stopped" {
+            return;
+        }
+        if self.desk.next_end(false).is_none() {
+            self.run_due();
+        }
+        let got = self.desk.next_end(true);
+        self.desk.compare_end(at, trace, command, expected, got);
+    }
+
+    /// Compares what the task answered.
+    fn replied(&mut self, at: Instant, trace: u64, id: Number, expected: &Recorded) {
+        let Some((command, mut waiting)) = self.waiting.remove(&id) else {
+            return;
+        };
+        let mut got = (&mut waiting).now_or_never();
+        if got.is_none() {
+            self.run_due();
+            got = (&mut waiting).now_or_never();
+        }
+        self.desk.compare_reply(at, trace, command, expected, got);
+    }
+}
+
+#[cfg(test)]
+mod tests;

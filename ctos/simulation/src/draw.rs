@@ -1,0 +1,222 @@
+//! Draws the faults of a profile from the seed, one after the other, as far as the app runs.
+//!
+//! Each kind of fault at each place is a Poisson process with a generator of its own: what the app
+//! does, and which other faults there are, changes nothing in it.
+
+use std::time::Duration;
+
+use rand::RngExt;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use crate::{
+    mishap::Mishap,
+    profile::{Faults, Rate},
+    reader::nanos,
+};
+use ctos_config::App;
+use ctos_time::{Instant, seed::mix};
+
+/// Kinds of fault between two chassis.
+#[derive(Debug, Clone, Copy)]
+enum OnLink {
+    Loss,
+    Delay,
+    Stall,
+    Break,
+}
+
+/// Kinds of fault of a chassis.
+#[derive(Debug, Clone, Copy)]
+enum OnChassis {
+    Freeze,
+    Slow,
+    Kill,
+}
+
+enum Where {
+    Link(OnLink, String, String),
+    Chassis(OnChassis, String),
+}
+
+/// One kind of fault at one place.
+struct Stream {
+    place: Where,
+    rate: Rate,
+    rng: ChaCha8Rng,
+    next: Option<Instant>,
+}
+
+impl Stream {
+    fn new(place: Where, rate: Rate, seed: u64) -> Self {
+        let words = match &place {
+            Where::Link(kind, one, other) => [format!("{kind:?}"), one.clone(), other.clone()],
+            Where::Chassis(kind, name) => [format!("{kind:?}"), name.clone(), String::new()],
+        };
+        let words = ["fault", &words[0], &words[1], &words[2]];
+        let mut stream = Self {
+            place,
+            rate,
+            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
+            next: None,
+        };
+        stream.step(Instant::START);
+        stream
+    }
+
+    /// Draws the moment of the next one after `from`.
+    fn step(&mut self, from: Instant) {
+        self.next = (self.rate.per_s > 0.0).then(|| {
+            let uniform: f64 = self.rng.random();
+            let wait_s = -(1.0 - uniform).ln() / self.rate.per_s;
+            from + nanos(wait_s.min(1e9))
+        });
+    }
+
+    fn pop(&mut self) -> Option<Mishap> {
+        let at = self.next?;
+        let lasts = drawn(&mut self.rng, self.rate.lasts_s);
+        let extent = drawn(&mut self.rng, self.rate.extent);
+        let until = at + nanos(lasts);
+        // The next one begins after the present one is over.
+        self.step(until);
+        Some(match &self.place {
+            Where::Link(kind, one, other) => {
+                let (one, other) = (one.clone(), other.clone());
+                match kind {
+                    OnLink::Loss => Mishap::Loss {
+                        one,
+                        other,
+                        at,
+                        until,
+                        share_ppm: (extent * 1e6).round() as u32,
+                    },
+                    OnLink::Delay => Mishap::Delay {
+                        one,
+                        other,
+                        at,
+                        until,
+                        extra: nanos(extent),
+                    },
+                    OnLink::Stall => Mishap::Stall {
+                        one,
+                        other,
+                        at,
+                        until,
+                    },
+                    OnLink::Break => Mishap::Break {
+                        one,
+                        other,
+                        at,
+                        until,
+                    },
+                }
+            }
+            Where::Chassis(kind, name) => {
+                let chassis = name.clone();
+                match kind {
+                    OnChassis::Freeze => Mishap::Freeze { chassis, at, until },
+                    OnChassis::Slow => Mishap::Slow {
+                        chassis,
+                        at,
+                        until,
+                        per_step: nanos(extent),
+                    },
+                    OnChassis::Kill => Mishap::Kill { chassis, at },
+                }
+            }
+        })
+    }
+}
+
+fn drawn(rng: &mut ChaCha8Rng, (least, most): (f64, f64)) -> f64 {
+    let uniform: f64 = rng.random();
+    least + (most - least) * uniform
+}
+
+/// The faults of a profile for one app and one seed.
+pub(crate) struct Drawn {
+    streams: Vec<Stream>,
+    /// The stream whose turn is next, and when.
+    first: Option<(Instant, usize)>,
+}
+
+impl Drawn {
+    pub(crate) fn new(faults: &Faults, app: &App, names: &[String]) -> Self {
+        let mut streams = Vec::new();
+        let on_links = [
+            (OnLink::Loss, faults.loss),
+            (OnLink::Delay, faults.delay),
+            (OnLink::Stall, faults.stall),
+            (OnLink::Break, faults.cut),
+        ];
+        let on_chassis = [
+            (OnChassis::Freeze, faults.freeze),
+            (OnChassis::Slow, faults.slow),
+            (OnChassis::Kill, faults.kill),
+        ];
+        for (index, one) in names.iter().enumerate() {
+            for other in names.iter().skip(index + 1) {
+                for (kind, rate) in on_links {
+                    let place = Where::Link(kind, one.clone(), other.clone());
+                    streams.extend(rate.map(|rate| Stream::new(place, rate, app.seed)));
+                }
+            }
+            for (kind, rate) in on_chassis {
+                // The chassis that boots is the one that tells how it ended: it is not killed.
+                if index == 0 && matches!(kind, OnChassis::Kill) {
+                    continue;
+                }
+                let place = Where::Chassis(kind, one.clone());
+                streams.extend(rate.map(|rate| Stream::new(place, rate, app.seed)));
+            }
+        }
+        let mut drawn = Self {
+            streams,
+            first: None,
+        };
+        drawn.find_first();
+        drawn
+    }
+
+    /// How wrong each clock is.
+    pub(crate) fn drifts(faults: &Faults, app: &App, names: &[String]) -> Vec<Mishap> {
+        if faults.drift_ppm <= 0.0 && faults.ahead_s <= 0.0 {
+            return Vec::new();
+        }
+        let drift = |name: &String| {
+            let seed = mix(app.seed, &["fault", "Drift", name]);
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let ahead: Duration = nanos(drawn(&mut rng, (0.0, faults.ahead_s)));
+            let ppm = drawn(&mut rng, (-faults.drift_ppm, faults.drift_ppm));
+            Mishap::Drift {
+                chassis: name.clone(),
+                ahead,
+                rate_ppb: (ppm * 1e3).round() as i32,
+            }
+        };
+        names.iter().map(drift).collect()
+    }
+
+    fn find_first(&mut self) {
+        let next = self.streams.iter().enumerate();
+        self.first = next
+            .filter_map(|(index, stream)| Some((stream.next?, index)))
+            .min();
+    }
+
+    /// When the next one happens.
+    pub(crate) fn next(&self) -> Option<Instant> {
+        self.first.map(|(moment, _)| moment)
+    }
+
+    /// The next one that happens until `now`.
+    pub(crate) fn pop(&mut self, now: Instant) -> Option<Mishap> {
+        let (moment, index) = self.first?;
+        if moment > now {
+            return None;
+        }
+        let mishap = self.streams.get_mut(index).and_then(Stream::pop);
+        self.find_first();
+        mishap
+    }
+}

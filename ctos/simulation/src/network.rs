@@ -1,0 +1,444 @@
+//! The links of a simulated app: frames take a seeded time on the virtual clock and keep their order.
+//!
+//! What is modelled is a stream with a session above it, as the real links are: a frame that is lost
+//! is sent again and comes late, and so does everything behind it; a link that breaks and heals goes
+//! on where it was. Only a chassis that hears nothing of another one for longer than the peer
+//! time-out gives it up, and tells it so when it can. Frames between different chassis overtake each
+//! other freely.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use rand::{Rng, RngExt};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use ctos_message::{
+    Flags, SYSTEM_COMMANDS,
+    frame::{Frame, Full, Link},
+};
+use ctos_time::{Clock, Instant, lock::lock, seed::mix};
+
+/// A rule of the links that a test breaks, to see that it is noticed. Nobody else has a use for it.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Breach {
+    /// Some frames arrive twice.
+    Duplicate,
+    /// Some frames change places with the one before them between the same tasks.
+    Swap,
+    /// Some frames never arrive.
+    Lose,
+    /// Some requests arrive at another task.
+    Misdeliver,
+}
+
+impl Breach {
+    /// Only what tasks send each other is broken: a boot that fails would hide it.
+    pub(crate) fn concerns(self, frame: &Frame) -> bool {
+        let of_the_app = frame.header.command < SYSTEM_COMMANDS;
+        let request = !frame.header.flags.contains(Flags::REPLY);
+        of_the_app && (request || self == Self::Lose)
+    }
+}
+
+/// Shortest time a frame takes.
+const DELAY_MIN: Duration = Duration::from_micros(50);
+/// How much longer it may take.
+const DELAY_SPREAD_NS: u64 = 100_000;
+/// How long it takes until a lost frame is sent again, ns.
+const RESEND_NS: std::ops::Range<u64> = 10_000_000..60_000_000;
+/// A frame is lost at most so often in a row.
+const RESENDS: u32 = 20;
+/// A rule is broken, when a test asks for it, at one in so many frames of the app.
+const BREACH_ONE_IN: u32 = 40;
+
+/// What arrives at a chassis.
+pub(crate) enum Arrival {
+    /// A frame.
+    Frame(Frame),
+    /// The sender's end of the link is closed, or the sender tells that it has given the receiver up.
+    Closed,
+    /// Nothing has come from the sender for longer than the peer time-out.
+    Silence,
+}
+
+/// What is on its way from one chassis to another.
+pub(crate) struct InFlight {
+    pub(crate) from: u8,
+    pub(crate) to: u8,
+    pub(crate) arrival: Arrival,
+}
+
+/// One direction of a link.
+#[derive(Default)]
+struct Direction {
+    /// When the last frame arrives, so that none overtakes another.
+    last: Instant,
+    /// Before this nothing that is posted arrives.
+    clear_from: Instant,
+    /// Since when the receiver hears nothing, and until when.
+    quiet: Option<(Instant, Instant)>,
+    /// The receiver has, or will have, given the sender up.
+    given_up: bool,
+    /// Nothing gets through any more.
+    closed: bool,
+    losses: Vec<(Instant, u32)>,
+    delays: Vec<(Instant, Duration)>,
+    /// Draws losses and delays; made when the first one is needed.
+    rng: Option<ChaCha8Rng>,
+}
+
+struct State {
+    flights: BTreeMap<(Instant, u64), InFlight>,
+    directions: BTreeMap<(u8, u8), Direction>,
+    next: u64,
+    rng: ChaCha8Rng,
+    breaches: Option<(Breach, ChaCha8Rng)>,
+}
+
+/// All the links of one simulated app.
+#[derive(Clone)]
+pub(crate) struct Network {
+    state: Arc<Mutex<State>>,
+    clock: Clock,
+    seed: u64,
+    peer_timeout: Duration,
+}
+
+impl Network {
+    pub(crate) fn new(
+        clock: Clock,
+        seed: u64,
+        peer_timeout: Duration,
+        breach: Option<Breach>,
+    ) -> Self {
+        let seeded = |what: &str| ChaCha8Rng::seed_from_u64(mix(seed, &[what]));
+        Self {
+            state: Arc::new(Mutex::new(State {
+                flights: BTreeMap::new(),
+                directions: BTreeMap::new(),
+                next: 0,
+                rng: seeded("simulated links"),
+                breaches: breach.map(|breach| (breach, seeded("breaches"))),
+            })),
+            clock,
+            seed,
+            peer_timeout,
+        }
+    }
+
+    /// A new link that chassis `from` has to chassis `to`; of an earlier one nothing is left.
+    pub(crate) fn link(&self, from: u8, to: u8) -> Arc<dyn Link> {
+        let mut state = lock(&self.state);
+        state
+            .flights
+            .retain(|_, flight| (flight.from, flight.to) != (from, to));
+        state.directions.insert((from, to), Direction::default());
+        drop(state);
+        Arc::new(SimulatedLink {
+            network: self.clone(),
+            from,
+            to,
+        })
+    }
+
+    /// When the next of what is under way arrives.
+    pub(crate) fn next_arrival(&self) -> Option<Instant> {
+        let state = lock(&self.state);
+        state.flights.keys().next().map(|key| key.0)
+    }
+
+    /// The next that has arrived by `now`.
+    pub(crate) fn arrive(&self, now: Instant) -> Option<InFlight> {
+        let mut state = lock(&self.state);
+        let first = state.flights.first_entry()?;
+        (first.key().0 <= now).then(|| first.remove())
+    }
+
+    fn put(&self, from: u8, to: u8, arrival: Arrival) {
+        let mut state = lock(&self.state);
+        let now = self.clock.now();
+        let spread = Duration::from_nanos(state.rng.random_range(0..DELAY_SPREAD_NS));
+        let direction = state.directions.entry((from, to)).or_default();
+        if direction.closed {
+            return;
+        }
+        let late = direction.lateness(now, || self.direction_rng(from, to));
+        let wanted = direction.clear_from.max(now) + DELAY_MIN + spread + late;
+        direction.last = direction.last.max(wanted);
+        let moment = direction.last;
+        let flight = InFlight { from, to, arrival };
+        state.insert(moment, flight);
+    }
+
+    fn direction_rng(&self, from: u8, to: u8) -> ChaCha8Rng {
+        let ends = [from.to_string(), to.to_string()];
+        ChaCha8Rng::seed_from_u64(mix(self.seed, &["link faults", &ends[0], &ends[1]]))
+    }
+
+    /// Chassis `from` closed its end of the link to `to`; what it sent before still arrives.
+    pub(crate) fn hang_up(&self, from: u8, to: u8) {
+        self.put(from, to, Arrival::Closed);
+    }
+
+    /// Ends a link: what is under way in either direction is lost, and nothing follows.
+    pub(crate) fn cut(&self, one: u8, other: u8) {
+        let mut state = lock(&self.state);
+        state.close(one, other);
+        state.close(other, one);
+    }
+
+    /// From now until `until` nothing that is posted on a link arrives, and nothing that is under way
+    /// either when the link `breaks`. `clocks` are those of the two ends.
+    pub(crate) fn silence(
+        &self,
+        (one, one_clock): (u8, &Clock),
+        (other, other_clock): (u8, &Clock),
+        until: Instant,
+        breaks: bool,
+    ) {
+        let now = self.clock.now();
+        let mut state = lock(&self.state);
+        for (from, to, clock) in [(one, other, other_clock), (other, one, one_clock)] {
+            if breaks {
+                state.hold(from, to, until);
+            } else {
+                let direction = state.directions.entry((from, to)).or_default();
+                direction.clear_from = direction.clear_from.max(until);
+            }
+            state.quiet(from, to, now, until, self.gives_up_at(now, clock));
+        }
+    }
+
+    /// Chassis `frozen` stands still until `until`: what is sent to it waits, and chassis `other`,
+    /// whose clock is given, hears nothing of it.
+    pub(crate) fn freeze(&self, frozen: u8, (other, clock): (u8, &Clock), until: Instant) {
+        let now = self.clock.now();
+        let mut state = lock(&self.state);
+        state.hold(other, frozen, until);
+        state.quiet(frozen, other, now, until, self.gives_up_at(now, clock));
+    }
+
+    /// When a chassis with this clock gives up a peer that it has not heard since a moment.
+    fn gives_up_at(&self, now: Instant, clock: &Clock) -> impl Fn(Instant) -> Instant {
+        let timeout = self.peer_timeout;
+        move |since| clock.true_at(clock.shown_at(since) + timeout).max(now)
+    }
+
+    /// Chassis `to`, which would have given `from` up, stands still until `until`: it does so then, if
+    /// there is still nothing to hear.
+    pub(crate) fn listen_again(&self, from: u8, to: u8, until: Instant) {
+        let mut state = lock(&self.state);
+        let direction = state.directions.entry((from, to)).or_default();
+        direction.given_up = direction.quiet.is_some_and(|(_, end)| end > until);
+        if direction.given_up {
+            let arrival = Arrival::Silence;
+            state.insert(until, InFlight { from, to, arrival });
+        }
+    }
+
+    /// Chassis `to` gives `from` up: what is between them is lost, and `from` is told when it can be
+    /// reached.
+    pub(crate) fn give_up(&self, from: u8, to: u8) {
+        let now = self.clock.now();
+        let mut state = lock(&self.state);
+        let back = state.directions.entry((to, from)).or_default();
+        let told = back.clear_from.max(now) + DELAY_MIN;
+        state.close(from, to);
+        state.close(to, from);
+        let arrival = Arrival::Closed;
+        state.insert(
+            told,
+            InFlight {
+                from: to,
+                to: from,
+                arrival,
+            },
+        );
+    }
+
+    /// A share of what is sent from now until `until` is lost and sent again.
+    pub(crate) fn lose(&self, one: u8, other: u8, until: Instant, share_ppm: u32) {
+        let mut state = lock(&self.state);
+        for ends in [(one, other), (other, one)] {
+            let direction = state.directions.entry(ends).or_default();
+            direction.losses.push((until, share_ppm));
+        }
+    }
+
+    /// What is sent from now until `until` takes up to `extra` longer.
+    pub(crate) fn delay(&self, one: u8, other: u8, until: Instant, extra: Duration) {
+        let mut state = lock(&self.state);
+        for ends in [(one, other), (other, one)] {
+            let direction = state.directions.entry(ends).or_default();
+            direction.delays.push((until, extra));
+        }
+    }
+}
+
+impl Direction {
+    /// How much longer than usual the next frame takes.
+    fn lateness(&mut self, now: Instant, seeded: impl FnOnce() -> ChaCha8Rng) -> Duration {
+        if self.losses.is_empty() && self.delays.is_empty() {
+            return Duration::ZERO;
+        }
+        self.losses.retain(|(until, _)| *until > now);
+        self.delays.retain(|(until, _)| *until > now);
+        let rng = self.rng.get_or_insert_with(seeded);
+        let mut late = Duration::ZERO;
+        for (_, extra) in &self.delays {
+            let most = u64::try_from(extra.as_nanos()).unwrap_or(u64::MAX);
+            late += Duration::from_nanos(rng.random_range(0..=most));
+        }
+        let share = self.losses.iter().map(|(_, share)| *share).max();
+        let share = share.unwrap_or(0).min(1_000_000);
+        let mut resends = 0;
+        while resends < RESENDS && rng.random_range(0..1_000_000_u32) < share {
+            late += Duration::from_nanos(rng.random_range(RESEND_NS));
+            resends += 1;
+        }
+        late
+    }
+}
+
+impl State {
+    fn insert(&mut self, moment: Instant, flight: InFlight) {
+        let number = self.next;
+        self.next += 1;
+        self.flights.insert((moment, number), flight);
+        if self.breaches.is_some() {
+            self.breach((moment, number));
+        }
+    }
+
+    /// Makes what is under way in one direction arrive at `until` or later, in its order.
+    fn hold(&mut self, from: u8, to: u8, until: Instant) {
+        let direction = self.directions.entry((from, to)).or_default();
+        direction.clear_from = direction.clear_from.max(until);
+        direction.last = direction.last.max(until);
+        let early: Vec<(Instant, u64)> = self
+            .flights
+            .range(..(until, 0))
+            .filter(|(_, flight)| (flight.from, flight.to) == (from, to))
+            // That nothing came is noticed without anything that comes.
+            .filter(|(_, flight)| !matches!(flight.arrival, Arrival::Silence))
+            .map(|(key, _)| *key)
+            .collect();
+        for key in early {
+            if let Some(flight) = self.flights.remove(&key) {
+                self.flights.insert((until, key.1), flight);
+            }
+        }
+    }
+
+    /// `to` hears nothing of `from` until `until`, which makes it give `from` up if that is too long.
+    fn quiet(
+        &mut self,
+        from: u8,
+        to: u8,
+        now: Instant,
+        until: Instant,
+        gives_up_at: impl Fn(Instant) -> Instant,
+    ) {
+        let direction = self.directions.entry((from, to)).or_default();
+        let (since, until) = match direction.quiet {
+            Some((since, end)) if end >= now => (since, end.max(until)),
+            _ => (now, until),
+        };
+        direction.quiet = Some((since, until));
+        let moment = gives_up_at(since);
+        if moment < until && !direction.given_up && !direction.closed {
+            direction.given_up = true;
+            let arrival = Arrival::Silence;
+            self.insert(moment, InFlight { from, to, arrival });
+        }
+    }
+
+    fn close(&mut self, from: u8, to: u8) {
+        self.flights
+            .retain(|_, flight| (flight.from, flight.to) != (from, to));
+        let direction = self.directions.entry((from, to)).or_default();
+        direction.closed = true;
+        direction.given_up = true;
+    }
+
+    /// Breaks, now and then, the rule that a test asked for, at the frame that was just put under way.
+    fn breach(&mut self, key: (Instant, u64)) {
+        let Some((breach, rng)) = &mut self.breaches else {
+            return;
+        };
+        let breach = *breach;
+        let Some(InFlight {
+            from,
+            to,
+            arrival: Arrival::Frame(frame),
+        }) = self.flights.get(&key)
+        else {
+            return;
+        };
+        if !breach.concerns(frame) || rng.random_range(0..BREACH_ONE_IN) > 0 {
+            return;
+        }
+        let (from, to, frame) = (*from, *to, frame.clone());
+        match breach {
+            Breach::Duplicate => {
+                let number = self.next;
+                self.next += 1;
+                let arrival = Arrival::Frame(frame);
+                self.flights
+                    .insert((key.0, number), InFlight { from, to, arrival });
+            }
+            Breach::Lose => {
+                self.flights.remove(&key);
+            }
+            Breach::Swap => self.swap(key, &frame),
+            Breach::Misdeliver => {
+                if let Some(InFlight {
+                    arrival: Arrival::Frame(frame),
+                    ..
+                }) = self.flights.get_mut(&key)
+                {
+                    frame.header.to = ctos_message::Tid::from_bits(frame.header.to.bits() ^ 1);
+                }
+            }
+        }
+    }
+
+    /// Exchanges a frame with the one before it between the same two tasks.
+    fn swap(&mut self, key: (Instant, u64), frame: &Frame) {
+        let ends = (frame.header.from, frame.header.to);
+        let before = self.flights.range(..key).rev().find(|(_, flight)| {
+            matches!(&flight.arrival, Arrival::Frame(other)
+                if (other.header.from, other.header.to) == ends)
+        });
+        let Some(before) = before.map(|(key, _)| *key) else {
+            return;
+        };
+        if let (Some(one), Some(other)) = (self.flights.remove(&key), self.flights.remove(&before))
+        {
+            self.flights.insert(before, one);
+            self.flights.insert(key, other);
+        }
+    }
+}
+
+struct SimulatedLink {
+    network: Network,
+    from: u8,
+    to: u8,
+}
+
+impl Link for SimulatedLink {
+    fn post(&self, frame: Frame) -> Result<(), Full> {
+        self.network.put(self.from, self.to, Arrival::Frame(frame));
+        Ok(())
+    }
+}
+
+/// Draws a number below `bound`.
+pub(crate) fn below(rng: &mut impl Rng, bound: usize) -> usize {
+    rng.random_range(0..bound.max(1))
+}

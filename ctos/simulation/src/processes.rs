@@ -1,0 +1,199 @@
+//! The processes of a simulated app: what the bootstrap service wants of them, how they end, and how others
+//! start in their place.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use rand::RngExt;
+
+use crate::{injured, machine::Machine, run::Simulation};
+use ctos_bootstrap::bootstrap::{BootEvent, Processes};
+use ctos_core::{chassis::Chassis, system};
+use ctos_time::lock::lock;
+
+/// How long the process of a chassis takes to start, ns.
+const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
+
+/// What the bootstrap service wants of the simulated machines.
+#[derive(Default)]
+pub(super) struct Orders(Mutex<VecDeque<Order>>);
+
+enum Order {
+    Start(u8, u32),
+    Kill(u8),
+}
+
+impl Processes for Orders {
+    fn start(&self, index: u8, incarnation: u32) {
+        lock(&self.0).push_back(Order::Start(index, incarnation));
+    }
+
+    fn kill(&self, index: u8) {
+        lock(&self.0).push_back(Order::Kill(index));
+    }
+}
+
+/// The exits that chassis asked for: number, incarnation and exit code.
+pub(super) type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
+
+pub(super) fn watch_exit(chassis: &Arc<Chassis>, incarnation: u32, exits: &Exits) {
+    let (exits, index) = (exits.clone(), chassis.index());
+    chassis.set_on_exit(move |code| lock(&exits).push_back((index, incarnation, code)));
+}
+
+/// How a process ended that a fault, or the supervisor, ended.
+const KILLED: &str = "was killed by signal 9 (SIGKILL)";
+
+impl Simulation {
+    /// The boot is done and waits for the processes; those that do not end by themselves are killed.
+    pub(super) fn end_processes(&mut self) {
+        let Some(boot) = self.machines.first().map(|machine| machine.chassis.clone()) else {
+            return;
+        };
+        boot.drop_links();
+        for other in boot.others() {
+            self.network.hang_up(0, other);
+        }
+        let limit = self.clock.now() + boot.app.stop_timeout;
+        let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
+        while !ended(&self.machines) && self.step(Some(limit)) {}
+        for index in boot.others() {
+            let left = self.machines.get(usize::from(index));
+            if left.is_some_and(|machine| !machine.gone) {
+                (self.observer)(&BootEvent::Signalled {
+                    chassis: boot.name_of(index).to_owned(),
+                    signal: "SIGKILL".to_owned(),
+                });
+                self.kill(index);
+            }
+        }
+    }
+
+    /// Ends the processes that have come to their end by themselves.
+    pub(super) fn run_exits(&mut self) -> bool {
+        let Some((index, incarnation, code)) = lock(&self.exits).pop_front() else {
+            return false;
+        };
+        if incarnation == self.incarnation(index) {
+            let how = format!("ended with exit code {code}");
+            // 0 and 1 are what the boot orders; anything else the chassis chose itself.
+            self.end_chassis(index, &how, Some(code), code > 1);
+        }
+        true
+    }
+
+    /// Does what the bootstrap service wants.
+    pub(super) fn run_orders(&mut self) -> bool {
+        let order = lock(&self.orders.0).pop_front();
+        match order {
+            Some(Order::Start(index, incarnation)) => {
+                let delay = Duration::from_nanos(self.rng.random_range(START_NS));
+                self.starts
+                    .insert((self.clock.now() + delay, index), incarnation);
+                self.incarnations.insert(index, incarnation);
+            }
+            Some(Order::Kill(index)) => self.kill(index),
+            None => return false,
+        }
+        true
+    }
+
+    /// Which process of chassis `index` is the last that was wanted.
+    pub(super) fn incarnation(&self, index: u8) -> u32 {
+        self.incarnations.get(&index).copied().unwrap_or(1)
+    }
+
+    pub(super) fn kill(&mut self, index: u8) {
+        self.end_chassis(index, KILLED, None, true);
+    }
+
+    /// A process ends: nothing of it runs any more, and the others see its links close.
+    fn end_chassis(&mut self, index: u8, how: &str, code: Option<i32>, casualty: bool) {
+        let incarnation = self.incarnation(index);
+        if let Some(boot) = self.machines.first() {
+            // Also of one that has not started yet: it never will.
+            let ended = system::ProcessEnded {
+                chassis: index,
+                incarnation,
+                how: how.to_owned(),
+                code,
+            };
+            boot.chassis.post_system(system::BOOTSTRAP, ended);
+        }
+        self.starts.retain(|(_, starting), _| *starting != index);
+        let Some(machine) = self.machines.get_mut(usize::from(index)) else {
+            return;
+        };
+        if std::mem::replace(&mut machine.gone, true) {
+            return;
+        }
+        let chassis = machine.chassis.clone();
+        self.events
+            .note(|| format!("chassis {} {how}", chassis.name()));
+        if casualty {
+            self.casualties.insert(index, how.to_owned());
+        }
+        // First the links, so that what its destructors send reaches nobody.
+        chassis.drop_links();
+        machine.clear();
+        for other in chassis.others() {
+            self.network.hang_up(index, other);
+        }
+        chassis.close();
+    }
+
+    /// A process starts in place of the one that ended, and is connected to those that live.
+    pub(super) fn start_chassis(&mut self, index: u8, incarnation: u32) {
+        let Some(old) = self.machines.get(usize::from(index)) else {
+            return;
+        };
+        let old = &old.chassis;
+        let (app, registry) = (old.app.clone(), old.registry());
+        let new = Chassis::new(index, app, registry, old.clock.clone());
+        if let Some(disk) = old.disk() {
+            new.set_disk(disk.clone());
+        }
+        self.events
+            .note(|| format!("chassis {} starts again", new.name()));
+        for machine in self.machines.iter().filter(|machine| !machine.gone) {
+            let peer = &machine.chassis;
+            // Nothing of the old process may come out of the links of the new one.
+            peer.link_down(index);
+            peer.link_up(index, self.network.link(peer.index(), index));
+            new.link_up(peer.index(), self.network.link(index, peer.index()));
+            let ends = (usize::from(index), usize::from(peer.index()));
+            let injury = &peer.app.links.injury;
+            for mishap in injured::lasting(injury, new.name(), peer.name()) {
+                self.happen_between(ends.0, ends.1, &mishap);
+            }
+        }
+        watch_exit(&new, incarnation, &self.exits);
+        if let Some(recording) = &self.recording {
+            recording.add(&new);
+        }
+        let mut all: Vec<_> = self
+            .machines
+            .iter()
+            .map(|one| one.chassis.clone())
+            .collect();
+        if let Some(place) = all.get_mut(usize::from(index)) {
+            place.clone_from(&new);
+        }
+        self.events.watch(&new, &all);
+        ctos_bootstrap::bootstrap::start_system_tasks(&new, None);
+        self.casualties.remove(&index);
+        if let Some(place) = self.machines.get_mut(usize::from(index)) {
+            *place = Machine::new(new);
+        }
+        if let Some(boot) = self.machines.first() {
+            let linked = system::ChassisLinked {
+                chassis: index,
+                incarnation,
+            };
+            boot.chassis.post_system(system::BOOTSTRAP, linked);
+        }
+    }
+}

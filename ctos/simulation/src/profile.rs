@@ -1,0 +1,204 @@
+//! Fault profiles: what goes wrong how often, and faults at moments of their own, as TOML.
+//!
+//! Four profiles are built in. A file of one's own has the same form; whatever is wrong in it is
+//! reported at once, with places. Knows no app: whether a chassis exists is found out when it is used.
+
+use std::path::Path;
+
+use crate::{mishap::Mishap, reader::Reader};
+use ctos_config::{
+    Node,
+    diagnostic::{Findings, Source},
+};
+
+/// What goes wrong how often on one chassis or link, for how long and how badly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Rate {
+    /// How often per simulated second.
+    pub(crate) per_s: f64,
+    /// How long it lasts at least and at most, s.
+    pub(crate) lasts_s: (f64, f64),
+    /// How bad it is at least and at most: a share or a time in s.
+    pub(crate) extent: (f64, f64),
+}
+
+/// What goes wrong in a simulated app: how often, and at given moments.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Faults {
+    name: String,
+    pub(crate) drift_ppm: f64,
+    pub(crate) ahead_s: f64,
+    pub(crate) loss: Option<Rate>,
+    pub(crate) delay: Option<Rate>,
+    pub(crate) stall: Option<Rate>,
+    pub(crate) cut: Option<Rate>,
+    pub(crate) freeze: Option<Rate>,
+    pub(crate) slow: Option<Rate>,
+    pub(crate) kill: Option<Rate>,
+    /// What happens at a given moment.
+    pub script: Vec<Mishap>,
+}
+
+const TABLES: [&str; 9] = [
+    "clocks", "loss", "delay", "stall", "cut", "freeze", "slow", "kill", "fault",
+];
+
+/// The longest that a fault may last, and the largest time in a profile, s.
+const TIME_MOST: f64 = 86_400.0;
+
+impl Faults {
+    /// The names of the built-in profiles, from nothing to the worst, with their texts.
+    pub const BUILT_IN: [(&'static str, &'static str); 4] = [
+        ("none", include_str!("profiles/none.toml")),
+        ("light", include_str!("profiles/light.toml")),
+        ("rough", include_str!("profiles/rough.toml")),
+        ("hostile", include_str!("profiles/hostile.toml")),
+    ];
+
+    /// No faults.
+    #[must_use]
+    pub fn none() -> Self {
+        Self {
+            name: "none".to_owned(),
+            ..Self::default()
+        }
+    }
+
+    /// The built-in profile called `name`.
+    #[must_use]
+    pub fn built_in(name: &str) -> Option<Self> {
+        let (name, text) = Self::BUILT_IN.iter().find(|(known, _)| *known == name)?;
+        // A test reads all of them.
+        Self::parse(&Source::new(format!("{name}.toml"), *text))
+            .ok()
+            .map(|faults| Self {
+                name: (*name).to_owned(),
+                ..faults
+            })
+    }
+
+    /// Only what happens at given moments.
+    #[must_use]
+    pub fn of_script(name: &str, script: Vec<Mishap>) -> Self {
+        Self {
+            name: name.to_owned(),
+            script,
+            ..Self::default()
+        }
+    }
+
+    /// Reads a file of faults.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn read(path: &Path) -> Result<Self, Findings> {
+        Self::parse(&Source::read(path)?)
+    }
+
+    /// Reads the text of a file of faults.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn parse(source: &Source) -> Result<Self, Findings> {
+        let mut findings = Findings::new();
+        let root = Node::from_toml(source, &mut findings);
+        let mut faults = Self {
+            name: source.name().to_owned(),
+            ..Self::default()
+        };
+        let mut reader = Reader::new(&root, "a file of faults", &TABLES, &mut findings);
+        if let Some(mut clocks) = reader.table("clocks", &["drift_ppm", "ahead_s"]) {
+            faults.drift_ppm = clocks.number("drift_ppm", 0.0..=100_000.0).unwrap_or(0.0);
+            faults.ahead_s = clocks.number("ahead_s", 0.0..=TIME_MOST).unwrap_or(0.0);
+        }
+        faults.loss = rate(&mut reader, "loss", Some(("share", 1.0)));
+        faults.delay = rate(&mut reader, "delay", Some(("extra_s", TIME_MOST)));
+        faults.stall = rate(&mut reader, "stall", None);
+        faults.cut = rate(&mut reader, "cut", None);
+        faults.freeze = rate(&mut reader, "freeze", None);
+        faults.slow = rate(&mut reader, "slow", Some(("step_s", 1.0)));
+        if let Some(mut kill) = reader.table("kill", &["per_s"]) {
+            faults.kill = kill.needed("per_s", 0.0..=1000.0).map(|per_s| Rate {
+                per_s,
+                lasts_s: (0.0, 0.0),
+                extent: (0.0, 0.0),
+            });
+        }
+        faults.script = super::script::read(&mut reader);
+        if findings.has_errors() {
+            return Err(findings);
+        }
+        Ok(faults)
+    }
+
+    /// Its name, or that of its file.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+}
+
+/// `[KIND]` with `per_s`, `lasts_s` and what says how bad it is.
+fn rate(reader: &mut Reader<'_, '_>, kind: &str, extent: Option<(&str, f64)>) -> Option<Rate> {
+    let known: Vec<&str> = ["per_s", "lasts_s"]
+        .into_iter()
+        .chain(extent.map(|(key, _)| key))
+        .collect();
+    let mut table = reader.table(kind, &known)?;
+    let per_s = table.needed("per_s", 0.0..=1000.0);
+    let lasts_s = table.range("lasts_s", 0.0..=TIME_MOST);
+    let extent = match extent {
+        Some((key, most)) => table.range(key, 0.0..=most),
+        None => Some((0.0, 0.0)),
+    };
+    Some(Rate {
+        per_s: per_s?,
+        lasts_s: lasts_s?,
+        extent: extent?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Faults, Findings> {
+        Faults::parse(&Source::new("faults.toml", text))
+    }
+
+    #[test]
+    fn every_built_in_profile_reads_and_only_none_is_empty() {
+        for (name, _) in Faults::BUILT_IN {
+            let faults = Faults::built_in(name).unwrap();
+            assert_eq!(faults.name(), name);
+            assert_eq!(faults == Faults::none(), name == "none");
+            assert_eq!(faults.kill.is_some(), name == "hostile");
+        }
+        assert_eq!(Faults::built_in("nice"), None);
+    }
+
+    #[test]
+    fn all_that_is_wrong_is_found_at_once_each_with_its_place() {
+        let text = "[cut]\nper_s = -1\nlasts_s = [2.0, 1.0]\n[los]\nper_s = 1\n[loss]\nper_s = 1\n\
+                    lasts_s = [0.1, 0.2]\nshare = 3\n[[fault]]\nkind = \"cutt\"\n[[fault]]\nkind = \"kill\"\n";
+        let found: Vec<String> = parse(text)
+            .unwrap_err()
+            .into_sorted()
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        let expected = [
+            "faults.toml:2:9: error: [cut]: `per_s` must be a number from 0 to 1000",
+            "faults.toml:3:11: error: [cut]: `lasts_s` must be [least, most]",
+            "faults.toml:4:2: error: unknown key `los` in a file of faults",
+            "faults.toml:9:9: error: [loss]: `share` must be [least, most]",
+            "faults.toml:11:8: error: there is no fault `cutt`",
+            "faults.toml:12:1: error: [[fault]] `kill` has no `at_s`",
+            "faults.toml:12:1: error: [[fault]] `kill` has no `chassis`",
+        ];
+        assert_eq!(found.len(), expected.len(), "{found:#?}");
+        for (found, expected) in found.iter().zip(expected) {
+            assert!(found.starts_with(expected), "{found}\n{expected}");
+        }
+    }
+}

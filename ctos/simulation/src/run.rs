@@ -1,0 +1,443 @@
+//! The run of a simulated app: one loop over what can go on, and the clock.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+    time::Duration,
+};
+
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use ctos_bootstrap::{
+    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, Seat},
+    watch,
+};
+use ctos_config::App;
+use ctos_core::{
+    chassis::{BOOT_CHASSIS, Chassis},
+    disk::Disk,
+    processor::Processor,
+    registry::Registry,
+    system,
+};
+use ctos_record as record;
+use ctos_time::{Clock, Instant, lock::lock, seed::mix};
+
+use crate::{
+    draw::Drawn,
+    events::EventLog,
+    events::EventSink,
+    happen::{drift_of, schedule},
+    injured,
+    machine::Machine,
+    mishap::Mishap,
+    network::Breach,
+    network::{Arrival, InFlight, Network, below},
+    processes::{Exits, Orders, watch_exit},
+    profile::Faults,
+};
+
+/// So many steps without the clock moving are a task that never waits.
+const STEPS_AT_ONCE: u64 = 10_000_000;
+
+/// How an app is simulated.
+pub struct Setup {
+    /// The clock that shows the true time: [`Clock::virtual_clock`], kept by who wants to read it.
+    pub clock: Clock,
+    /// What goes wrong.
+    pub faults: Faults,
+    /// Where every delivery is written to, a line each.
+    pub events: Option<EventSink>,
+    /// When the app is stopped as by Ctrl-C.
+    pub stop_after: Option<Duration>,
+    /// When that is said once more.
+    pub stop_again_after: Option<Duration>,
+    #[doc(hidden)]
+    pub breach: Option<Breach>,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            clock: Clock::virtual_clock(),
+            faults: Faults::none(),
+            events: None,
+            stop_after: None,
+            stop_again_after: None,
+            breach: None,
+        }
+    }
+}
+
+impl std::fmt::Debug for Setup {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Setup(faults `{}`)", self.faults.name())
+    }
+}
+
+/// A simulated run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// How the app ended.
+    pub outcome: Outcome,
+    /// What went wrong, in order. [`Faults::of_script`] of it makes the same run again.
+    pub faults: Vec<Mishap>,
+}
+
+/// Runs `app` to its end on the virtual clock of `setup`, whatever its `time.mode` is.
+///
+/// # Errors
+/// [`BootError::NoChassis`] when a fault names a chassis that the app has not.
+pub fn run(
+    app: App,
+    registry: Registry,
+    setup: Setup,
+    observer: &Observer,
+) -> Result<Run, BootError> {
+    run_shared(Arc::new(app), Arc::new(registry), setup, observer)
+}
+
+/// [`run`] for many runs with one registry.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_shared(
+    app: Arc<App>,
+    registry: Arc<Registry>,
+    setup: Setup,
+    observer: &Observer,
+) -> Result<Run, BootError> {
+    Ok(Simulation::new(
+        app,
+        registry,
+        setup,
+        &ctos_bootstrap::bootstrap::contained(observer),
+    )?
+    .run())
+}
+
+pub(super) struct Simulation {
+    pub(super) clock: Clock,
+    pub(super) machines: Vec<Machine>,
+    pub(super) network: Network,
+    pub(super) rng: ChaCha8Rng,
+    pub(super) end: EndSlot,
+    /// What is given, by moment.
+    pub(super) script: BTreeMap<Instant, Vec<Mishap>>,
+    pub(super) drawn: Drawn,
+    /// When it is stopped as by Ctrl-C.
+    pub(super) stops: BTreeSet<Instant>,
+    pub(super) happened: Vec<Mishap>,
+    /// What of the script the app's own configuration asks for.
+    pub(super) injuries: Vec<Mishap>,
+    /// Processes that would have ended by themselves now.
+    pub(super) exits: Exits,
+    /// How the last process of a chassis ended, if otherwise than it should have.
+    pub(super) casualties: BTreeMap<u8, String>,
+    /// Which process of each chassis is the last that was wanted, from 1.
+    pub(super) incarnations: BTreeMap<u8, u32>,
+    pub(super) orders: Arc<Orders>,
+    /// Processes on their way up, by the moment at which they are there.
+    pub(super) starts: BTreeMap<(Instant, u8), u32>,
+    pub(super) events: EventLog,
+    pub(super) recording: Option<record::Recording>,
+    pub(super) observer: Observer,
+    pub(super) steps_at_once: u64,
+    /// Kept between steps for its room.
+    pub(super) counts: Vec<usize>,
+}
+
+impl Simulation {
+    fn new(
+        app: Arc<App>,
+        registry: Arc<Registry>,
+        setup: Setup,
+        observer: &Observer,
+    ) -> Result<Self, BootError> {
+        let Setup {
+            clock,
+            faults,
+            events,
+            stop_after,
+            stop_again_after,
+            breach,
+        } = setup;
+        let seed = app.seed;
+        let names: Vec<String> = std::iter::once(BOOT_CHASSIS.to_owned())
+            .chain(app.chassis.iter().map(|chassis| chassis.name.clone()))
+            .collect();
+        let mut happened = Drawn::drifts(&faults, &app, &names);
+        let drawn = Drawn::new(&faults, &app, &names);
+        let mut script = schedule(&names, faults.script, &mut happened)?;
+        let injuries = injured::mishaps(&app.links.injury, &names);
+        for injury in &injuries {
+            let at = script.entry(injury.at()).or_default();
+            at.push(injury.clone());
+        }
+        let network = Network::new(clock.clone(), seed, app.links.peer_timeout, breach);
+        let events = EventLog::new(events, clock.clone());
+        let count = u8::try_from(app.chassis.len()).unwrap_or(u8::MAX - 1);
+        let disk = Arc::new(Disk::default());
+        let chassis: Vec<Arc<Chassis>> = (0..=count)
+            .zip(&names)
+            .map(|(index, name)| {
+                let clock = clock.drifting(drift_of(name, &happened));
+                let chassis = Chassis::new(index, app.clone(), registry.clone(), clock);
+                chassis.set_disk(disk.clone());
+                chassis
+            })
+            .collect();
+        let recording = record::start(&chassis, watch::COMMANDS)
+            .map_err(ctos_bootstrap::bootstrap::io_error("cannot record"))?;
+        let exits = Exits::default();
+        for from in &chassis {
+            events.watch(from, &chassis);
+            for to in from.others() {
+                from.link_up(to, network.link(from.index(), to));
+            }
+            if from.index() > 0 {
+                observer(&BootEvent::Started {
+                    host: None,
+                    chassis: from.name().to_owned(),
+                    pid: None,
+                });
+                watch_exit(from, 1, &exits);
+            }
+        }
+        for fault in &happened {
+            events.note(|| format!("fault {fault}"));
+        }
+        let machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
+        let orders = Arc::new(Orders::default());
+        let seat = Seat {
+            observer: observer.clone(),
+            end: EndSlot::default(),
+            processes: orders.clone(),
+        };
+        for machine in &machines {
+            let boots = machine.chassis.index() == 0;
+            ctos_bootstrap::bootstrap::start_system_tasks(&machine.chassis, boots.then_some(&seat));
+        }
+        Ok(Self {
+            stops: stop_after
+                .into_iter()
+                .chain(stop_again_after)
+                .map(|after| clock.now() + after)
+                .collect(),
+            clock,
+            machines,
+            network,
+            rng: ChaCha8Rng::seed_from_u64(mix(seed, &["schedule"])),
+            end: seat.end,
+            script,
+            drawn,
+            happened,
+            injuries,
+            exits,
+            casualties: BTreeMap::new(),
+            incarnations: BTreeMap::new(),
+            orders,
+            starts: BTreeMap::new(),
+            events,
+            recording,
+            observer: observer.clone(),
+            steps_at_once: 0,
+            counts: Vec::new(),
+        })
+    }
+
+    fn run(mut self) -> Run {
+        if let Some(boot) = self.machines.first() {
+            boot.chassis
+                .post_system(system::BOOTSTRAP, system::AllLinked {});
+        }
+        let end = loop {
+            if let Some(end) = lock(&self.end).take() {
+                break end;
+            }
+            if !self.step(None) {
+                break End::Stuck;
+            }
+        };
+        let took = self.clock.now().since_start();
+        if end != End::Stuck {
+            self.end_processes();
+        }
+        self.events.note(|| format!("end {end:?}"));
+        for machine in &self.machines {
+            machine.chassis.drop_links();
+        }
+        for machine in &self.machines {
+            machine.clear();
+        }
+        for machine in &self.machines {
+            machine.chassis.close();
+        }
+        if let Some(recording) = self.recording {
+            recording.finish();
+        }
+        let casualties = self.casualties.into_iter().map(|(index, how)| {
+            let machine = self.machines.get(usize::from(index));
+            let name = machine.map_or("", |machine| machine.chassis.name());
+            (name.to_owned(), how)
+        });
+        Run {
+            outcome: Outcome {
+                end,
+                casualties: casualties.collect(),
+                took,
+            },
+            faults: self.happened,
+        }
+    }
+
+    /// Runs what is ready, or moves the clock to what happens next, but not beyond `limit`. False when
+    /// nothing can happen any more, or nothing until then.
+    pub fn step(&mut self, limit: Option<Instant>) -> bool {
+        if self.run_jobs() || self.run_exits() || self.run_orders() || self.poll_one() {
+            self.steps_at_once += 1;
+            if self.steps_at_once > STEPS_AT_ONCE {
+                let moment = self.clock.now();
+                tracing::error!(at = %moment, steps = STEPS_AT_ONCE, "a task goes on for ever without waiting");
+                return false;
+            }
+            return true;
+        }
+        match self.next_event() {
+            Some(moment) if limit.is_none_or(|limit| moment <= limit) => {
+                self.advance(moment);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    fn run_jobs(&self) -> bool {
+        let mut any = false;
+        for machine in &self.machines {
+            any |= machine.run_jobs();
+        }
+        any
+    }
+
+    /// Polls one of the futures that are ready, drawn from the seed.
+    fn poll_one(&mut self) -> bool {
+        let now = self.clock.now();
+        self.counts.clear();
+        for machine in &self.machines {
+            machine.count_ready(now, &mut self.counts);
+        }
+        let total: usize = self.counts.iter().sum();
+        if total == 0 {
+            return false;
+        }
+        let mut drawn = below(&mut self.rng, total);
+        let mut counts = self.counts.iter();
+        for machine in &mut self.machines {
+            for (processor, count) in (0..machine.processors()).zip(&mut counts) {
+                if drawn < *count {
+                    return machine.poll(processor, drawn, now);
+                }
+                drawn -= count;
+            }
+        }
+        false
+    }
+
+    fn next_event(&self) -> Option<Instant> {
+        let now = self.clock.now();
+        let machines = self.machines.iter();
+        let machines = machines.filter_map(|machine| machine.next_event(now));
+        let starts = self.starts.keys().next().map(|key| key.0);
+        let next = machines
+            .chain(self.network.next_arrival())
+            .chain(starts)
+            .min();
+        // When nothing else can ever happen, what is given still can; what is drawn has no end.
+        let drawn = next.and(self.drawn.next());
+        let given = self.script.keys().next().copied();
+        next.into_iter()
+            .chain(drawn)
+            .chain(given)
+            .chain(self.stops.first().copied())
+            .min()
+    }
+
+    /// Moves the clock and lets everything happen that is due then.
+    fn advance(&mut self, moment: Instant) {
+        let chassis = self.machines.iter().map(|machine| &machine.chassis);
+        watch::look_until(&self.clock, chassis, moment);
+        self.clock.advance_to(moment);
+        self.steps_at_once = 0;
+        while let Some(entry) = self.script.first_entry() {
+            if *entry.key() > moment {
+                break;
+            }
+            for mishap in entry.remove() {
+                self.happen(mishap);
+            }
+        }
+        while let Some(entry) = self.starts.first_entry() {
+            let (due, index) = *entry.key();
+            if due > moment {
+                break;
+            }
+            let incarnation = entry.remove();
+            self.start_chassis(index, incarnation);
+        }
+        while let Some(mishap) = self.drawn.pop(moment) {
+            self.happen(mishap);
+        }
+        if self.stops.first().is_some_and(|at| *at <= moment) {
+            self.stops.pop_first();
+            if let Some(boot) = self.machines.first() {
+                boot.chassis
+                    .post_system(system::BOOTSTRAP, system::Interrupt {});
+            }
+        }
+        while let Some(flight) = self.network.arrive(moment) {
+            self.land(flight, moment);
+        }
+        for machine in &self.machines {
+            machine.run_due(moment);
+        }
+    }
+
+    fn land(&self, flight: InFlight, now: Instant) {
+        let InFlight { from, to, arrival } = flight;
+        let Some(machine) = self.machines.get(usize::from(to)) else {
+            return;
+        };
+        // The dead hear nothing.
+        if machine.gone {
+            return;
+        }
+        let chassis = &machine.chassis;
+        match arrival {
+            Arrival::Frame(frame) => {
+                if let Some(processor) = Processor::here() {
+                    processor.look_at_clock();
+                }
+                chassis.receive(from, frame, chassis.clock.now());
+            }
+            Arrival::Closed => self.link_down(chassis, from),
+            Arrival::Silence => match machine.frozen(now) {
+                // Who stands still itself listens first when it goes on.
+                Some(until) => self.network.listen_again(from, to, until),
+                None => {
+                    self.network.give_up(from, to);
+                    self.link_down(chassis, from);
+                }
+            },
+        }
+    }
+
+    fn link_down(&self, chassis: &Arc<Chassis>, peer: u8) {
+        if chassis.is_linked(peer) {
+            let name = chassis.name_of(peer);
+            self.events
+                .note(|| format!("down {} loses {name}", chassis.name()));
+        }
+        chassis.link_down(peer);
+    }
+}

@@ -1,0 +1,258 @@
+//! Faults at given moments, as `[[fault]]` tables: read, and written so that they read back the same.
+
+use std::{fmt::Write as _, time::Duration};
+
+use crate::{
+    mishap::{Mishap, Site},
+    reader::Reader,
+};
+use ctos_config::{Node, diagnostic::Finding};
+
+/// The latest moment and the longest time, s: the nanosecond still counts in a float.
+const MOST: f64 = 1e6;
+
+const KINDS: [&str; 10] = [
+    "kill", "restart", "refuse", "cut", "stall", "loss", "delay", "freeze", "slow", "drift",
+];
+
+fn keys(kind: &str) -> &'static [&'static str] {
+    match kind {
+        "kill" | "restart" => &["kind", "chassis", "at_s"],
+        "refuse" => &["kind", "between", "at_s"],
+        "cut" | "stall" => &["kind", "between", "at_s", "lasts_s"],
+        "loss" => &["kind", "between", "at_s", "lasts_s", "share"],
+        "delay" => &["kind", "between", "at_s", "lasts_s", "extra_s"],
+        "freeze" => &["kind", "chassis", "at_s", "lasts_s"],
+        "slow" => &["kind", "chassis", "at_s", "lasts_s", "step_s"],
+        _ => &["kind", "chassis", "ahead_s", "rate_ppm"],
+    }
+}
+
+/// Reads all `[[fault]]` tables.
+pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Mishap> {
+    let tables = reader.tables("fault");
+    tables
+        .iter()
+        .filter_map(|table| read_one(reader, table))
+        .collect()
+}
+
+fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> {
+    let all = [
+        "kind", "chassis", "between", "at_s", "lasts_s", "share", "extra_s", "step_s", "ahead_s",
+        "rate_ppm",
+    ];
+    let kind = {
+        let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
+        let kind = any.text("kind", &format!("one of {}", KINDS.join(", ")))?;
+        if !KINDS.contains(&kind.as_str()) {
+            let finding = Finding::error(
+                "ctos::faults::unknown_fault",
+                format!("there is no fault `{kind}`"),
+            );
+            let place = any.place_of("kind");
+            any.push(finding.suggest(&kind, KINDS), place.as_ref());
+            return None;
+        }
+        kind
+    };
+    let mut one = reader.element(table, format!("[[fault]] `{kind}`"), keys(&kind));
+    if kind == "drift" {
+        let chassis = one.text("chassis", "the name of a chassis");
+        let ahead = one.time("ahead_s", MOST);
+        let rate = one.needed("rate_ppm", -100_000.0..=100_000.0);
+        return Some(Mishap::Drift {
+            chassis: chassis?,
+            ahead: ahead?,
+            rate_ppb: (rate? * 1e3).round() as i32,
+        });
+    }
+    let at = one.moment("at_s", MOST);
+    let on_chassis = keys(&kind).contains(&"chassis");
+    let (mut chassis, mut ends) = (None, None);
+    if on_chassis {
+        chassis = one.text("chassis", "the name of a chassis");
+    } else {
+        ends = one.pair("between");
+    }
+    let lasts = keys(&kind)
+        .contains(&"lasts_s")
+        .then(|| one.time("lasts_s", MOST));
+    let extent = match kind.as_str() {
+        "loss" => Some(one.needed("share", 0.0..=1.0)),
+        "delay" => Some(one.needed("extra_s", 0.0..=MOST)),
+        "slow" => Some(one.needed("step_s", 0.0..=1.0)),
+        _ => None,
+    };
+    let at = at?;
+    let until = at + lasts.unwrap_or(Some(Duration::ZERO))?;
+    let extent = extent.unwrap_or(Some(0.0))?;
+    let (chassis, (one, other)) = match (chassis, ends) {
+        (Some(chassis), _) => (chassis, Default::default()),
+        (None, Some(ends)) => (String::new(), ends),
+        (None, None) => return None,
+    };
+    Some(match kind.as_str() {
+        "kill" => Mishap::Kill { chassis, at },
+        "restart" => Mishap::Restart { chassis, at },
+        "refuse" => Mishap::Cut { one, other, at },
+        "cut" => Mishap::Break {
+            one,
+            other,
+            at,
+            until,
+        },
+        "stall" => Mishap::Stall {
+            one,
+            other,
+            at,
+            until,
+        },
+        "loss" => Mishap::Loss {
+            one,
+            other,
+            at,
+            until,
+            share_ppm: (extent * 1e6).round() as u32,
+        },
+        "delay" => Mishap::Delay {
+            one,
+            other,
+            at,
+            until,
+            extra: super::reader::nanos(extent),
+        },
+        "freeze" => Mishap::Freeze { chassis, at, until },
+        _ => Mishap::Slow {
+            chassis,
+            at,
+            until,
+            per_step: super::reader::nanos(extent),
+        },
+    })
+}
+
+/// The `[[fault]]` tables of `mishaps`; reading them gives the same mishaps.
+#[must_use]
+pub fn write_script(mishaps: &[Mishap]) -> String {
+    let mut text = String::new();
+    for mishap in mishaps {
+        // Writing to a string does not fail.
+        let _ = write_one(&mut text, mishap);
+    }
+    text
+}
+
+fn write_one(text: &mut String, mishap: &Mishap) -> std::fmt::Result {
+    writeln!(text, "[[fault]]\nkind = \"{}\"", mishap.kind())?;
+    match mishap.site() {
+        Site::Chassis(chassis) => writeln!(text, "chassis = \"{chassis}\"")?,
+        Site::Link(one, other) => writeln!(text, "between = [\"{one}\", \"{other}\"]")?,
+    }
+    if let Mishap::Drift {
+        ahead, rate_ppb, ..
+    } = mishap
+    {
+        let ppm = f64::from(*rate_ppb) / 1e3;
+        return writeln!(text, "ahead_s = {}\nrate_ppm = {ppm:.3}\n", exact(*ahead));
+    }
+    writeln!(text, "at_s = {}", exact(mishap.at().since_start()))?;
+    if let Some(until) = mishap.until() {
+        writeln!(text, "lasts_s = {}", exact(until.since(mishap.at())))?;
+    }
+    match mishap {
+        Mishap::Loss { share_ppm, .. } => {
+            writeln!(text, "share = {:.6}", f64::from(*share_ppm) / 1e6)?;
+        }
+        Mishap::Delay { extra, .. } => writeln!(text, "extra_s = {}", exact(*extra))?,
+        Mishap::Slow { per_step, .. } => writeln!(text, "step_s = {}", exact(*per_step))?,
+        _ => {}
+    }
+    writeln!(text)
+}
+
+/// Seconds with all nine digits.
+fn exact(time: Duration) -> String {
+    format!("{}.{:09}", time.as_secs(), time.subsec_nanos())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::Faults;
+    use ctos_config::diagnostic::Source;
+    use ctos_time::Instant;
+
+    fn mishap() -> impl Strategy<Value = Mishap> {
+        let nanos = || 0_u64..1_000_000_000_000_000;
+        (
+            0..10_u8,
+            nanos(),
+            nanos(),
+            0..=1_000_000_u32,
+            -100_000_000..=100_000_000_i32,
+        )
+            .prop_map(|(kind, at, lasts, share_ppm, rate_ppb)| {
+                let (chassis, one, other) = ("a".to_owned(), "boot".to_owned(), "b.c-1".to_owned());
+                let at = Instant::from_nanos(at / 2);
+                let until = at + Duration::from_nanos(lasts / 2);
+                let short = Duration::from_nanos(lasts % 1_000_000_000);
+                match kind {
+                    0 => Mishap::Kill { chassis, at },
+                    1 => Mishap::Cut { one, other, at },
+                    2 => Mishap::Break {
+                        one,
+                        other,
+                        at,
+                        until,
+                    },
+                    3 => Mishap::Stall {
+                        one,
+                        other,
+                        at,
+                        until,
+                    },
+                    4 => Mishap::Loss {
+                        one,
+                        other,
+                        at,
+                        until,
+                        share_ppm,
+                    },
+                    5 => Mishap::Delay {
+                        one,
+                        other,
+                        at,
+                        until,
+                        extra: short,
+                    },
+                    6 => Mishap::Freeze { chassis, at, until },
+                    8 => Mishap::Restart { chassis, at },
+                    7 => Mishap::Slow {
+                        chassis,
+                        at,
+                        until,
+                        per_step: short,
+                    },
+                    _ => Mishap::Drift {
+                        chassis,
+                        ahead: short,
+                        rate_ppb,
+                    },
+                }
+            })
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_reads_back_to_the_nanosecond(
+            mishaps in proptest::collection::vec(mishap(), 0..20)
+        ) {
+            let text = write_script(&mishaps);
+            let read = Faults::parse(&Source::new("faults.toml", text));
+            prop_assert_eq!(read.unwrap().script, mishaps);
+        }
+    }
+}

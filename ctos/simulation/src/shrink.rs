@@ -1,0 +1,97 @@
+//! Finds fewer faults that still make a run fail.
+//!
+//! Delta debugging (Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE
+//! Transactions on Software Engineering 28(2), 2002): leave out ever smaller parts of the list while the
+//! run still fails. The result is 1-minimal: without any one of its faults the run does not fail.
+
+use crate::mishap::Mishap;
+
+/// Leaves faults out as long as `fails` says that the run with the rest still fails, and returns what
+/// is left. `fails` is asked at most `limit` times; when that is not enough, what is left may hold
+/// faults that do not matter.
+pub fn shrink(
+    faults: &[Mishap],
+    limit: usize,
+    mut fails: impl FnMut(&[Mishap]) -> bool,
+) -> Vec<Mishap> {
+    let mut left = faults.to_vec();
+    let mut parts = 2;
+    let mut asked = 0;
+    // First the guess that most often is right: faults do not matter at all.
+    if limit > 0 && fails(&[]) {
+        return Vec::new();
+    }
+    while left.len() > 1 && parts <= left.len() {
+        let size = left.len().div_ceil(parts);
+        let mut smaller = None;
+        for start in (0..left.len()).step_by(size) {
+            if asked >= limit {
+                return left;
+            }
+            asked += 1;
+            let rest: Vec<Mishap> = left
+                .iter()
+                .enumerate()
+                .filter(|(index, _)| !(start..start + size).contains(index))
+                .map(|(_, mishap)| mishap.clone())
+                .collect();
+            if fails(&rest) {
+                smaller = Some(rest);
+                break;
+            }
+        }
+        match smaller {
+            Some(rest) => {
+                left = rest;
+                parts = (parts - 1).max(2);
+            }
+            None if parts >= left.len() => break,
+            None => parts = (parts * 2).min(left.len()),
+        }
+    }
+    left
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use ctos_time::Instant;
+
+    fn kill(number: usize) -> Mishap {
+        Mishap::Kill {
+            chassis: number.to_string(),
+            at: Instant::START,
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_left_is_exactly_what_the_failure_needs(
+            count in 1_usize..60,
+            needed in proptest::collection::btree_set(0_usize..60, 0..5),
+        ) {
+            let all: Vec<Mishap> = (0..count).map(kill).collect();
+            let needed: BTreeSet<usize> = needed.into_iter().map(|one| one % count).collect();
+            let expected: Vec<Mishap> = needed.iter().map(|one| kill(*one)).collect();
+            let fails = |some: &[Mishap]| expected.iter().all(|one| some.contains(one));
+            prop_assert_eq!(shrink(&all, 100_000, fails), expected);
+        }
+
+        #[test]
+        fn it_stops_asking_at_its_limit_and_what_is_left_still_fails(limit in 0_usize..20) {
+            let all: Vec<Mishap> = (0..50).map(kill).collect();
+            let mut asked = 0;
+            let fails = |some: &[Mishap]| some.contains(&kill(3)) && some.contains(&kill(40));
+            let left = shrink(&all, limit, |some| {
+                asked += 1;
+                fails(some)
+            });
+            prop_assert!(fails(&left));
+            prop_assert!(asked <= limit + 1);
+        }
+    }
+}
