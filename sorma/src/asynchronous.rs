@@ -11,7 +11,7 @@ mod later;
 mod stream;
 
 use crate::class::Class;
-use crate::describe::ClassInfo;
+use crate::description::ClassInfo;
 use crate::ipc::NOT_YET;
 use crate::raise;
 use crate::report::{Report, code as general};

@@ -2,7 +2,7 @@
 //! section 1.5), for trying out names, flavors, the dictionary and nested calls without any hardware.
 
 use crate::class::Class;
-use crate::describe::{ClassInfo, Form};
+use crate::description::{ClassInfo, Form};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;

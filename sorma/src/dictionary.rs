@@ -4,9 +4,7 @@
 //! (`d1 druide:11`, `FOO self`). Within a recipe, `-SUBST word` stands for the recipe of `word`.
 
 mod files;
-mod object;
-
-pub(crate) use object::{DictionaryObject, class};
+pub(crate) mod object;
 
 use crate::name::suggestion;
 use crate::raise;

@@ -17,10 +17,10 @@ mod stamp;
 mod tickets;
 
 use crate::class::Class;
-use crate::describe::ClassInfo;
+use crate::description::ClassInfo;
 use crate::name::ObjectName;
 use crate::object::ServiceObject;
-use crate::report::Report;
+use crate::report::{Report, code as general};
 use crate::snapshot::{Place, SnapshotError};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
@@ -167,13 +167,13 @@ fn buffer_error(error: &SnapshotError) -> Report {
 
 #[track_caller]
 fn wrong(text: impl Into<String>) -> Report {
-    Report::error(crate::report::code::VALUE, text)
+    Report::error(general::VALUE, text)
 }
 
 /// The words of an EXEC text.
 fn split(text: &str) -> Result<Vec<String>, Report> {
-    let words = words::split(text)
-        .map_err(|error| Report::error(crate::report::code::SYNTAX, error.to_string()))?;
+    let words =
+        words::split(text).map_err(|error| Report::error(general::SYNTAX, error.to_string()))?;
     Ok(words.into_iter().map(|Word { text, .. }| text).collect())
 }
 
@@ -204,8 +204,8 @@ fn seconds(word: Option<&String>) -> Result<Duration, Report> {
 
 /// What stands after the first `count` words of a text, as it stands; without its quotes if it is one word.
 fn after(text: &str, count: usize) -> Result<String, Report> {
-    let found = words::split(text)
-        .map_err(|error| Report::error(crate::report::code::SYNTAX, error.to_string()))?;
+    let found =
+        words::split(text).map_err(|error| Report::error(general::SYNTAX, error.to_string()))?;
     Ok(match found.get(count..) {
         Some([only]) => only.text.clone(),
         Some([first, ..]) => text

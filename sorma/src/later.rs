@@ -6,13 +6,13 @@
 //! it ends with its task. None of it is ever executed twice.
 
 use crate::comm::Comm;
-use crate::object::Outcome;
+use crate::name::{Location, ObjectName};
+use crate::object::{Outcome, Waiting};
 use crate::raise;
-use crate::report::code;
+use crate::report::{Report, code};
 use crate::request::{Reply, Request};
 use crate::sorm::{Place, Sorm};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use futures_util::StreamExt as _;
 use futures_util::stream;
 use std::rc::Rc;
@@ -67,11 +67,7 @@ impl Sorm {
     ///
     /// # Errors
     /// Nothing can go on beside the caller here.
-    pub fn ask_later(
-        &self,
-        comm: &dyn Comm,
-        request: Request,
-    ) -> Result<Deferred<Reply>, crate::Report> {
+    pub fn ask_later(&self, comm: &dyn Comm, request: Request) -> Result<Deferred<Reply>, Report> {
         let never = self.never(&request);
         let sorm = self.clone();
         defer(comm, never, move |comm| async move {
@@ -113,7 +109,7 @@ impl Sorm {
                 let offers = self.offers_for(comm, &request.name, &wanted).await?;
                 let offer = offers.into_iter().next();
                 let offer = offer.ok_or_else(|| wanted.unmet(&request.name, &[]))?;
-                crate::Location::Alias(offer.daemon)
+                Location::Alias(offer.daemon)
             }
         };
         let request = Request {
@@ -125,7 +121,7 @@ impl Sorm {
     }
 
     /// Logs what nobody waits to hear.
-    pub(crate) fn unheard(&self, name: &crate::ObjectName, body: &Transport) {
+    pub(crate) fn unheard(&self, name: &ObjectName, body: &Transport) {
         if !body.is_ok() {
             let said = body.reports.iter().map(ToString::to_string);
             let said = said.collect::<Vec<_>>().join("; ");
@@ -153,7 +149,7 @@ impl Sorm {
         comm: &dyn Comm,
         requests: Vec<Request>,
         at_once: usize,
-    ) -> Result<Deferred<Vec<Reply>>, crate::Report> {
+    ) -> Result<Deferred<Vec<Reply>>, Report> {
         let never = requests.iter().map(|request| self.never(request));
         let never = never.collect();
         let sorm = self.clone();
@@ -223,7 +219,7 @@ fn defer<T: 'static, F: Future<Output = T> + 'static>(
     comm: &dyn Comm,
     instead: T,
     work: impl FnOnce(Rc<dyn Comm>) -> F + 'static,
-) -> Result<Deferred<T>, crate::Report> {
+) -> Result<Deferred<T>, Report> {
     let (sender, answer) = oneshot::channel();
     comm.spawn(Box::new(move |comm| {
         Box::pin(async move {

@@ -1,6 +1,6 @@
 //! The manager as a service object, `sorm`: by it an inspector learns what there is, and sets it right.
 
-use crate::describe::ClassInfo;
+use crate::description::ClassInfo;
 use crate::object::{Context, Outcome, ServiceObject, unsupported};
 use crate::options::OptionTable;
 use crate::raise;

@@ -7,7 +7,7 @@
 
 mod kind;
 
-use crate::describe::{ClassInfo, Form, FormInfo, OptionInfo};
+use crate::description::{ClassInfo, Form, FormInfo, OptionInfo};
 use crate::name::suggestion;
 use crate::report::{Report, code};
 use crate::transport::Transport;

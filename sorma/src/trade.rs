@@ -7,11 +7,10 @@
 //! those that do not or are slow, then by attributes, then whoever had the object before, then by how long
 //! the daemon's answers took. Every client measures for itself.
 
-mod market;
-mod wanted;
+pub(crate) mod market;
+pub(crate) mod wanted;
 
 pub use market::Ranked;
-pub(crate) use market::{Market, listed};
 pub use wanted::{Attributes, Wanted, attributes};
 
 use crate::comm::Comm;
@@ -45,7 +44,7 @@ impl Sorm {
     /// What this process offers: a line for each class, `class attribute=value ...`.
     #[must_use]
     pub fn offers(&self) -> Vec<String> {
-        listed(self.inner.market.lock().own())
+        market::listed(self.inner.market.lock().own())
     }
 
     /// What is known about the daemons that were asked for offers: a line for each.

@@ -3,8 +3,30 @@
 
 use crate::opaque::Opaque;
 use crate::report::{Report, Severity};
-use crate::watching::Trace;
 use serde::{Deserialize, Serialize};
+
+/// Which request of a first caller a call belongs to, and how deep it is nested in it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Trace {
+    /// The number that the first caller gave it; 0: nobody follows it.
+    pub id: u64,
+    /// 0 for the first caller's own request.
+    pub depth: u32,
+}
+
+impl Trace {
+    /// That of a call made in this one.
+    #[must_use]
+    pub fn nested(self) -> Self {
+        match self.id {
+            0 => self,
+            id => Self {
+                id,
+                depth: self.depth + 1,
+            },
+        }
+    }
+}
 
 /// Data that goes into a service object and comes back out of it in the same place.
 ///
@@ -64,6 +86,16 @@ impl Transport {
         self.opaque.clear();
         self.code = 0;
         self.reports.clear();
+    }
+
+    /// As part of the call that `outer` came with: for its caller, and in its trace, unless it has its own.
+    pub(crate) fn inherit(&mut self, outer: &Self) {
+        if self.from.is_empty() {
+            self.from.clone_from(&outer.from);
+        }
+        if self.trace.id == 0 {
+            self.trace = outer.trace.nested();
+        }
     }
 
     /// Adds a report. An error sets the return code, unless an earlier one has.

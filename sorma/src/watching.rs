@@ -6,13 +6,12 @@
 //! one. While nobody watches, a call pays for one look at a counter. Calls through a [`Claim`](crate::Claim) are
 //! not seen: they are as bare as a virtual call.
 
-mod object;
+pub(crate) mod object;
 
 use crate::report::Report;
 use crate::request::{Method, Reply, Request};
-use crate::sorm::Sorm;
 use crate::transport::Transport;
-use ctos::time::Instant;
+use ctos::time::{Clock, Instant};
 use parking_lot::{Mutex, RwLock};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -21,34 +20,13 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::Notify;
 
-pub(crate) use object::{Watch, class};
+pub use crate::transport::Trace;
 
+/// The name of the class.
+const CLASS: &str = "watch";
 /// A text or a list that is longer is cut in what a watcher gets.
 const MOST_TEXT: usize = 400;
 const MOST_NUMBERS: usize = 64;
-
-/// Which request of a first caller a call belongs to, and how deep it is nested in it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Trace {
-    /// The number that the first caller gave it; 0: nobody follows it.
-    pub id: u64,
-    /// 0 for the first caller's own request.
-    pub depth: u32,
-}
-
-impl Trace {
-    /// That of a call made in this one.
-    #[must_use]
-    pub fn nested(self) -> Self {
-        match self.id {
-            0 => self,
-            id => Self {
-                id,
-                depth: self.depth + 1,
-            },
-        }
-    }
-}
 
 /// A request that was met, with its reply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -226,7 +204,7 @@ impl Watchers {
     #[inline]
     pub(crate) fn begin(
         &self,
-        sorm: &Sorm,
+        clock: &Clock,
         object: &str,
         method: Method,
         io: &Transport,
@@ -234,13 +212,13 @@ impl Watchers {
         if self.count.load(Ordering::Relaxed) == 0 {
             return None;
         }
-        self.note(sorm, object, method, io)
+        self.note(clock, object, method, io)
     }
 
     #[cold]
-    fn note(&self, sorm: &Sorm, object: &str, method: Method, io: &Transport) -> Option<Begun> {
+    fn note(&self, clock: &Clock, object: &str, method: Method, io: &Transport) -> Option<Begun> {
         // Whoever watches everything does not want to see himself watching.
-        if object.split('.').next() == Some(object::CLASS) {
+        if object.split('.').next() == Some(CLASS) {
             return None;
         }
         let word = method.to_string();
@@ -257,7 +235,7 @@ impl Watchers {
             self.sweep();
         }
         (!by.is_empty()).then(|| Begun {
-            at: sorm.now(),
+            at: clock.now(),
             object: object.to_owned(),
             method,
             from: io.from.clone(),
@@ -269,16 +247,16 @@ impl Watchers {
 }
 
 impl Begun {
-    /// The request was met: `io` is the reply.
-    pub(crate) fn end(self, sorm: &Sorm, io: &Transport) {
-        let took = sorm.now() - self.at;
+    /// The request was met in `process`: `io` is the reply.
+    pub(crate) fn end(self, process: &str, now: Instant, io: &Transport) {
+        let took = now - self.at;
         let mut seen = None;
         for watcher in &self.by {
             if watcher.filter.read().wants_result(took, io) {
                 let seen = seen.get_or_insert_with(|| Seen {
                     at_s: self.at.since_start().as_secs_f64(),
                     took_s: took.as_secs_f64(),
-                    process: sorm.process().to_owned(),
+                    process: process.to_owned(),
                     object: self.object.clone(),
                     method: self.method.to_string(),
                     from: self.from.clone(),

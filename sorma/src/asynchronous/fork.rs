@@ -1,13 +1,12 @@
 //! The class `fork`: several requests at once.
 
 use super::{begin, empty, request, split};
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
 use crate::request::{Reply, Request};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use crate::words;
 use futures_util::future::LocalBoxFuture;
 use std::sync::LazyLock;

@@ -4,14 +4,13 @@
 use super::{begin, code, empty, int, mirror, not_yet, request, split};
 use crate::later::Deferred;
 use crate::name::ObjectName;
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
 use crate::request::{Method, Reply, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use futures_util::future::LocalBoxFuture;
 use std::collections::BTreeMap;
 use std::sync::LazyLock;

@@ -4,7 +4,7 @@
 use super::{begin, code, empty, int, mirror, not_yet};
 use crate::comm::Comm;
 use crate::name::ObjectName;
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
@@ -13,7 +13,6 @@ use crate::results::{Keep, MOST_KEPT, Sample};
 use crate::sorm::Sorm;
 use crate::stream::Stream;
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use futures_util::future::{LocalBoxFuture, select};
 use parking_lot::Mutex;
 use std::collections::VecDeque;

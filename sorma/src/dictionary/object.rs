@@ -1,7 +1,7 @@
 //! The dictionary as a service object, `dict`.
 
 use super::Dictionary;
-use crate::describe::ClassInfo;
+use crate::description::ClassInfo;
 use crate::name::suggestion;
 use crate::object::{Context, Outcome, ServiceObject, unsupported};
 use crate::options::OptionTable;

@@ -5,13 +5,12 @@
 
 use super::{Host, NOT_YET, code, empty, int, number, split, wrong};
 use crate::clock::{ClockDifference, Exchange, MOST_DRIFT, Observed, USUAL_DRIFT};
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
-use crate::report::Report;
+use crate::report::{Report, code as general};
 use crate::request::Method;
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use ctos::time::Instant;
 use futures_util::future::LocalBoxFuture;
 use std::sync::LazyLock;
@@ -143,7 +142,7 @@ impl ShmemFar {
         let daemon = &self.settings.daemon;
         let foreign = || {
             raise!(
-                crate::report::code::DAEMON,
+                general::DAEMON,
                 "what `stamp@{daemon}` answered has no times; is it of another version?"
             )
         };

@@ -1,7 +1,7 @@
 //! The kinds of option: how each reads its words, shows its value and describes itself.
 
 use super::clipped;
-use crate::describe::{OptionInfo, OptionKind};
+use crate::description::{OptionInfo, OptionKind};
 use crate::name::suggestion;
 use crate::words;
 use std::fmt::Debug;

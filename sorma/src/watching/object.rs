@@ -1,13 +1,12 @@
 //! The class `watch`: one object for each who watches.
 
-use super::{Filter, Watcher, Watchers};
-use crate::describe::ClassInfo;
-use crate::object::{Context, Outcome, ServiceObject};
+use super::{CLASS, Filter, Watcher, Watchers};
+use crate::description::ClassInfo;
+use crate::object::{Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
-use crate::report::code;
+use crate::report::{Report, code};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use crate::words;
 use futures_util::future::LocalBoxFuture;
 use std::fmt::Write as _;
@@ -15,8 +14,6 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// The class's name.
-pub(crate) const CLASS: &str = "watch";
 /// The longest that EXEC next waits, s.
 const MOST_WAIT_S: f64 = 60.0;
 /// The most requests that one answer has.
@@ -148,7 +145,7 @@ fn capacity(settings: &Settings) -> usize {
 }
 
 /// How long EXEC is to wait.
-fn patience(text: &str) -> Result<Duration, crate::Report> {
+fn patience(text: &str) -> Result<Duration, Report> {
     let found = words::split(text).map_err(|error| raise!(code::SYNTAX, "{error}"))?;
     let found: Vec<&str> = found.iter().map(|word| word.text.as_str()).collect();
     let wait = match found[..] {
