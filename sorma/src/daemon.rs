@@ -11,7 +11,6 @@ mod tasks;
 
 use crate::comm::Comm;
 use crate::dictionary::Dictionary;
-use crate::name::ObjectName;
 use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
@@ -26,7 +25,6 @@ pub use ctos::text::Say;
 use futures_util::FutureExt as _;
 use offers::Offers;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 use streams::{Leave, Subscribe, Subscribers, Take};
@@ -58,14 +56,13 @@ pub struct Ask {
 }
 
 impl Ask {
-    /// What to say to a caller of another version.
-    fn foreign(&self) -> Option<String> {
-        (self.version != VERSION).then(|| {
-            format!(
-                "the caller speaks version {} of service objects, this daemon {VERSION}: \
-                 run the same program on both sides",
-                self.version
-            )
+    /// What is asked, of a caller of this version.
+    fn read(self) -> Result<Request, HandlerError> {
+        same_version(self.version)?;
+        Ok(Request {
+            name: self.object.parse()?,
+            method: self.method,
+            body: self.body,
         })
     }
 }
@@ -123,8 +120,8 @@ pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> 
     let arguments: Arguments = cx.args()?;
     let mut dictionary = shipped;
     for file in &arguments.dictionary {
-        let path = cx.path(file);
-        load(&mut dictionary, &path)?;
+        let loaded = dictionary.load_file(&cx.path(file));
+        loaded.map_err(|findings| wrong(&findings))?;
     }
     dictionary
         .load_environment(environment())
@@ -146,15 +143,20 @@ fn environment() -> impl Iterator<Item = (String, String)> {
         .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
 }
 
-fn load(dictionary: &mut Dictionary, path: &Path) -> Result<(), HandlerError> {
-    dictionary
-        .load_file(path)
-        .map_err(|findings| wrong(&findings))
-}
-
 fn wrong(findings: &Findings) -> HandlerError {
     let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
     HandlerError::new(lines.join("\n"))
+}
+
+/// Refuses a caller of another version.
+fn same_version(version: u32) -> Result<(), HandlerError> {
+    if version == VERSION {
+        return Ok(());
+    }
+    Err(HandlerError::new(format!(
+        "the caller speaks version {version} of service objects, this daemon {VERSION}: \
+         run the same program on both sides"
+    )))
 }
 
 /// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
@@ -170,17 +172,9 @@ fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
 impl Daemon {
     #[command]
     fn ask(&mut self, cx: &Context, request: Ask, reply: Replier<Ask>) -> Handled {
-        if let Some(text) = request.foreign() {
-            return reply.fail(text);
-        }
-        let name = request.object.parse()?;
+        let request = request.read()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let request = Request {
-                name,
-                method: request.method,
-                body: request.body,
-            };
             let mut answer = sorm.ask(&Tasks::of(&here), request).await;
             answer.body.opaque.share();
             // Whoever asked may be gone.
@@ -191,20 +185,11 @@ impl Daemon {
 
     #[command]
     fn tell(&mut self, cx: &Context, request: Tell) -> Result<(), HandlerError> {
-        let request = request.ask;
-        if let Some(text) = request.foreign() {
-            return Err(HandlerError::new(text));
-        }
-        let name: ObjectName = request.object.parse()?;
+        let request = request.ask.read()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let request = Request {
-                name: name.clone(),
-                method: request.method,
-                body: request.body,
-            };
             let answer = sorm.ask(&Tasks::of(&here), request).await;
-            sorm.unheard(&name, &answer.body);
+            sorm.unheard(&answer.name, &answer.body);
         });
         Ok(())
     }
@@ -315,16 +300,8 @@ pub async fn rebuild(sorm: &Sorm, cx: &Context, chassis: &str) {
                 );
             }
             Ok(answer) => {
-                let why = answer
-                    .reports
-                    .iter()
-                    .map(ToString::to_string)
-                    .collect::<Vec<_>>();
-                tracing::warn!(
-                    daemon,
-                    error = why.join("; "),
-                    "objects cannot be built again"
-                );
+                let error = answer.said();
+                tracing::warn!(daemon, error, "objects cannot be built again");
             }
             Err(report) => {
                 tracing::warn!(daemon, error = %report, "objects cannot be built again");

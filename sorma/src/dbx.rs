@@ -24,7 +24,10 @@ struct Asked {
     verbosity: String,
     test: bool,
     /// The object's own, for the answers.
-    about: About,
+    version: String,
+    audit: String,
+    statistics: String,
+    subscribers: usize,
 }
 
 impl Default for Asked {
@@ -32,18 +35,12 @@ impl Default for Asked {
         Self {
             verbosity: Severity::Verbose.word().to_owned(),
             test: false,
-            about: About::default(),
+            version: String::new(),
+            audit: String::new(),
+            statistics: String::new(),
+            subscribers: 0,
         }
     }
-}
-
-#[derive(Debug, Clone, Default)]
-struct About {
-    class: String,
-    version: String,
-    audit: String,
-    statistics: String,
-    subscribers: usize,
 }
 
 /// What a program may know about the options that DBX takes.
@@ -61,7 +58,7 @@ static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {
             |asked: &mut Asked| &mut asked.verbosity,
         )
         .action("version", &[], "class and its version", |asked, _| {
-            Ok(format!("{} {}", asked.about.class, asked.about.version))
+            Ok(asked.version.clone())
         })
         .action("build", &[], "how its program was compiled", |_, _| {
             Ok(BUILD.to_owned())
@@ -70,19 +67,19 @@ static DBX: LazyLock<OptionTable<Asked>> = LazyLock::new(|| {
             "audit",
             &[],
             "the last CTRL requests: number, time, caller, return code, text",
-            |asked, _| Ok(asked.about.audit.clone()),
+            |asked, _| Ok(asked.audit.clone()),
         )
         .action(
             "statistics",
             &[],
             "how often it was called: EXEC, CTRL, errors",
-            |asked, _| Ok(asked.about.statistics.clone()),
+            |asked, _| Ok(asked.statistics.clone()),
         )
         .action(
             "subscribers",
             &[],
             "how many subscribe to its results",
-            |asked, _| Ok(asked.about.subscribers.to_string()),
+            |asked, _| Ok(asked.subscribers.to_string()),
         )
         .action("test", &[], "has it test itself", |asked, _| {
             asked.test = true;
@@ -97,16 +94,10 @@ pub(crate) fn dbx(body: &mut Body, cx: &Context<'_>, io: &mut Transport) -> Outc
     let mut asked = Asked {
         verbosity: meta.verbosity.word().to_owned(),
         test: false,
-        about: About {
-            class: cx.slot.class.name().to_owned(),
-            version: cx.slot.class.version().to_owned(),
-            audit: lines.join("\n"),
-            statistics: format!(
-                "exec {} ctrl {} errors {}",
-                meta.execs, meta.ctrls, meta.errors
-            ),
-            subscribers: cx.slot.subscribers(),
-        },
+        version: format!("{} {}", cx.slot.class.name(), cx.slot.class.version()),
+        audit: lines.join("\n"),
+        statistics: meta.statistics(),
+        subscribers: cx.slot.subscribers(),
     };
     DBX.ctrl(&mut asked, io);
     if !io.is_ok() {

@@ -18,14 +18,23 @@ mod tickets;
 
 use crate::class::Class;
 use crate::description::ClassInfo;
-use crate::name::ObjectName;
 use crate::object::ServiceObject;
+use crate::options::OptionTable;
+use crate::raise;
 use crate::report::{Report, code as general};
 use crate::snapshot::{Place, SnapshotError};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use crate::words::{self, Word};
+use crate::words;
+use blackboard::Board;
 use ctos::time::{Clock, Instant};
+use flight::Flight;
+use queue::Queue;
+use semaphore::SemaphoreObject;
+use shmem_far::ShmemFar;
+use shmem_r::ShmemR;
+use shmem_w::ShmemW;
+use stamp::Stamp;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -101,63 +110,68 @@ impl Host {
     }
 }
 
-/// Registers all the classes of this module.
-pub fn register(sorm: &Sorm, host: &Host) {
-    let make: [Make; 8] = [
-        |host, name| Box::new(shmem_w::ShmemW::new(host, name.flavor())),
-        |host, name| Box::new(shmem_r::ShmemR::new(host, name.flavor())),
-        |host, name| Box::new(flight::Flight::new(host, name.flavor())),
-        |host, _| Box::new(queue::QueueObject::new(host)),
-        |host, _| Box::new(semaphore::SemaphoreObject::new(host)),
-        |host, _| Box::new(blackboard::BlackboardObject::new(host)),
-        |host, _| Box::new(stamp::Stamp::new(host)),
-        |host, name| Box::new(shmem_far::ShmemFar::new(host, name.flavor())),
-    ];
-    for ((name, make), info) in NAMES.into_iter().zip(make).zip(classes()) {
-        add(sorm, host, name, make, info);
-    }
+/// All of them. What reads or writes a buffer takes the name of its flavor.
+fn all(host: &Host) -> [Class; 8] {
+    [
+        class(host, "shmem_w", &shmem_w::OPTIONS, |host, name| {
+            Box::new(ShmemW::new(host, name))
+        }),
+        class(host, "shmem_r", &shmem_r::OPTIONS, |host, name| {
+            Box::new(ShmemR::new(host, name))
+        }),
+        class(host, "flight", &flight::OPTIONS, |host, name| {
+            Box::new(Flight::new(host, name))
+        }),
+        class(host, "queue", &queue::OPTIONS, |_, _| {
+            Box::new(Queue::default())
+        }),
+        class(host, "semaphore", &semaphore::OPTIONS, |host, _| {
+            Box::new(SemaphoreObject::new(host))
+        }),
+        class(host, "blackboard", &blackboard::OPTIONS, |_, _| {
+            Box::new(Board::default())
+        }),
+        class(host, "stamp", &stamp::OPTIONS, |_, _| Box::new(Stamp)),
+        // It asks a daemon.
+        class(host, "shmem_far", &shmem_far::OPTIONS, |_, name| {
+            Box::new(ShmemFar::new(name))
+        })
+        .waits(),
+    ]
 }
 
-/// Makes an object of a class here.
-type Make = fn(Host, &ObjectName) -> Box<dyn ServiceObject>;
+fn class<T: Clone + Default + 'static>(
+    host: &Host,
+    name: &'static str,
+    options: &OptionTable<T>,
+    make: fn(Host, String) -> Box<dyn ServiceObject>,
+) -> Class {
+    let host = host.clone();
+    let class = Class::new(name, VERSION, move |name, _| {
+        let flavor = name.flavor().unwrap_or("default");
+        Ok(make(host.clone(), flavor.to_owned()))
+    });
+    let class = class.described(options.class(name, VERSION));
+    class.codes(code::PROTOTYPES).any_flavor()
+}
 
-/// The names of the classes, as [`classes`] has them.
-const NAMES: [&str; 8] = [
-    "shmem_w",
-    "shmem_r",
-    "flight",
-    "queue",
-    "semaphore",
-    "blackboard",
-    "stamp",
-    "shmem_far",
-];
+/// Registers all the classes of this module.
+pub fn register(sorm: &Sorm, host: &Host) {
+    all(host).into_iter().for_each(|class| sorm.register(class));
+}
 
 /// What a program may know about the classes.
 #[must_use]
 pub fn classes() -> Vec<ClassInfo> {
-    vec![
-        shmem_w::OPTIONS.class("shmem_w", VERSION),
-        shmem_r::OPTIONS.class("shmem_r", VERSION),
-        flight::OPTIONS.class("flight", VERSION),
-        queue::OPTIONS.class("queue", VERSION),
-        semaphore::OPTIONS.class("semaphore", VERSION),
-        blackboard::OPTIONS.class("blackboard", VERSION),
-        stamp::OPTIONS.class("stamp", VERSION),
-        shmem_far::OPTIONS.class("shmem_far", VERSION),
-    ]
+    let all = all(&Host::new("", Clock::real()));
+    all.iter()
+        .filter_map(|class| class.info().cloned())
+        .collect()
 }
 
-fn add(sorm: &Sorm, host: &Host, class: &'static str, make: Make, info: ClassInfo) {
-    let host = host.clone();
-    let class = Class::new(class, VERSION, move |name, _| Ok(make(host.clone(), name)));
-    let class = class.codes(code::PROTOTYPES).any_flavor();
-    // It asks a daemon.
-    let class = match info.name.as_str() {
-        "shmem_far" => class.waits(),
-        _ => class,
-    };
-    sorm.register(class.described(info));
+/// The name of the buffer that an object is about: what its settings say, or else its flavor.
+fn buffer<'a>(said: &'a str, flavor: &'a str) -> &'a str {
+    if said.is_empty() { flavor } else { said }
 }
 
 #[track_caller]
@@ -171,10 +185,8 @@ fn wrong(text: impl Into<String>) -> Report {
 }
 
 /// The words of an EXEC text.
-fn split(text: &str) -> Result<Vec<String>, Report> {
-    let words =
-        words::split(text).map_err(|error| Report::error(general::SYNTAX, error.to_string()))?;
-    Ok(words.into_iter().map(|Word { text, .. }| text).collect())
+pub(crate) fn split(text: &str) -> Result<Vec<String>, Report> {
+    words::texts(text).map_err(|error| raise!(general::SYNTAX, "{error}"))
 }
 
 /// A whole number that a word of EXEC says.
@@ -204,8 +216,7 @@ fn seconds(word: Option<&String>) -> Result<Duration, Report> {
 
 /// What stands after the first `count` words of a text, as it stands; without its quotes if it is one word.
 fn after(text: &str, count: usize) -> Result<String, Report> {
-    let found =
-        words::split(text).map_err(|error| Report::error(general::SYNTAX, error.to_string()))?;
+    let found = words::split(text).map_err(|error| raise!(general::SYNTAX, "{error}"))?;
     Ok(match found.get(count..) {
         Some([only]) => only.text.clone(),
         Some([first, ..]) => text
@@ -217,16 +228,14 @@ fn after(text: &str, count: usize) -> Result<String, Report> {
     })
 }
 
-/// Makes room for the answer; reports stay.
-fn empty(io: &mut Transport) {
-    io.text.clear();
-    io.floats.clear();
-    io.ints.clear();
-    io.opaque.clear();
+/// Answers that the caller is to ask again.
+pub(crate) fn not_yet(io: &mut Transport) {
+    io.empty();
+    NOT_YET.clone_into(&mut io.text);
 }
 
 /// An `i64` as IMSG carries it.
-fn int(number: u64) -> i64 {
+pub(crate) fn int(number: u64) -> i64 {
     i64::try_from(number).unwrap_or(i64::MAX)
 }
 

@@ -6,7 +6,7 @@
 //! it ends with its task. None of it is ever executed twice.
 
 use crate::comm::Comm;
-use crate::name::{Location, ObjectName};
+use crate::name::ObjectName;
 use crate::object::{Outcome, Waiting};
 use crate::raise;
 use crate::report::{Report, code};
@@ -105,12 +105,7 @@ impl Sorm {
                 });
             }
             Place::There(at) => at,
-            Place::Traded(wanted) => {
-                let offers = self.offers_for(comm, &request.name, &wanted).await?;
-                let offer = offers.into_iter().next();
-                let offer = offer.ok_or_else(|| wanted.unmet(&request.name, &[]))?;
-                Location::Alias(offer.daemon)
-            }
+            Place::Traded(wanted) => self.best(comm, &request.name, &wanted).await?,
         };
         let request = Request {
             name: request.name.here(),
@@ -123,9 +118,7 @@ impl Sorm {
     /// Logs what nobody waits to hear.
     pub(crate) fn unheard(&self, name: &ObjectName, body: &Transport) {
         if !body.is_ok() {
-            let said = body.reports.iter().map(ToString::to_string);
-            let said = said.collect::<Vec<_>>().join("; ");
-            tracing::warn!(object = %name, chassis = self.process(), error = said, "a one-way request came to nothing");
+            tracing::warn!(object = %name, chassis = self.process(), error = body.said(), "a one-way request came to nothing");
         }
     }
 
@@ -180,14 +173,8 @@ impl Waiting<'_> {
         at_once: usize,
         io: &mut Transport,
     ) -> Vec<Reply> {
-        let (from, trace) = (io.from.clone(), io.trace.nested());
         let mut replies = forked(requests, at_once, |mut request| {
-            if request.body.from.is_empty() {
-                request.body.from.clone_from(&from);
-            }
-            if request.body.trace.id == 0 {
-                request.body.trace = trace;
-            }
+            request.body.inherit(io);
             self.ask(request)
         })
         .await;

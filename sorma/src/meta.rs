@@ -58,6 +58,14 @@ impl Meta {
         ));
     }
 
+    /// How often it was called.
+    pub(crate) fn statistics(&self) -> String {
+        format!(
+            "exec {} ctrl {} errors {}",
+            self.execs, self.ctrls, self.errors
+        )
+    }
+
     /// Whether a report of this object is passed on.
     pub(crate) fn passes(&self, report: &Report) -> bool {
         report.severity >= self.verbosity

@@ -16,6 +16,9 @@ use std::sync::{Arc, OnceLock};
 /// How a method of a service object ends; the error becomes a report and the return code.
 pub type Outcome = Result<(), Report>;
 
+/// How an EXEC that waits for others ends; `None` in a class whose EXEC does not.
+pub type Later<'a> = Option<LocalBoxFuture<'a, Outcome>>;
+
 /// A service object: a small interface to anything that serves (SORMA technical report,
 /// section 1.3.3).
 ///
@@ -33,11 +36,7 @@ pub trait ServiceObject: Send {
 
     /// Does a job for which it asks other objects, wherever they are, and waits for them. A class has
     /// this or [`Self::exec`]; one with this is registered with [`Class::waits`](crate::Class::waits).
-    fn exec_waiting<'a>(
-        &'a mut self,
-        cx: &'a Waiting<'a>,
-        io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    fn exec_waiting<'a>(&'a mut self, cx: &'a Waiting<'a>, io: &'a mut Transport) -> Later<'a> {
         let _ = (cx, io);
         None
     }
@@ -185,6 +184,20 @@ impl Slot {
 
     pub(crate) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// What a method of the object may use.
+    #[inline]
+    pub(crate) fn context<'a>(
+        &'a self,
+        sorm: &'a Sorm,
+        within: Option<&'a Context<'a>>,
+    ) -> Context<'a> {
+        Context {
+            sorm,
+            slot: self,
+            within,
+        }
     }
 
     /// Whether its EXEC waits for others.

@@ -106,7 +106,7 @@ impl Sorm {
             return Ok(());
         }
         let name = slot.name();
-        let why = texts(&io);
+        let why = io.texts();
         Err(raise!(
             io.code,
             "`{name}` does not take its recipe `{recipe}`: {why}"
@@ -122,7 +122,7 @@ impl Sorm {
         if io.is_ok() {
             return Ok(());
         }
-        let (name, why) = (slot.name(), texts(&io));
+        let (name, why) = (slot.name(), io.texts());
         Err(raise!(
             code::SELF_TEST,
             "`{name}` does not pass its self-test: {why}"
@@ -142,9 +142,4 @@ impl Sorm {
             "the dictionary has no recipe for `{local}`{hint}"
         )
     }
-}
-
-fn texts(io: &Transport) -> String {
-    let texts = io.reports.iter().map(|report| report.text.as_str());
-    texts.collect::<Vec<_>>().join("; ")
 }

@@ -250,11 +250,7 @@ impl Slot {
         if (body.reserved.is_some() || self.waits()) && !self.may_exec(body, sorm, io) {
             return;
         }
-        let cx = Context {
-            sorm,
-            slot: self,
-            within,
-        };
+        let cx = self.context(sorm, within);
         io.code = 0;
         let before = io.reports.len();
         let outcome = body.object.exec(&cx, io);
@@ -309,11 +305,7 @@ impl Slot {
         io: &mut Transport,
         act: impl FnOnce(&mut Body, &Context<'_>, &mut Transport) -> Outcome,
     ) {
-        let cx = Context {
-            sorm,
-            slot: self,
-            within,
-        };
+        let cx = self.context(sorm, within);
         io.code = 0;
         let before = io.reports.len();
         let outcome = act(body, &cx, io);
@@ -345,12 +337,7 @@ impl Slot {
         if reserved.is_prepared()
             && let Some(steps) = body.object.two_step()
         {
-            let cx = Context {
-                sorm,
-                slot: self,
-                within: None,
-            };
-            steps.abort(&cx);
+            steps.abort(&self.context(sorm, None));
         }
     }
 

@@ -123,19 +123,12 @@ impl Sorm {
     /// What the codes of reports mean: of all classes, each with its class.
     #[must_use]
     pub fn prototypes(&self) -> Vec<(&'static str, Prototype)> {
-        let of_class = |class: &Arc<Class>| {
-            let name = class.name();
-            class
-                .prototypes()
-                .iter()
-                .map(move |prototype| (name, *prototype))
-        };
-        self.inner
-            .classes
-            .read()
-            .values()
-            .flat_map(of_class)
-            .collect()
+        let mut prototypes = Vec::new();
+        for class in self.inner.classes.read().values() {
+            let own = class.prototypes().iter();
+            prototypes.extend(own.map(|prototype| (class.name(), *prototype)));
+        }
+        prototypes
     }
 
     /// The names of all objects built so far, in alphabetical order.

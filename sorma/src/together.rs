@@ -275,16 +275,10 @@ fn nothing(commitment: &str) -> Report {
 
 /// The error of a reply, said by whoever asked.
 fn refusal(reply: &Reply) -> Report {
-    let texts: Vec<&str> = reply
-        .body
-        .reports
-        .iter()
-        .map(|report| report.text.as_str())
-        .collect();
     raise!(
         reply.body.code,
         "`{}` refuses: {}",
         reply.name,
-        texts.join("; ")
+        reply.body.texts()
     )
 }

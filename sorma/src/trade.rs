@@ -19,7 +19,6 @@ use crate::report::Report;
 use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use ctos::time::Instant;
 use futures_util::future::{Either, join_all, select};
 use std::pin::pin;
 use std::time::Duration;
@@ -97,6 +96,19 @@ impl Sorm {
         Ok(ranked)
     }
 
+    /// The daemon whose offer for an object is the best.
+    pub(crate) async fn best(
+        &self,
+        comm: &dyn Comm,
+        name: &ObjectName,
+        wanted: &Wanted,
+    ) -> Result<Location, Report> {
+        let offers = self.offers_for(comm, name, wanted).await?;
+        let offer = offers.into_iter().next();
+        let offer = offer.ok_or_else(|| wanted.unmet(name, &[]))?;
+        Ok(Location::Alias(offer.daemon))
+    }
+
     /// Asks a daemon what it offers while the caller goes on.
     async fn look_beside(&self, comm: &dyn Comm, daemon: String) {
         let (sorm, name) = (self.clone(), daemon.clone());
@@ -162,7 +174,7 @@ impl Sorm {
                     return;
                 }
                 Err(lost) => {
-                    self.lost(&offer.daemon);
+                    self.inner.market.lock().down(&offer.daemon, self.now());
                     if lost.perhaps_executed && left == 0 {
                         return self.unanswered(name, body, lost.report);
                     }
@@ -173,10 +185,5 @@ impl Sorm {
         }
         let report = last.unwrap_or_else(|| wanted.unmet(name, &[]));
         self.unanswered(name, body, report);
-    }
-
-    fn lost(&self, daemon: &str) {
-        let now: Instant = self.now();
-        self.inner.market.lock().down(daemon, now);
     }
 }

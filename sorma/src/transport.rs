@@ -78,12 +78,17 @@ impl Transport {
         self
     }
 
-    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks, and the trace, stay.
-    pub fn clear(&mut self) {
+    /// Empties its data, to make room for an answer. Code and reports stay.
+    pub(crate) fn empty(&mut self) {
         self.text.clear();
         self.floats.clear();
         self.ints.clear();
         self.opaque.clear();
+    }
+
+    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks, and the trace, stay.
+    pub fn clear(&mut self) {
+        self.empty();
         self.code = 0;
         self.reports.clear();
     }
@@ -98,6 +103,14 @@ impl Transport {
         }
     }
 
+    /// Takes over the data of another one; code and reports stay.
+    pub(crate) fn take_data(&mut self, other: Self) {
+        self.text = other.text;
+        self.floats = other.floats;
+        self.ints = other.ints;
+        self.opaque = other.opaque;
+    }
+
     /// Adds a report. An error sets the return code, unless an earlier one has.
     pub fn report(&mut self, report: Report) {
         if report.severity == Severity::Error && self.code == 0 {
@@ -105,6 +118,18 @@ impl Transport {
             self.code = if report.code == 0 { -1 } else { report.code };
         }
         self.reports.push(report);
+    }
+
+    /// All reports, in one line.
+    pub(crate) fn said(&self) -> String {
+        let said: Vec<String> = self.reports.iter().map(ToString::to_string).collect();
+        said.join("; ")
+    }
+
+    /// The texts of all reports, in one line.
+    pub(crate) fn texts(&self) -> String {
+        let texts: Vec<&str> = self.reports.iter().map(|report| &*report.text).collect();
+        texts.join("; ")
     }
 
     /// Whether the call was done.

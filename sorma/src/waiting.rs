@@ -238,11 +238,7 @@ impl Slot {
             Err(report) => Err(report),
             Ok(()) => {
                 let cx = Waiting {
-                    cx: Context {
-                        sorm,
-                        slot: self,
-                        within: outer,
-                    },
+                    cx: self.context(sorm, outer),
                     comm,
                 };
                 match body.object.exec_waiting(&cx, io) {

@@ -177,11 +177,8 @@ pub(crate) struct Watchers {
 /// A request that is being met and watched.
 pub(crate) struct Begun {
     at: Instant,
-    object: String,
-    method: Method,
-    from: String,
-    trace: Trace,
-    request: String,
+    /// What is known of it so far.
+    seen: Seen,
     /// Those who want it, by what can be told so far.
     by: Vec<Arc<Watcher>>,
 }
@@ -234,40 +231,42 @@ impl Watchers {
         if has_gone {
             self.sweep();
         }
-        (!by.is_empty()).then(|| Begun {
-            at: clock.now(),
+        if by.is_empty() {
+            return None;
+        }
+        let at = clock.now();
+        let seen = Seen {
+            at_s: at.since_start().as_secs_f64(),
+            took_s: 0.0,
+            process: String::new(),
             object: object.to_owned(),
-            method,
+            method: word,
             from: io.from.clone(),
-            trace: io.trace,
+            trace: io.trace.id,
+            depth: io.trace.depth,
+            code: 0,
             request: request_text(object, method, io),
-            by,
-        })
+            reply: String::new(),
+        };
+        Some(Begun { at, seen, by })
     }
 }
 
 impl Begun {
     /// The request was met in `process`: `io` is the reply.
-    pub(crate) fn end(self, process: &str, now: Instant, io: &Transport) {
+    pub(crate) fn end(mut self, process: &str, now: Instant, io: &Transport) {
         let took = now - self.at;
-        let mut seen = None;
+        self.by
+            .retain(|watcher| watcher.filter.read().wants_result(took, io));
+        if self.by.is_empty() {
+            return;
+        }
+        let seen = &mut self.seen;
+        process.clone_into(&mut seen.process);
+        (seen.took_s, seen.code) = (took.as_secs_f64(), io.code);
+        seen.reply = reply_text(&seen.object, io);
         for watcher in &self.by {
-            if watcher.filter.read().wants_result(took, io) {
-                let seen = seen.get_or_insert_with(|| Seen {
-                    at_s: self.at.since_start().as_secs_f64(),
-                    took_s: took.as_secs_f64(),
-                    process: process.to_owned(),
-                    object: self.object.clone(),
-                    method: self.method.to_string(),
-                    from: self.from.clone(),
-                    trace: self.trace.id,
-                    depth: self.trace.depth,
-                    code: io.code,
-                    request: self.request.clone(),
-                    reply: reply_text(&self.object, io),
-                });
-                watcher.take(seen.clone());
-            }
+            watcher.take(seen.clone());
         }
     }
 }

@@ -67,41 +67,7 @@ impl Reader {
     /// # Errors
     /// There is none, or it is of another version, or it is damaged, or the system refuses.
     pub fn open(place: &Place, name: &str) -> Result<Self, SnapshotError> {
-        Self::open_file(&place.path(name)?)
-    }
-
-    /// As [`open`](Self::open), for those who count on a structure.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open), and when the records have other numbers of floats or bytes.
-    pub fn open_as(
-        place: &Place,
-        name: &str,
-        floats: usize,
-        bytes: usize,
-    ) -> Result<Self, SnapshotError> {
-        let reader = Self::open(place, name)?;
-        let layout = reader.layout();
-        let pairs = [
-            ("floats", layout.floats, floats),
-            ("opaque bytes, at most", layout.bytes, bytes),
-        ];
-        match pairs.into_iter().find(|(_, has, wanted)| has != wanted) {
-            None => Ok(reader),
-            Some((what, has, wanted)) => Err(SnapshotError::Differs {
-                path: reader.path,
-                what,
-                has,
-                wanted,
-            }),
-        }
-    }
-
-    /// Opens a segment by its file, as [`path`](Self::path) gives it.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open).
-    pub fn open_file(path: &Path) -> Result<Self, SnapshotError> {
+        let path = &place.path(name)?;
         let file = match place::open(path, OFlags::RDWR) {
             Err(SnapshotError::System { .. }) => place::open(path, OFlags::RDONLY)?,
             opened => opened?,
@@ -132,6 +98,33 @@ impl Reader {
         };
         reader.seek(0);
         Ok(reader)
+    }
+
+    /// As [`open`](Self::open), for those who count on a structure.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open), and when the records have other numbers of floats or bytes.
+    pub fn open_as(
+        place: &Place,
+        name: &str,
+        floats: usize,
+        bytes: usize,
+    ) -> Result<Self, SnapshotError> {
+        let reader = Self::open(place, name)?;
+        let layout = reader.layout();
+        let pairs = [
+            ("floats", layout.floats, floats),
+            ("opaque bytes, at most", layout.bytes, bytes),
+        ];
+        match pairs.into_iter().find(|(_, has, wanted)| has != wanted) {
+            None => Ok(reader),
+            Some((what, has, wanted)) => Err(SnapshotError::Differs {
+                path: reader.path,
+                what,
+                has,
+                wanted,
+            }),
+        }
     }
 
     /// What the writer says about its records.
