@@ -5,7 +5,8 @@
 //! was started anew.
 
 mod address;
-mod offers;
+mod arguments;
+mod protocol;
 mod streams;
 mod tasks;
 
@@ -15,79 +16,26 @@ use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
 use crate::watching::Trace;
+use arguments::Arguments;
 use ctos::diagnostic::Findings;
-use ctos::message::{Command, Replier};
+use ctos::message::Replier;
 use ctos::registry::Registry;
 use ctos::task::{Context, Handled, HandlerError};
 use ctos::text::Gone;
 /// Asks by one line of text: a request `name EXEC|CTRL|DBX ...`, and the reply has the same form.
 pub use ctos::text::Say;
-use futures_util::FutureExt as _;
-use offers::Offers;
-use serde::{Deserialize, Serialize};
 use std::rc::Rc;
 use std::time::Duration;
 use streams::{Leave, Subscribe, Subscribers, Take};
+use tasks::begin;
+
+pub use arguments::HANDLER;
+pub use protocol::{Ask, Tell, VERSION};
 pub use tasks::Tasks;
-
-/// The handler's name, as configurations write it.
-pub const HANDLER: &str = "sorma.daemon";
-
-/// What a daemon and its callers must agree in.
-pub const VERSION: u32 = 2;
-
-/// How long a caller waits for a daemon that is being started again, before it asks once more.
-const BACK_WITHIN: Duration = Duration::from_secs(30);
 
 /// How often, and for how long, objects in calls are asked to give back what they keep for those who are gone.
 const RELEASE_EVERY: Duration = Duration::from_secs(1);
 const RELEASES: u32 = 120;
-
-/// Asks an object of this daemon.
-#[derive(Debug, Clone, Serialize, Deserialize, Command)]
-#[command(name = "ask", reply = Transport, code = 0x0001)]
-pub struct Ask {
-    /// The caller's version of this command.
-    version: u32,
-    /// The object, by its local name.
-    object: String,
-    method: Method,
-    body: Transport,
-}
-
-impl Ask {
-    /// What is asked, of a caller of this version.
-    fn read(self) -> Result<Request, HandlerError> {
-        same_version(self.version)?;
-        Ok(Request {
-            name: self.object.parse()?,
-            method: self.method,
-            body: self.body,
-        })
-    }
-}
-
-/// Arguments of the handler.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Arguments {
-    /// Files of the dictionary, the later ones over the earlier.
-    #[serde(default)]
-    dictionary: Vec<String>,
-    /// By which number, besides its name, it is found on its host: `foo.a@host:11`.
-    #[serde(default)]
-    number: Option<u32>,
-    /// What it offers to whoever trades, by class.
-    #[serde(default)]
-    offers: Offers,
-}
-
-/// Does what [`Ask`] does, and answers nothing.
-#[derive(Debug, Serialize, Deserialize, Command)]
-#[command(name = "tell", code = 0x0013)]
-pub struct Tell {
-    ask: Ask,
-}
 
 /// A task that serves the objects of its process.
 pub struct Daemon {
@@ -146,26 +94,6 @@ fn environment() -> impl Iterator<Item = (String, String)> {
 fn wrong(findings: &Findings) -> HandlerError {
     let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
     HandlerError::new(lines.join("\n"))
-}
-
-/// Refuses a caller of another version.
-fn same_version(version: u32) -> Result<(), HandlerError> {
-    if version == VERSION {
-        return Ok(());
-    }
-    Err(HandlerError::new(format!(
-        "the caller speaks version {version} of service objects, this daemon {VERSION}: \
-         run the same program on both sides"
-    )))
-}
-
-/// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
-/// beside the task, so that an object that waits keeps no other waiting.
-fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
-    let mut work = Box::pin(work);
-    if work.as_mut().now_or_never().is_none() {
-        cx.spawn(work);
-    }
 }
 
 #[ctos::handler]

@@ -1,7 +1,7 @@
 //! The class `fork`: several requests at once.
 
-use super::{begin, request};
-use crate::ipc::split;
+use super::answer::{begin, request};
+use crate::ipc::answer::split;
 use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;

@@ -1,8 +1,8 @@
 //! The class `later`: requests whose answers are collected later, are wanted by nobody, or go to another
 //! object.
 
-use super::{begin, code, mirror, request};
-use crate::ipc::{int, not_yet, split};
+use super::answer::{begin, code, mirror, request};
+use crate::ipc::answer::{int, not_yet, split};
 use crate::later::Deferred;
 use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;

@@ -1,9 +1,9 @@
 //! The class `stream`: the results of another object as they are made, kept until they are asked for, or
 //! handed on to a third object.
 
-use super::{begin, code, mirror};
+use super::answer::{begin, code, mirror};
 use crate::comm::Comm;
-use crate::ipc::{int, not_yet};
+use crate::ipc::answer::{int, not_yet};
 use crate::name::ObjectName;
 use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;

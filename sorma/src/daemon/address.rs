@@ -1,6 +1,6 @@
 //! Which task of an app a daemon is, by what stands after `@` (SORMA technical report, section 1.4.3).
 
-use super::{Arguments, HANDLER};
+use super::arguments::{Arguments, HANDLER};
 use crate::name::Location;
 use crate::raise;
 use crate::report::{Report, code};

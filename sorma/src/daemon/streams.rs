@@ -1,6 +1,6 @@
 //! A daemon's subscribers: what is kept for each until it says that it has arrived.
 
-use super::{VERSION, same_version};
+use super::protocol::{VERSION, same_version};
 use crate::name::ObjectName;
 use crate::results::{Keep, Sample, Tap};
 use crate::sorm::Sorm;

@@ -1,7 +1,9 @@
 //! The way to daemons: an object that asks another one, in another process, does so in the name of a task.
 
+use super::address;
+use super::arguments::HANDLER;
+use super::protocol::{Ask, Tell, VERSION};
 use super::streams::{self, Leave, Subscribe, Take};
-use super::{Ask, BACK_WITHIN, HANDLER, Tell, VERSION, address, begin};
 use crate::comm::{Answer, Comm, Job, NoAnswer, Taken};
 use crate::name::{Location, ObjectName};
 use crate::raise;
@@ -12,9 +14,13 @@ use crate::transport::Transport;
 use ctos::call::{CallError, Fault};
 use ctos::message::CommandInfo;
 use ctos::task::{Context, NameError, TaskRef};
+use futures_util::FutureExt as _;
 use futures_util::future::LocalBoxFuture;
 use std::rc::Rc;
 use std::time::Duration;
+
+/// How long a caller waits for a daemon that is being started again, before it asks once more.
+const BACK_WITHIN: Duration = Duration::from_secs(30);
 
 /// Reaches daemons as tasks, in the name of one task.
 #[derive(Clone)]
@@ -313,5 +319,14 @@ impl Comm for Tasks {
                 _ => raise!(code::DAEMON, "{error}"),
             })
         })
+    }
+}
+
+/// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
+/// beside the task, so that an object that waits keeps no other waiting.
+pub(super) fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
+    let mut work = Box::pin(work);
+    if work.as_mut().now_or_never().is_none() {
+        cx.spawn(work);
     }
 }

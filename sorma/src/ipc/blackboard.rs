@@ -1,7 +1,7 @@
 //! The class `blackboard`: values by key, for several callers, each with a version that goes up with every
 //! change, so that waiting for a change is asking for a later version (SORMA technical report, figure 1.10).
 
-use super::{after, code, int, not_yet, number, split, wrong};
+use super::answer::{after, code, int, not_yet, number, split, wrong};
 use crate::name::suggestion;
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::opaque::Opaque;

@@ -3,7 +3,8 @@
 
 mod sink;
 
-use super::{Host, buffer, buffer_error, code, int, number, split, wrong};
+use super::answer::{code, int, number, split, wrong};
+use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;

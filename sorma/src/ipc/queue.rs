@@ -1,8 +1,8 @@
 //! The class `queue`: messages that wait for whoever takes them, first in, first out (SORMA technical report,
 //! section 1.7, "queuing requests and results").
 
+use super::answer::{after, code, int, not_yet, number, seconds, split, wrong};
 use super::tickets::{Tickets, Turn};
-use super::{after, code, int, not_yet, number, seconds, split, wrong};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;

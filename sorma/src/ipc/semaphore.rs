@@ -4,8 +4,9 @@
 //! A permit is held under a number, for somebody with a name, and, when a process was named, only as long as
 //! that process of this host runs. Whoever dies without releasing is noticed with the next request.
 
+use super::answer::{NOT_YET, code, int, number, seconds, split, wrong};
+use super::host::Host;
 use super::tickets::{Tickets, Turn};
-use super::{Host, NOT_YET, code, int, number, seconds, split, wrong};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::process::Process;

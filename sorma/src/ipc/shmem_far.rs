@@ -3,7 +3,8 @@
 //!
 //! Every request is an exchange that teaches the estimate of the clocks' difference; nothing is sent for that alone.
 
-use super::{NOT_YET, buffer, code, int, number, split, wrong};
+use super::answer::{NOT_YET, code, int, number, split, wrong};
+use super::host::buffer;
 use crate::clock::{ClockDifference, Exchange, MOST_DRIFT, Observed, USUAL_DRIFT};
 use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;

@@ -1,6 +1,7 @@
 //! The class `shmem_r`: reads records from a snapshot buffer.
 
-use super::{Host, NOT_YET, buffer, buffer_error, code, int, number, split, wrong};
+use super::answer::{NOT_YET, code, int, number, split, wrong};
+use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;

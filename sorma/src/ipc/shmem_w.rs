@@ -1,6 +1,7 @@
 //! The class `shmem_w`: writes records into a snapshot buffer.
 
-use super::{Host, buffer, buffer_error, int};
+use super::answer::{int, wrong};
+use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -158,7 +159,7 @@ impl ServiceObject for ShmemW {
         let count = match writer.write(&io.floats, bytes) {
             Ok(count) => count,
             Err(error @ SnapshotError::Record { .. }) => {
-                return Err(super::wrong(error.to_string()));
+                return Err(wrong(error.to_string()));
             }
             Err(error) => return Err(buffer_error(&error)),
         };

@@ -2,7 +2,7 @@
 //! there. With this each request for a remote record is an exchange that tells about the clocks (SORMA technical
 //! report, section 2.2.5).
 
-use super::{int, wrong};
+use super::answer::{int, wrong};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::raise;

@@ -6,6 +6,8 @@ use crate::object::ServiceObject;
 use crate::report::Severity;
 use crate::request::{Method, Reply};
 use crate::transport::Transport;
+use crate::words;
+use ctos::time::Instant;
 use std::process::{Command, Stdio};
 use tempfile::TempDir;
 

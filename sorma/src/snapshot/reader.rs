@@ -1,12 +1,14 @@
 //! A reader of a snapshot buffer. It writes nothing but the bell, and trusts nothing that it reads: wrong
 //! numbers in the memory give errors or lost records, not more.
 
+use super::bell;
+use super::error::SnapshotError;
 use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, REPLACED, STATE};
 use super::layout::{Layout, ORIGIN, WRITING};
 use super::memory::{self, Page, View};
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Taken};
-use super::{Snapshot, SnapshotError, bell, nap};
+use super::record::{Snapshot, nap};
 use crate::process::Process;
 use ctos::time::{Clock, Instant};
 use rustix::fs::OFlags;

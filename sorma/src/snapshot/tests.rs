@@ -2,10 +2,14 @@
 //! `snapshot/protocol/tests.rs` for the protocol itself.
 
 use super::layout::{HEADER, MAGIC};
+use super::record::host_ns;
 use super::*;
+use crate::process::Process;
+use ctos::time::{Clock, Instant};
 use proptest::prelude::*;
 use std::fs::{self, File, OpenOptions};
 use std::os::unix::fs::{FileExt, PermissionsExt};
+use std::time::Duration;
 use tempfile::TempDir;
 
 struct Shop {

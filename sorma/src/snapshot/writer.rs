@@ -1,11 +1,13 @@
 //! The writer of a snapshot buffer: makes the segment or takes it over, and writes records into it.
 
+use super::bell;
+use super::error::SnapshotError;
 use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, ORIGIN, PID, PID_START};
 use super::layout::{Layout, REPLACED, STATE, WRITING};
 use super::memory::{self, Page};
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Store};
-use super::{SnapshotError, bell, host_ns, nap};
+use super::record::{host_ns, nap};
 use crate::process::Process;
 use ctos::time::Clock;
 use rustix::fs::{CWD, FallocateFlags, Mode, OFlags, RenameFlags, renameat_with};
