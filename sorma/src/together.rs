@@ -175,11 +175,8 @@ impl Sorm {
         slots.retain(|slot| {
             let body = slot.lock(call);
             body.is_ok_and(|mut body| {
-                let over = body
-                    .reserved
-                    .as_ref()
-                    .is_some_and(|reserved| reserved.is_over(self.now()));
-                if over {
+                let reserved = body.reserved.as_ref();
+                if reserved.is_some_and(|reserved| reserved.is_over(self.now())) {
                     slot.let_go(&mut body, self);
                 }
                 holds(&body, from, commitment)
@@ -228,10 +225,8 @@ impl Sorm {
             return Ok(false);
         };
         let mut body = slot.lock(call)?;
-        let own = body
-            .reserved
-            .as_ref()
-            .is_some_and(|reserved| reserved.is_of(from));
+        let reserved = body.reserved.as_ref();
+        let own = reserved.is_some_and(|reserved| reserved.is_of(from));
         if own {
             slot.let_go(&mut body, self);
         }

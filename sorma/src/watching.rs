@@ -308,27 +308,22 @@ fn shortened(io: &Transport) -> Transport {
     }
 }
 
+/// A request as text; empty where it has none.
 fn request_text(object: &str, method: Method, io: &Transport) -> String {
-    let Ok(name) = object.parse() else {
-        return String::new();
-    };
-    let request = Request {
-        name,
-        method,
-        body: shortened(io),
-    };
-    request.to_text().unwrap_or_default()
+    let name = object.parse().ok();
+    let body = shortened(io);
+    let request = name.map(|name| Request { name, method, body });
+    let text = request.and_then(|request| request.to_text().ok());
+    text.unwrap_or_default()
 }
 
+/// A reply as text; empty where it has none.
 fn reply_text(object: &str, io: &Transport) -> String {
-    let Ok(name) = object.parse() else {
-        return String::new();
-    };
-    let reply = Reply {
-        name,
-        body: shortened(io),
-    };
-    reply.to_text().unwrap_or_default()
+    let name = object.parse().ok();
+    let body = shortened(io);
+    let reply = name.map(|name| Reply { name, body });
+    let text = reply.and_then(|reply| reply.to_text().ok());
+    text.unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, REPLACED, STATE};
 use super::layout::{Layout, ORIGIN, WRITING};
 use super::memory::{self, Page, View};
 use super::place::{self, Place, is_at, system};
-use super::protocol::{Load, Mark, Taken};
+use super::protocol::{Load, Taken};
 use super::record::{Snapshot, nap};
 use crate::process::Process;
 use ctos::time::{Clock, Instant};
@@ -350,19 +350,14 @@ impl Reader {
     /// Reads a record whole, or answers `false`.
     fn read(&self, count: u64, into: &mut Snapshot) -> bool {
         let ring = &self.header.geometry.ring;
-        match ring.read(&self.view, count, &mut into.floats, &mut into.opaque) {
-            Taken::Whole(Mark {
-                count,
-                stamp_ns,
-                generation,
-            }) => {
-                into.count = count;
-                into.stamp_ns = stamp_ns;
-                into.generation = generation;
-                true
-            }
-            Taken::Overwritten | Taken::NotYet => false,
-        }
+        let taken = ring.read(&self.view, count, &mut into.floats, &mut into.opaque);
+        let Taken::Whole(mark) = taken else {
+            return false;
+        };
+        into.count = mark.count;
+        into.stamp_ns = mark.stamp_ns;
+        into.generation = mark.generation;
+        true
     }
 
     fn overrun(&self) -> SnapshotError {
