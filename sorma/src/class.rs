@@ -1,6 +1,6 @@
 //! A class: how its objects are built, and what is known about all of them.
 
-use crate::describe::ClassInfo;
+use crate::description::ClassInfo;
 use crate::name::ObjectName;
 use crate::object::ServiceObject;
 use crate::report::{Prototype, Report};

@@ -177,8 +177,10 @@ impl ClockDifference {
         let mut observed = Observed::Used;
         let mut sample = self.relative(exchange);
         if self.contradicts(&sample) {
-            self.forget();
-            self.restarts += 1;
+            *self = Self {
+                restarts: self.restarts + 1,
+                ..Self::new(self.max_drift)?
+            };
             sample = self.relative(exchange);
             observed = Observed::Restarted;
         }
@@ -190,13 +192,6 @@ impl ClockDifference {
         self.samples.push_back(sample);
         self.drift = self.slope();
         Ok(observed)
-    }
-
-    fn forget(&mut self) {
-        self.reference = None;
-        self.samples.clear();
-        self.past = None;
-        self.drift = 0.0;
     }
 
     fn relative(&mut self, exchange: Exchange) -> Sample {

@@ -16,6 +16,9 @@ use std::time::Duration;
 /// Work that goes on while whoever began it does something else; it is given a carrier of its own.
 pub type Job = Box<dyn FnOnce(Rc<dyn Comm>) -> LocalBoxFuture<'static, ()>>;
 
+/// What a daemon answers, or why it does not.
+pub type Answer<'a, T> = LocalBoxFuture<'a, Result<T, Report>>;
+
 /// Why there is no answer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NoAnswer {
@@ -72,11 +75,7 @@ pub trait Comm {
     }
 
     /// Gives the daemon a request whose answer nobody wants; done when the daemon has taken it.
-    fn tell<'a>(
-        &'a self,
-        at: &'a Location,
-        request: Request,
-    ) -> LocalBoxFuture<'a, Result<(), Report>> {
+    fn tell<'a>(&'a self, at: &'a Location, request: Request) -> Answer<'a, ()> {
         Box::pin(async move { self.ask(at, request).await.map(|_| ()) })
     }
 
@@ -84,13 +83,7 @@ pub trait Comm {
     ///
     /// # Errors
     /// There is nothing here that could go on with it.
-    fn spawn(&self, job: Job) -> Result<(), Report> {
-        drop(job);
-        Err(raise!(
-            code::UNSUPPORTED,
-            "nothing goes on beside a call here; ask in an app that runs"
-        ))
-    }
+    fn spawn(&self, job: Job) -> Result<(), Report>;
 
     /// The daemons that could be asked, for trading.
     fn daemons(&self) -> Vec<String> {
@@ -104,7 +97,7 @@ pub trait Comm {
         at: &'a Location,
         name: &'a ObjectName,
         keep: Keep,
-    ) -> LocalBoxFuture<'a, Result<(u64, u64), Report>> {
+    ) -> Answer<'a, (u64, u64)> {
         let _ = keep;
         Box::pin(async move { Err(unreachable(at, name)) })
     }
@@ -116,7 +109,7 @@ pub trait Comm {
         name: &'a ObjectName,
         subscriber: u64,
         after: u64,
-    ) -> LocalBoxFuture<'a, Result<Taken, Report>> {
+    ) -> Answer<'a, Taken> {
         let _ = (subscriber, after);
         Box::pin(async move { Err(unreachable(at, name)) })
     }
@@ -131,7 +124,7 @@ pub trait Comm {
     ///
     /// # Errors
     /// It did not come back.
-    fn back<'a>(&'a self, at: &'a Location) -> LocalBoxFuture<'a, Result<(), Report>> {
+    fn back<'a>(&'a self, at: &'a Location) -> Answer<'a, ()> {
         let _ = at;
         Box::pin(std::future::ready(Ok(())))
     }
@@ -148,7 +141,7 @@ pub trait Comm {
         command: CommandInfo,
         data: Vec<u8>,
         deadline: Duration,
-    ) -> LocalBoxFuture<'a, Result<Vec<u8>, Report>> {
+    ) -> Answer<'a, Vec<u8>> {
         let _ = (data, deadline);
         Box::pin(async move {
             Err(raise!(
@@ -165,11 +158,7 @@ pub trait Comm {
 pub struct Alone;
 
 impl Comm for Alone {
-    fn ask<'a>(
-        &'a self,
-        at: &'a Location,
-        request: Request,
-    ) -> LocalBoxFuture<'a, Result<Transport, Report>> {
+    fn ask<'a>(&'a self, at: &'a Location, request: Request) -> Answer<'a, Transport> {
         Box::pin(async move { Err(unreachable(at, &request.name)) })
     }
 

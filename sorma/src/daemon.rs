@@ -5,92 +5,37 @@
 //! was started anew.
 
 mod address;
-mod offers;
+mod arguments;
+mod protocol;
 mod streams;
 mod tasks;
 
 use crate::comm::Comm;
 use crate::dictionary::Dictionary;
-use crate::name::ObjectName;
 use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
 use crate::watching::Trace;
+use arguments::Arguments;
 use ctos::diagnostic::Findings;
-use ctos::message::{Command, Replier};
+use ctos::message::Replier;
 use ctos::registry::Registry;
 use ctos::task::{Context, Handled, HandlerError};
 use ctos::text::Gone;
 /// Asks by one line of text: a request `name EXEC|CTRL|DBX ...`, and the reply has the same form.
 pub use ctos::text::Say;
-use futures_util::FutureExt as _;
-use offers::Offers;
-use serde::{Deserialize, Serialize};
-use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 use streams::{Leave, Subscribe, Subscribers, Take};
+use tasks::begin;
+
+pub use arguments::HANDLER;
+pub use protocol::{Ask, Tell, VERSION};
 pub use tasks::Tasks;
-
-/// The handler's name, as configurations write it.
-pub const HANDLER: &str = "sorma.daemon";
-
-/// What a daemon and its callers must agree in.
-pub const VERSION: u32 = 2;
-
-/// How long a caller waits for a daemon that is being started again, before it asks once more.
-const BACK_WITHIN: Duration = Duration::from_secs(30);
 
 /// How often, and for how long, objects in calls are asked to give back what they keep for those who are gone.
 const RELEASE_EVERY: Duration = Duration::from_secs(1);
 const RELEASES: u32 = 120;
-
-/// Asks an object of this daemon.
-#[derive(Debug, Clone, Serialize, Deserialize, Command)]
-#[command(name = "ask", reply = Transport, code = 0x0001)]
-pub struct Ask {
-    /// The caller's version of this command.
-    version: u32,
-    /// The object, by its local name.
-    object: String,
-    method: Method,
-    body: Transport,
-}
-
-impl Ask {
-    /// What to say to a caller of another version.
-    fn foreign(&self) -> Option<String> {
-        (self.version != VERSION).then(|| {
-            format!(
-                "the caller speaks version {} of service objects, this daemon {VERSION}: \
-                 run the same program on both sides",
-                self.version
-            )
-        })
-    }
-}
-
-/// Arguments of the handler.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Arguments {
-    /// Files of the dictionary, the later ones over the earlier.
-    #[serde(default)]
-    dictionary: Vec<String>,
-    /// By which number, besides its name, it is found on its host: `foo.a@host:11`.
-    #[serde(default)]
-    number: Option<u32>,
-    /// What it offers to whoever trades, by class.
-    #[serde(default)]
-    offers: Offers,
-}
-
-/// Does what [`Ask`] does, and answers nothing.
-#[derive(Debug, Serialize, Deserialize, Command)]
-#[command(name = "tell", code = 0x0013)]
-pub struct Tell {
-    ask: Ask,
-}
 
 /// A task that serves the objects of its process.
 pub struct Daemon {
@@ -123,8 +68,8 @@ pub fn manager(cx: &Context, shipped: Dictionary) -> Result<Sorm, HandlerError> 
     let arguments: Arguments = cx.args()?;
     let mut dictionary = shipped;
     for file in &arguments.dictionary {
-        let path = cx.path(file);
-        load(&mut dictionary, &path)?;
+        let loaded = dictionary.load_file(&cx.path(file));
+        loaded.map_err(|findings| wrong(&findings))?;
     }
     dictionary
         .load_environment(environment())
@@ -146,41 +91,18 @@ fn environment() -> impl Iterator<Item = (String, String)> {
         .filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?)))
 }
 
-fn load(dictionary: &mut Dictionary, path: &Path) -> Result<(), HandlerError> {
-    dictionary
-        .load_file(path)
-        .map_err(|findings| wrong(&findings))
-}
-
 fn wrong(findings: &Findings) -> HandlerError {
     let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
     HandlerError::new(lines.join("\n"))
-}
-
-/// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
-/// beside the task, so that an object that waits keeps no other waiting.
-fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
-    let mut work = Box::pin(work);
-    if work.as_mut().now_or_never().is_none() {
-        cx.spawn(work);
-    }
 }
 
 #[ctos::handler]
 impl Daemon {
     #[command]
     fn ask(&mut self, cx: &Context, request: Ask, reply: Replier<Ask>) -> Handled {
-        if let Some(text) = request.foreign() {
-            return reply.fail(text);
-        }
-        let name = request.object.parse()?;
+        let request = request.read()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let request = Request {
-                name,
-                method: request.method,
-                body: request.body,
-            };
             let mut answer = sorm.ask(&Tasks::of(&here), request).await;
             answer.body.opaque.share();
             // Whoever asked may be gone.
@@ -191,20 +113,11 @@ impl Daemon {
 
     #[command]
     fn tell(&mut self, cx: &Context, request: Tell) -> Result<(), HandlerError> {
-        let request = request.ask;
-        if let Some(text) = request.foreign() {
-            return Err(HandlerError::new(text));
-        }
-        let name: ObjectName = request.object.parse()?;
+        let request = request.ask.read()?;
         let (sorm, here) = (self.sorm.clone(), cx.clone());
         begin(cx, async move {
-            let request = Request {
-                name: name.clone(),
-                method: request.method,
-                body: request.body,
-            };
             let answer = sorm.ask(&Tasks::of(&here), request).await;
-            sorm.unheard(&name, &answer.body);
+            sorm.unheard(&answer.name, &answer.body);
         });
         Ok(())
     }
@@ -315,16 +228,8 @@ pub async fn rebuild(sorm: &Sorm, cx: &Context, chassis: &str) {
                 );
             }
             Ok(answer) => {
-                let why = answer
-                    .reports
-                    .iter()
-                    .map(ToString::to_string)
-                    .collect::<Vec<_>>();
-                tracing::warn!(
-                    daemon,
-                    error = why.join("; "),
-                    "objects cannot be built again"
-                );
+                let error = answer.said();
+                tracing::warn!(daemon, error, "objects cannot be built again");
             }
             Err(report) => {
                 tracing::warn!(daemon, error = %report, "objects cannot be built again");

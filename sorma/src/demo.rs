@@ -2,7 +2,7 @@
 //! section 1.5), for trying out names, flavors, the dictionary and nested calls without any hardware.
 
 use crate::class::Class;
-use crate::describe::{ClassInfo, Form};
+use crate::description::{ClassInfo, Form};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -32,9 +32,9 @@ foo   -transferSpeed 0.8
 
 /// Makes the classes known to a manager.
 pub fn register(sorm: &Sorm) {
-    let meal = Class::new("foo", VERSION, |_, _| Ok(Box::new(Foo(Meal::default()))));
+    let meal = Class::new("foo", VERSION, |_, _| Ok(Box::new(Meal::default())));
     sorm.register(meal.described(MEAL.class("foo", VERSION)));
-    let bar = Class::new("bar", VERSION, |_, _| Ok(Box::new(Bar(Drink::default()))));
+    let bar = Class::new("bar", VERSION, |_, _| Ok(Box::new(Drink::default())));
     let bar = bar.described(DRINK.class("bar", VERSION));
     sorm.register(bar.codes(code::PROTOTYPES));
 }
@@ -119,13 +119,11 @@ static MEAL: LazyLock<OptionTable<Meal>> = LazyLock::new(|| {
         )
 });
 
-struct Foo(Meal);
-
-impl ServiceObject for Foo {
+impl ServiceObject for Meal {
     fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let form = MEAL.form(io)?;
         io.floats.clear();
-        let meal = &self.0;
+        let meal = self;
         if form.floats == 6 {
             io.floats.push(meal.transfer_speed);
             return Ok(());
@@ -149,12 +147,12 @@ impl ServiceObject for Foo {
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        MEAL.ctrl(&mut self.0, io);
+        MEAL.ctrl(self, io);
         Ok(())
     }
 
     fn dump(&self) -> String {
-        MEAL.dump(&self.0)
+        MEAL.dump(self)
     }
 }
 
@@ -202,26 +200,24 @@ static DRINK: LazyLock<OptionTable<Drink>> = LazyLock::new(|| {
         )
 });
 
-struct Bar(Drink);
-
-impl ServiceObject for Bar {
+impl ServiceObject for Drink {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         DRINK.form(io)?;
-        if self.0.tea == 0.0 {
+        if self.tea == 0.0 {
             return Err(Report::error(code::NO_TEA, "there is no tea; set -tea"));
         }
         io.floats.clear();
-        io.floats.extend([self.0.tea, self.0.lemon]);
+        io.floats.extend([self.tea, self.lemon]);
         Ok(())
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        DRINK.ctrl(&mut self.0, io);
+        DRINK.ctrl(self, io);
         Ok(())
     }
 
     fn dump(&self) -> String {
-        DRINK.dump(&self.0)
+        DRINK.dump(self)
     }
 }
 

@@ -4,9 +4,7 @@
 //! (`d1 druide:11`, `FOO self`). Within a recipe, `-SUBST word` stands for the recipe of `word`.
 
 mod files;
-mod object;
-
-pub(crate) use object::{DictionaryObject, class};
+pub(crate) mod object;
 
 use crate::name::suggestion;
 use crate::raise;
@@ -14,7 +12,7 @@ use crate::report::{Report, code};
 use crate::words;
 use ctos::diagnostic::{Finding, Findings, Source};
 use files::File;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 /// No recipe may look at more words than this, substitutions included.
@@ -76,9 +74,8 @@ impl Dictionary {
             let Some(index) = name.strip_prefix("SORMA_").filter(|rest| !rest.is_empty()) else {
                 continue;
             };
-            match words::split(&value) {
+            match words::texts(&value) {
                 Ok(words) => {
-                    let words = words.into_iter().map(|word| word.text).collect();
                     read.insert(index.replace("__", "."), words);
                 }
                 Err(error) => {
@@ -189,7 +186,7 @@ fn read(source: &Source) -> Result<Vec<Entry>, Findings> {
     let mut reading = Reading {
         source,
         entries: Vec::new(),
-        known: BTreeMap::new(),
+        known: BTreeSet::new(),
         open: None,
         findings: Findings::new(),
     };
@@ -209,7 +206,7 @@ fn read(source: &Source) -> Result<Vec<Entry>, Findings> {
 struct Reading<'a> {
     source: &'a Source,
     entries: Vec<Entry>,
-    known: BTreeMap<String, ()>,
+    known: BTreeSet<String>,
     /// The entry whose lines go on.
     open: Option<Entry>,
     findings: Findings,
@@ -245,7 +242,7 @@ impl Reading<'_> {
         if begun.index.is_empty()
             && let Some(index) = recipe.next()
         {
-            if self.known.insert(index.clone(), ()).is_some() {
+            if !self.known.insert(index.clone()) {
                 let span = found.first().map_or(0..0, |word| word.span.clone());
                 let place = self.source.at(start + span.start..start + span.end);
                 let text = format!("`{index}` stands in this file already");

@@ -6,13 +6,13 @@
 //! it ends with its task. None of it is ever executed twice.
 
 use crate::comm::Comm;
-use crate::object::Outcome;
+use crate::name::ObjectName;
+use crate::object::{Outcome, Waiting};
 use crate::raise;
-use crate::report::code;
+use crate::report::{Report, code};
 use crate::request::{Reply, Request};
 use crate::sorm::{Place, Sorm};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use futures_util::StreamExt as _;
 use futures_util::stream;
 use std::rc::Rc;
@@ -67,11 +67,7 @@ impl Sorm {
     ///
     /// # Errors
     /// Nothing can go on beside the caller here.
-    pub fn ask_later(
-        &self,
-        comm: &dyn Comm,
-        request: Request,
-    ) -> Result<Deferred<Reply>, crate::Report> {
+    pub fn ask_later(&self, comm: &dyn Comm, request: Request) -> Result<Deferred<Reply>, Report> {
         let never = self.never(&request);
         let sorm = self.clone();
         defer(comm, never, move |comm| async move {
@@ -109,12 +105,7 @@ impl Sorm {
                 });
             }
             Place::There(at) => at,
-            Place::Traded(wanted) => {
-                let offers = self.offers_for(comm, &request.name, &wanted).await?;
-                let offer = offers.into_iter().next();
-                let offer = offer.ok_or_else(|| wanted.unmet(&request.name, &[]))?;
-                crate::Location::Alias(offer.daemon)
-            }
+            Place::Traded(wanted) => self.best(comm, &request.name, &wanted).await?,
         };
         let request = Request {
             name: request.name.here(),
@@ -125,11 +116,9 @@ impl Sorm {
     }
 
     /// Logs what nobody waits to hear.
-    pub(crate) fn unheard(&self, name: &crate::ObjectName, body: &Transport) {
+    pub(crate) fn unheard(&self, name: &ObjectName, body: &Transport) {
         if !body.is_ok() {
-            let said = body.reports.iter().map(ToString::to_string);
-            let said = said.collect::<Vec<_>>().join("; ");
-            tracing::warn!(object = %name, chassis = self.process(), error = said, "a one-way request came to nothing");
+            tracing::warn!(object = %name, chassis = self.process(), error = body.said(), "a one-way request came to nothing");
         }
     }
 
@@ -153,7 +142,7 @@ impl Sorm {
         comm: &dyn Comm,
         requests: Vec<Request>,
         at_once: usize,
-    ) -> Result<Deferred<Vec<Reply>>, crate::Report> {
+    ) -> Result<Deferred<Vec<Reply>>, Report> {
         let never = requests.iter().map(|request| self.never(request));
         let never = never.collect();
         let sorm = self.clone();
@@ -184,14 +173,8 @@ impl Waiting<'_> {
         at_once: usize,
         io: &mut Transport,
     ) -> Vec<Reply> {
-        let (from, trace) = (io.from.clone(), io.trace.nested());
         let mut replies = forked(requests, at_once, |mut request| {
-            if request.body.from.is_empty() {
-                request.body.from.clone_from(&from);
-            }
-            if request.body.trace.id == 0 {
-                request.body.trace = trace;
-            }
+            request.body.inherit(io);
             self.ask(request)
         })
         .await;
@@ -223,7 +206,7 @@ fn defer<T: 'static, F: Future<Output = T> + 'static>(
     comm: &dyn Comm,
     instead: T,
     work: impl FnOnce(Rc<dyn Comm>) -> F + 'static,
-) -> Result<Deferred<T>, crate::Report> {
+) -> Result<Deferred<T>, Report> {
     let (sender, answer) = oneshot::channel();
     comm.spawn(Box::new(move |comm| {
         Box::pin(async move {

@@ -4,21 +4,35 @@
 //! the transport structure, textual requests, option tables, the dictionary of recipes, and the
 //! manager that builds objects from their names. Other daemons are reached over the seam in [`comm`];
 //! [`daemon`] carries it by the tasks of CTOS.
+//!
+//! A file may use files of its own layer and of the layers before it:
+//!
+//! 1. text: `words`, `name`, `report`
+//! 2. data: `opaque`, `transport`, `request`, `results`, `description`, `reserve`, `meta`
+//! 3. parts that know no object: `options`, `dictionary`, `trade/wanted`, `trade/market`, `watching`, `comm`, `clock`,
+//!    `process`, `snapshot`
+//! 4. what an object is and where it stands, the one circle: `object`, `class`, `sorm`
+//! 5. calls by reference: `dbx`, `slot`
+//! 6. objects by their names: `plant`, `together`, `trade`
+//! 7. requests by their names: `waiting`, `dispatch`, `later`, `stream`
+//! 8. classes: `dictionary/object`, `manager`, `watching/object`, `builtin`, `asynchronous`, `ipc`, `demo`
+//! 9. tasks of CTOS: `daemon`
 
 pub mod asynchronous;
+mod builtin;
 pub mod class;
 pub mod clock;
 pub mod comm;
 pub mod daemon;
 mod dbx;
 pub mod demo;
-pub mod describe;
+mod description;
 pub mod dictionary;
-#[cfg(test)]
-mod fuzz;
+mod dispatch;
 pub mod ipc;
 pub mod later;
 mod manager;
+mod meta;
 pub mod name;
 pub mod object;
 pub mod opaque;
@@ -36,17 +50,17 @@ pub mod stream;
 pub mod together;
 pub mod trade;
 pub mod transport;
-pub mod waiting;
+mod waiting;
 pub mod watching;
 pub mod words;
 
 pub use class::Class;
 pub use comm::{Alone, Comm};
-pub use describe::{ClassInfo, Form};
+pub use description::{ClassInfo, Form};
 pub use dictionary::Dictionary;
 pub use later::Deferred;
 pub use name::{Location, NameError, ObjectName};
-pub use object::{Context, Outcome, ServiceObject, TwoStep};
+pub use object::{Context, Outcome, ServiceObject, TwoStep, Waiting};
 pub use opaque::Opaque;
 pub use options::OptionTable;
 pub use report::{Prototype, Report, Severity};
@@ -56,7 +70,13 @@ pub use slot::{Claim, Handle, Owned};
 pub use sorm::Sorm;
 pub use stream::Stream;
 pub use transport::Transport;
-pub use waiting::Waiting;
+
+/// What a program may know about classes, as data.
+pub mod describe {
+    pub use crate::builtin::own_classes;
+    pub use crate::dbx::dbx_options;
+    pub use crate::description::{ClassInfo, Form, FormInfo, OptionInfo, OptionKind};
+}
 
 /// The pages of `docs` whose examples are run as tests.
 #[cfg(doctest)]
@@ -65,4 +85,9 @@ mod pages {
     mod service_objects {}
     #[doc = include_str!("../../docs/snapshots.md")]
     mod snapshots {}
+}
+
+#[cfg(test)]
+mod tests {
+    mod fuzz;
 }

@@ -1,15 +1,23 @@
-//! What a service object is, and what it is given when it is called.
+//! What a service object is, where it stands, and what it is given when it is called.
 
+use crate::class::Class;
+use crate::comm::Comm;
+use crate::meta::Meta;
 use crate::report::{Report, code};
 use crate::request::Method;
-use crate::slot::{Handle, Slot};
+use crate::reserve::Reservation;
+use crate::results::Results;
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use futures_util::future::LocalBoxFuture;
+use parking_lot::Mutex;
+use std::sync::{Arc, OnceLock};
 
 /// How a method of a service object ends; the error becomes a report and the return code.
 pub type Outcome = Result<(), Report>;
+
+/// How an EXEC that waits for others ends; `None` in a class whose EXEC does not.
+pub type Later<'a> = Option<LocalBoxFuture<'a, Outcome>>;
 
 /// A service object: a small interface to anything that serves (SORMA technical report,
 /// section 1.3.3).
@@ -28,11 +36,7 @@ pub trait ServiceObject: Send {
 
     /// Does a job for which it asks other objects, wherever they are, and waits for them. A class has
     /// this or [`Self::exec`]; one with this is registered with [`Class::waits`](crate::Class::waits).
-    fn exec_waiting<'a>(
-        &'a mut self,
-        cx: &'a Waiting<'a>,
-        io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    fn exec_waiting<'a>(&'a mut self, cx: &'a Waiting<'a>, io: &'a mut Transport) -> Later<'a> {
         let _ = (cx, io);
         None
     }
@@ -117,52 +121,13 @@ impl Context<'_> {
         self.slot.publish(self.sorm, body);
     }
 
-    /// Calls another object by name. Its reports are added to `io`, so that they reach the first
-    /// caller; an error of it is an error here, naming both.
-    ///
-    /// # Errors
-    /// The name is wrong or cannot be built, or the call ended with an error.
-    pub fn call(
-        &self,
-        name: &str,
-        method: Method,
-        mut sub: Transport,
-        io: &mut Transport,
-    ) -> Result<Transport, Report> {
-        let object = self.sorm.get(name)?;
-        self.call_by(&object, method, &mut sub, io)?;
-        Ok(sub)
-    }
-
-    /// Calls another object by reference: `sub` goes in and comes out. Otherwise as [`Self::call`].
-    ///
-    /// # Errors
-    /// The call ended with an error.
-    pub fn call_by(
-        &self,
-        object: &Handle,
-        method: Method,
-        sub: &mut Transport,
-        io: &mut Transport,
-    ) -> Outcome {
-        if sub.from.is_empty() && !io.from.is_empty() {
-            sub.from.clone_from(&io.from);
-        }
-        if sub.trace.id == 0 {
-            sub.trace = io.trace.nested();
-        }
-        object.slot.call(self.sorm, Some(self), method, sub);
-        io.reports.append(&mut sub.reports);
-        if sub.is_ok() {
-            return Ok(());
-        }
+    /// What ends a call that needed another object, which ended with that code.
+    pub(crate) fn failed(&self, name: &str, method: Method, code: i32) -> Report {
         let text = format!(
-            "`{}` needs `{} {method}`, which ended with {}",
-            self.name(),
-            object.name(),
-            sub.code
+            "`{}` needs `{name} {method}`, which ended with {code}",
+            self.name()
         );
-        Err(Report::error(sub.code, text))
+        Report::error(code, text)
     }
 
     /// Whether this call is made, directly or not, in one of that object.
@@ -175,6 +140,94 @@ impl Context<'_> {
             call = now.within;
         }
         false
+    }
+}
+
+/// What an EXEC that waits may use while it runs.
+pub struct Waiting<'a> {
+    pub(crate) cx: Context<'a>,
+    pub(crate) comm: &'a dyn Comm,
+}
+
+/// An object with its name.
+pub(crate) struct Slot {
+    name: String,
+    pub(crate) class: Arc<Class>,
+    /// Whose turn it is, at an object that waits for others.
+    pub(crate) turn: Option<tokio::sync::Mutex<()>>,
+    /// Where its results go, if anybody has ever wanted them.
+    results: OnceLock<Arc<Results>>,
+    pub(crate) body: Mutex<Body>,
+}
+
+/// What a call has to itself.
+pub(crate) struct Body {
+    pub(crate) object: Box<dyn ServiceObject>,
+    pub(crate) meta: Meta,
+    pub(crate) reserved: Option<Reservation>,
+}
+
+impl Slot {
+    pub(crate) fn new(name: String, object: Box<dyn ServiceObject>, class: Arc<Class>) -> Self {
+        Self {
+            turn: class.is_waiting().then(tokio::sync::Mutex::default),
+            results: OnceLock::new(),
+            name,
+            class,
+            body: Mutex::new(Body {
+                object,
+                meta: Meta::default(),
+                reserved: None,
+            }),
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What a method of the object may use.
+    #[inline]
+    pub(crate) fn context<'a>(
+        &'a self,
+        sorm: &'a Sorm,
+        within: Option<&'a Context<'a>>,
+    ) -> Context<'a> {
+        Context {
+            sorm,
+            slot: self,
+            within,
+        }
+    }
+
+    /// Whether its EXEC waits for others.
+    pub(crate) fn waits(&self) -> bool {
+        self.turn.is_some()
+    }
+
+    /// From now on its results go there.
+    pub(crate) fn feed(&self, results: &Arc<Results>) {
+        self.results.get_or_init(|| Arc::clone(results));
+    }
+
+    /// How many subscribe to its results.
+    pub(crate) fn subscribers(&self) -> usize {
+        self.results
+            .get()
+            .map_or(0, |results| results.subscribers())
+    }
+
+    /// Gives whoever subscribes to the object's results a copy.
+    #[inline]
+    pub(crate) fn publish(&self, sorm: &Sorm, body: &Transport) {
+        if let Some(results) = self.results.get() {
+            Self::publish_to(results, sorm, body);
+        }
+    }
+
+    #[cold]
+    fn publish_to(results: &Results, sorm: &Sorm, body: &Transport) {
+        results.publish(sorm.now(), body);
     }
 }
 

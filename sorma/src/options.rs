@@ -7,12 +7,12 @@
 
 mod kind;
 
-use crate::describe::{ClassInfo, Form, FormInfo, OptionInfo};
+use crate::description::{ClassInfo, Form, FormInfo, OptionInfo};
 use crate::name::suggestion;
 use crate::report::{Report, code};
 use crate::transport::Transport;
 use crate::words::{self, Word};
-use kind::{Act, Bound, Field, Kind, Numbers};
+use kind::{Act, Bound, Field, Numbers};
 use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::ops::RangeInclusive;
@@ -29,10 +29,13 @@ pub struct OptionTable<T> {
 struct Opt<T> {
     name: &'static str,
     help: &'static str,
-    kind: Kind<T>,
+    at: Box<At<T>>,
 }
 
-impl<T: Clone + Default> OptionTable<T> {
+/// The option at one state. What is done with it knows no `T`, and so is compiled once.
+type At<T> = dyn Fn(&mut T) -> Bound<'_> + Send + Sync;
+
+impl<T: Clone + Default + 'static> OptionTable<T> {
     /// An empty table of a class; `about` says in one line what the class does.
     #[must_use]
     pub fn new(about: &'static str) -> Self {
@@ -50,15 +53,21 @@ impl<T: Clone + Default> OptionTable<T> {
         self
     }
 
-    fn option(mut self, name: &'static str, help: &'static str, kind: Kind<T>) -> Self {
-        self.options.push(Opt { name, help, kind });
+    fn option(
+        mut self,
+        name: &'static str,
+        help: &'static str,
+        at: impl Fn(&mut T) -> Bound<'_> + Send + Sync + 'static,
+    ) -> Self {
+        let at = Box::new(at);
+        self.options.push(Opt { name, help, at });
         self
     }
 
     /// `-name`, `-name on` or `-name off`.
     #[must_use]
     pub fn flag(self, name: &'static str, help: &'static str, field: Field<T, bool>) -> Self {
-        self.option(name, help, Kind::Flag(field))
+        self.option(name, help, move |state| Bound::Flag(field(state)))
     }
 
     /// `-name 0.5`: a finite float within `range`, in `unit` ("" for a pure number).
@@ -71,7 +80,10 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, f64>,
     ) -> Self {
-        self.option(name, help, Kind::Float(field, Numbers { range, unit }))
+        let numbers = Numbers { range, unit };
+        self.option(name, help, move |state| {
+            Bound::Float(field(state), numbers.clone())
+        })
     }
 
     /// `-name 3`: a whole number within `range`, in `unit` ("" for a pure number).
@@ -84,7 +96,10 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, i64>,
     ) -> Self {
-        self.option(name, help, Kind::Int(field, Numbers { range, unit }))
+        let numbers = Numbers { range, unit };
+        self.option(name, help, move |state| {
+            Bound::Int(field(state), numbers.clone())
+        })
     }
 
     /// `-name 3` or `-name word`: a whole number within `range`, in `unit`, or the one word that says
@@ -99,11 +114,10 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, String>,
     ) -> Self {
-        self.option(
-            name,
-            help,
-            Kind::IntOr(field, word, Numbers { range, unit }),
-        )
+        let numbers = Numbers { range, unit };
+        self.option(name, help, move |state| {
+            Bound::IntOr(field(state), word, numbers.clone())
+        })
     }
 
     /// `-name 0.1 0.2 0.3`: as many finite floats as there are `parameters`, each within `range`, in
@@ -118,8 +132,10 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, Vec<f64>>,
     ) -> Self {
-        let kind = Kind::Floats(field, parameters, Numbers { range, unit });
-        self.option(name, help, kind)
+        let numbers = Numbers { range, unit };
+        self.option(name, help, move |state| {
+            Bound::Floats(field(state), parameters, numbers.clone())
+        })
     }
 
     /// `-name 640 480`: as many whole numbers as there are `parameters`, each within `range`, in
@@ -134,8 +150,10 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, Vec<i64>>,
     ) -> Self {
-        let kind = Kind::Ints(field, parameters, Numbers { range, unit });
-        self.option(name, help, kind)
+        let numbers = Numbers { range, unit };
+        self.option(name, help, move |state| {
+            Bound::Ints(field(state), parameters, numbers.clone())
+        })
     }
 
     /// `-name word`: one of a few words.
@@ -147,7 +165,9 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, String>,
     ) -> Self {
-        self.option(name, help, Kind::Choice(field, choices))
+        self.option(name, help, move |state| {
+            Bound::Choice(field(state), choices)
+        })
     }
 
     /// `-name word`: any word; `what` names it in the help (`FILE`, `OBJECT`).
@@ -159,7 +179,7 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         field: Field<T, String>,
     ) -> Self {
-        self.option(name, help, Kind::Word(field, what))
+        self.option(name, help, move |state| Bound::Word(field(state), what))
     }
 
     /// `-name a b`: does something with that many words and may answer with a text. It is no state,
@@ -172,7 +192,9 @@ impl<T: Clone + Default> OptionTable<T> {
         help: &'static str,
         act: Act<T>,
     ) -> Self {
-        self.option(name, help, Kind::Action(parameters, act))
+        self.option(name, help, move |state| {
+            Bound::Action(parameters, Box::new(move |words| act(state, words)))
+        })
     }
 
     /// What a program may know about the options, in the order of the table; `help` and `dump` are
@@ -225,8 +247,8 @@ impl<T: Clone + Default> OptionTable<T> {
         }
     }
 
-    fn at<'a>(&'a self, state: &'a mut T) -> At<'a, T> {
-        At {
+    fn at<'a>(&'a self, state: &'a mut T) -> Table<'a, T> {
+        Table {
             options: &self.options,
             state,
         }
@@ -249,18 +271,18 @@ struct Named<'a> {
     kind: Bound<'a>,
 }
 
-struct At<'a, T> {
+struct Table<'a, T> {
     options: &'a [Opt<T>],
     state: &'a mut T,
 }
 
-impl<T> Options for At<'_, T> {
+impl<T> Options for Table<'_, T> {
     fn get(&mut self, index: usize) -> Option<Named<'_>> {
         let option = self.options.get(index)?;
         Some(Named {
             name: option.name,
             help: option.help,
-            kind: option.kind.at(self.state),
+            kind: (option.at)(self.state),
         })
     }
 

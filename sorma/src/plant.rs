@@ -1,26 +1,63 @@
-//! The plant: builds an object from its name (SORMA technical report, section 1.5).
+//! The plant: finds an object by its name, or builds it (SORMA technical report, section 1.5).
 
-use crate::class::Class;
-use crate::dbx::Meta;
 use crate::name::{ObjectName, suggestion};
+use crate::object::Slot;
 use crate::raise;
 use crate::report::{Report, code};
-use crate::slot::{Owned, Slot};
-use crate::sorm::Sorm;
+use crate::request::Method;
+use crate::slot::{Handle, Owned};
+use crate::sorm::{Place, Sorm, parse};
 use crate::transport::Transport;
 use crate::words;
 use std::cell::RefCell;
 use std::sync::Arc;
 
 impl Sorm {
+    /// The object of that name. The first use builds it: the class makes an object, whose own CTRL
+    /// then takes the recipe that the dictionary has for the name.
+    ///
+    /// # Errors
+    /// No name, no such class, no such flavor, a recipe that its class does not take, a daemon that
+    /// cannot be reached from here.
+    pub fn get(&self, name: &str) -> Result<Handle, Report> {
+        self.resolve(&parse(name)?)
+    }
+
+    /// The object of that name in this process.
+    pub(crate) fn resolve(&self, name: &ObjectName) -> Result<Handle, Report> {
+        if self.place(name)? != Place::Here {
+            return Err(raise!(
+                code::DAEMON,
+                "`{name}` is served by another daemon: it is asked with `Sorm::ask`, over a link"
+            ));
+        }
+        let local = name.local();
+        if let Some(slot) = self.find(&local) {
+            return Ok(Handle { slot });
+        }
+        match self.aliased(&local) {
+            Some(to) => self.first_use(&parse(&to)?),
+            None => self.first_use(name),
+        }
+    }
+
+    fn first_use(&self, name: &ObjectName) -> Result<Handle, Report> {
+        let building = self.inner.building.lock();
+        // Another thread may have built it meanwhile.
+        if let Some(slot) = self.find(&name.local()) {
+            return Ok(Handle { slot });
+        }
+        let slot = Arc::new(self.build(name, &building)?);
+        self.add(Arc::clone(&slot));
+        Ok(Handle { slot })
+    }
+
     /// Builds an object that stands in no repository: for whoever asks alone, as a part of its own.
     ///
     /// # Errors
     /// As [`Sorm::get`].
     pub fn private(&self, name: &str) -> Result<Owned, Report> {
-        let name: ObjectName = name
-            .parse()
-            .map_err(|error| raise!(code::SYNTAX, "no name: {error}"))?;
+        let name = parse(name)?;
         let building = self.inner.building.lock();
         self.build(&name, &building).map(Owned::new)
     }
@@ -52,7 +89,7 @@ impl Sorm {
         if recipe.is_none() && name.flavor().is_some() && !class.takes_any_flavor() {
             return Err(self.unknown_flavor(name));
         }
-        let slot = self.bare(name, &class, local)?;
+        let slot = Slot::new(local, class.build(name, self)?, class);
         if let Some(recipe) = recipe {
             self.cook(&slot, &recipe)?;
         }
@@ -60,20 +97,16 @@ impl Sorm {
         Ok(slot)
     }
 
-    fn bare(&self, name: &ObjectName, class: &Arc<Class>, local: String) -> Result<Slot, Report> {
-        let object = class.build(name, self)?;
-        Ok(Slot::new(local, object, Meta::new(Arc::clone(class))))
-    }
-
     /// Has the object take its recipe.
     fn cook(&self, slot: &Slot, recipe: &[String]) -> Result<(), Report> {
         let recipe = words::join(recipe.iter().map(String::as_str));
-        let io = self.ctrl_text(slot, &recipe);
+        let mut io = Transport::text(recipe.as_str());
+        slot.call_unseen(self, None, Method::Ctrl, &mut io);
         if io.is_ok() {
             return Ok(());
         }
         let name = slot.name();
-        let why = texts(&io);
+        let why = io.texts();
         Err(raise!(
             io.code,
             "`{name}` does not take its recipe `{recipe}`: {why}"
@@ -89,7 +122,7 @@ impl Sorm {
         if io.is_ok() {
             return Ok(());
         }
-        let (name, why) = (slot.name(), texts(&io));
+        let (name, why) = (slot.name(), io.texts());
         Err(raise!(
             code::SELF_TEST,
             "`{name}` does not pass its self-test: {why}"
@@ -109,9 +142,4 @@ impl Sorm {
             "the dictionary has no recipe for `{local}`{hint}"
         )
     }
-}
-
-fn texts(io: &Transport) -> String {
-    let texts = io.reports.iter().map(|report| report.text.as_str());
-    texts.collect::<Vec<_>>().join("; ")
 }

@@ -7,9 +7,10 @@ use std::fmt;
 use std::panic::Location;
 
 /// How bad a report is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Severity {
     /// Talk, for whoever wants to follow.
+    #[default]
     Verbose,
     /// Done, but not as one would expect.
     Warning,
@@ -38,7 +39,7 @@ impl Severity {
 }
 
 /// One thing that happened, with where in the source it was said and by which object.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Report {
     /// How bad it is.
     pub severity: Severity,
@@ -164,9 +165,7 @@ impl Report {
             text: text.into(),
             file: place.file().to_owned(),
             line: place.line(),
-            object: String::new(),
-            process: String::new(),
-            time_ns: 0,
+            ..Self::default()
         }
     }
 
@@ -195,14 +194,8 @@ impl Report {
     #[must_use]
     pub fn message(text: impl Into<String>) -> Self {
         Self {
-            severity: Severity::Verbose,
-            code: 0,
             text: text.into(),
-            file: String::new(),
-            line: 0,
-            object: String::new(),
-            process: String::new(),
-            time_ns: 0,
+            ..Self::default()
         }
     }
 

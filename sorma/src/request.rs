@@ -200,12 +200,7 @@ impl<'a> Body<'a> {
 
     fn read(mut self) -> Result<Transport, RequestError> {
         let mut body = Transport::default();
-        if let Some((word, rest)) = self.words.split_first()
-            && keyword(word) == Some("TMSG")
-        {
-            self.start = word.span.end;
-            self.words = rest;
-        }
+        self.keyword("TMSG");
         body.text = self.take_text();
         if self.keyword("FMSG") {
             body.floats = self.numbers("FMSG", "a float", read_float)?;

@@ -82,9 +82,7 @@ struct State {
 }
 
 /// What a subscriber and the object share.
-struct Shared {
-    kept: Mutex<Kept>,
-}
+type Shared = Mutex<Kept>;
 
 struct Kept {
     capacity: usize,
@@ -113,20 +111,18 @@ impl Results {
                     body: body.clone(),
                 })
             });
-            tap.put(Arc::clone(sample));
+            put(&tap, Arc::clone(sample));
             true
         });
     }
 
     /// A new subscriber, for results from now on.
     pub(crate) fn subscribe(&self, keep: Keep) -> Tap {
-        let shared = Arc::new(Shared {
-            kept: Mutex::new(Kept {
-                capacity: keep.capacity(),
-                samples: VecDeque::new(),
-                waker: None,
-            }),
-        });
+        let shared = Arc::new(Mutex::new(Kept {
+            capacity: keep.capacity(),
+            samples: VecDeque::new(),
+            waker: None,
+        }));
         let mut state = self.state.lock();
         state.taps.retain(|tap| tap.strong_count() > 0);
         state.taps.push(Arc::downgrade(&shared));
@@ -144,18 +140,16 @@ impl Results {
     }
 }
 
-impl Shared {
-    fn put(&self, sample: Arc<Sample>) {
-        let mut kept = self.kept.lock();
-        if kept.samples.len() >= kept.capacity {
-            kept.samples.pop_front();
-        }
-        kept.samples.push_back(sample);
-        let waker = kept.waker.take();
-        drop(kept);
-        if let Some(waker) = waker {
-            waker.wake();
-        }
+fn put(shared: &Shared, sample: Arc<Sample>) {
+    let mut kept = shared.lock();
+    if kept.samples.len() >= kept.capacity {
+        kept.samples.pop_front();
+    }
+    kept.samples.push_back(sample);
+    let waker = kept.waker.take();
+    drop(kept);
+    if let Some(waker) = waker {
+        waker.wake();
     }
 }
 
@@ -174,7 +168,7 @@ impl Tap {
     /// The results after number `after`, the oldest first, at most `most` of them. Those up to `after`
     /// are thrown away, the others stay until they are said to have arrived.
     pub(crate) fn after(&self, after: u64, most: usize) -> Vec<Arc<Sample>> {
-        let mut kept = self.shared.kept.lock();
+        let mut kept = self.shared.lock();
         while kept
             .samples
             .front()
@@ -188,14 +182,14 @@ impl Tap {
     /// How many results are kept.
     #[cfg(test)]
     fn waiting(&self) -> usize {
-        self.shared.kept.lock().samples.len()
+        self.shared.lock().samples.len()
     }
 
     /// Waits until there is a result after number `after`. One waits at a time; who waited before is
     /// woken no more.
     pub(crate) async fn wait(&self, after: u64) {
         poll_fn(|cx| {
-            let mut kept = self.shared.kept.lock();
+            let mut kept = self.shared.lock();
             let is_later = |sample: &Arc<Sample>| sample.number > after;
             if kept.samples.back().is_some_and(is_later) {
                 return Poll::Ready(());

@@ -1,43 +1,23 @@
-//! An object in its place: what calls it, by reference, from any thread.
+//! Calls of an object by reference, from any thread.
 //!
 //! Three handles for three needs. A [`Handle`] is shared, and each call takes the object's lock; a
 //! [`Claim`] has taken it once, so that a call costs what a virtual call does; an [`Owned`] object is
 //! nobody else's and stands in no repository.
 
-use crate::dbx::{self, Meta};
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::dbx;
+use crate::object::{Body, Context, Outcome, Slot};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::Method;
-use crate::reserve::Reservation;
-use crate::results::Results;
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::MutexGuard;
 use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// How long a call waits for one from another thread to end.
 const PATIENCE: Duration = Duration::from_secs(10);
-
-/// An object with its name.
-pub(crate) struct Slot {
-    name: String,
-    /// Whose turn it is, at an object that waits for others.
-    turn: Option<tokio::sync::Mutex<()>>,
-    /// Where its results go, if anybody has ever wanted them.
-    results: OnceLock<Arc<Results>>,
-    body: Mutex<Body>,
-}
-
-/// What a call has to itself.
-pub(crate) struct Body {
-    pub(crate) object: Box<dyn ServiceObject>,
-    pub(crate) meta: Meta,
-    pub(crate) reserved: Option<Reservation>,
-}
 
 /// A reference to an object, for any thread; it stays usable after the object was removed from the
 /// repository.
@@ -59,19 +39,19 @@ pub struct Owned {
 
 impl std::fmt::Debug for Handle {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Handle({})", self.slot.name)
+        write!(f, "Handle({})", self.slot.name())
     }
 }
 
 impl std::fmt::Debug for Claim<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Claim({})", self.slot.name)
+        write!(f, "Claim({})", self.slot.name())
     }
 }
 
 impl std::fmt::Debug for Owned {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Owned({})", self.slot.name)
+        write!(f, "Owned({})", self.slot.name())
     }
 }
 
@@ -79,7 +59,7 @@ impl Handle {
     /// The object's full local name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.slot.name
+        self.slot.name()
     }
 
     /// Calls a method. Results and reports are in `io`; its code is 0 when all went well.
@@ -135,7 +115,7 @@ impl Owned {
     /// The object's full local name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.slot.name
+        self.slot.name()
     }
 
     /// EXEC in a call of its owner. Results and reports are in `io`.
@@ -150,67 +130,30 @@ impl Owned {
     }
 }
 
+impl Context<'_> {
+    /// Calls another object by reference: `sub` goes in and comes out. Its reports are added to `io`, so that
+    /// they reach the first caller; an error of it is an error here, naming both.
+    ///
+    /// # Errors
+    /// The call ended with an error.
+    pub fn call_by(
+        &self,
+        object: &Handle,
+        method: Method,
+        sub: &mut Transport,
+        io: &mut Transport,
+    ) -> Outcome {
+        sub.inherit(io);
+        object.slot.call(self.sorm, Some(self), method, sub);
+        io.reports.append(&mut sub.reports);
+        if sub.is_ok() {
+            return Ok(());
+        }
+        Err(self.failed(object.name(), method, sub.code))
+    }
+}
+
 impl Slot {
-    pub(crate) fn new(name: String, object: Box<dyn ServiceObject>, meta: Meta) -> Self {
-        Self {
-            turn: meta.class.is_waiting().then(tokio::sync::Mutex::default),
-            results: OnceLock::new(),
-            name,
-            body: Mutex::new(Body {
-                object,
-                meta,
-                reserved: None,
-            }),
-        }
-    }
-
-    pub(crate) fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Whether its EXEC waits for others.
-    pub(crate) fn waits(&self) -> bool {
-        self.turn.is_some()
-    }
-
-    /// From now on its results go there.
-    pub(crate) fn feed(&self, results: &Arc<Results>) {
-        self.results.get_or_init(|| Arc::clone(results));
-    }
-
-    /// How many subscribe to its results.
-    pub(crate) fn subscribers(&self) -> usize {
-        self.results
-            .get()
-            .map_or(0, |results| results.subscribers())
-    }
-
-    /// Gives whoever subscribes to the object's results a copy.
-    #[inline]
-    pub(crate) fn publish(&self, sorm: &Sorm, body: &Transport) {
-        if let Some(results) = self.results.get() {
-            Self::publish_to(results, sorm, body);
-        }
-    }
-
-    #[cold]
-    fn publish_to(results: &Results, sorm: &Sorm, body: &Transport) {
-        results.publish(sorm.now(), body);
-    }
-
-    /// Waits until nobody else is served.
-    pub(crate) async fn turn(&self) -> Option<tokio::sync::MutexGuard<'_, ()>> {
-        match &self.turn {
-            Some(turn) => Some(turn.lock().await),
-            None => None,
-        }
-    }
-
-    /// The object, when it is in no call.
-    pub(crate) fn try_lock(&self) -> Option<MutexGuard<'_, Body>> {
-        self.body.try_lock()
-    }
-
     /// The object, when no call of another thread has it.
     ///
     /// # Errors
@@ -222,7 +165,7 @@ impl Slot {
         if let Some(body) = self.body.try_lock() {
             return Ok(body);
         }
-        let name = &self.name;
+        let name = self.name();
         let text = if within.is_some_and(|call| call.is_within(self)) {
             format!("`{name}` is in a call already: it was called by itself, directly or not")
         } else if self.waits() {
@@ -246,10 +189,10 @@ impl Slot {
         method: Method,
         io: &mut Transport,
     ) {
-        let seen = sorm.watchers().begin(sorm, &self.name, method, io);
+        let seen = sorm.watchers().begin(sorm.clock(), self.name(), method, io);
         self.call_unseen(sorm, within, method, io);
         if let Some(seen) = seen {
-            seen.end(sorm, io);
+            seen.end(sorm.process(), sorm.now(), io);
         }
     }
 
@@ -270,21 +213,6 @@ impl Slot {
         }
     }
 
-    /// [`Self::call`], but a panic becomes a report, and true says that there was one.
-    pub(crate) fn call_contained(&self, sorm: &Sorm, method: Method, io: &mut Transport) -> bool {
-        let seen = sorm.watchers().begin(sorm, &self.name, method, io);
-        let call = AssertUnwindSafe(|| self.call_unseen(sorm, None, method, io));
-        let panic = catch_unwind(call).err();
-        if let Some(panic) = &panic {
-            io.code = 0;
-            io.report(self.panicked(sorm, panic.as_ref()));
-        }
-        if let Some(seen) = seen {
-            seen.end(sorm, io);
-        }
-        panic.is_some()
-    }
-
     /// What a panic of the object said.
     pub(crate) fn panicked(&self, sorm: &Sorm, panic: &(dyn Any + Send)) -> Report {
         let text = panic
@@ -294,7 +222,7 @@ impl Slot {
             .unwrap_or_else(|| "it did not say why".to_owned());
         let text = format!(
             "`{}` panicked: {text}; its next use builds it anew",
-            self.name
+            self.name()
         );
         self.signed(Report::error(code::PANIC, text), Some(sorm))
     }
@@ -322,11 +250,7 @@ impl Slot {
         if (body.reserved.is_some() || self.waits()) && !self.may_exec(body, sorm, io) {
             return;
         }
-        let cx = Context {
-            sorm,
-            slot: self,
-            within,
-        };
+        let cx = self.context(sorm, within);
         io.code = 0;
         let before = io.reports.len();
         let outcome = body.object.exec(&cx, io);
@@ -356,7 +280,7 @@ impl Slot {
 
     #[cold]
     fn must_wait(&self) -> Report {
-        let name = &self.name;
+        let name = self.name();
         raise!(
             code::UNSUPPORTED,
             "`{name}` asks other objects and waits for them: it is asked with `Sorm::ask`, by name"
@@ -381,11 +305,7 @@ impl Slot {
         io: &mut Transport,
         act: impl FnOnce(&mut Body, &Context<'_>, &mut Transport) -> Outcome,
     ) {
-        let cx = Context {
-            sorm,
-            slot: self,
-            within,
-        };
+        let cx = self.context(sorm, within);
         io.code = 0;
         let before = io.reports.len();
         let outcome = act(body, &cx, io);
@@ -405,7 +325,7 @@ impl Slot {
         if reserved.is_of(from) {
             return Ok(());
         }
-        let text = format!("`{}` is {}", self.name, reserved.words(now));
+        let text = format!("`{}` is {}", self.name(), reserved.words(now));
         Err(self.signed(Report::error(code::LOCKED, text), Some(sorm)))
     }
 
@@ -417,12 +337,7 @@ impl Slot {
         if reserved.is_prepared()
             && let Some(steps) = body.object.two_step()
         {
-            let cx = Context {
-                sorm,
-                slot: self,
-                within: None,
-            };
-            steps.abort(&cx);
+            steps.abort(&self.context(sorm, None));
         }
     }
 
@@ -451,7 +366,7 @@ impl Slot {
     /// The report with this object's name, unless a sub-service has put its own.
     fn signed(&self, mut report: Report, sorm: Option<&Sorm>) -> Report {
         if report.object.is_empty() {
-            report.object.clone_from(&self.name);
+            self.name().clone_into(&mut report.object);
         }
         if let Some(sorm) = sorm.filter(|_| report.process.is_empty()) {
             sorm.process().clone_into(&mut report.process);

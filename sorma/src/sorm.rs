@@ -4,21 +4,17 @@
 //! One process, any thread; an object is called by reference at the cost of a virtual call.
 
 use crate::class::Class;
-use crate::comm::{Alone, Comm};
-use crate::dictionary::{Dictionary, DictionaryObject};
-use crate::manager::ManagerObject;
+use crate::dictionary::Dictionary;
 use crate::name::{Location, ObjectName, suggestion};
+use crate::object::Slot;
 use crate::raise;
 use crate::report::{Prototype, Report, code};
-use crate::request::{Method, Reply, Request, RequestError};
 use crate::results::Results;
-use crate::slot::{Handle, Slot};
-use crate::trade::{Market, Wanted};
+use crate::trade::market::Market;
+use crate::trade::wanted::Wanted;
 use crate::transport::Transport;
-use crate::watching::{Trace, Watch, Watchers};
-use crate::words;
+use crate::watching::Watchers;
 use ctos::time::{Clock, Instant};
-use futures_util::FutureExt as _;
 use parking_lot::{Mutex, ReentrantMutex, RwLock};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -68,18 +64,9 @@ impl std::fmt::Debug for Sorm {
 }
 
 impl Sorm {
-    /// A manager that knows the classes `dict` and `sorm`, and one dictionary, which objects are built
-    /// from. It has no name and a real clock.
-    #[must_use]
-    pub fn new(dictionary: Dictionary) -> Self {
-        Self::of("", Clock::real(), dictionary)
-    }
-
-    /// The manager of the process of that name, which stands in its reports, on the app's clock.
-    #[must_use]
-    pub fn of(process: &str, clock: Clock, dictionary: Dictionary) -> Self {
-        let dictionary = Arc::new(RwLock::new(dictionary));
-        let sorm = Self {
+    /// A manager that knows no classes yet.
+    pub(crate) fn bare(process: &str, clock: Clock, dictionary: Dictionary) -> Self {
+        Self {
             inner: Arc::new(Inner {
                 process: process.to_owned(),
                 clock,
@@ -90,30 +77,22 @@ impl Sorm {
                 results: Mutex::default(),
                 market: Mutex::default(),
                 watchers: Arc::default(),
-                dictionary: Arc::clone(&dictionary),
+                dictionary: Arc::new(RwLock::new(dictionary)),
                 building: ReentrantMutex::default(),
             }),
-        };
-        let version = env!("CARGO_PKG_VERSION");
-        let dict = Class::new("dict", version, move |_, _| {
-            Ok(Box::new(DictionaryObject::of(Arc::clone(&dictionary))))
-        });
-        sorm.register(dict.described(crate::dictionary::class()));
-        let manager = Class::new("sorm", version, |_, _| Ok(Box::new(ManagerObject)));
-        let manager = manager.described(crate::manager::class());
-        sorm.register(manager.codes(code::PROTOTYPES));
-        let watch = Class::new("watch", version, |_, sorm| {
-            Ok(Box::new(Watch::new(sorm.watchers())))
-        });
-        let watch = watch.described(crate::watching::class());
-        sorm.register(watch.waits().any_flavor());
-        sorm
+        }
     }
 
     /// The process's name.
     #[must_use]
     pub fn process(&self) -> &str {
         &self.inner.process
+    }
+
+    /// The app's clock.
+    #[inline]
+    pub(crate) fn clock(&self) -> &Clock {
+        &self.inner.clock
     }
 
     /// The app's time.
@@ -144,19 +123,12 @@ impl Sorm {
     /// What the codes of reports mean: of all classes, each with its class.
     #[must_use]
     pub fn prototypes(&self) -> Vec<(&'static str, Prototype)> {
-        let of_class = |class: &Arc<Class>| {
-            let name = class.name();
-            class
-                .prototypes()
-                .iter()
-                .map(move |prototype| (name, *prototype))
-        };
-        self.inner
-            .classes
-            .read()
-            .values()
-            .flat_map(of_class)
-            .collect()
+        let mut prototypes = Vec::new();
+        for class in self.inner.classes.read().values() {
+            let own = class.prototypes().iter();
+            prototypes.extend(own.map(|prototype| (class.name(), *prototype)));
+        }
+        prototypes
     }
 
     /// The names of all objects built so far, in alphabetical order.
@@ -169,16 +141,25 @@ impl Sorm {
         self.inner.objects.read().values().cloned().collect()
     }
 
+    /// What an alias leads to.
+    pub(crate) fn aliased(&self, alias: &str) -> Option<String> {
+        self.inner.aliases.read().get(alias).cloned()
+    }
+
     /// The object of that name if it is built already.
     pub(crate) fn find(&self, name: &str) -> Option<Arc<Slot>> {
-        let name = self
-            .inner
-            .aliases
-            .read()
-            .get(name)
-            .cloned()
-            .unwrap_or_else(|| name.to_owned());
-        self.inner.objects.read().get(&name).cloned()
+        let aliased = self.aliased(name);
+        let objects = self.inner.objects.read();
+        objects.get(aliased.as_deref().unwrap_or(name)).cloned()
+    }
+
+    /// Adds an object that was built; who subscribed to its results before goes on with them.
+    pub(crate) fn add(&self, slot: Arc<Slot>) {
+        if let Some(results) = self.inner.results.lock().get(slot.name()) {
+            slot.feed(results);
+        }
+        let mut objects = self.inner.objects.write();
+        objects.insert(slot.name().to_owned(), slot);
     }
 
     /// Removes an object from the repository; its next use builds it anew. Says whether it was there.
@@ -234,50 +215,6 @@ impl Sorm {
             .iter()
             .map(|(from, to)| (from.clone(), to.clone()))
             .collect()
-    }
-
-    /// The object of that name. The first use builds it: the class makes an object, whose own CTRL
-    /// then takes the recipe that the dictionary has for the name.
-    ///
-    /// # Errors
-    /// No name, no such class, no such flavor, a recipe that its class does not take, a daemon that
-    /// cannot be reached from here.
-    pub fn get(&self, name: &str) -> Result<Handle, Report> {
-        self.resolve(&parse(name)?)
-    }
-
-    /// The object of that name in this process.
-    pub(crate) fn resolve(&self, name: &ObjectName) -> Result<Handle, Report> {
-        if self.place(name)? != Place::Here {
-            return Err(raise!(
-                code::DAEMON,
-                "`{name}` is served by another daemon: it is asked with `Sorm::ask`, over a link"
-            ));
-        }
-        let local = name.local();
-        if let Some(slot) = self.find(&local) {
-            return Ok(Handle { slot });
-        }
-        let aliased = self.inner.aliases.read().get(&local).cloned();
-        match aliased {
-            Some(to) => self.first_use(&parse(&to)?),
-            None => self.first_use(name),
-        }
-    }
-
-    fn first_use(&self, name: &ObjectName) -> Result<Handle, Report> {
-        let building = self.inner.building.lock();
-        // Another thread may have built it meanwhile.
-        if let Some(slot) = self.find(&name.local()) {
-            return Ok(Handle { slot });
-        }
-        let slot = Arc::new(self.build(name, &building)?);
-        if let Some(results) = self.inner.results.lock().get(slot.name()) {
-            slot.feed(results);
-        }
-        let mut objects = self.inner.objects.write();
-        objects.insert(slot.name().to_owned(), Arc::clone(&slot));
-        Ok(Handle { slot })
     }
 
     /// Which process serves the name.
@@ -344,6 +281,14 @@ impl Sorm {
         body.report(report);
     }
 
+    /// Answers in place of an object that gave no answer.
+    pub(crate) fn unanswered(&self, name: &ObjectName, body: &mut Transport, mut report: Report) {
+        if report.object.is_empty() {
+            report.object = name.to_string();
+        }
+        self.refuse(body, report);
+    }
+
     pub(crate) fn class(&self, name: &ObjectName) -> Result<Arc<Class>, Report> {
         let classes = self.inner.classes.read();
         classes.get(name.class()).cloned().ok_or_else(|| {
@@ -355,134 +300,9 @@ impl Sorm {
             )
         })
     }
-
-    /// Passes a request to its object; the reply always comes, errors, panics and all.
-    #[must_use]
-    pub fn request(&self, request: Request) -> Reply {
-        let Request {
-            name,
-            method,
-            mut body,
-        } = request;
-        match self.resolve(&name) {
-            Ok(handle) if handle.slot.waits() && method == Method::Exec => {
-                return self.request_alone(Request { name, method, body });
-            }
-            Ok(handle) => {
-                if handle.slot.call_contained(self, method, &mut body) {
-                    // Nobody knows what state it is in.
-                    self.remove(handle.name());
-                }
-            }
-            Err(report) => self.refuse(&mut body, report),
-        }
-        Reply { name, body }
-    }
-
-    /// A request to an object that may wait for others, as far as nobody has to be waited for.
-    fn request_alone(&self, request: Request) -> Reply {
-        let (name, from) = (request.name.clone(), request.body.from.clone());
-        self.ask(&Alone, request).now_or_never().unwrap_or_else(|| {
-            let mut body = Transport::default().from(from);
-            let report = raise!(
-                code::UNSUPPORTED,
-                "`{name}` asks other objects and waits for them: it is asked with `Sorm::ask`, in an app that runs"
-            );
-            self.refuse(&mut body, report);
-            Reply { name, body }
-        })
-    }
-
-    /// One line of text in, one line of text out. A line that is no request is answered in the name
-    /// of `sorm`.
-    #[must_use]
-    pub fn dispatch(&self, line: &str) -> String {
-        self.dispatch_from(line, "")
-    }
-
-    /// [`Self::dispatch`] for the caller `from`, whose locks count.
-    #[must_use]
-    pub fn dispatch_from(&self, line: &str, from: &str) -> String {
-        match read(line, from) {
-            Ok(request) => write(&self.request(request)),
-            Err(answer) => answer,
-        }
-    }
-
-    /// [`Self::dispatch_from`] for whatever may wait, or be met by another daemon.
-    pub async fn tell(&self, comm: &dyn Comm, line: &str, from: &str) -> String {
-        self.tell_traced(comm, line, from, Trace::default()).await
-    }
-
-    /// [`Self::tell`] for a request that is followed through all that it leads to.
-    pub async fn tell_traced(
-        &self,
-        comm: &dyn Comm,
-        line: &str,
-        from: &str,
-        trace: Trace,
-    ) -> String {
-        match read(line, from) {
-            Ok(mut request) => {
-                request.body.trace = trace;
-                write(&self.ask(comm, request).await)
-            }
-            Err(answer) => answer,
-        }
-    }
-
-    /// Ends all locks of callers that are gone, aborts what is prepared for them, and has the objects give back
-    /// what they keep for them. Answers whether that was all: an object that is in a call now is to be asked
-    /// again.
-    pub fn release(&self, gone: impl Fn(&str) -> bool) -> bool {
-        let mut is_all = true;
-        for slot in self.slots() {
-            let Some(mut body) = slot.try_lock() else {
-                is_all = false;
-                continue;
-            };
-            let reserved = body.reserved.as_ref();
-            if reserved.is_some_and(|reserved| gone(reserved.by())) {
-                slot.let_go(&mut body, self);
-            }
-            if body.object.forget(&gone) {
-                drop(body);
-                self.remove(slot.name());
-            }
-        }
-        is_all
-    }
-
-    /// Asks an object by name for something that is not one of its methods.
-    pub(crate) fn ctrl_text(&self, slot: &Slot, text: &str) -> Transport {
-        let mut io = Transport::text(text);
-        slot.call_unseen(self, None, Method::Ctrl, &mut io);
-        io
-    }
 }
 
-/// Reads a request, or answers that it is none.
-fn read(line: &str, from: &str) -> Result<Request, String> {
-    let mut request: Request = line
-        .parse()
-        .map_err(|error: RequestError| refusal("sorm", &error))?;
-    from.clone_into(&mut request.body.from);
-    Ok(request)
-}
-
-fn write(reply: &Reply) -> String {
-    reply
-        .to_text()
-        .unwrap_or_else(|error| refusal(&reply.name.to_string(), &error))
-}
-
-fn refusal(name: &str, error: &RequestError) -> String {
-    let report = Report::error(code::SYNTAX, error.to_string());
-    let text = words::quoted(&report.to_line());
-    format!("{name} RET {} TDBX {text}", report.code)
-}
-
-fn parse(name: &str) -> Result<ObjectName, Report> {
+pub(crate) fn parse(name: &str) -> Result<ObjectName, Report> {
     name.parse()
         .map_err(|error| raise!(code::SYNTAX, "no name: {error}"))
 }

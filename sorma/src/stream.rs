@@ -9,8 +9,7 @@ use crate::name::{Location, ObjectName};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::results::{Keep, MOST_KEPT, Sample, Tap};
-use crate::sorm::{Inner, Place, Sorm};
-use crate::trade::Wanted;
+use crate::sorm::{Inner, Place, Sorm, parse};
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -66,9 +65,7 @@ impl Sorm {
         name: &str,
         keep: Keep,
     ) -> Result<Stream, Report> {
-        let name: ObjectName = name
-            .parse()
-            .map_err(|error| raise!(code::SYNTAX, "no name: {error}"))?;
+        let name = parse(name)?;
         let (source, last) = self.source(comm, &name, keep).await?;
         Ok(Stream {
             sorm: Arc::downgrade(&self.inner),
@@ -95,26 +92,12 @@ impl Sorm {
                 return Ok((Source::Here(tap), begun));
             }
             Place::There(at) => at,
-            Place::Traded(wanted) => self.chosen(comm, name, &wanted).await?,
+            Place::Traded(wanted) => self.best(comm, name, &wanted).await?,
         };
         let here = name.here();
         self.used(&at, &here);
         let (subscriber, begun) = comm.subscribe(&at, &here, keep).await?;
         Ok((Source::There { at, subscriber }, begun))
-    }
-
-    async fn chosen(
-        &self,
-        comm: &dyn Comm,
-        name: &ObjectName,
-        wanted: &Wanted,
-    ) -> Result<Location, Report> {
-        let offers = self.offers_for(comm, name, wanted).await?;
-        offers
-            .into_iter()
-            .next()
-            .map(|offer| Location::Alias(offer.daemon))
-            .ok_or_else(|| wanted.unmet(name, &[]))
     }
 
     /// Subscribes to an object of this process.

@@ -1,11 +1,11 @@
-//! Two-step commitment: several objects do their jobs all, or none of them does.
+//! Locks and two-step commitment: an object is kept for one caller, and several objects do their jobs all, or
+//! none of them does.
 
-use crate::object::{Context, Outcome};
+use crate::object::{Body, Context, Outcome, Slot};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::{Method, Reply, Request};
 use crate::reserve::Reservation;
-use crate::slot::{Body, Slot};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
 use std::sync::Arc;
@@ -175,11 +175,8 @@ impl Sorm {
         slots.retain(|slot| {
             let body = slot.lock(call);
             body.is_ok_and(|mut body| {
-                let over = body
-                    .reserved
-                    .as_ref()
-                    .is_some_and(|reserved| reserved.is_over(self.now()));
-                if over {
+                let reserved = body.reserved.as_ref();
+                if reserved.is_some_and(|reserved| reserved.is_over(self.now())) {
                     slot.let_go(&mut body, self);
                 }
                 holds(&body, from, commitment)
@@ -228,14 +225,34 @@ impl Sorm {
             return Ok(false);
         };
         let mut body = slot.lock(call)?;
-        let own = body
-            .reserved
-            .as_ref()
-            .is_some_and(|reserved| reserved.is_of(from));
+        let reserved = body.reserved.as_ref();
+        let own = reserved.is_some_and(|reserved| reserved.is_of(from));
         if own {
             slot.let_go(&mut body, self);
         }
         Ok(own)
+    }
+
+    /// Ends all locks of callers that are gone, aborts what is prepared for them, and has the objects give back
+    /// what they keep for them. Answers whether that was all: an object that is in a call now is to be asked
+    /// again.
+    pub fn release(&self, gone: impl Fn(&str) -> bool) -> bool {
+        let mut is_all = true;
+        for slot in self.slots() {
+            let Some(mut body) = slot.body.try_lock() else {
+                is_all = false;
+                continue;
+            };
+            let reserved = body.reserved.as_ref();
+            if reserved.is_some_and(|reserved| gone(reserved.by())) {
+                slot.let_go(&mut body, self);
+            }
+            if body.object.forget(&gone) {
+                drop(body);
+                self.remove(slot.name());
+            }
+        }
+        is_all
     }
 }
 
@@ -253,16 +270,10 @@ fn nothing(commitment: &str) -> Report {
 
 /// The error of a reply, said by whoever asked.
 fn refusal(reply: &Reply) -> Report {
-    let texts: Vec<&str> = reply
-        .body
-        .reports
-        .iter()
-        .map(|report| report.text.as_str())
-        .collect();
     raise!(
         reply.body.code,
         "`{}` refuses: {}",
         reply.name,
-        texts.join("; ")
+        reply.body.texts()
     )
 }

@@ -7,11 +7,10 @@
 //! those that do not or are slow, then by attributes, then whoever had the object before, then by how long
 //! the daemon's answers took. Every client measures for itself.
 
-mod market;
-mod wanted;
+pub(crate) mod market;
+pub(crate) mod wanted;
 
 pub use market::Ranked;
-pub(crate) use market::{Market, listed};
 pub use wanted::{Attributes, Wanted, attributes};
 
 use crate::comm::Comm;
@@ -20,7 +19,6 @@ use crate::report::Report;
 use crate::request::{Method, Request};
 use crate::sorm::Sorm;
 use crate::transport::Transport;
-use ctos::time::Instant;
 use futures_util::future::{Either, join_all, select};
 use std::pin::pin;
 use std::time::Duration;
@@ -45,7 +43,7 @@ impl Sorm {
     /// What this process offers: a line for each class, `class attribute=value ...`.
     #[must_use]
     pub fn offers(&self) -> Vec<String> {
-        listed(self.inner.market.lock().own())
+        market::listed(self.inner.market.lock().own())
     }
 
     /// What is known about the daemons that were asked for offers: a line for each.
@@ -96,6 +94,19 @@ impl Sorm {
             return Err(wanted.unmet(name, &market.said(&daemons, name.class())));
         }
         Ok(ranked)
+    }
+
+    /// The daemon whose offer for an object is the best.
+    pub(crate) async fn best(
+        &self,
+        comm: &dyn Comm,
+        name: &ObjectName,
+        wanted: &Wanted,
+    ) -> Result<Location, Report> {
+        let offers = self.offers_for(comm, name, wanted).await?;
+        let offer = offers.into_iter().next();
+        let offer = offer.ok_or_else(|| wanted.unmet(name, &[]))?;
+        Ok(Location::Alias(offer.daemon))
     }
 
     /// Asks a daemon what it offers while the caller goes on.
@@ -163,7 +174,7 @@ impl Sorm {
                     return;
                 }
                 Err(lost) => {
-                    self.lost(&offer.daemon);
+                    self.inner.market.lock().down(&offer.daemon, self.now());
                     if lost.perhaps_executed && left == 0 {
                         return self.unanswered(name, body, lost.report);
                     }
@@ -174,10 +185,5 @@ impl Sorm {
         }
         let report = last.unwrap_or_else(|| wanted.unmet(name, &[]));
         self.unanswered(name, body, report);
-    }
-
-    fn lost(&self, daemon: &str) {
-        let now: Instant = self.now();
-        self.inner.market.lock().down(daemon, now);
     }
 }

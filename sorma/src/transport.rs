@@ -3,8 +3,30 @@
 
 use crate::opaque::Opaque;
 use crate::report::{Report, Severity};
-use crate::watching::Trace;
 use serde::{Deserialize, Serialize};
+
+/// Which request of a first caller a call belongs to, and how deep it is nested in it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Trace {
+    /// The number that the first caller gave it; 0: nobody follows it.
+    pub id: u64,
+    /// 0 for the first caller's own request.
+    pub depth: u32,
+}
+
+impl Trace {
+    /// That of a call made in this one.
+    #[must_use]
+    pub fn nested(self) -> Self {
+        match self.id {
+            0 => self,
+            id => Self {
+                id,
+                depth: self.depth + 1,
+            },
+        }
+    }
+}
 
 /// Data that goes into a service object and comes back out of it in the same place.
 ///
@@ -56,14 +78,37 @@ impl Transport {
         self
     }
 
-    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks, and the trace, stay.
-    pub fn clear(&mut self) {
+    /// Empties its data, to make room for an answer. Code and reports stay.
+    pub(crate) fn empty(&mut self) {
         self.text.clear();
         self.floats.clear();
         self.ints.clear();
         self.opaque.clear();
+    }
+
+    /// Empties it and keeps its memory, so that a call that repeats need not allocate. Who asks, and the trace, stay.
+    pub fn clear(&mut self) {
+        self.empty();
         self.code = 0;
         self.reports.clear();
+    }
+
+    /// As part of the call that `outer` came with: for its caller, and in its trace, unless it has its own.
+    pub(crate) fn inherit(&mut self, outer: &Self) {
+        if self.from.is_empty() {
+            self.from.clone_from(&outer.from);
+        }
+        if self.trace.id == 0 {
+            self.trace = outer.trace.nested();
+        }
+    }
+
+    /// Takes over the data of another one; code and reports stay.
+    pub(crate) fn take_data(&mut self, other: Self) {
+        self.text = other.text;
+        self.floats = other.floats;
+        self.ints = other.ints;
+        self.opaque = other.opaque;
     }
 
     /// Adds a report. An error sets the return code, unless an earlier one has.
@@ -73,6 +118,18 @@ impl Transport {
             self.code = if report.code == 0 { -1 } else { report.code };
         }
         self.reports.push(report);
+    }
+
+    /// All reports, in one line.
+    pub(crate) fn said(&self) -> String {
+        let said: Vec<String> = self.reports.iter().map(ToString::to_string).collect();
+        said.join("; ")
+    }
+
+    /// The texts of all reports, in one line.
+    pub(crate) fn texts(&self) -> String {
+        let texts: Vec<&str> = self.reports.iter().map(|report| &*report.text).collect();
+        texts.join("; ")
     }
 
     /// Whether the call was done.

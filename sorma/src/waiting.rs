@@ -5,12 +5,12 @@
 
 use crate::comm::Comm;
 use crate::name::{Location, ObjectName};
-use crate::object::{Context, Outcome};
+use crate::object::{Context, Outcome, Slot, Waiting, unsupported};
 use crate::raise;
 use crate::report::{Report, code};
 use crate::request::{Method, Reply, Request};
-use crate::slot::Slot;
-use crate::sorm::{Place, Sorm};
+use crate::slot::Handle;
+use crate::sorm::{Place, Sorm, parse};
 use crate::transport::Transport;
 use ctos::message::{Command, Data, PayloadError};
 use futures_util::FutureExt as _;
@@ -21,12 +21,6 @@ use std::time::Duration;
 
 /// How long a request waits for its turn at an object that waits for others itself.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// What an EXEC that waits may use while it runs.
-pub struct Waiting<'a> {
-    pub(crate) cx: Context<'a>,
-    comm: &'a dyn Comm,
-}
 
 impl<'a> Waiting<'a> {
     /// What every method may use; by it other objects of this process are called by reference.
@@ -54,32 +48,18 @@ impl<'a> Waiting<'a> {
         mut sub: Transport,
         io: &mut Transport,
     ) -> Result<Transport, Report> {
+        sub.inherit(io);
         let request = Request {
-            name: name
-                .parse()
-                .map_err(|error| raise!(code::SYNTAX, "no name: {error}"))?,
+            name: parse(name)?,
             method,
-            body: {
-                if sub.from.is_empty() {
-                    sub.from.clone_from(&io.from);
-                }
-                if sub.trace.id == 0 {
-                    sub.trace = io.trace.nested();
-                }
-                sub
-            },
+            body: sub,
         };
         let mut sub = self.ask(request).await.body;
         io.reports.append(&mut sub.reports);
         if sub.is_ok() {
             return Ok(sub);
         }
-        Err(raise!(
-            sub.code,
-            "`{}` needs `{name} {method}`, which ended with {}",
-            self.name(),
-            sub.code
-        ))
+        Err(self.cx.failed(name, method, sub.code))
     }
 
     /// Has a request met, wherever its object is, and leaves its reports and its code in the reply.
@@ -146,23 +126,7 @@ impl Sorm {
         } = request;
         match self.place(&name) {
             Ok(Place::Here) => match self.resolve(&name) {
-                Ok(handle) => {
-                    let slot = &handle.slot;
-                    let seen = self.watchers().begin(self, slot.name(), method, &body);
-                    let call = slot.ask(self, comm, within, method, &mut body);
-                    if let Err(report) = AssertUnwindSafe(call)
-                        .catch_unwind()
-                        .await
-                        .map_err(|panic| slot.panicked(self, panic.as_ref()))
-                    {
-                        self.remove(handle.name());
-                        body.code = 0;
-                        body.report(report);
-                    }
-                    if let Some(seen) = seen {
-                        seen.end(self, &body);
-                    }
-                }
+                Ok(handle) => self.meet(comm, within, &handle, method, &mut body).await,
                 Err(report) => self.refuse(&mut body, report),
             },
             Ok(Place::There(at)) => {
@@ -175,6 +139,31 @@ impl Sorm {
             Err(report) => self.refuse(&mut body, report),
         }
         Reply { name, body }
+    }
+
+    /// Has a request met by an object of this process, panics and all.
+    pub(crate) async fn meet(
+        &self,
+        comm: &dyn Comm,
+        within: Option<&Waiting<'_>>,
+        object: &Handle,
+        method: Method,
+        body: &mut Transport,
+    ) {
+        let slot = &object.slot;
+        let seen = self
+            .watchers()
+            .begin(self.clock(), slot.name(), method, body);
+        let call = slot.ask(self, comm, within, method, body);
+        if let Err(panic) = AssertUnwindSafe(call).catch_unwind().await {
+            // Nobody knows what state it is in.
+            self.remove(slot.name());
+            body.code = 0;
+            body.report(slot.panicked(self, panic.as_ref()));
+        }
+        if let Some(seen) = seen {
+            seen.end(self.process(), self.now(), body);
+        }
     }
 
     /// The proxy's part: sends the request on, and puts what comes back in its place.
@@ -197,14 +186,6 @@ impl Sorm {
             Err(report) => self.unanswered(name, body, report),
         }
     }
-
-    /// Answers in place of an object that gave no answer.
-    pub(crate) fn unanswered(&self, name: &ObjectName, body: &mut Transport, mut report: Report) {
-        if report.object.is_empty() {
-            report.object = name.to_string();
-        }
-        self.refuse(body, report);
-    }
 }
 
 impl Slot {
@@ -217,26 +198,20 @@ impl Slot {
         io: &mut Transport,
     ) {
         let outer = within.map(|call| &call.cx);
-        if !self.waits() {
-            self.call_unseen(sorm, outer, method, io);
-            return;
-        }
+        let Some(turn) = &self.turn else {
+            return self.call_unseen(sorm, outer, method, io);
+        };
         if outer.is_some_and(|call| call.is_within(self)) {
             // Finds the same, and says so.
-            self.call_unseen(sorm, outer, method, io);
-            return;
+            return self.call_unseen(sorm, outer, method, io);
         }
-        let turn = {
-            let turn = pin!(self.turn());
-            match select(turn, comm.sleep(PATIENCE)).await {
-                Either::Left((turn, _)) => Some(turn),
-                Either::Right(_) => None,
-            }
+        let turn = match select(pin!(turn.lock()), comm.sleep(PATIENCE)).await {
+            Either::Left((turn, _)) => Some(turn),
+            Either::Right(_) => None,
         };
         let (Some(_turn), Method::Exec) = (turn, method) else {
             // Without a turn the object is still in a call, which this finds.
-            self.call_unseen(sorm, outer, method, io);
-            return;
+            return self.call_unseen(sorm, outer, method, io);
         };
         self.exec_waiting(sorm, comm, outer, io).await;
     }
@@ -263,16 +238,12 @@ impl Slot {
             Err(report) => Err(report),
             Ok(()) => {
                 let cx = Waiting {
-                    cx: Context {
-                        sorm,
-                        slot: self,
-                        within: outer,
-                    },
+                    cx: self.context(sorm, outer),
                     comm,
                 };
                 match body.object.exec_waiting(&cx, io) {
                     Some(job) => job.await,
-                    None => Err(crate::object::unsupported(Method::Exec)),
+                    None => Err(unsupported(Method::Exec)),
                 }
             }
         };

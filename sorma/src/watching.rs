@@ -6,13 +6,12 @@
 //! one. While nobody watches, a call pays for one look at a counter. Calls through a [`Claim`](crate::Claim) are
 //! not seen: they are as bare as a virtual call.
 
-mod object;
+pub(crate) mod object;
 
 use crate::report::Report;
 use crate::request::{Method, Reply, Request};
-use crate::sorm::Sorm;
 use crate::transport::Transport;
-use ctos::time::Instant;
+use ctos::time::{Clock, Instant};
 use parking_lot::{Mutex, RwLock};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -21,34 +20,13 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tokio::sync::Notify;
 
-pub(crate) use object::{Watch, class};
+pub use crate::transport::Trace;
 
+/// The name of the class.
+const CLASS: &str = "watch";
 /// A text or a list that is longer is cut in what a watcher gets.
 const MOST_TEXT: usize = 400;
 const MOST_NUMBERS: usize = 64;
-
-/// Which request of a first caller a call belongs to, and how deep it is nested in it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Trace {
-    /// The number that the first caller gave it; 0: nobody follows it.
-    pub id: u64,
-    /// 0 for the first caller's own request.
-    pub depth: u32,
-}
-
-impl Trace {
-    /// That of a call made in this one.
-    #[must_use]
-    pub fn nested(self) -> Self {
-        match self.id {
-            0 => self,
-            id => Self {
-                id,
-                depth: self.depth + 1,
-            },
-        }
-    }
-}
 
 /// A request that was met, with its reply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -199,11 +177,8 @@ pub(crate) struct Watchers {
 /// A request that is being met and watched.
 pub(crate) struct Begun {
     at: Instant,
-    object: String,
-    method: Method,
-    from: String,
-    trace: Trace,
-    request: String,
+    /// What is known of it so far.
+    seen: Seen,
     /// Those who want it, by what can be told so far.
     by: Vec<Arc<Watcher>>,
 }
@@ -226,7 +201,7 @@ impl Watchers {
     #[inline]
     pub(crate) fn begin(
         &self,
-        sorm: &Sorm,
+        clock: &Clock,
         object: &str,
         method: Method,
         io: &Transport,
@@ -234,13 +209,13 @@ impl Watchers {
         if self.count.load(Ordering::Relaxed) == 0 {
             return None;
         }
-        self.note(sorm, object, method, io)
+        self.note(clock, object, method, io)
     }
 
     #[cold]
-    fn note(&self, sorm: &Sorm, object: &str, method: Method, io: &Transport) -> Option<Begun> {
+    fn note(&self, clock: &Clock, object: &str, method: Method, io: &Transport) -> Option<Begun> {
         // Whoever watches everything does not want to see himself watching.
-        if object.split('.').next() == Some(object::CLASS) {
+        if object.split('.').next() == Some(CLASS) {
             return None;
         }
         let word = method.to_string();
@@ -256,40 +231,42 @@ impl Watchers {
         if has_gone {
             self.sweep();
         }
-        (!by.is_empty()).then(|| Begun {
-            at: sorm.now(),
+        if by.is_empty() {
+            return None;
+        }
+        let at = clock.now();
+        let seen = Seen {
+            at_s: at.since_start().as_secs_f64(),
+            took_s: 0.0,
+            process: String::new(),
             object: object.to_owned(),
-            method,
+            method: word,
             from: io.from.clone(),
-            trace: io.trace,
+            trace: io.trace.id,
+            depth: io.trace.depth,
+            code: 0,
             request: request_text(object, method, io),
-            by,
-        })
+            reply: String::new(),
+        };
+        Some(Begun { at, seen, by })
     }
 }
 
 impl Begun {
-    /// The request was met: `io` is the reply.
-    pub(crate) fn end(self, sorm: &Sorm, io: &Transport) {
-        let took = sorm.now() - self.at;
-        let mut seen = None;
+    /// The request was met in `process`: `io` is the reply.
+    pub(crate) fn end(mut self, process: &str, now: Instant, io: &Transport) {
+        let took = now - self.at;
+        self.by
+            .retain(|watcher| watcher.filter.read().wants_result(took, io));
+        if self.by.is_empty() {
+            return;
+        }
+        let seen = &mut self.seen;
+        process.clone_into(&mut seen.process);
+        (seen.took_s, seen.code) = (took.as_secs_f64(), io.code);
+        seen.reply = reply_text(&seen.object, io);
         for watcher in &self.by {
-            if watcher.filter.read().wants_result(took, io) {
-                let seen = seen.get_or_insert_with(|| Seen {
-                    at_s: self.at.since_start().as_secs_f64(),
-                    took_s: took.as_secs_f64(),
-                    process: sorm.process().to_owned(),
-                    object: self.object.clone(),
-                    method: self.method.to_string(),
-                    from: self.from.clone(),
-                    trace: self.trace.id,
-                    depth: self.trace.depth,
-                    code: io.code,
-                    request: self.request.clone(),
-                    reply: reply_text(&self.object, io),
-                });
-                watcher.take(seen.clone());
-            }
+            watcher.take(seen.clone());
         }
     }
 }
@@ -331,27 +308,22 @@ fn shortened(io: &Transport) -> Transport {
     }
 }
 
+/// A request as text; empty where it has none.
 fn request_text(object: &str, method: Method, io: &Transport) -> String {
-    let Ok(name) = object.parse() else {
-        return String::new();
-    };
-    let request = Request {
-        name,
-        method,
-        body: shortened(io),
-    };
-    request.to_text().unwrap_or_default()
+    let name = object.parse().ok();
+    let body = shortened(io);
+    let request = name.map(|name| Request { name, method, body });
+    let text = request.and_then(|request| request.to_text().ok());
+    text.unwrap_or_default()
 }
 
+/// A reply as text; empty where it has none.
 fn reply_text(object: &str, io: &Transport) -> String {
-    let Ok(name) = object.parse() else {
-        return String::new();
-    };
-    let reply = Reply {
-        name,
-        body: shortened(io),
-    };
-    reply.to_text().unwrap_or_default()
+    let name = object.parse().ok();
+    let body = shortened(io);
+    let reply = name.map(|name| Reply { name, body });
+    let text = reply.and_then(|reply| reply.to_text().ok());
+    text.unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -58,6 +58,14 @@ pub fn split(line: &str) -> Result<Vec<Word>, WordError> {
     Ok(split_until(line, None)?.0)
 }
 
+/// The texts of the words of a line.
+///
+/// # Errors
+/// As [`split`].
+pub(crate) fn texts(line: &str) -> Result<Vec<String>, WordError> {
+    Ok(split(line)?.into_iter().map(|word| word.text).collect())
+}
+
 /// Splits a line of a file, in which a word that begins with `#` begins a comment. Also returns the
 /// bytes before the comment.
 ///
@@ -215,10 +223,6 @@ pub fn join<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    fn texts(line: &str) -> Result<Vec<String>, WordError> {
-        Ok(split(line)?.into_iter().map(|word| word.text).collect())
-    }
 
     #[test]
     fn quotes_hold_words_together() {

@@ -16,17 +16,14 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Event>> = LazyLock::new(|| {
     )
 });
 
-#[derive(Default)]
-pub(super) struct EventObject(Event);
-
-impl ServiceObject for EventObject {
+impl ServiceObject for Event {
     fn exec(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
         // What an EXEC answers goes to all who subscribe: here that is what it was given.
         Ok(())
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        OPTIONS.ctrl(&mut self.0, io);
+        OPTIONS.ctrl(self, io);
         Ok(())
     }
 

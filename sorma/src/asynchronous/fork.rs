@@ -1,15 +1,14 @@
 //! The class `fork`: several requests at once.
 
-use super::{begin, empty, request, split};
-use crate::object::{Context, Outcome, ServiceObject};
+use super::answer::{begin, request};
+use crate::ipc::answer::split;
+use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
 use crate::request::{Reply, Request};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use crate::words;
-use futures_util::future::LocalBoxFuture;
 use std::sync::LazyLock;
 
 /// No more requests than this in one.
@@ -41,10 +40,7 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Fork>> = LazyLock::new(|| {
     )
 });
 
-#[derive(Default)]
-pub(super) struct ForkObject(Fork);
-
-impl ForkObject {
+impl Fork {
     async fn exec(&mut self, cx: &Waiting<'_>, io: &mut Transport) -> Outcome {
         // A text that is one quoted word has lost its quotes on the way.
         let words = match io.text.parse::<Request>() {
@@ -61,9 +57,9 @@ impl ForkObject {
         let from = io.from.clone();
         let requests = words.iter().map(|text| request(text, &from));
         let requests = requests.collect::<Result<Vec<Request>, Report>>()?;
-        let width = usize::try_from(self.0.width).unwrap_or(1);
+        let width = usize::try_from(self.width).unwrap_or(1);
         let replies = cx.fork(requests, width, io).await;
-        empty(io);
+        io.empty();
         let mut lines = Vec::new();
         for reply in replies {
             io.ints.push(i64::from(reply.body.code));
@@ -90,12 +86,12 @@ fn line(reply: &Reply) -> String {
     })
 }
 
-impl ServiceObject for ForkObject {
+impl ServiceObject for Fork {
     fn exec_waiting<'a>(
         &'a mut self,
         cx: &'a Waiting<'a>,
         io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    ) -> object::Later<'a> {
         if io.text.is_empty() {
             // Said by itself, so that it names the object's form.
             return Some(Box::pin(std::future::ready(Err(raise!(
@@ -108,11 +104,11 @@ impl ServiceObject for ForkObject {
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        OPTIONS.ctrl(&mut self.0, io);
+        OPTIONS.ctrl(self, io);
         Ok(())
     }
 
     fn dump(&self) -> String {
-        OPTIONS.dump(&self.0)
+        OPTIONS.dump(self)
     }
 }

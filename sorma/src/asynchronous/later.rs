@@ -1,18 +1,16 @@
 //! The class `later`: requests whose answers are collected later, are wanted by nobody, or go to another
 //! object.
 
-use super::{begin, code, empty, int, mirror, not_yet, request, split};
+use super::answer::{begin, code, mirror, request};
+use crate::ipc::answer::{int, not_yet, split};
 use crate::later::Deferred;
-use crate::name::ObjectName;
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
 use crate::request::{Method, Reply, Request};
-use crate::sorm::Sorm;
+use crate::sorm::{Sorm, parse};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
-use futures_util::future::LocalBoxFuture;
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
@@ -87,7 +85,7 @@ impl LaterObject {
         match words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
             ["ask", text] => {
                 let ticket = self.ask(cx, request(text, &from)?)?;
-                empty(io);
+                io.empty();
                 io.ints.push(int(ticket));
             }
             ["collect", word] => {
@@ -103,30 +101,30 @@ impl LaterObject {
             ["ready", word] => {
                 let (_, deferred) = self.ticket(word)?;
                 let ready = deferred.is_ready();
-                empty(io);
+                io.empty();
                 io.ints.push(i64::from(ready));
             }
             ["drop", word] => {
                 let (number, _) = self.ticket(word)?;
                 self.open.remove(&number);
-                empty(io);
+                io.empty();
             }
             ["open"] => {
                 let lines = self.open.iter();
                 let lines = lines.map(|(ticket, (name, _))| format!("{ticket} {name}"));
                 let lines = lines.collect::<Vec<_>>().join("\n");
-                empty(io);
+                io.empty();
                 io.text = lines;
             }
             ["tell", text] => {
                 let request = request(text, &from)?;
                 let told = cx.here().sorm().tell_only(cx.comm(), request);
                 told.await?;
-                empty(io);
+                io.empty();
             }
             ["call", text, object] => {
                 call_back(cx, request(text, &from)?, object)?;
-                empty(io);
+                io.empty();
             }
             _ => {
                 return Err(raise!(
@@ -143,9 +141,7 @@ impl LaterObject {
 
 /// Asks, and hands what is answered on to another object.
 fn call_back(cx: &Waiting<'_>, request: Request, object: &str) -> Outcome {
-    let object: ObjectName = object
-        .parse()
-        .map_err(|error| raise!(general::SYNTAX, "no name: {error}"))?;
+    let object = parse(object)?;
     let sorm: Sorm = cx.here().sorm().clone();
     cx.comm().spawn(Box::new(move |comm| {
         Box::pin(async move {
@@ -172,7 +168,7 @@ impl ServiceObject for LaterObject {
         &'a mut self,
         cx: &'a Waiting<'a>,
         io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    ) -> object::Later<'a> {
         Some(Box::pin(self.exec(cx, io)))
     }
 

@@ -1,10 +1,11 @@
 //! The class `stream`: the results of another object as they are made, kept until they are asked for, or
 //! handed on to a third object.
 
-use super::{begin, code, empty, int, mirror, not_yet};
+use super::answer::{begin, code, mirror};
 use crate::comm::Comm;
+use crate::ipc::answer::{int, not_yet};
 use crate::name::ObjectName;
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::{Report, code as general};
@@ -13,8 +14,7 @@ use crate::results::{Keep, MOST_KEPT, Sample};
 use crate::sorm::Sorm;
 use crate::stream::Stream;
 use crate::transport::Transport;
-use crate::waiting::Waiting;
-use futures_util::future::{LocalBoxFuture, select};
+use futures_util::future::select;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::pin::pin;
@@ -181,7 +181,7 @@ impl StreamObject {
         match io.text.trim() {
             "begin" => {
                 self.begin(cx).await?;
-                empty(io);
+                io.empty();
             }
             "next" => {
                 let found = self.begin(cx).await?.next();
@@ -202,13 +202,13 @@ impl StreamObject {
             "status" => {
                 let kept = self.feed.as_ref().map_or(0, Feed::kept);
                 let is_on = self.feed.is_some();
-                empty(io);
+                io.empty();
                 let numbers = [self.last, self.missed, kept, u64::from(is_on)];
                 io.ints.extend(numbers.map(int));
             }
             "end" => {
                 self.feed = None;
-                empty(io);
+                io.empty();
             }
             text => {
                 return Err(raise!(
@@ -321,7 +321,7 @@ impl ServiceObject for StreamObject {
         &'a mut self,
         cx: &'a Waiting<'a>,
         io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    ) -> object::Later<'a> {
         Some(Box::pin(self.exec(cx, io)))
     }
 

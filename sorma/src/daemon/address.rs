@@ -1,6 +1,6 @@
 //! Which task of an app a daemon is, by what stands after `@` (SORMA technical report, section 1.4.3).
 
-use super::{Arguments, HANDLER};
+use super::arguments::{Arguments, HANDLER};
 use crate::name::Location;
 use crate::raise;
 use crate::report::{Report, code};
@@ -26,11 +26,14 @@ pub(super) fn task_at(app: &App, at: &Location, object: &dyn Display) -> Result<
     let daemons = numbered(app);
     let fitting = daemons
         .iter()
-        .filter(|daemon| daemon.host == *host && daemon.number == number);
+        .filter(|(at, known, _)| at == host && *known == number)
+        .map(|(.., task)| task);
     match fitting.collect::<Vec<_>>().as_slice() {
-        [one] => Ok(one.task.clone()),
+        [one] => Ok((*one).clone()),
         [] => {
-            let known = daemons.iter().map(Numbered::to_string);
+            let known = daemons
+                .iter()
+                .map(|(host, number, task)| format!("{host}:{number} (`{task}`)"));
             let known = match known.collect::<Vec<_>>().join(", ") {
                 known if known.is_empty() => "no daemon has a number".to_owned(),
                 known => format!("there are {known}"),
@@ -41,7 +44,7 @@ pub(super) fn task_at(app: &App, at: &Location, object: &dyn Display) -> Result<
             ))
         }
         several => {
-            let tasks = several.iter().map(|daemon| format!("`{}`", daemon.task));
+            let tasks = several.iter().map(|task| format!("`{task}`"));
             let tasks = tasks.collect::<Vec<_>>().join(" and ");
             Err(raise!(
                 code::DAEMON,
@@ -51,21 +54,8 @@ pub(super) fn task_at(app: &App, at: &Location, object: &dyn Display) -> Result<
     }
 }
 
-/// A daemon that is found by a number.
-struct Numbered {
-    host: String,
-    number: u32,
-    task: String,
-}
-
-impl Display for Numbered {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { host, number, task } = self;
-        write!(f, "{host}:{number} (`{task}`)")
-    }
-}
-
-fn numbered(app: &App) -> Vec<Numbered> {
+/// The daemons that are found by a number: host, number, task.
+fn numbered(app: &App) -> Vec<(String, u32, String)> {
     let daemons = app.tasks.iter().filter(|task| task.handler == HANDLER);
     let numbered = daemons.filter_map(|task| {
         // Arguments that are wrong are reported where the task is built.
@@ -74,11 +64,8 @@ fn numbered(app: &App) -> Vec<Numbered> {
             .chassis
             .iter()
             .find(|chassis| chassis.name == task.chassis)?;
-        Some(Numbered {
-            host: chassis.host.clone().unwrap_or_else(|| BOOT_HOST.to_owned()),
-            number: arguments.number?,
-            task: task.name.clone(),
-        })
+        let host = chassis.host.clone().unwrap_or_else(|| BOOT_HOST.to_owned());
+        Some((host, arguments.number?, task.name.clone()))
     });
     numbered.collect()
 }

@@ -1,6 +1,6 @@
 //! A daemon's subscribers: what is kept for each until it says that it has arrived.
 
-use super::VERSION;
+use super::protocol::{VERSION, same_version};
 use crate::name::ObjectName;
 use crate::results::{Keep, Sample, Tap};
 use crate::sorm::Sorm;
@@ -98,13 +98,7 @@ impl Subscribers {
         cx: &Context,
         request: &Subscribe,
     ) -> Result<(u64, u64), HandlerError> {
-        if request.version != VERSION {
-            return Err(HandlerError::new(format!(
-                "the subscriber speaks version {} of service objects, this daemon {VERSION}: \
-                 run the same program on both sides",
-                request.version
-            )));
-        }
+        same_version(request.version)?;
         let name: ObjectName = request.object.parse()?;
         let tap = sorm.tap(&name, request.keep)?;
         let begun = tap.begun();

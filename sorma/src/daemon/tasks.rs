@@ -1,8 +1,10 @@
 //! The way to daemons: an object that asks another one, in another process, does so in the name of a task.
 
+use super::address;
+use super::arguments::HANDLER;
+use super::protocol::{Ask, Tell, VERSION};
 use super::streams::{self, Leave, Subscribe, Take};
-use super::{Ask, BACK_WITHIN, HANDLER, Tell, VERSION, address, begin};
-use crate::comm::{Comm, Job, NoAnswer, Taken};
+use crate::comm::{Answer, Comm, Job, NoAnswer, Taken};
 use crate::name::{Location, ObjectName};
 use crate::raise;
 use crate::report::{Report, code};
@@ -12,9 +14,13 @@ use crate::transport::Transport;
 use ctos::call::{CallError, Fault};
 use ctos::message::CommandInfo;
 use ctos::task::{Context, NameError, TaskRef};
+use futures_util::FutureExt as _;
 use futures_util::future::LocalBoxFuture;
 use std::rc::Rc;
 use std::time::Duration;
+
+/// How long a caller waits for a daemon that is being started again, before it asks once more.
+const BACK_WITHIN: Duration = Duration::from_secs(30);
 
 /// Reaches daemons as tasks, in the name of one task.
 #[derive(Clone)]
@@ -78,6 +84,18 @@ impl Tasks {
             ask.body.from = self.from();
         }
         ask
+    }
+
+    /// Has something asked of the daemon at a place, of which `object` is the one concerned.
+    async fn asked<T>(
+        &self,
+        at: &Location,
+        object: &ObjectName,
+        ask: impl AsyncFnOnce(&str) -> Result<T, Lost>,
+    ) -> Result<T, Report> {
+        let daemon = address::task_at(self.cx.app(), at, object)?;
+        let answer = ask(&daemon).await;
+        answer.map_err(|lost| lost.report(object, &daemon))
     }
 
     async fn once(&self, daemon: &str, ask: Ask) -> Result<Transport, Lost> {
@@ -145,11 +163,7 @@ impl Lost {
 }
 
 impl Comm for Tasks {
-    fn ask<'a>(
-        &'a self,
-        at: &'a Location,
-        request: Request,
-    ) -> LocalBoxFuture<'a, Result<Transport, Report>> {
+    fn ask<'a>(&'a self, at: &'a Location, request: Request) -> Answer<'a, Transport> {
         Box::pin(async move {
             let daemon = address::task_at(self.cx.app(), at, &request.name)?;
             let mut ask = self.request(request);
@@ -207,21 +221,15 @@ impl Comm for Tasks {
         self.retries
     }
 
-    fn tell<'a>(
-        &'a self,
-        at: &'a Location,
-        request: Request,
-    ) -> LocalBoxFuture<'a, Result<(), Report>> {
+    fn tell<'a>(&'a self, at: &'a Location, request: Request) -> Answer<'a, ()> {
         Box::pin(async move {
-            let daemon = address::task_at(self.cx.app(), at, &request.name)?;
-            let ask = self.request(request);
-            let object = ask.object.clone();
-            let told = async {
-                let task = self.found(&daemon).await?;
+            let object = request.name.clone();
+            self.asked(at, &object, async |daemon: &str| {
+                let task = self.found(daemon).await?;
+                let ask = self.request(request);
                 Ok(self.cx.send(&task, Tell { ask }).await?)
-            };
-            told.await
-                .map_err(|lost: Lost| lost.report(&object, &daemon))
+            })
+            .await
         })
     }
 
@@ -241,16 +249,12 @@ impl Comm for Tasks {
         at: &'a Location,
         name: &'a ObjectName,
         keep: Keep,
-    ) -> LocalBoxFuture<'a, Result<(u64, u64), Report>> {
-        Box::pin(async move {
-            let daemon = address::task_at(self.cx.app(), at, name)?;
+    ) -> Answer<'a, (u64, u64)> {
+        Box::pin(self.asked(at, name, async move |daemon: &str| {
+            let task = self.found(daemon).await?;
             let request = Subscribe::new(name, keep, self.from());
-            let asked = async {
-                let task = self.found(&daemon).await?;
-                Ok(self.cx.call(&task, request).await?)
-            };
-            asked.await.map_err(|lost: Lost| lost.report(name, &daemon))
-        })
+            Ok(self.cx.call(&task, request).await?)
+        }))
     }
 
     fn take<'a>(
@@ -259,19 +263,13 @@ impl Comm for Tasks {
         name: &'a ObjectName,
         subscriber: u64,
         after: u64,
-    ) -> LocalBoxFuture<'a, Result<Taken, Report>> {
-        Box::pin(async move {
-            let daemon = address::task_at(self.cx.app(), at, name)?;
-            let request = Take { subscriber, after };
-            let asked = async {
-                let task = self.cx.task(&daemon).await?;
-                let call = self.cx.call(&task, request).deadline(streams::PATIENCE);
-                Ok(call.await?)
-            };
-            let taken = asked.await;
-            let taken = taken.map_err(|lost: Lost| lost.report(name, &daemon))?;
+    ) -> Answer<'a, Taken> {
+        Box::pin(self.asked(at, name, async move |daemon: &str| {
+            let task = self.cx.task(daemon).await?;
+            let call = self.cx.call(&task, Take { subscriber, after });
+            let taken = call.deadline(streams::PATIENCE).await?;
             Ok(taken.map_or(Taken::Unknown, Taken::Samples))
-        })
+        }))
     }
 
     fn leave<'a>(&'a self, at: &'a Location, subscriber: u64) -> LocalBoxFuture<'a, ()> {
@@ -286,7 +284,7 @@ impl Comm for Tasks {
         })
     }
 
-    fn back<'a>(&'a self, at: &'a Location) -> LocalBoxFuture<'a, Result<(), Report>> {
+    fn back<'a>(&'a self, at: &'a Location) -> Answer<'a, ()> {
         Box::pin(async move {
             let daemon = address::task_at(self.cx.app(), at, &"it")?;
             let back = self.cx.wait_for_task(&daemon, BACK_WITHIN).await;
@@ -305,7 +303,7 @@ impl Comm for Tasks {
         command: CommandInfo,
         data: Vec<u8>,
         deadline: Duration,
-    ) -> LocalBoxFuture<'a, Result<Vec<u8>, Report>> {
+    ) -> Answer<'a, Vec<u8>> {
         Box::pin(async move {
             let found = self.cx.task(task).await;
             let found = found.map_err(|error| raise!(code::DAEMON, "{error}"))?;
@@ -321,5 +319,14 @@ impl Comm for Tasks {
                 _ => raise!(code::DAEMON, "{error}"),
             })
         })
+    }
+}
+
+/// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
+/// beside the task, so that an object that waits keeps no other waiting.
+pub(super) fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
+    let mut work = Box::pin(work);
+    if work.as_mut().now_or_never().is_none() {
+        cx.spawn(work);
     }
 }

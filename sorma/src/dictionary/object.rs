@@ -1,13 +1,12 @@
 //! The dictionary as a service object, `dict`.
 
 use super::Dictionary;
-use crate::describe::ClassInfo;
+use crate::description::ClassInfo;
 use crate::name::suggestion;
-use crate::object::{Context, Outcome, ServiceObject, unsupported};
+use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::raise;
 use crate::report::code;
-use crate::request::Method;
 use crate::transport::Transport;
 use crate::words;
 use ctos::diagnostic::Findings;
@@ -62,8 +61,7 @@ static OPTIONS: LazyLock<OptionTable<Edit>> = LazyLock::new(|| {
                 let [index, recipe] = words else {
                     return Err("takes a word and a list of words".to_owned());
                 };
-                let words = words::split(recipe).map_err(|error| error.to_string())?;
-                let words = words.into_iter().map(|word| word.text).collect();
+                let words = words::texts(recipe).map_err(|error| error.to_string())?;
                 edit.dictionary.add(index, words);
                 Ok(String::new())
             },
@@ -107,10 +105,6 @@ static OPTIONS: LazyLock<OptionTable<Edit>> = LazyLock::new(|| {
 });
 
 impl ServiceObject for DictionaryObject {
-    fn exec(&mut self, _cx: &Context<'_>, _io: &mut Transport) -> Outcome {
-        Err(unsupported(Method::Exec))
-    }
-
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let mut edit = Edit {
             dictionary: self.dictionary.read().clone(),

@@ -1,7 +1,7 @@
 //! The class `blackboard`: values by key, for several callers, each with a version that goes up with every
 //! change, so that waiting for a change is asking for a later version (SORMA technical report, figure 1.10).
 
-use super::{Host, NOT_YET, after, code, empty, int, number, split, wrong};
+use super::answer::{after, code, int, not_yet, number, split, wrong};
 use crate::name::suggestion;
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::opaque::Opaque;
@@ -100,22 +100,8 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Board>> = LazyLock::new(|| {
     })
 });
 
-pub(super) struct BlackboardObject {
-    host: Host,
-    board: Board,
-}
-
-impl BlackboardObject {
-    pub(super) fn new(host: Host) -> Self {
-        Self {
-            host,
-            board: Board::default(),
-        }
-    }
-}
-
 fn answer(io: &mut Transport, entry: &Entry) {
-    empty(io);
+    io.empty();
     io.text.clone_from(&entry.text);
     io.floats.clone_from(&entry.floats);
     io.opaque.clone_from(&entry.opaque);
@@ -124,18 +110,18 @@ fn answer(io: &mut Transport, entry: &Entry) {
 }
 
 fn versioned(io: &mut Transport, version: u64) {
-    empty(io);
+    io.empty();
     io.ints.push(int(version));
 }
 
-impl ServiceObject for BlackboardObject {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
+impl ServiceObject for Board {
+    fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let text = io.text.clone();
         let words = split(&text)?;
-        let board = &mut self.board;
+        let board = self;
         match words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
             ["set", key, ..] => {
-                let version = board.set(key, &after(&text, 2)?, self.host.now(), io)?;
+                let version = board.set(key, &after(&text, 2)?, cx.sorm().now(), io)?;
                 versioned(io, version);
             }
             ["swap", key, version, ..] => {
@@ -145,7 +131,7 @@ impl ServiceObject for BlackboardObject {
                     let text = format!("`{key}` has version {has}, not {wanted}; read it again");
                     return Err(Report::error(code::CONFLICT, text));
                 }
-                let version = board.set(key, &after(&text, 3)?, self.host.now(), io)?;
+                let version = board.set(key, &after(&text, 3)?, cx.sorm().now(), io)?;
                 versioned(io, version);
             }
             ["get", key] => answer(io, board.get(key)?),
@@ -153,10 +139,7 @@ impl ServiceObject for BlackboardObject {
                 let seen = number("a version", version)?;
                 match board.entries.get(key) {
                     Some(entry) if entry.version > seen => answer(io, entry),
-                    _ => {
-                        empty(io);
-                        NOT_YET.clone_into(&mut io.text);
-                    }
+                    _ => not_yet(io),
                 }
             }
             ["remove", key] => {
@@ -170,7 +153,7 @@ impl ServiceObject for BlackboardObject {
                 let prefix = words.get(1).map_or("", String::as_str);
                 let keys = board.entries.keys().map(String::as_str);
                 let keys = words::join(keys.filter(|key| key.starts_with(prefix)));
-                empty(io);
+                io.empty();
                 io.text = keys;
             }
             ["changes", version] => {
@@ -195,13 +178,13 @@ impl ServiceObject for BlackboardObject {
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        OPTIONS.ctrl(&mut self.board, io);
+        OPTIONS.ctrl(self, io);
         Ok(())
     }
 
     fn dump(&self) -> String {
-        let mut lines = vec![OPTIONS.dump(&self.board)];
-        for (key, entry) in &self.board.entries {
+        let mut lines = vec![OPTIONS.dump(self)];
+        for (key, entry) in &self.entries {
             lines.push(format!(
                 "{} version {} at {}: {} floats={:?} {} bytes",
                 words::word(key),

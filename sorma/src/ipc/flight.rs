@@ -3,7 +3,8 @@
 
 mod sink;
 
-use super::{Host, buffer_error, code, int, number, split, wrong};
+use super::answer::{code, int, number, split, wrong};
+use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -208,10 +209,10 @@ pub(super) struct Flight {
 }
 
 impl Flight {
-    pub(super) fn new(host: Host, flavor: Option<&str>) -> Self {
+    pub(super) fn new(host: Host, flavor: String) -> Self {
         Self {
             host,
-            flavor: flavor.unwrap_or("default").to_owned(),
+            flavor,
             settings: Settings::default(),
             work: Work::Idle,
             progress: Arc::default(),
@@ -219,10 +220,7 @@ impl Flight {
     }
 
     fn reader(&self) -> Result<Reader, Report> {
-        let name = match self.settings.name.as_str() {
-            "" => &self.flavor,
-            name => name,
-        };
+        let name = buffer(&self.settings.name, &self.flavor);
         let opened = self
             .host
             .place()

@@ -1,10 +1,9 @@
 //! The class `queue`: messages that wait for whoever takes them, first in, first out (SORMA technical report,
 //! section 1.7, "queuing requests and results").
 
+use super::answer::{after, code, int, not_yet, number, seconds, split, wrong};
 use super::tickets::{Tickets, Turn};
-use super::{Host, NOT_YET, after, code, empty, int, number, seconds, split, wrong};
 use crate::object::{Context, Outcome, ServiceObject};
-use crate::opaque::Opaque;
 use crate::options::OptionTable;
 use crate::report::Report;
 use crate::transport::Transport;
@@ -13,20 +12,11 @@ use std::collections::VecDeque;
 use std::sync::LazyLock;
 use std::time::Duration;
 
-/// What a queue holds: the data of a transport without what belongs to the call.
-#[derive(Debug, Clone, PartialEq, Default)]
-struct Item {
-    text: String,
-    floats: Vec<f64>,
-    ints: Vec<i64>,
-    opaque: Opaque,
-}
-
 /// A bounded queue with a line of those who wait for items.
 #[derive(Debug, Clone)]
 pub(super) struct Queue {
     capacity: i64,
-    items: VecDeque<Item>,
+    items: VecDeque<Transport>,
     takers: Tickets<()>,
     put: u64,
     taken: u64,
@@ -45,7 +35,7 @@ impl Default for Queue {
 }
 
 impl Queue {
-    fn put(&mut self, item: Item) -> Result<(), Report> {
+    fn put(&mut self, item: Transport) -> Result<(), Report> {
         if self.items.len() >= usize::try_from(self.capacity).unwrap_or(0) {
             let text = format!(
                 "the queue is full with {} items; put it again later, or set -capacity",
@@ -59,14 +49,14 @@ impl Queue {
     }
 
     /// An item for somebody without a ticket: only when there are more than those who wait will take.
-    fn take(&mut self) -> Option<Item> {
+    fn take(&mut self) -> Option<Transport> {
         if self.items.len() <= self.takers.len() {
             return None;
         }
         self.pop()
     }
 
-    fn pop(&mut self) -> Option<Item> {
+    fn pop(&mut self) -> Option<Transport> {
         let item = self.items.pop_front();
         self.taken += u64::from(item.is_some());
         item
@@ -79,7 +69,7 @@ impl Queue {
         })
     }
 
-    fn claim(&mut self, ticket: u64) -> Result<Option<Item>, Report> {
+    fn claim(&mut self, ticket: u64) -> Result<Option<Transport>, Report> {
         match self.takers.ask(ticket, self.items.len()) {
             Turn::Now(()) => Ok(self.pop()),
             Turn::NotYet => Ok(None),
@@ -111,79 +101,59 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Queue>> = LazyLock::new(|| {
     })
 });
 
-pub(super) struct QueueObject {
-    host: Host,
-    queue: Queue,
-}
-
-impl QueueObject {
-    pub(super) fn new(host: Host) -> Self {
-        Self {
-            host,
-            queue: Queue::default(),
-        }
-    }
-}
-
 /// Puts an item into the answer, or that there is none yet.
-fn answer(io: &mut Transport, item: Option<Item>) {
-    empty(io);
+fn answer(io: &mut Transport, item: Option<Transport>) {
     match item {
-        Some(item) => {
-            io.text = item.text;
-            io.floats = item.floats;
-            io.ints = item.ints;
-            io.opaque = item.opaque;
-        }
-        None => NOT_YET.clone_into(&mut io.text),
+        Some(item) => io.take_data(item),
+        None => not_yet(io),
     }
 }
 
-impl ServiceObject for QueueObject {
-    fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        let now = self.host.now();
-        self.queue.takers.lapse(now, |()| false);
+impl ServiceObject for Queue {
+    fn exec(&mut self, cx: &Context<'_>, io: &mut Transport) -> Outcome {
+        let now = cx.sorm().now();
+        self.takers.lapse(now, |()| false);
         let text = io.text.clone();
         let words = split(&text)?;
         match words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
             ["put", ..] => {
-                let item = Item {
+                self.put(Transport {
                     text: after(&text, 1)?,
                     floats: io.floats.clone(),
                     ints: io.ints.clone(),
                     opaque: io.opaque.to_own(),
-                };
-                self.queue.put(item)?;
-                empty(io);
+                    ..Transport::default()
+                })?;
+                io.empty();
             }
             ["take"] => {
-                let item = self.queue.take();
+                let item = self.take();
                 answer(io, item);
             }
             ["take", _] => {
                 let limit = seconds(words.get(1))?;
-                let item = self.queue.take();
+                let item = self.take();
                 let ticket = match item {
-                    None if !limit.is_zero() => Some(self.queue.wait(now, limit)?),
+                    None if !limit.is_zero() => Some(self.wait(now, limit)?),
                     _ => None,
                 };
                 answer(io, item);
                 io.ints.extend(ticket.map(int));
             }
             ["claim", ticket] => {
-                let item = self.queue.claim(number("a ticket", ticket)?)?;
+                let item = self.claim(number("a ticket", ticket)?)?;
                 answer(io, item);
             }
             ["drop", ticket] => {
                 let ticket = number("a ticket", ticket)?;
                 // It is taken out of the line, whoever's turn it is.
-                let _ = self.queue.takers.ask(ticket, usize::MAX);
-                empty(io);
+                let _ = self.takers.ask(ticket, usize::MAX);
+                io.empty();
             }
             ["length"] => {
-                empty(io);
-                io.ints.push(int(self.queue.items.len() as u64));
-                io.ints.push(int(self.queue.takers.len() as u64));
+                io.empty();
+                io.ints.push(int(self.items.len() as u64));
+                io.ints.push(int(self.takers.len() as u64));
             }
             _ => {
                 return Err(wrong(format!(
@@ -195,19 +165,18 @@ impl ServiceObject for QueueObject {
     }
 
     fn ctrl(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
-        OPTIONS.ctrl(&mut self.queue, io);
+        OPTIONS.ctrl(self, io);
         Ok(())
     }
 
     fn dump(&self) -> String {
-        let queue = &self.queue;
         format!(
             "{}\n{} items, {} put, {} taken, {} wait",
-            OPTIONS.dump(queue),
-            queue.items.len(),
-            queue.put,
-            queue.taken,
-            queue.takers.len()
+            OPTIONS.dump(self),
+            self.items.len(),
+            self.put,
+            self.taken,
+            self.takers.len()
         )
     }
 }

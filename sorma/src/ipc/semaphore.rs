@@ -4,8 +4,9 @@
 //! A permit is held under a number, for somebody with a name, and, when a process was named, only as long as
 //! that process of this host runs. Whoever dies without releasing is noticed with the next request.
 
+use super::answer::{NOT_YET, code, int, number, seconds, split, wrong};
+use super::host::Host;
 use super::tickets::{Tickets, Turn};
-use super::{Host, NOT_YET, code, empty, int, number, seconds, split, wrong};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::process::Process;
@@ -142,7 +143,7 @@ impl SemaphoreObject {
             process,
         };
         let semaphore = &mut self.semaphore;
-        empty(io);
+        io.empty();
         if semaphore.free() > semaphore.waiting.len() {
             io.ints.push(int(semaphore.grant(holder, now)));
         } else {
@@ -160,7 +161,7 @@ impl SemaphoreObject {
 
     fn claim(&mut self, ticket: u64, now: Instant, io: &mut Transport) -> Outcome {
         let semaphore = &mut self.semaphore;
-        empty(io);
+        io.empty();
         match semaphore.waiting.ask(ticket, semaphore.free()) {
             Turn::Now(holder) => io.ints.push(int(semaphore.grant(holder, now))),
             Turn::NotYet => NOT_YET.clone_into(&mut io.text),
@@ -183,7 +184,7 @@ impl SemaphoreObject {
             return Err(Report::error(code::UNKNOWN, text));
         };
         holds.remove(place);
-        empty(io);
+        io.empty();
         Ok(())
     }
 }
@@ -214,21 +215,21 @@ impl ServiceObject for SemaphoreObject {
             ["drop", ticket] => number("a ticket", ticket).map(|ticket| {
                 // It is taken out of the line, whoever's turn it is.
                 let _ = self.semaphore.waiting.ask(ticket, usize::MAX);
-                empty(io);
+                io.empty();
             }),
             ["forget", who] => {
                 self.semaphore.forget(now, |holder| holder == who);
-                empty(io);
+                io.empty();
                 Ok(())
             }
             ["free"] => {
-                empty(io);
+                io.empty();
                 io.ints.push(int(self.semaphore.free() as u64));
                 io.ints.push(int(self.semaphore.waiting.len() as u64));
                 Ok(())
             }
             ["holders"] => {
-                empty(io);
+                io.empty();
                 io.text = self.semaphore.held_by(now).trim_end().to_owned();
                 Ok(())
             }

@@ -3,17 +3,16 @@
 //!
 //! Every request is an exchange that teaches the estimate of the clocks' difference; nothing is sent for that alone.
 
-use super::{Host, NOT_YET, code, empty, int, number, split, wrong};
+use super::answer::{NOT_YET, code, int, number, split, wrong};
+use super::host::buffer;
 use crate::clock::{ClockDifference, Exchange, MOST_DRIFT, Observed, USUAL_DRIFT};
-use crate::object::{Context, Outcome, ServiceObject};
+use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
-use crate::report::Report;
+use crate::report::{Report, code as general};
 use crate::request::Method;
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use ctos::time::Instant;
-use futures_util::future::LocalBoxFuture;
 use std::sync::LazyLock;
 
 /// Numbers that `shmem_r` answers for each record.
@@ -67,7 +66,6 @@ pub(super) static OPTIONS: LazyLock<OptionTable<Settings>> = LazyLock::new(|| {
 });
 
 pub(super) struct ShmemFar {
-    host: Host,
     flavor: String,
     settings: Settings,
     clock: Option<ClockDifference>,
@@ -76,10 +74,9 @@ pub(super) struct ShmemFar {
 }
 
 impl ShmemFar {
-    pub(super) fn new(host: Host, flavor: Option<&str>) -> Self {
+    pub(super) fn new(flavor: String) -> Self {
         Self {
-            host,
-            flavor: flavor.unwrap_or("default").to_owned(),
+            flavor,
             settings: Settings::default(),
             clock: None,
             position: 0,
@@ -111,18 +108,15 @@ impl ShmemFar {
         let request = match asks_clock {
             true => String::new(),
             false => {
-                let name = match self.settings.name.as_str() {
-                    "" => &self.flavor,
-                    name => name,
-                };
+                let name = buffer(&self.settings.name, &self.flavor);
                 format!("shmem_r.{name} EXEC {}", self.wanted(&io.text)?)
             }
         };
         let sub = Transport::text(request);
-        let t1 = self.host.now();
+        let t1 = cx.here().sorm().now();
         let there = format!("stamp@{}", self.settings.daemon);
         let answer = cx.call(&there, Method::Exec, sub, io).await;
-        let t4 = self.host.now();
+        let t4 = cx.here().sorm().now();
         let mut answer = answer?;
         self.learn(t1, t4, &mut answer, io)?;
         if asks_clock {
@@ -143,7 +137,7 @@ impl ShmemFar {
         let daemon = &self.settings.daemon;
         let foreign = || {
             raise!(
-                crate::report::code::DAEMON,
+                general::DAEMON,
                 "what `stamp@{daemon}` answered has no times; is it of another version?"
             )
         };
@@ -180,7 +174,7 @@ impl ShmemFar {
     }
 
     fn tell_clock(&self, now: Instant, io: &mut Transport) -> Outcome {
-        empty(io);
+        io.empty();
         if let Some(clock) = &self.clock
             && let Some(difference) = clock.at(now)
         {
@@ -196,7 +190,7 @@ impl ShmemFar {
 
     /// Hands the records on, with their stamps in the time here.
     fn hand_on(&mut self, answer: Transport, now: Instant, io: &mut Transport) -> Outcome {
-        empty(io);
+        io.empty();
         io.text = answer.text;
         io.floats = answer.floats;
         io.opaque = answer.opaque;
@@ -232,7 +226,7 @@ impl ServiceObject for ShmemFar {
         &'a mut self,
         cx: &'a Waiting<'a>,
         io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    ) -> object::Later<'a> {
         Some(Box::pin(self.job(cx, io)))
     }
 

@@ -1,6 +1,7 @@
 //! The class `shmem_r`: reads records from a snapshot buffer.
 
-use super::{Host, NOT_YET, buffer_error, code, empty, int, number, split, wrong};
+use super::answer::{NOT_YET, code, int, number, split, wrong};
+use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -105,10 +106,10 @@ pub(super) struct ShmemR {
 }
 
 impl ShmemR {
-    pub(super) fn new(host: Host, flavor: Option<&str>) -> Self {
+    pub(super) fn new(host: Host, flavor: String) -> Self {
         Self {
             host,
-            flavor: flavor.unwrap_or("default").to_owned(),
+            flavor,
             settings: Settings::default(),
             reader: None,
             generation: 0,
@@ -118,11 +119,7 @@ impl ShmemR {
 
     fn open(&self) -> Result<Reader, Report> {
         let set = &self.settings;
-        let name = if set.name.is_empty() {
-            &self.flavor
-        } else {
-            &set.name
-        };
+        let name = buffer(&set.name, &self.flavor);
         let opened = self.host.place_of(&set.app).and_then(|place| {
             let reader = Reader::open(&place, name)?;
             let has = reader.layout();
@@ -176,11 +173,10 @@ impl ShmemR {
             Wanted::History(most) => Ok(reader.history(*most, record, |record| {
                 put(io, record, 0, clock);
             })),
-            Wanted::All => each(reader, record, &mut lost_in_all, |record, lost| {
-                put(io, record, lost, clock);
-            }),
-            Wanted::Since(count) => {
-                reader.seek(*count);
+            Wanted::All | Wanted::Since(_) => {
+                if let Wanted::Since(count) = wanted {
+                    reader.seek(*count);
+                }
                 each(reader, record, &mut lost_in_all, |record, lost| {
                     put(io, record, lost, clock);
                 })
@@ -271,7 +267,7 @@ impl ServiceObject for ShmemR {
     fn exec(&mut self, _cx: &Context<'_>, io: &mut Transport) -> Outcome {
         let wanted = Wanted::parse(&io.text)?;
         self.prepare(io)?;
-        empty(io);
+        io.empty();
         self.tell_successor(io);
         if let Wanted::Status = wanted {
             io.text = self.status();

@@ -1,6 +1,7 @@
 //! The class `shmem_w`: writes records into a snapshot buffer.
 
-use super::{Host, buffer_error, empty, int};
+use super::answer::{int, wrong};
+use super::host::{Host, buffer, buffer_error};
 use crate::object::{Context, Outcome, ServiceObject};
 use crate::options::OptionTable;
 use crate::report::Report;
@@ -80,21 +81,17 @@ pub(super) struct ShmemW {
 }
 
 impl ShmemW {
-    pub(super) fn new(host: Host, flavor: Option<&str>) -> Self {
+    pub(super) fn new(host: Host, flavor: String) -> Self {
         Self {
             host,
-            flavor: flavor.unwrap_or("default").to_owned(),
+            flavor,
             settings: Settings::default(),
             writer: None,
         }
     }
 
     fn name<'a>(&'a self, settings: &'a Settings) -> &'a str {
-        if settings.name.is_empty() {
-            &self.flavor
-        } else {
-            &settings.name
-        }
+        buffer(&settings.name, &self.flavor)
     }
 
     fn make(&self, settings: &Settings) -> Result<Writer, Report> {
@@ -162,11 +159,11 @@ impl ServiceObject for ShmemW {
         let count = match writer.write(&io.floats, bytes) {
             Ok(count) => count,
             Err(error @ SnapshotError::Record { .. }) => {
-                return Err(super::wrong(error.to_string()));
+                return Err(wrong(error.to_string()));
             }
             Err(error) => return Err(buffer_error(&error)),
         };
-        empty(io);
+        io.empty();
         io.ints.push(int(count));
         Ok(())
     }

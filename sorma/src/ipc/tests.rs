@@ -6,6 +6,8 @@ use crate::object::ServiceObject;
 use crate::report::Severity;
 use crate::request::{Method, Reply};
 use crate::transport::Transport;
+use crate::words;
+use ctos::time::Instant;
 use std::process::{Command, Stdio};
 use tempfile::TempDir;
 
@@ -31,7 +33,7 @@ fn desk(clock: Clock) -> Desk {
         let words = words::split(recipe).unwrap();
         dictionary.add(index, words.into_iter().map(|word| word.text).collect());
     }
-    let sorm = Sorm::new(dictionary);
+    let sorm = Sorm::of("", clock.clone(), dictionary);
     let host = Host {
         app: "test".to_owned(),
         clock: clock.clone(),
@@ -75,9 +77,9 @@ fn the_objects_may_move_between_threads() {
     all::<shmem_w::ShmemW>();
     all::<shmem_r::ShmemR>();
     all::<flight::Flight>();
-    all::<queue::QueueObject>();
+    all::<queue::Queue>();
     all::<semaphore::SemaphoreObject>();
-    all::<blackboard::BlackboardObject>();
+    all::<blackboard::Board>();
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The kinds of option: how each reads its words, shows its value and describes itself.
 
 use super::clipped;
-use crate::describe::{OptionInfo, OptionKind};
+use crate::description::{OptionInfo, OptionKind};
 use crate::name::suggestion;
 use crate::words;
 use std::fmt::Debug;
@@ -12,41 +12,10 @@ pub(super) type Field<T, V> = fn(&mut T) -> &mut V;
 pub(super) type Act<T> = fn(&mut T, &[String]) -> Result<String, String>;
 
 /// One or several numbers within a range.
+#[derive(Clone)]
 pub(super) struct Numbers<N> {
     pub range: RangeInclusive<N>,
     pub unit: &'static str,
-}
-
-pub(super) enum Kind<T> {
-    Flag(Field<T, bool>),
-    Float(Field<T, f64>, Numbers<f64>),
-    Int(Field<T, i64>, Numbers<i64>),
-    /// A whole number or one word that stands for none, kept as its text.
-    IntOr(Field<T, String>, &'static str, Numbers<i64>),
-    Floats(Field<T, Vec<f64>>, &'static [&'static str], Numbers<f64>),
-    Ints(Field<T, Vec<i64>>, &'static [&'static str], Numbers<i64>),
-    Choice(Field<T, String>, &'static [&'static str]),
-    Word(Field<T, String>, &'static str),
-    Action(&'static [&'static str], Act<T>),
-}
-
-impl<T> Kind<T> {
-    /// The option at one state. What is done with it knows no `T`, and so is compiled once.
-    pub(super) fn at<'a>(&'a self, state: &'a mut T) -> Bound<'a> {
-        match self {
-            Self::Flag(field) => Bound::Flag(field(state)),
-            Self::Float(field, numbers) => Bound::Float(field(state), numbers),
-            Self::Int(field, numbers) => Bound::Int(field(state), numbers),
-            Self::IntOr(field, none, numbers) => Bound::IntOr(field(state), none, numbers),
-            Self::Floats(field, names, numbers) => Bound::Floats(field(state), names, numbers),
-            Self::Ints(field, names, numbers) => Bound::Ints(field(state), names, numbers),
-            Self::Choice(field, choices) => Bound::Choice(field(state), choices),
-            Self::Word(field, what) => Bound::Word(field(state), what),
-            Self::Action(names, act) => {
-                Bound::Action(names, Box::new(move |words| act(state, words)))
-            }
-        }
-    }
 }
 
 /// What an action does with its words.
@@ -55,11 +24,11 @@ type BoundAct<'a> = Box<dyn FnOnce(&[String]) -> Result<String, String> + 'a>;
 /// An option and its value in one state.
 pub(super) enum Bound<'a> {
     Flag(&'a mut bool),
-    Float(&'a mut f64, &'a Numbers<f64>),
-    Int(&'a mut i64, &'a Numbers<i64>),
-    IntOr(&'a mut String, &'static str, &'a Numbers<i64>),
-    Floats(&'a mut Vec<f64>, &'static [&'static str], &'a Numbers<f64>),
-    Ints(&'a mut Vec<i64>, &'static [&'static str], &'a Numbers<i64>),
+    Float(&'a mut f64, Numbers<f64>),
+    Int(&'a mut i64, Numbers<i64>),
+    IntOr(&'a mut String, &'static str, Numbers<i64>),
+    Floats(&'a mut Vec<f64>, &'static [&'static str], Numbers<f64>),
+    Ints(&'a mut Vec<i64>, &'static [&'static str], Numbers<i64>),
     Choice(&'a mut String, &'static [&'static str]),
     Word(&'a mut String, &'static str),
     Action(&'static [&'static str], BoundAct<'a>),
@@ -79,20 +48,10 @@ impl Bound<'_> {
 
     /// What stands after the option in the help.
     pub(super) fn form(&self) -> String {
+        let form = self.describe("", "").form();
         match self {
-            Self::Flag(_) => " [on|off]".to_owned(),
-            Self::Float(_, numbers) => format!(" {}", numbers.span()),
-            Self::Int(_, numbers) => format!(" {}", numbers.span()),
-            Self::IntOr(_, word, numbers) => format!(" {word}|{}", numbers.span()),
-            Self::Floats(_, parameters, numbers) => {
-                format!("{}, each {}", listed(parameters), numbers.span())
-            }
-            Self::Ints(_, parameters, numbers) => {
-                format!("{}, each {}", listed(parameters), numbers.span())
-            }
-            Self::Choice(_, choices) => format!(" {}", choices.join("|")),
-            Self::Word(_, what) => format!(" {what}"),
-            Self::Action(parameters, _) => listed(parameters),
+            Self::Flag(_) => format!(" [{form}]"),
+            _ => spaced(&form),
         }
     }
 
@@ -145,50 +104,38 @@ impl Bound<'_> {
 
     /// What a program may know about the option; the state is one without a recipe.
     pub(super) fn describe(&self, name: &str, help: &str) -> OptionInfo {
+        let one;
+        let (kind, parameters, choices, limits): (_, &[&str], &[&str], _) = match self {
+            Self::Flag(_) => (OptionKind::Flag, &[], &["on", "off"], None),
+            Self::Float(_, numbers) => (OptionKind::Float, &[], &[], Some(numbers.limits())),
+            Self::Int(_, numbers) => (OptionKind::Int, &[], &[], Some(numbers.limits())),
+            Self::IntOr(_, word, numbers) => {
+                one = [*word];
+                (OptionKind::Int, &[], &one, Some(numbers.limits()))
+            }
+            Self::Floats(_, names, numbers) => {
+                (OptionKind::Floats, names, &[], Some(numbers.limits()))
+            }
+            Self::Ints(_, names, numbers) => (OptionKind::Ints, names, &[], Some(numbers.limits())),
+            Self::Choice(_, choices) => (OptionKind::Choice, &[], choices, None),
+            Self::Word(_, what) => {
+                one = [*what];
+                (OptionKind::Word, &one, &[], None)
+            }
+            Self::Action(names, _) => (OptionKind::Action, names, &[], None),
+        };
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
-        let mut info = OptionInfo {
+        let (range, unit) = limits.unzip();
+        OptionInfo {
             name: name.to_owned(),
-            kind: OptionKind::Flag,
-            parameters: Vec::new(),
-            unit: String::new(),
-            range: None,
-            choices: Vec::new(),
+            kind,
+            parameters: owned(parameters),
+            unit: unit.unwrap_or_default().to_owned(),
+            range,
+            choices: owned(choices),
             default: self.shown(),
             help: help.to_owned(),
-        };
-        match self {
-            Self::Flag(_) => info.choices = owned(&["on", "off"]),
-            Self::Float(_, numbers) => {
-                info.kind = OptionKind::Float;
-                numbers.describe(&mut info);
-            }
-            Self::Int(_, numbers) => {
-                info.kind = OptionKind::Int;
-                numbers.describe(&mut info);
-            }
-            Self::IntOr(_, word, numbers) => {
-                (info.kind, info.choices) = (OptionKind::Int, owned(&[word]));
-                numbers.describe(&mut info);
-            }
-            Self::Floats(_, parameters, numbers) => {
-                (info.kind, info.parameters) = (OptionKind::Floats, owned(parameters));
-                numbers.describe(&mut info);
-            }
-            Self::Ints(_, parameters, numbers) => {
-                (info.kind, info.parameters) = (OptionKind::Ints, owned(parameters));
-                numbers.describe(&mut info);
-            }
-            Self::Choice(_, choices) => {
-                (info.kind, info.choices) = (OptionKind::Choice, owned(choices));
-            }
-            Self::Word(_, what) => {
-                (info.kind, info.parameters) = (OptionKind::Word, owned(&[what]))
-            }
-            Self::Action(parameters, _) => {
-                (info.kind, info.parameters) = (OptionKind::Action, owned(parameters));
-            }
         }
-        info
     }
 }
 
@@ -207,16 +154,6 @@ impl Number for i64 {
 }
 
 impl<N: Number> Numbers<N> {
-    /// `0.0..1.0 m/s`.
-    fn span(&self) -> String {
-        format!(
-            "{:?}..{:?}{}",
-            self.range.start(),
-            self.range.end(),
-            spaced(self.unit)
-        )
-    }
-
     /// Reads one word; `called` names it in the report when there are several.
     fn read(&self, word: &str, called: &str) -> Result<N, String> {
         // A NaN is in no range.
@@ -242,20 +179,16 @@ impl<N: Number> Numbers<N> {
             .collect()
     }
 
-    fn describe(&self, info: &mut OptionInfo) {
+    /// The least and the largest, as texts, and the unit.
+    fn limits(&self) -> ([String; 2], &'static str) {
         let (low, high) = (self.range.start(), self.range.end());
-        info.range = Some([format!("{low:?}"), format!("{high:?}")]);
-        self.unit.clone_into(&mut info.unit);
+        ([format!("{low:?}"), format!("{high:?}")], self.unit)
     }
 }
 
 fn many<N: Debug>(values: &[N]) -> Option<String> {
     let values: Vec<String> = values.iter().map(|value| format!("{value:?}")).collect();
     (!values.is_empty()).then(|| values.join(" "))
-}
-
-fn listed(parameters: &[&str]) -> String {
-    parameters.iter().map(|name| format!(" {name}")).collect()
 }
 
 fn spaced(unit: &str) -> String {

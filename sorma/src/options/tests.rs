@@ -1,7 +1,7 @@
 //! Option tables: what is taken, what is refused, what is told about them.
 
 use super::*;
-use crate::describe::OptionKind;
+use crate::description::OptionKind;
 use proptest::prelude::*;
 
 #[derive(Debug, Clone, PartialEq)]

@@ -22,7 +22,7 @@
 //! in ns, the generation of the writer, the number of opaque bytes, four spare words, the floats, the bytes;
 //! each slot a multiple of 64 bytes.
 
-use super::SnapshotError;
+use super::error::SnapshotError;
 use super::protocol::{Load, Ring, SLOT_HEAD, Store, WORD};
 
 pub(super) const MAGIC: u64 = u64::from_ne_bytes(*b"SORMASNP");

@@ -1,10 +1,11 @@
 //! Where segments lie: a folder of the user's alone in `/dev/shm`, in it one for each app, in that a file for
 //! each buffer. Also: which segments there are, and which of them nobody wants any more.
 
+use super::error::SnapshotError;
 use super::layout::{self, HEADER, Header};
 use super::memory::View;
 use super::protocol::Load;
-use super::{SnapshotError, host_ns};
+use super::record::host_ns;
 use crate::process::Process;
 use ctos::time::Clock;
 use rustix::fs::{Mode, OFlags};

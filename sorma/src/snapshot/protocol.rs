@@ -217,5 +217,4 @@ impl Ring {
 }
 
 #[cfg(test)]
-#[path = "model.rs"]
-mod model;
+mod tests;

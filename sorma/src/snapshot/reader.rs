@@ -1,12 +1,14 @@
 //! A reader of a snapshot buffer. It writes nothing but the bell, and trusts nothing that it reads: wrong
 //! numbers in the memory give errors or lost records, not more.
 
+use super::bell;
+use super::error::SnapshotError;
 use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, REPLACED, STATE};
 use super::layout::{Layout, ORIGIN, WRITING};
 use super::memory::{self, Page, View};
 use super::place::{self, Place, is_at, system};
-use super::protocol::{Load, Mark, Taken};
-use super::{Snapshot, SnapshotError, bell, nap};
+use super::protocol::{Load, Taken};
+use super::record::{Snapshot, nap};
 use crate::process::Process;
 use ctos::time::{Clock, Instant};
 use rustix::fs::OFlags;
@@ -67,41 +69,7 @@ impl Reader {
     /// # Errors
     /// There is none, or it is of another version, or it is damaged, or the system refuses.
     pub fn open(place: &Place, name: &str) -> Result<Self, SnapshotError> {
-        Self::open_file(&place.path(name)?)
-    }
-
-    /// As [`open`](Self::open), for those who count on a structure.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open), and when the records have other numbers of floats or bytes.
-    pub fn open_as(
-        place: &Place,
-        name: &str,
-        floats: usize,
-        bytes: usize,
-    ) -> Result<Self, SnapshotError> {
-        let reader = Self::open(place, name)?;
-        let layout = reader.layout();
-        let pairs = [
-            ("floats", layout.floats, floats),
-            ("opaque bytes, at most", layout.bytes, bytes),
-        ];
-        match pairs.into_iter().find(|(_, has, wanted)| has != wanted) {
-            None => Ok(reader),
-            Some((what, has, wanted)) => Err(SnapshotError::Differs {
-                path: reader.path,
-                what,
-                has,
-                wanted,
-            }),
-        }
-    }
-
-    /// Opens a segment by its file, as [`path`](Self::path) gives it.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open).
-    pub fn open_file(path: &Path) -> Result<Self, SnapshotError> {
+        let path = &place.path(name)?;
         let file = match place::open(path, OFlags::RDWR) {
             Err(SnapshotError::System { .. }) => place::open(path, OFlags::RDONLY)?,
             opened => opened?,
@@ -132,6 +100,33 @@ impl Reader {
         };
         reader.seek(0);
         Ok(reader)
+    }
+
+    /// As [`open`](Self::open), for those who count on a structure.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open), and when the records have other numbers of floats or bytes.
+    pub fn open_as(
+        place: &Place,
+        name: &str,
+        floats: usize,
+        bytes: usize,
+    ) -> Result<Self, SnapshotError> {
+        let reader = Self::open(place, name)?;
+        let layout = reader.layout();
+        let pairs = [
+            ("floats", layout.floats, floats),
+            ("opaque bytes, at most", layout.bytes, bytes),
+        ];
+        match pairs.into_iter().find(|(_, has, wanted)| has != wanted) {
+            None => Ok(reader),
+            Some((what, has, wanted)) => Err(SnapshotError::Differs {
+                path: reader.path,
+                what,
+                has,
+                wanted,
+            }),
+        }
     }
 
     /// What the writer says about its records.
@@ -355,19 +350,14 @@ impl Reader {
     /// Reads a record whole, or answers `false`.
     fn read(&self, count: u64, into: &mut Snapshot) -> bool {
         let ring = &self.header.geometry.ring;
-        match ring.read(&self.view, count, &mut into.floats, &mut into.opaque) {
-            Taken::Whole(Mark {
-                count,
-                stamp_ns,
-                generation,
-            }) => {
-                into.count = count;
-                into.stamp_ns = stamp_ns;
-                into.generation = generation;
-                true
-            }
-            Taken::Overwritten | Taken::NotYet => false,
-        }
+        let taken = ring.read(&self.view, count, &mut into.floats, &mut into.opaque);
+        let Taken::Whole(mark) = taken else {
+            return false;
+        };
+        into.count = mark.count;
+        into.stamp_ns = mark.stamp_ns;
+        into.generation = mark.generation;
+        true
     }
 
     fn overrun(&self) -> SnapshotError {

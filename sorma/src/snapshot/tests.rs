@@ -1,11 +1,15 @@
 //! What writers and readers of one process see; see `tests/snapshots.rs` for two processes and
-//! `snapshot/model.rs` for the protocol itself.
+//! `snapshot/protocol/tests.rs` for the protocol itself.
 
 use super::layout::{HEADER, MAGIC};
+use super::record::host_ns;
 use super::*;
+use crate::process::Process;
+use ctos::time::{Clock, Instant};
 use proptest::prelude::*;
 use std::fs::{self, File, OpenOptions};
 use std::os::unix::fs::{FileExt, PermissionsExt};
+use std::time::Duration;
 use tempfile::TempDir;
 
 struct Shop {

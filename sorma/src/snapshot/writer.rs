@@ -1,11 +1,13 @@
 //! The writer of a snapshot buffer: makes the segment or takes it over, and writes records into it.
 
+use super::bell;
+use super::error::SnapshotError;
 use super::layout::{BELL, CLOSED, GENERATION, HEADER, Header, ORIGIN, PID, PID_START};
 use super::layout::{Layout, REPLACED, STATE, WRITING};
 use super::memory::{self, Page};
 use super::place::{self, Place, is_at, system};
 use super::protocol::{Load, Mark, Store};
-use super::{SnapshotError, bell, host_ns, nap};
+use super::record::{host_ns, nap};
 use crate::process::Process;
 use ctos::time::Clock;
 use rustix::fs::{CWD, FallocateFlags, Mode, OFlags, RenameFlags, renameat_with};
@@ -89,16 +91,9 @@ impl Writer {
         let count = header.geometry.ring.recover(&page)?;
         let generation = page.load(GENERATION);
         let file = file.try_clone().ok()?;
-        let writer = Self::begin(
-            page,
-            header.clone(),
-            clock,
-            generation,
-            count,
-            path.to_owned(),
-            file,
-        );
-        Some(writer)
+        Some(Self::begin(
+            page, header, clock, generation, count, path, file,
+        ))
     }
 
     /// Makes a new segment and puts it into the place of the old one; `None` when somebody else was faster.
@@ -123,15 +118,7 @@ impl Writer {
         let before = old_page.as_ref().map_or(0, |old| old.load(GENERATION));
         let moved = made.and_then(|page| {
             let file = lock(file, &unfinished)?;
-            let writer = Self::begin(
-                page,
-                header.clone(),
-                clock,
-                before,
-                0,
-                path.to_owned(),
-                file,
-            );
+            let writer = Self::begin(page, header, clock, before, 0, path, file);
             let how = if old.is_some() {
                 RenameFlags::empty()
             } else {
@@ -168,11 +155,11 @@ impl Writer {
 
     fn begin(
         page: Page,
-        header: Header,
+        header: &Header,
         clock: &Clock,
         generation_before: u64,
         count: u64,
-        path: PathBuf,
+        path: &Path,
         file: File,
     ) -> Self {
         let this = Process::this();
@@ -185,11 +172,11 @@ impl Writer {
         page.store(STATE, WRITING);
         Self {
             page,
-            header,
+            header: header.clone(),
             clock: clock.clone(),
             generation,
             count,
-            path,
+            path: path.to_owned(),
             keeps: false,
             file,
         }

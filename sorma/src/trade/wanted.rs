@@ -59,12 +59,12 @@ struct Preference {
 /// # Errors
 /// Which word is none.
 pub fn attributes(text: &str) -> Result<Attributes, String> {
-    let words = words::split(text).map_err(|error| error.to_string())?;
+    let words = words::texts(text).map_err(|error| error.to_string())?;
     let read = words.into_iter().map(|word| {
-        let pair = word.text.split_once('=');
+        let pair = word.split_once('=');
         let pair = pair.filter(|(name, _)| is_attribute(name));
         pair.map(|(name, value)| (name.to_owned(), value.to_owned()))
-            .ok_or_else(|| format!("`{}` is no attribute; write NAME=VALUE", word.text))
+            .ok_or_else(|| format!("`{}` is no attribute; write NAME=VALUE", word))
     });
     read.collect()
 }

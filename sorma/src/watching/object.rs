@@ -1,22 +1,18 @@
 //! The class `watch`: one object for each who watches.
 
-use super::{Filter, Watcher, Watchers};
-use crate::describe::ClassInfo;
-use crate::object::{Context, Outcome, ServiceObject};
+use super::{CLASS, Filter, Watcher, Watchers};
+use crate::description::ClassInfo;
+use crate::object::{self, Context, Outcome, ServiceObject, Waiting};
 use crate::options::OptionTable;
 use crate::raise;
-use crate::report::code;
+use crate::report::{Report, code};
 use crate::transport::Transport;
-use crate::waiting::Waiting;
 use crate::words;
-use futures_util::future::LocalBoxFuture;
 use std::fmt::Write as _;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// The class's name.
-pub(crate) const CLASS: &str = "watch";
 /// The longest that EXEC next waits, s.
 const MOST_WAIT_S: f64 = 60.0;
 /// The most requests that one answer has.
@@ -148,10 +144,9 @@ fn capacity(settings: &Settings) -> usize {
 }
 
 /// How long EXEC is to wait.
-fn patience(text: &str) -> Result<Duration, crate::Report> {
-    let found = words::split(text).map_err(|error| raise!(code::SYNTAX, "{error}"))?;
-    let found: Vec<&str> = found.iter().map(|word| word.text.as_str()).collect();
-    let wait = match found[..] {
+fn patience(text: &str) -> Result<Duration, Report> {
+    let found = words::texts(text).map_err(|error| raise!(code::SYNTAX, "{error}"))?;
+    let wait = match found.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["next"] | [] => return Ok(Duration::ZERO),
         ["next", seconds] => seconds.parse().ok(),
         _ => {
@@ -176,7 +171,7 @@ impl ServiceObject for Watch {
         &'a mut self,
         cx: &'a Waiting<'a>,
         io: &'a mut Transport,
-    ) -> Option<LocalBoxFuture<'a, Outcome>> {
+    ) -> object::Later<'a> {
         self.own(&io.from);
         Some(Box::pin(async move {
             let patience = patience(&io.text)?;

@@ -1,7 +1,7 @@
 //! Watching in one process; over links it is tested with the daemon.
 
 use super::*;
-use crate::{Alone, Dictionary, demo};
+use crate::{Alone, Dictionary, Sorm, demo};
 use futures_util::FutureExt as _;
 use proptest::prelude::*;
 

@@ -153,19 +153,3 @@ pub struct ClassInfo {
     /// Its options, `help` and `dump` left out: every class has them.
     pub options: Vec<OptionInfo>,
 }
-
-/// The classes that every manager has: `dict`, `sorm` and `watch`.
-#[must_use]
-pub fn own_classes() -> Vec<ClassInfo> {
-    vec![
-        crate::dictionary::class(),
-        crate::manager::class(),
-        crate::watching::class(),
-    ]
-}
-
-/// The options of DBX, which every object has.
-#[must_use]
-pub fn dbx_options() -> Vec<OptionInfo> {
-    crate::dbx::options()
-}

@@ -3,17 +3,12 @@
 //! What is read is also printed and read again as the same. The driver, and what a target must hold, is
 //! `mutate`'s.
 
-use crate::asynchronous;
-use crate::demo;
-use crate::dictionary::Dictionary;
-use crate::name::ObjectName;
-use crate::report::Report;
-use crate::request::{Reply, Request};
 use crate::results::Sample;
-use crate::sorm::Sorm;
 use crate::trade::{Wanted, attributes};
-use crate::transport::Transport;
-use crate::words;
+use crate::{
+    Dictionary, Handle, Method, ObjectName, Reply, Report, Request, Sorm, Transport, asynchronous,
+    daemon, demo, words,
+};
 use ctos::diagnostic::Source;
 use ctos::message::Data;
 use mutate::Mutator;
@@ -116,19 +111,25 @@ fn kitchen() -> Sorm {
     sorm
 }
 
+fn ctrl(sorm: &Sorm, object: &Handle, text: &str) -> Transport {
+    let mut io = Transport::text(text);
+    object.call(sorm, Method::Ctrl, &mut io);
+    io
+}
+
 /// Options that are wrong leave the object as it was, and a dump is taken back.
 fn options(bytes: &[u8]) {
     let sorm = kitchen();
     for name in ["foo", "bar", "later", "stream"] {
         let object = sorm.get(name).unwrap();
         let before = object.dump();
-        let io = sorm.ctrl_text(&object.slot, &text(bytes));
+        let io = ctrl(&sorm, &object, &text(bytes));
         let after = object.dump().unwrap();
         if !io.is_ok() {
             assert_eq!(before.as_ref(), Some(&after));
         }
         let options = after.lines().next().unwrap();
-        let io = sorm.ctrl_text(&object.slot, options);
+        let io = ctrl(&sorm, &object, options);
         assert!(io.is_ok(), "{options}: {:?}", io.reports);
         assert_eq!(object.dump().unwrap(), after);
     }
@@ -192,9 +193,9 @@ fn dispatch(bytes: &[u8]) {
 /// What a daemon and its callers send each other.
 fn payload(bytes: &[u8]) {
     let data = || Data::Bytes(bytes.to_vec());
-    let _ = data().take::<crate::daemon::Ask>();
-    let _ = data().take::<crate::daemon::Tell>();
-    let _ = data().take::<crate::daemon::Say>();
+    let _ = data().take::<daemon::Ask>();
+    let _ = data().take::<daemon::Tell>();
+    let _ = data().take::<daemon::Say>();
     let _ = data().take::<Transport>();
     let _ = data().take::<Option<Vec<Sample>>>();
 }

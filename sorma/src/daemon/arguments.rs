@@ -1,10 +1,28 @@
-//! What a daemon offers, as its configuration says it: `args.offers.scale = { arm = "left", price = 2 }`.
+//! What the configuration of a daemon says.
 
 use crate::trade::Attributes;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Classes with the attributes of what is offered.
+/// The handler's name, as configurations write it.
+pub const HANDLER: &str = "sorma.daemon";
+
+/// Arguments of the handler.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Arguments {
+    /// Files of the dictionary, the later ones over the earlier.
+    #[serde(default)]
+    pub(super) dictionary: Vec<String>,
+    /// By which number, besides its name, it is found on its host: `foo.a@host:11`.
+    #[serde(default)]
+    pub(super) number: Option<u32>,
+    /// What it offers to whoever trades, by class.
+    #[serde(default)]
+    pub(super) offers: Offers,
+}
+
+/// Classes with the attributes of what is offered: `args.offers.scale = { arm = "left", price = 2 }`.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(transparent)]
 pub(super) struct Offers(BTreeMap<String, BTreeMap<String, Attribute>>);

@@ -1,0 +1,115 @@
+//! Requests by name that are met in this process, and lines of text that hold them.
+
+use crate::comm::{Alone, Comm};
+use crate::object::Context;
+use crate::raise;
+use crate::report::{Report, code};
+use crate::request::{Method, Reply, Request, RequestError};
+use crate::sorm::Sorm;
+use crate::transport::{Trace, Transport};
+use crate::words;
+use futures_util::FutureExt as _;
+
+impl Context<'_> {
+    /// [`Self::call_by`] for an object of that name.
+    ///
+    /// # Errors
+    /// The name is wrong or cannot be built, or the call ended with an error.
+    pub fn call(
+        &self,
+        name: &str,
+        method: Method,
+        mut sub: Transport,
+        io: &mut Transport,
+    ) -> Result<Transport, Report> {
+        let object = self.sorm.get(name)?;
+        self.call_by(&object, method, &mut sub, io)?;
+        Ok(sub)
+    }
+}
+
+impl Sorm {
+    /// Passes a request to its object; the reply always comes, errors, panics and all.
+    #[must_use]
+    pub fn request(&self, request: Request) -> Reply {
+        let Request {
+            name,
+            method,
+            mut body,
+        } = request;
+        match self.resolve(&name) {
+            Ok(handle) => {
+                // As far as nobody has to be waited for.
+                let met = self.meet(&Alone, None, &handle, method, &mut body);
+                if met.now_or_never().is_none() {
+                    let report = raise!(
+                        code::UNSUPPORTED,
+                        "`{name}` asks other objects and waits for them: it is asked with `Sorm::ask`, in an app that runs"
+                    );
+                    self.refuse(&mut body, report);
+                }
+            }
+            Err(report) => self.refuse(&mut body, report),
+        }
+        Reply { name, body }
+    }
+
+    /// One line of text in, one line of text out. A line that is no request is answered in the name
+    /// of `sorm`.
+    #[must_use]
+    pub fn dispatch(&self, line: &str) -> String {
+        self.dispatch_from(line, "")
+    }
+
+    /// [`Self::dispatch`] for the caller `from`, whose locks count.
+    #[must_use]
+    pub fn dispatch_from(&self, line: &str, from: &str) -> String {
+        match read(line, from) {
+            Ok(request) => write(&self.request(request)),
+            Err(answer) => answer,
+        }
+    }
+
+    /// [`Self::dispatch_from`] for whatever may wait, or be met by another daemon.
+    pub async fn tell(&self, comm: &dyn Comm, line: &str, from: &str) -> String {
+        self.tell_traced(comm, line, from, Trace::default()).await
+    }
+
+    /// [`Self::tell`] for a request that is followed through all that it leads to.
+    pub async fn tell_traced(
+        &self,
+        comm: &dyn Comm,
+        line: &str,
+        from: &str,
+        trace: Trace,
+    ) -> String {
+        match read(line, from) {
+            Ok(mut request) => {
+                request.body.trace = trace;
+                write(&self.ask(comm, request).await)
+            }
+            Err(answer) => answer,
+        }
+    }
+}
+
+/// Reads a request, or answers that it is none.
+fn read(line: &str, from: &str) -> Result<Request, String> {
+    let mut request: Request = line
+        .parse()
+        .map_err(|error: RequestError| refusal("sorm", &error))?;
+    from.clone_into(&mut request.body.from);
+    Ok(request)
+}
+
+fn write(reply: &Reply) -> String {
+    reply
+        .to_text()
+        .unwrap_or_else(|error| refusal(&reply.name.to_string(), &error))
+}
+
+fn refusal(name: &str, error: &RequestError) -> String {
+    let report = Report::error(code::SYNTAX, error.to_string());
+    let text = words::quoted(&report.to_line());
+    format!("{name} RET {} TDBX {text}", report.code)
+}
