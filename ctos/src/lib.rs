@@ -16,8 +16,6 @@ extern crate self as ctos;
 pub use serde;
 
 pub mod boot;
-#[cfg(test)]
-mod fuzz;
 
 pub use ctos_config::diagnostic;
 #[doc(hidden)]

@@ -279,7 +279,7 @@ mod tests {
 
     #[test]
     fn the_page_about_supervision_shows_the_table() {
-        let page = include_str!("../../docs/supervision-of-tasks.md");
+        let page = include_str!("../../../docs/supervision-of-tasks.md");
         let shown = format!("<!-- states -->\n```mermaid\n{}```\n", task_states());
         assert!(page.contains(&shown), "put this there:\n{shown}");
     }

@@ -4,3 +4,6 @@ mod server;
 mod text;
 
 pub(crate) use server::serve;
+
+#[cfg(test)]
+mod tests;

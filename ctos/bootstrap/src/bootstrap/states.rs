@@ -300,7 +300,7 @@ mod tests {
     /// `UPDATE=1` in the environment it is written there instead.
     fn must_show(page: &str, name: &str, drawn: &str) {
         let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../docs")
+            .join("../../docs")
             .join(page);
         let text = std::fs::read_to_string(&path).unwrap();
         let mark = format!("<!-- {name} -->\n");

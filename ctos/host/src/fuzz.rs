@@ -72,7 +72,7 @@ fn config(bytes: &[u8]) {
     let (file, sets) = text.split_once("\n--set\n").unwrap_or((&text, ""));
     let sets: Vec<String> = sets.lines().take(8).map(str::to_owned).collect();
     match load_texts(&[("app.toml", file)], &sets, &[]) {
-        Ok(app) => drop(crate::registry::Registry::new().check(&app)),
+        Ok(app) => drop(ctos_core::registry::Registry::new().check(&app)),
         // Whoever is told must be able to read it.
         Err(findings) => assert!(!findings.to_string().is_empty()),
     }
