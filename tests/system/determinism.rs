@@ -139,12 +139,8 @@ const CLOCKS: [(&str, &[&str]); 9] = [
     (
         "tokio::time",
         &[
-            "ctos/src/boot/",
-            "ctos/src/doors/",
+            "ctos/host/src/",
             "ctos/link/src/",
-            "ctos/src/remote/",
-            "ctos/src/control/",
-            "ctos/src/watch/",
             "cli/display/src/server.rs",
             "cli/scott/src/panel/server.rs",
             "ctos/benches/",
