@@ -286,7 +286,11 @@ impl Ask {
             call = Some(wait_from(now));
         }
         let mut slot = || call.take().or_else(|| Some(wait_from(processor.now())));
+        let ready = processor.ready_count();
         let delivered = chassis.deliver(message, self.wait, &mut slot);
+        if self.wait == WaitFor::Reply {
+            processor.hand_over(ready);
+        }
         let (outbound, answer) = match delivered.outcome {
             Outcome::Taken => (None, Some(Ok(Data::NOTHING))),
             Outcome::Failed(fault) => (None, Some(Err(fault))),

@@ -56,6 +56,9 @@ pub struct Processor {
     pub(super) futures: RefCell<Futures>,
     /// The future that is being polled, and its waker.
     pub(super) current: Cell<Option<(FutureId, WakerOf)>>,
+    /// Calls of the present poll whose receivers have run within it, and how many are at work now.
+    pub(super) handed_over: Cell<u32>,
+    pub(super) depth: Cell<u32>,
     pub(super) timers: RefCell<Timers<Timed>>,
     pub(super) calls: RefCell<Calls>,
     /// Calls that were made lately, and when they are looked after.
@@ -93,6 +96,8 @@ impl Processor {
             yielding: Yielding::default(),
             futures: RefCell::default(),
             current: Cell::new(None),
+            handed_over: Cell::new(0),
+            depth: Cell::new(0),
             timers: RefCell::default(),
             calls: RefCell::default(),
             young: RefCell::default(),

@@ -16,6 +16,13 @@ use super::{
 };
 use crate::contain::{drop_contained, panic_text};
 
+/// So many calls of one poll run their receivers at once; those after them go through the queue of ready futures,
+/// so that a task which calls without end keeps nobody from its processor.
+const HAND_OVERS: u32 = 32;
+
+/// Calls within calls that run at once: each takes room on the stack.
+const DEEPEST: u32 = 8;
+
 impl Processor {
     /// Adds a future; the id cancels it again.
     pub fn spawn(
@@ -96,21 +103,41 @@ impl Processor {
         };
         if let Some(running) = running {
             self.enter();
+            self.handed_over.set(0);
             self.poll_running(id, running);
         }
         true
     }
 
+    /// A call was delivered: a receiver on this processor that waited for it, so that it is ready now and was not
+    /// when `ready` futures were, handles it at once, within the poll of its caller. Not where synchronous functions
+    /// run between two polls.
+    pub(crate) fn hand_over(&self, ready: usize) {
+        let (handed_over, depth) = (self.handed_over.get(), self.depth.get());
+        let may = handed_over < HAND_OVERS && depth < DEEPEST && self.schedule.is_idle();
+        if !may || self.ready_count() <= ready {
+            return;
+        }
+        let Some((id, Some(running))) = self.take_ready(ready) else {
+            return;
+        };
+        self.handed_over.set(handed_over + 1);
+        self.depth.set(depth + 1);
+        self.poll_running(id, running);
+        self.depth.set(depth);
+        self.leave();
+    }
+
     /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
     fn poll_running(&self, id: FutureId, mut running: Running) {
-        self.current.set(Some((id, WakerOf::the(&running.waker))));
+        let outer = self.current.replace(Some((id, WakerOf::the(&running.waker))));
         let polled = {
             let Running { future, waker, .. } = &mut running;
             let mut cx = PollContext::from_waker(waker);
             self.leave();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
         };
-        self.current.set(None);
+        self.current.set(outer);
         self.moment();
         if !matches!(polled, Ok(Poll::Pending)) {
             let Running {
