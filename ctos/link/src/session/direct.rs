@@ -133,7 +133,7 @@ impl DirectStream {
 impl Source for DirectStream {
     fn serve(&self, happened: Happened) -> Seen {
         let mut seen = Seen::Nothing;
-        if happened.came {
+        if happened.readable {
             let mut reading = lock(&self.reading);
             let (frames, over) = self.read(&mut reading.chunk, happened.closed);
             if over {
@@ -148,13 +148,13 @@ impl Source for DirectStream {
             }
         }
         match &self.carrier {
-            Carrier::Socket(socket) if happened.room => {
+            Carrier::Socket(socket) if happened.writable => {
                 self.session.pump_socket(self.number, socket);
             }
             Carrier::Socket(_) => {}
             // The bell of shared memory rings for what comes and for room.
             Carrier::Shared { receiver, .. } => {
-                if happened.room || receiver.waits_for_room() {
+                if happened.writable || receiver.waits_for_room() {
                     self.session.pump(self.number);
                 }
             }
