@@ -90,10 +90,7 @@ impl NodeError {
                 Finding::error("ctos::config::value", message)
             }
         };
-        match self.place {
-            Some(place) => finding.at(place),
-            None => finding,
-        }
+        finding.at(self.place)
     }
 
     /// Completes an error that came up while `node` was read. An unknown key that serde only found

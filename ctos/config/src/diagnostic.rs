@@ -27,23 +27,15 @@ impl Source {
     /// # Errors
     /// A finding that names the file when it cannot be read or is not UTF-8.
     pub fn read(path: &Path) -> Result<Self, Finding> {
+        let bytes = std::fs::read(path).map_err(|error| Finding::unreadable(path, &error))?;
         let name = path.display().to_string();
-        match std::fs::read(path) {
-            Ok(bytes) => match String::from_utf8(bytes) {
-                Ok(text) => Ok(Self::new(name, text)),
-                Err(error) => Err(Finding::error(
-                    "ctos::file::not_text",
-                    format!(
-                        "`{name}` is not UTF-8 text (byte {})",
-                        error.utf8_error().valid_up_to()
-                    ),
-                )),
-            },
-            Err(error) => Err(Finding::error(
-                "ctos::file::unreadable",
-                format!("cannot read `{name}`: {error}"),
-            )
-            .help("check the path; it is taken relative to the file that names it")),
+        match String::from_utf8(bytes) {
+            Ok(text) => Ok(Self::new(name, text)),
+            Err(error) => {
+                let at = error.utf8_error().valid_up_to();
+                let text = format!("`{name}` is not UTF-8 text (byte {at})");
+                Err(Finding::error("ctos::file::not_text", text))
+            }
         }
     }
 
@@ -160,10 +152,17 @@ impl Finding {
         }
     }
 
-    /// Adds where it is.
+    /// A file that cannot be read.
+    pub(crate) fn unreadable(path: &Path, error: &dyn fmt::Display) -> Self {
+        let text = format!("cannot read `{}`: {error}", path.display());
+        Self::error("ctos::file::unreadable", text)
+            .help("check the path; it is taken relative to the file that names it")
+    }
+
+    /// Adds where it is, where that is known.
     #[must_use]
-    pub fn at(mut self, place: Place) -> Self {
-        self.place = Some(place);
+    pub fn at(mut self, place: impl Into<Option<Place>>) -> Self {
+        self.place = place.into().or(self.place);
         self
     }
 
@@ -185,22 +184,21 @@ impl Finding {
     /// list only what is nearest.
     #[must_use]
     pub fn suggest<'a>(self, given: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
+        self.suggest_of(given, known.into_iter().collect())
+    }
+
+    fn suggest_of(self, given: &str, mut names: Vec<&str>) -> Self {
         /// More than these nobody reads.
         const LISTED: usize = 24;
         /// So many of a longer list.
         const NEAREST: usize = 6;
-        let mut known: Vec<(usize, &str)> = known
-            .into_iter()
-            .map(|name| (strsim::damerau_levenshtein(given, name), name))
-            .collect();
-        known.sort_unstable();
-        let Some((distance, best)) = known.first() else {
+        names.sort_by_cached_key(|name| (strsim::damerau_levenshtein(given, name), *name));
+        let Some(best) = names.first() else {
             return self;
         };
-        if *distance <= 1 + given.chars().count() / 3 {
+        if strsim::damerau_levenshtein(given, best) <= 1 + given.chars().count() / 3 {
             return self.help(format!("did you mean `{best}`?"));
         }
-        let mut names: Vec<&str> = known.iter().map(|(_, name)| *name).collect();
         if names.len() > LISTED {
             let nearest = names[..NEAREST].join(", ");
             return self.help(format!("nearest of {} known here: {nearest}", names.len()));

@@ -10,8 +10,8 @@ use std::{
 use super::{
     fields::Fields,
     keys,
-    links::{SameHost, is_loopback},
-    node::{Node, Value},
+    links::{KEYS_HELP, SameHost, is_loopback},
+    node::Node,
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
@@ -118,31 +118,28 @@ pub(super) fn zenoh(
     same_host: SameHost,
     findings: &mut Findings,
 ) -> Option<ZenohConfig> {
-    let node = root.entry("zenoh").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[zenoh]".to_owned(), keys::ZENOH, findings);
-    let mode = match fields.choice("mode", &["peer", "client", "router"]) {
-        Some("client") => ZenohMode::Client,
-        Some("router") => ZenohMode::Router,
-        _ => ZenohMode::Peer,
-    };
+    let mut fields = Fields::top(root, keys::ZENOH, findings);
+    let modes = [
+        ("peer", ZenohMode::Peer),
+        ("client", ZenohMode::Client),
+        ("router", ZenohMode::Router),
+    ];
+    let mode = fields.choice("mode", &modes);
     let multicast = fields.text("multicast");
-    let asked = node.filter(|node| !node.entries().is_empty());
-    let same_host = root
-        .locate("app.same_host")
-        .filter(|_| same_host == SameHost::Zenoh);
-    let Some(node) = asked else {
-        if let Some(place) = same_host {
+    if fields.is_empty() {
+        let place = root.locate("app.same_host");
+        if let Some(place) = place.filter(|_| same_host == SameHost::Zenoh) {
             let text = "`same_host = \"zenoh\"` joins chassis over a network that is not described";
             let finding = Finding::error("ctos::config::zenoh", text);
             findings.push(finding.help(NOBODY_HELP).at(place));
         }
         return None;
-    };
-    let connect = endpoints(node, "connect", findings);
-    let listen = endpoints(node, "listen", findings);
+    }
+    let connect = endpoints(&mut fields, "connect");
+    let listen = endpoints(&mut fields, "listen");
     let security = root.entry("security").map(|entry| &entry.value);
     let mut asked = Asked {
-        place: node.place().cloned().or_else(|| root.locate("zenoh"))?,
+        place: root.locate("zenoh")?,
         listen_place: root.locate("zenoh.listen"),
         mode,
         connect,
@@ -156,36 +153,26 @@ pub(super) fn zenoh(
 }
 
 /// Reads a list of endpoints, each with its place.
-fn endpoints(node: &Node, key: &str, findings: &mut Findings) -> Vec<(ZenohEndpoint, Place)> {
-    let Some(list) = node.entry(key).map(|entry| &entry.value) else {
-        return Vec::new();
-    };
-    let mut push = |text: String, node: &Node| {
-        let finding = Finding::error("ctos::config::value", text)
-            .help("write a list such as [\"tls/10.0.0.5:7447\"]");
-        findings.push(match node.place() {
-            Some(place) => finding.at(place.clone()),
-            None => finding,
-        });
-    };
-    if !matches!(list.value(), Value::Array(_)) {
-        push(format!("[zenoh]: `{key}` must be a list"), list);
-    }
+fn endpoints(fields: &mut Fields<'_, '_>, key: &str) -> Vec<(ZenohEndpoint, Place)> {
+    let help = "write a list such as [\"tls/10.0.0.5:7447\"]";
     let mut endpoints = Vec::new();
-    for element in list.elements() {
+    for element in fields.list(key, help) {
         let parsed = element.as_str().map(str::parse::<ZenohEndpoint>);
-        match (parsed, element.place()) {
-            (Some(Ok(endpoint)), Some(place)) => endpoints.push((endpoint, place.clone())),
-            (Some(Err(error)), _) => push(format!("[zenoh]: {error}"), element),
-            _ => push(format!("[zenoh]: `{key}` is a list of texts"), element),
-        }
+        let text = match (parsed, element.place()) {
+            (Some(Ok(endpoint)), Some(place)) => {
+                endpoints.push((endpoint, place.clone()));
+                continue;
+            }
+            (Some(Err(error)), _) => format!("[zenoh]: {error}"),
+            _ => format!("[zenoh]: `{key}` is a list of texts"),
+        };
+        let finding = Finding::error("ctos::config::value", text).help(help);
+        fields.push(finding.at(element.place().cloned()));
     }
     endpoints
 }
 
 const NOBODY_HELP: &str = "add [zenoh] with connect = [\"tls/HOST:7447\"] for a router, or mode = \"router\" with listen, or multicast = \"lo\"";
-const KEYS_HELP: &str =
-    "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]";
 
 /// What was asked for, with places, until it is known to fit together.
 struct Asked<'a, 'f> {
@@ -232,11 +219,9 @@ impl Asked<'_, '_> {
                 "ctos::config::no_zenoh",
                 "[zenoh] asks for links over zenoh, and this program was built without them",
             );
-            self.findings.push(
-                finding
-                    .help("build it with `cargo build --release --features zenoh`, or leave [zenoh] and `same_host = \"zenoh\"` out")
-                    .at(self.place.clone()),
-            );
+            let help = "build it with `cargo build --release --features zenoh`, or leave [zenoh] and `same_host = \"zenoh\"` out";
+            self.findings
+                .push(finding.help(help).at(self.place.clone()));
         }
         self.interface();
         self.listening();
