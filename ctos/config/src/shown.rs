@@ -8,6 +8,7 @@ use super::trail::Origin;
 use super::variables::escaped;
 use crate::diagnostic::{Findings, Place, Source};
 use std::fmt::Write;
+use toml_writer::{ToTomlKey, ToTomlValue, TomlKeyBuilder, TomlStringBuilder};
 
 /// The processor of a chassis that declares none.
 const MAIN: &str = "main";
@@ -163,10 +164,7 @@ fn parsed(default: &str) -> Node {
 fn write_value(node: &Node, out: &mut String) {
     // Writing into a String cannot fail.
     let _ = match node.value() {
-        Value::String(text) => {
-            write_string(&escaped(text), out);
-            Ok(())
-        }
+        Value::String(text) => write!(out, "{}", basic(&escaped(text))),
         Value::Integer(number) => write!(out, "{number}"),
         Value::Float(number) if number.is_nan() => write!(out, "nan"),
         Value::Float(number) => write!(out, "{number:?}"),
@@ -195,31 +193,16 @@ fn write_value(node: &Node, out: &mut String) {
 }
 
 /// A TOML basic string on one line.
-fn write_string(text: &str, out: &mut String) {
-    out.push('"');
-    for letter in text.chars() {
-        match letter {
-            '"' => out.push_str("\\\""),
-            '\\' => out.push_str("\\\\"),
-            '\n' => out.push_str("\\n"),
-            '\t' => out.push_str("\\t"),
-            letter if letter.is_control() => {
-                let _ = write!(out, "\\u{:04X}", u32::from(letter));
-            }
-            letter => out.push(letter),
-        }
-    }
-    out.push('"');
+fn basic(text: &str) -> String {
+    TomlStringBuilder::new(text).as_basic().to_toml_value()
 }
 
 fn bare_or_quoted(key: &str) -> String {
-    let bare = |letter: char| letter.is_ascii_alphanumeric() || "_-".contains(letter);
-    if !key.is_empty() && key.chars().all(bare) {
-        return key.to_owned();
+    let builder = TomlKeyBuilder::new(key);
+    match builder.as_unquoted() {
+        Some(bare) => bare.to_toml_key(),
+        None => builder.as_basic().to_toml_key(),
     }
-    let mut quoted = String::new();
-    write_string(key, &mut quoted);
-    quoted
 }
 
 fn joined(path: &str, key: &str) -> String {
