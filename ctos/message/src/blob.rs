@@ -345,12 +345,15 @@ pub fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T {
     if bytes.len() < LEAST {
         return decode(&bytes);
     }
+    let (bytes, _emptied) = lend(bytes);
+    decode(&bytes)
+}
+
+fn lend(bytes: Vec<u8>) -> (Bytes, Emptied<Bytes>) {
     let bytes = Bytes::from(bytes);
     let emptied = Emptied(&READ);
     READ.set(Some(bytes.clone()));
-    let read = decode(&bytes);
-    drop(emptied);
-    read
+    (bytes, emptied)
 }
 
 #[cfg(test)]

@@ -111,10 +111,7 @@ fn to_json<T: Serialize + DeserializeOwned + 'static>(
     json: &mut Vec<u8>,
 ) -> Result<(), PayloadError> {
     let value = decode::<T>(bytes)?;
-    serde_json::to_writer(json, &value).map_err(|error| PayloadError {
-        expected: std::any::type_name::<T>(),
-        reason: error.to_string(),
-    })
+    serde_json::to_writer(json, &value).map_err(PayloadError::of::<T>)
 }
 
 /// Code, name and documentation say what a command is; how it is turned into text follows from them.

@@ -64,30 +64,19 @@ impl fmt::Debug for Fields {
 fn split<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
     let value = decode::<T>(bytes)?;
     match fields_of::<T>() {
-        0 => return Ok(Vec::new()),
+        0 => Ok(Vec::new()),
         // Also of a structure of one field, whose bytes are those of the field.
-        1 => return Ok(vec![bytes.to_vec()]),
-        _ => {}
+        1 => Ok(vec![bytes.to_vec()]),
+        _ => value
+            .serialize(Apart(Vec::new()))
+            .map_err(PayloadError::of::<T>),
     }
-    value
-        .serialize(Apart(Vec::new()))
-        .map_err(|error| PayloadError {
-            expected: std::any::type_name::<T>(),
-            reason: error.to_string(),
-        })
 }
 
 /// Writes each field of a structure or a tuple by itself.
 struct Apart(Vec<Vec<u8>>);
 
 type Parts = postcard::Result<Vec<Vec<u8>>>;
-
-impl Apart {
-    fn add<T: Serialize + ?Sized>(&mut self, field: &T) -> postcard::Result<()> {
-        self.0.push(postcard::to_stdvec(field)?);
-        Ok(())
-    }
-}
 
 /// A value that is no structure and no tuple: [`count`] says so, and nobody comes here with one.
 const fn whole<T>() -> postcard::Result<T> {
@@ -199,47 +188,32 @@ impl Serializer for Apart {
     }
 }
 
-impl SerializeTuple for Apart {
-    type Ok = Vec<Vec<u8>>;
-    type Error = postcard::Error;
+macro_rules! parts {
+    ($($trait:ident::$method:ident($($name:ty)?);)+) => {$(
+        impl $trait for Apart {
+            type Ok = Vec<Vec<u8>>;
+            type Error = postcard::Error;
 
-    fn serialize_element<T: Serialize + ?Sized>(&mut self, value: &T) -> postcard::Result<()> {
-        self.add(value)
-    }
+            fn $method<T: Serialize + ?Sized>(
+                &mut self,
+                $(_: $name,)?
+                value: &T,
+            ) -> postcard::Result<()> {
+                self.0.push(postcard::to_stdvec(value)?);
+                Ok(())
+            }
 
-    fn end(self) -> Parts {
-        Ok(self.0)
-    }
+            fn end(self) -> Parts {
+                Ok(self.0)
+            }
+        }
+    )+};
 }
 
-impl SerializeTupleStruct for Apart {
-    type Ok = Vec<Vec<u8>>;
-    type Error = postcard::Error;
-
-    fn serialize_field<T: Serialize + ?Sized>(&mut self, value: &T) -> postcard::Result<()> {
-        self.add(value)
-    }
-
-    fn end(self) -> Parts {
-        Ok(self.0)
-    }
-}
-
-impl SerializeStruct for Apart {
-    type Ok = Vec<Vec<u8>>;
-    type Error = postcard::Error;
-
-    fn serialize_field<T: Serialize + ?Sized>(
-        &mut self,
-        _: &'static str,
-        value: &T,
-    ) -> postcard::Result<()> {
-        self.add(value)
-    }
-
-    fn end(self) -> Parts {
-        Ok(self.0)
-    }
+parts! {
+    SerializeTuple::serialize_element();
+    SerializeTupleStruct::serialize_field();
+    SerializeStruct::serialize_field(&'static str);
 }
 
 #[cfg(test)]

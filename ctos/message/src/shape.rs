@@ -106,13 +106,13 @@ impl Shape {
     }
 
     /// What is in the map that this is.
-    pub(super) fn map(&mut self) -> Option<&mut [Self; 2]> {
+    pub(super) fn map(&mut self) -> &mut [Self] {
         if !matches!(self, Self::Map(_)) {
             *self = Self::Map(Box::new([Self::Unknown, Self::Unknown]));
         }
         match self {
-            Self::Map(inner) => Some(inner),
-            _ => None,
+            Self::Map(inner) => &mut inner[..],
+            _ => &mut [],
         }
     }
 
@@ -229,13 +229,14 @@ impl<'a> Reader<'a> {
             },
             Shape::Sequence(each) => {
                 let count = self.take::<usize>()?;
-                self.many(std::iter::repeat_n(&**each, count), depth)
+                self.many(std::iter::repeat_n((None, &**each), count), b"[]", depth)
             }
             Shape::Map(entry) => self.map(entry, depth),
-            Shape::Tuple(inner) => self.many(inner.iter(), depth),
+            Shape::Tuple(inner) => self.many(inner.iter().map(|shape| (None, shape)), b"[]", depth),
             Shape::Struct(_, names, inner) => {
                 self.around.push(shape);
-                let read = self.members(names, inner, depth);
+                let members = names.iter().map(Some).zip(inner);
+                let read = self.many(members, b"{}", depth);
                 self.around.pop();
                 read
             }
@@ -284,15 +285,25 @@ impl<'a> Reader<'a> {
         read
     }
 
-    fn many(&mut self, shapes: impl Iterator<Item = &'a Shape>, depth: usize) -> Option<()> {
-        self.byte(b'[');
-        for (index, shape) in shapes.enumerate() {
+    /// Values in brackets, each behind its name if it has one.
+    fn many(
+        &mut self,
+        values: impl Iterator<Item = (Option<&'a String>, &'a Shape)>,
+        [open, close]: &[u8; 2],
+        depth: usize,
+    ) -> Option<()> {
+        self.byte(*open);
+        for (index, (name, shape)) in values.enumerate() {
             if index > 0 {
                 self.byte(b',');
             }
+            if let Some(name) = name {
+                self.put(name)?;
+                self.byte(b':');
+            }
             self.value(shape, depth)?;
         }
-        self.byte(b']');
+        self.byte(*close);
         Some(())
     }
 
@@ -321,32 +332,13 @@ impl<'a> Reader<'a> {
         Some(())
     }
 
-    fn members(&mut self, names: &[String], inner: &'a [Shape], depth: usize) -> Option<()> {
-        self.byte(b'{');
-        for (index, (name, shape)) in names.iter().zip(inner).enumerate() {
-            if index > 0 {
-                self.byte(b',');
-            }
-            self.put(name)?;
-            self.byte(b':');
-            self.value(shape, depth)?;
-        }
-        self.byte(b'}');
-        Some(())
-    }
-
-    fn variant(&mut self, names: &[String], inner: &'a [Shape], depth: usize) -> Option<()> {
+    fn variant(&mut self, names: &'a [String], inner: &'a [Shape], depth: usize) -> Option<()> {
         let number = usize::try_from(self.take::<u32>()?).ok()?;
         let (name, shape) = (names.get(number)?, inner.get(number)?);
         if *shape == Shape::Leaf(Leaf::Nothing) {
             return self.put(name);
         }
-        self.byte(b'{');
-        self.put(name)?;
-        self.byte(b':');
-        self.value(shape, depth)?;
-        self.byte(b'}');
-        Some(())
+        self.many(std::iter::once((Some(name), shape)), b"{}", depth)
     }
 }
 
