@@ -3,7 +3,7 @@
 
 use std::{io, sync::Arc};
 
-use crate::{config::App, session::Bytes};
+use crate::config::App;
 
 /// There is none.
 pub enum Fabric {}
@@ -16,8 +16,6 @@ pub enum Caller {}
 
 /// There is none.
 pub type ZenohStream = tokio::io::Empty;
-
-impl Bytes for ZenohStream {}
 
 impl Fabric {
     /// Joins no network.

@@ -31,14 +31,14 @@ const RING: usize = 1 << 20;
 const LINE: usize = 128;
 
 /// Where the fields of a ring stand, in lines from its start: bytes ever written, bytes ever read,
-/// whether the writer waits for room.
+/// whether the writer waits for space.
 const WRITTEN: usize = 0;
 const READ: usize = 1;
-const WANTS_ROOM: usize = 2;
+const WANTS_SPACE: usize = 2;
 /// Lines of a ring before its data.
 const RING_LINES: usize = 3;
 
-/// Lines of a bell: whether anybody sleeps beside it.
+/// Lines of a bell: whether anybody sleeps at it.
 const BELL_LINES: usize = 1;
 
 /// Bytes of the whole: two bells, then two rings.
@@ -143,7 +143,7 @@ impl Shared {
     }
 
     /// The three things that this side needs of it; the last one says when something has come, or
-    /// room has, while this side sleeps.
+    /// space is free, while this side sleeps.
     pub fn split(self) -> (Sender, Receiver, OwnedFd) {
         let Self {
             memory,
@@ -170,7 +170,7 @@ impl Shared {
         };
         let receiver = Receiver {
             ring: ring(side.other()),
-            // To see whether room has come for what could not be written.
+            // To see whether space is free for what could not be written.
             own: ring(side),
             sleeper: Sleeper::of(&memory, side),
             theirs,
@@ -236,7 +236,7 @@ struct Bell {
 }
 
 impl Bell {
-    /// Wakes whoever sleeps beside it; costs nothing when nobody does.
+    /// Wakes whoever sleeps at it; costs nothing when nobody does.
     fn ring(&self) {
         // Pairs with the fence of the one who goes to sleep: either this sees the sleeper, or the
         // sleeper sees what was written before this.
@@ -294,31 +294,31 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Writes as much as there is room for.
+    /// Writes as much as there is space for.
     ///
     /// # Errors
-    /// `WouldBlock` when there is no room; the bell of this side rings when there is some again.
+    /// `WouldBlock` when there is no space; the bell of this side rings when there is some again.
     /// `InvalidData` when the other side's positions cannot be.
     pub fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
         let written = self.written.load(Ordering::Relaxed);
-        let mut room = self.room(written)?;
-        if room == 0 {
-            self.ring.field(WANTS_ROOM).store(1, Ordering::SeqCst);
-            // The reader may have made room before it could see the wish.
-            room = self.room(written)?;
-            if room == 0 {
+        let mut space = self.space(written)?;
+        if space == 0 {
+            self.ring.field(WANTS_SPACE).store(1, Ordering::SeqCst);
+            // The reader may have freed some before it could see the wish.
+            space = self.space(written)?;
+            if space == 0 {
                 return Err(io::ErrorKind::WouldBlock.into());
             }
         }
         // Nobody waits any more; a wish that stays would keep the other thread of this side awake.
-        let wants = self.ring.field(WANTS_ROOM);
+        let wants = self.ring.field(WANTS_SPACE);
         if wants.load(Ordering::Relaxed) != 0 {
             wants.store(0, Ordering::SeqCst);
         }
         let mut at = written;
         for slice in slices {
-            let (mut now, _) = slice.split_at(slice.len().min(room));
-            room -= now.len();
+            let (mut now, _) = slice.split_at(slice.len().min(space));
+            space -= now.len();
             while !now.is_empty() {
                 let (place, until_wrap) = self.ring.place(at);
                 let (part, later) = now.split_at(now.len().min(until_wrap));
@@ -334,7 +334,7 @@ impl Sender {
         Ok(usize::try_from(at - written).unwrap_or(RING))
     }
 
-    fn room(&self, written: u64) -> io::Result<usize> {
+    fn space(&self, written: u64) -> io::Result<usize> {
         let read = self.ring.field(READ).load(Ordering::Acquire);
         let filled = Ring::filled(written, read);
         filled
@@ -375,27 +375,27 @@ impl Receiver {
             self.read.store(read, Ordering::Relaxed);
             self.ring.field(READ).store(read, Ordering::Release);
             fence(Ordering::SeqCst);
-            if self.ring.field(WANTS_ROOM).load(Ordering::Relaxed) != 0 {
+            if self.ring.field(WANTS_SPACE).load(Ordering::Relaxed) != 0 {
                 self.theirs.ring();
             }
         }
         Ok(count)
     }
 
-    /// Whether something has come, or room has for what waits for it.
+    /// Whether something has come, or space is free for what waits for it.
     pub fn has_work(&self) -> bool {
         let has_data =
             self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read.load(Ordering::Relaxed);
-        has_data || (self.waits_for_room() && self.has_room())
+        has_data || (self.waits_for_space() && self.has_space())
     }
 
-    /// Whether this side has something to write for which there was no room. A peer that says otherwise in
+    /// Whether this side has something to write for which there was no space. A peer that says otherwise in
     /// the memory keeps only its own messages waiting.
-    pub fn waits_for_room(&self) -> bool {
-        self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0
+    pub fn waits_for_space(&self) -> bool {
+        self.own.field(WANTS_SPACE).load(Ordering::Acquire) != 0
     }
 
-    fn has_room(&self) -> bool {
+    fn has_space(&self) -> bool {
         let written = self.own.field(WRITTEN).load(Ordering::Acquire);
         let read = self.own.field(READ).load(Ordering::Acquire);
         written.wrapping_sub(read) < RING as u64

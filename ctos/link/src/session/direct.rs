@@ -6,6 +6,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use mio::Token;
 use rustix::{
     io::Errno,
     net::{RecvFlags, recv},
@@ -22,7 +23,7 @@ use crate::{
 /// How many bytes are read at a time.
 const CHUNK: usize = 64 * 1024;
 
-/// How often one stream is read before others have their turn.
+/// How often one stream is read before others are polled.
 const READS: usize = 64;
 
 /// What a stream is read from.
@@ -76,6 +77,13 @@ impl DirectStream {
             }),
         };
         (stream, ends)
+    }
+
+    /// Its token at the reactor.
+    pub(super) fn set_token(&self, token: Token) {
+        if let Carrier::Socket(socket) = &self.carrier {
+            socket.set_token(token);
+        }
     }
 
     /// Reads what there is, up to the end if the other end has `closed`. Whether frames came, and whether it is over.
@@ -149,13 +157,13 @@ impl Source for DirectStream {
         }
         match &self.carrier {
             Carrier::Socket(socket) if happened.writable => {
-                self.session.pump_socket(self.number, socket);
+                self.session.pump(self.number, Some(socket));
             }
             Carrier::Socket(_) => {}
-            // The bell of shared memory rings for what comes and for room.
+            // The bell of shared memory rings for what comes and for space.
             Carrier::Shared { receiver, .. } => {
-                if happened.writable || receiver.waits_for_room() {
-                    self.session.pump(self.number);
+                if happened.writable || receiver.waits_for_space() {
+                    self.session.pump(self.number, None);
                 }
             }
         }

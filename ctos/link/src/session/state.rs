@@ -108,12 +108,8 @@ pub enum DownReason {
 impl fmt::Display for DownReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Silence(limit) => {
-                write!(
-                    f,
-                    "nothing was heard of it for {:.3} s",
-                    limit.as_secs_f64()
-                )
+            Self::Silence(time) => {
+                write!(f, "nothing was heard of it for {:.3} s", time.as_secs_f64())
             }
             Self::Ended => f.write_str("its process has ended"),
             Self::Deserted(why) => write!(f, "nobody listens there any more: {why}"),
