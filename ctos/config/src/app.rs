@@ -320,13 +320,14 @@ impl App {
         if place.source.name() == SET {
             return Origin::Set(place.clone());
         }
-        let profiles = self.trail.applied.iter().rev();
-        match profiles.into_iter().find(|profile| profile.holds(place)) {
+        let mut profiles = self.trail.applied.iter().rev();
+        let place = place.clone();
+        match profiles.find(|profile| profile.holds(&place)) {
             Some(profile) => Origin::Profile {
                 name: profile.name.clone(),
-                place: place.clone(),
+                place,
             },
-            None => Origin::File(place.clone()),
+            None => Origin::File(place),
         }
     }
 }

@@ -76,14 +76,12 @@ impl Source {
     /// The place of a whole line, counted from 1.
     #[must_use]
     pub fn at_line(&self, line: usize) -> Place {
-        let mut start = 0;
-        for (index, text) in self.text.split('\n').enumerate() {
-            if index + 1 == line {
-                return self.at(start..start + text.trim_end().len());
-            }
-            start += text.len() + 1;
-        }
-        self.at(self.text.len()..self.text.len())
+        let end = self.text.len();
+        let starts = self.text.match_indices('\n').map(|(at, _)| at + 1);
+        let start = std::iter::once(0).chain(starts).nth(line.wrapping_sub(1));
+        let start = start.unwrap_or(end);
+        let text = self.text[start..].split('\n').next().unwrap_or_default();
+        self.at(start..start + text.trim_end().len())
     }
 }
 
@@ -257,13 +255,7 @@ impl Findings {
 
     /// Keeps the value of a result and adds its finding.
     pub fn keep<T>(&mut self, result: Result<T, Finding>) -> Option<T> {
-        match result {
-            Ok(value) => Some(value),
-            Err(finding) => {
-                self.push(finding);
-                None
-            }
-        }
+        result.map_err(|finding| self.push(finding)).ok()
     }
 
     /// Whether nothing at all was found.
@@ -275,19 +267,16 @@ impl Findings {
     /// Whether one of them is an error.
     #[must_use]
     pub fn has_errors(&self) -> bool {
-        self.list
-            .iter()
-            .any(|finding| finding.severity == Severity::Error)
+        let mut severities = self.list.iter().map(|finding| finding.severity);
+        severities.any(|severity| severity == Severity::Error)
     }
 
     /// The findings, sorted by file and place.
     #[must_use]
     pub fn into_sorted(mut self) -> Vec<Finding> {
         self.list.sort_by_key(|finding| {
-            finding
-                .place
-                .as_ref()
-                .map(|place| (place.source.name.clone(), place.range.start))
+            let place = finding.place.as_ref()?;
+            Some((place.source.name.clone(), place.range.start))
         });
         self.list
     }
@@ -308,13 +297,8 @@ impl From<Finding> for Findings {
 
 impl fmt::Display for Findings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (index, finding) in self.list.iter().enumerate() {
-            if index > 0 {
-                writeln!(f)?;
-            }
-            write!(f, "{finding}")?;
-        }
-        Ok(())
+        let lines: Vec<String> = self.list.iter().map(ToString::to_string).collect();
+        f.write_str(&lines.join("\n"))
     }
 }
 

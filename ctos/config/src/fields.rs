@@ -149,31 +149,36 @@ impl<'n, 'f> Fields<'n, 'f> {
         self.push(finding.suggest(text, known).at(place));
     }
 
+    /// What `read` makes of a value.
+    fn read<T>(
+        &mut self,
+        key: &str,
+        expected: &str,
+        read: impl FnOnce(&'n Node) -> Option<T>,
+    ) -> Option<T> {
+        let node = self.value(key)?;
+        let value = read(node);
+        if value.is_none() {
+            self.wrong_key(key, node, expected);
+        }
+        value
+    }
+
     /// A boolean.
     pub(super) fn flag(&mut self, key: &str) -> Option<bool> {
-        let node = self.value(key)?;
-        let flag = node.as_bool();
-        if flag.is_none() {
-            self.wrong_key(key, node, "true or false");
-        }
-        flag
+        self.read(key, "true or false", Node::as_bool)
     }
 
     /// A boolean, or the key's one word.
     pub(super) fn flag_or(&mut self, key: &str) -> Option<FlagOr> {
-        let node = self.value(key)?;
         let Kind::FlagOr(word) = self.kind(key)? else {
             return None;
         };
-        let found = match (node.as_bool(), node.as_str()) {
-            (Some(flag), _) => Some(FlagOr::Flag(flag)),
-            (None, Some(text)) if text == *word => Some(FlagOr::Word),
-            _ => None,
-        };
-        if found.is_none() {
-            self.wrong_key(key, node, &format!("true, false or {word:?}"));
-        }
-        found
+        let expected = format!("true, false or {word:?}");
+        self.read(key, &expected, |node| match node.as_str() {
+            Some(text) => (text == *word).then_some(FlagOr::Word),
+            None => node.as_bool().map(FlagOr::Flag),
+        })
     }
 
     /// A whole number within the key's range.
@@ -182,55 +187,52 @@ impl<'n, 'f> Fields<'n, 'f> {
     }
 
     fn whole(&mut self, key: &str) -> Option<u64> {
-        let node = self.value(key)?;
         let Kind::Integer(least, most) = self.kind(key)? else {
             return None;
         };
-        let number = node.as_integer().and_then(|number| number.try_into().ok());
-        let number = number.filter(|number| (least..=most).contains(&number));
-        if number.is_none() {
-            self.wrong_key(key, node, &format!("a whole number from {least} to {most}"));
-        }
-        number
+        self.read(
+            key,
+            &format!("a whole number from {least} to {most}"),
+            |node| {
+                let number = u64::try_from(node.as_integer()?).ok()?;
+                (least..=most).contains(&&number).then_some(number)
+            },
+        )
     }
 
     /// A number within the key's range.
     pub(super) fn number(&mut self, key: &str) -> Option<f64> {
-        let node = self.value(key)?;
         let Kind::Number(least, most) = self.kind(key)? else {
             return None;
         };
-        let number = node
-            .as_f64()
-            .filter(|number| (least..=most).contains(&number));
-        if number.is_none() {
-            self.wrong_key(key, node, &format!("a number from {least} to {most}"));
-        }
-        number
+        let expected = format!("a number from {least} to {most}");
+        self.read(key, &expected, |node| {
+            node.as_f64()
+                .filter(|number| least <= number && number <= most)
+        })
     }
 
     /// A time in seconds, above 0 and at most the key's longest.
     pub(super) fn seconds(&mut self, key: &str) -> Option<Duration> {
-        let node = self.value(key)?;
         let Kind::Seconds(most) = self.kind(key)? else {
             return None;
         };
-        let time = node.as_f64().filter(|time| *time > 0.0 && time <= most);
-        if time.is_none() {
-            let expected = format!("a number of seconds above 0 and at most {most}");
-            self.wrong_key(key, node, &expected);
-        }
-        time.map(Duration::from_secs_f64)
+        let expected = format!("a number of seconds above 0 and at most {most}");
+        self.read(key, &expected, |node| {
+            let time = node.as_f64().filter(|time| *time > 0.0 && time <= most);
+            time.map(Duration::from_secs_f64)
+        })
     }
 
     /// A string that is parsed further.
     pub(super) fn parsed<T: FromStr>(&mut self, key: &str, expected: &str) -> Option<T> {
         let (text, _) = self.text(key)?;
-        let parsed = text.parse().ok();
-        if let (None, Some(node)) = (&parsed, self.value(key)) {
-            self.wrong_key(key, node, expected);
-        }
-        parsed
+        self.read(key, expected, |_| text.parse().ok())
+    }
+
+    /// A table.
+    pub(super) fn table(&mut self, key: &str) -> Option<&'n Node> {
+        self.read(key, "a table", |node| node.is_table().then_some(node))
     }
 
     /// The elements of a list; `help` says how one is written.
@@ -249,16 +251,6 @@ impl<'n, 'f> Fields<'n, 'f> {
     /// Whether it has no keys.
     pub(super) fn is_empty(&self) -> bool {
         self.node.is_none_or(|node| node.entries().is_empty())
-    }
-
-    /// A table.
-    pub(super) fn table(&mut self, key: &str) -> Option<&'n Node> {
-        let node = self.value(key)?;
-        if node.is_table() {
-            return Some(node);
-        }
-        self.wrong_key(key, node, "a table");
-        None
     }
 }
 

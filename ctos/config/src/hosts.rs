@@ -76,7 +76,12 @@ impl Together<'_> {
                 continue;
             }
             // One that is declared with a mistake has a finding of its own.
-            if self.root.locate(&format!("host.\"{host}\"")).is_some() {
+            if self
+                .root
+                .tables("host")
+                .iter()
+                .any(|entry| entry.key == *host)
+            {
                 continue;
             }
             let text = format!("there is no host `{host}`");
@@ -162,20 +167,17 @@ impl Together<'_> {
             let finding = Finding::error("ctos::config::unreachable", text);
             findings.push(finding.help(help.to_owned()).at(place));
         };
+        let name = &first.name;
         match self.boot {
             None => push(
                 format!(
-                    "host `{}` cannot call back: the app does not say where the boot listens for other hosts",
-                    first.name
+                    "host `{name}` cannot call back: the app does not say where the boot listens for other hosts"
                 ),
                 "add [app] listen = \"IP:0\", with the address by which other hosts reach this one; 0 is a free port",
                 first.agent_place.clone(),
             ),
             Some((address, place)) if is_local(*address) => push(
-                format!(
-                    "the boot would listen at {address}, which host `{}` cannot reach",
-                    first.name
-                ),
+                format!("the boot would listen at {address}, which host `{name}` cannot reach"),
                 "write the address by which other hosts reach this one",
                 place.clone().unwrap_or_else(|| first.place.clone()),
             ),
@@ -184,8 +186,8 @@ impl Together<'_> {
         for host in self.used().filter(|host| is_loopback(host.agent.ip())) {
             push(
                 format!(
-                    "the agent of host `{}` is at the loopback of this one, where host `{}` cannot reach its chassis",
-                    host.name, first.name
+                    "the agent of host `{}` is at the loopback of this one, where host `{name}` cannot reach its chassis",
+                    host.name
                 ),
                 "write the address by which other hosts reach it",
                 host.agent_place.clone(),

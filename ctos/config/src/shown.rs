@@ -1,7 +1,7 @@
 //! An app's configuration as it counts in the end: every value, also those that no file says, each
 //! with where it comes from.
 
-use super::app::App;
+use super::app::{App, TaskConfig};
 use super::keys::{self, Kind, PROCESSOR, TOP};
 use super::node::{Entry, Node, Value};
 use super::trail::Origin;
@@ -64,13 +64,9 @@ impl App {
         }
         text.push('\n');
         self.write_table(&self.completed(), "", &mut text);
-        let written = self.root.entry("task");
-        let written = |name: &str| written.is_some_and(|tasks| tasks.value.entry(name).is_some());
-        let mut made = self
-            .tasks
-            .iter()
-            .filter(|task| !written(&task.name))
-            .peekable();
+        let written = self.root.tables("task");
+        let is_made = |task: &&TaskConfig| !written.iter().any(|entry| entry.key == task.name);
+        let mut made = self.tasks.iter().filter(is_made).peekable();
         if made.peek().is_some() {
             text.push_str("\n# Made from these tables:\n");
         }
@@ -83,10 +79,8 @@ impl App {
     }
 
     fn write_table(&self, table: &Node, path: &str, text: &mut String) {
-        let (tables, values): (Vec<&Entry>, Vec<&Entry>) = table
-            .entries()
-            .iter()
-            .partition(|entry| matches!(entry.value.value(), Value::Table(_)));
+        let entries = table.entries().iter();
+        let (tables, values): (Vec<&Entry>, _) = entries.partition(|entry| entry.value.is_table());
         if !path.is_empty() && (!values.is_empty() || tables.is_empty()) {
             text.push('\n');
             self.write_line(&format!("[{path}]"), table, text);
@@ -230,10 +224,8 @@ impl From<&Node> for serde_json::Value {
             Value::Array(elements) => elements.iter().map(Self::from).collect(),
             Value::Table(entries) => {
                 let each = entries.iter();
-                Self::Object(
-                    each.map(|entry| (entry.key.clone(), Self::from(&entry.value)))
-                        .collect(),
-                )
+                let each = each.map(|entry| (entry.key.clone(), Self::from(&entry.value)));
+                Self::Object(each.collect())
             }
         }
     }

@@ -84,16 +84,18 @@ impl PayloadError {
             reason: reason.to_string(),
         }
     }
+
+    /// What follows a `T` and should not.
+    pub(super) fn too_long<T>(rest: &[u8]) -> Self {
+        Self::of::<T>(format_args!("{} bytes too many", rest.len()))
+    }
 }
 
 /// Reads exactly one `T`.
 pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadError> {
     match postcard::take_from_bytes::<T>(bytes) {
         Ok((value, [])) => Ok(value),
-        Ok((_, rest)) => Err(PayloadError::of::<T>(format_args!(
-            "{} bytes too many",
-            rest.len()
-        ))),
+        Ok((_, rest)) => Err(PayloadError::too_long::<T>(rest)),
         Err(error) => Err(PayloadError::of::<T>(error)),
     }
 }

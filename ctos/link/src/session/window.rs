@@ -330,23 +330,19 @@ impl Outgoing {
                 None => usize::MAX,
             };
             let small = self.small.get(..most).unwrap_or(&self.small);
-            let written = if self.staged.is_empty() {
-                write(&[IoSlice::new(small)])
-            } else {
-                let mut slices = [IoSlice::new(&[]); SLICES];
-                let mut count = 0;
-                let staged = self.staged.iter().map(|bytes| &bytes[..]);
-                let staged = staged.chain((!small.is_empty()).then_some(small));
-                for (slice, bytes) in slices.iter_mut().zip(staged) {
-                    *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
-                    count += 1;
-                    if most != usize::MAX {
-                        break;
-                    }
+            let mut slices = [IoSlice::new(&[]); SLICES];
+            let mut count = 0;
+            let staged = self.staged.iter().map(|bytes| &bytes[..]);
+            let staged = staged.chain((!small.is_empty()).then_some(small));
+            for (slice, bytes) in slices.iter_mut().zip(staged) {
+                *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
+                count += 1;
+                if most != usize::MAX {
+                    break;
                 }
-                let (filled, _) = slices.split_at(count);
-                write(filled)
-            };
+            }
+            let (filled, _) = slices.split_at(count);
+            let written = write(filled);
             match written {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(written) => self.written(written),
