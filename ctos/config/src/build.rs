@@ -211,7 +211,7 @@ impl Builder<'_> {
         chassis
     }
 
-    /// Points at the first that a task id has no room for.
+    /// Points at the first that a task id has no bits for.
     fn too_many(&mut self, entries: &[Entry], most: usize, whole: &str, parts: &str) {
         if let Some(first) = entries.get(most) {
             let count = entries.len();

@@ -16,7 +16,7 @@ const SPIN: Duration = Duration::from_micros(5);
 /// How chassis of one host are joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SameHost {
-    /// By shared memory, beside a Unix socket that shows when one of them ends.
+    /// By shared memory, with a Unix socket that shows when one of them ends.
     #[default]
     Shared,
     /// By Unix sockets.

@@ -194,15 +194,12 @@ impl Reactor {
         self: &Arc<Self>,
         make: impl FnOnce(Token) -> Arc<dyn Source>,
     ) -> io::Result<Watched> {
-        let id = self.sources.next_id();
-        let source = make(Token(id));
-        let watched = Watched {
+        let (id, source) = self.sources.add(make)?;
+        Ok(Watched {
             reactor: self.clone(),
             source,
             id,
-        };
-        self.sources.add(id, &watched.source)?;
-        Ok(watched)
+        })
     }
 
     /// Tells a source anew what has happened to it, and from now on also when it is writable, or no longer.

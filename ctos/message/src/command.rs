@@ -48,7 +48,7 @@ pub trait Command: Serialize + DeserializeOwned + Send + 'static {
 /// Codes from here on belong to the runtime.
 pub const SYSTEM_COMMANDS: u16 = 0xff00;
 
-/// The one command of the runtime that follows requests on a link; the others have room of their own.
+/// The one command of the runtime that follows requests on a link; the others have credits of their own.
 pub const FENCE: u16 = 0xff6a;
 
 /// What is known of a command without its types.

@@ -10,7 +10,7 @@ pub enum Fault {
     /// No task has this id (any more).
     #[error("no such task is running")]
     UnknownTask,
-    /// The receiver's queue is full and so is the room for senders that wait.
+    /// The receiver's queue is full, and so is the line of senders that wait.
     #[error("its queue is full ({capacity} messages)")]
     Full {
         /// The capacity of the queue.
@@ -72,7 +72,7 @@ pub enum Fault {
     /// The receiver is being stopped.
     #[error("it is being stopped")]
     Stopping,
-    /// Whether there is room cannot be seen from here: the receiver is on another chassis.
+    /// Whether there is a permit cannot be seen from here: the receiver is on another chassis.
     #[error("it is on chassis `{chassis}`, so whether it has room cannot be seen from here")]
     Elsewhere {
         /// Its name.

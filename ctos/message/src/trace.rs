@@ -161,6 +161,15 @@ impl<'de> MapAccess<'de> for Members<'_> {
     }
 }
 
+fn tuple(count: usize) -> Shape {
+    Shape::Tuple(vec![Shape::Unknown; count])
+}
+
+fn structure(name: &str, fields: &[&str]) -> Shape {
+    let (names, unknown) = Shape::unknown(fields);
+    Shape::Struct(name.to_owned(), names, unknown)
+}
+
 /// One variant of an enum.
 struct Variant<'a> {
     way: &'a mut Way,
@@ -191,7 +200,7 @@ impl<'de> VariantAccess<'de> for Variant<'_> {
     }
 
     fn tuple_variant<V: Visitor<'de>>(self, len: usize, visitor: V) -> Result<V::Value, NoShape> {
-        visitor.visit_seq(Members::new(self.way, self.shape.tuple(len)))
+        visitor.visit_seq(Members::new(self.way, self.shape.within(tuple(len))))
     }
 
     fn struct_variant<V: Visitor<'de>>(
@@ -199,7 +208,10 @@ impl<'de> VariantAccess<'de> for Variant<'_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        visitor.visit_seq(Members::new(self.way, self.shape.fields("", fields)))
+        visitor.visit_seq(Members::new(
+            self.way,
+            self.shape.within(structure("", fields)),
+        ))
     }
 }
 
@@ -272,8 +284,10 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         if way.is_again() {
             return visitor.visit_none();
         }
+        let [shape] = shape.within(Shape::Option(Box::new(Shape::Unknown))) else {
+            return visitor.visit_none();
+        };
         way.depth += 1;
-        let shape = shape.option();
         let value = visitor.visit_some(Nothing { shape, way });
         way.depth -= 1;
         value
@@ -284,7 +298,7 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         let members = if way.is_again() {
             &mut []
         } else {
-            std::slice::from_mut(shape.sequence())
+            shape.within(Shape::Sequence(Box::new(Shape::Unknown)))
         };
         visitor.visit_seq(Members::new(way, members))
     }
@@ -294,7 +308,7 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         len: usize,
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        visitor.visit_seq(Members::new(self.way, self.shape.tuple(len)))
+        visitor.visit_seq(Members::new(self.way, self.shape.within(tuple(len))))
     }
 
     fn deserialize_tuple_struct<V: Visitor<'de>>(
@@ -308,7 +322,11 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
 
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
         let Self { shape, way } = self;
-        let entry = if way.is_again() { &mut [] } else { shape.map() };
+        let entry = if way.is_again() {
+            &mut []
+        } else {
+            shape.within(Shape::Map(Box::new([Shape::Unknown, Shape::Unknown])))
+        };
         visitor.visit_map(Members::new(way, entry))
     }
 
@@ -323,7 +341,7 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         let new = way.enter(name, shape)?;
         let mut unnoted = Shape::Unknown;
         let shape = if new { shape } else { &mut unnoted };
-        let value = visitor.visit_seq(Members::new(way, shape.fields(name, fields)));
+        let value = visitor.visit_seq(Members::new(way, shape.within(structure(name, fields))));
         way.leave(new);
         value
     }
@@ -339,9 +357,14 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         let new = way.enter(name, shape)?;
         let mut unnoted = Shape::Unknown;
         let shape = if new { shape } else { &mut unnoted };
-        let value = match shape.missing_variant(name, variants) {
-            Some((number, shape)) => visitor.visit_enum(Variant { way, shape, number }),
-            None => Err(NoShape("it has no variants".to_owned())),
+        let (names, unknown) = Shape::unknown(variants);
+        let shapes = shape.within(Shape::Enum(name.to_owned(), names, unknown));
+        // The first of which something is unknown, or the first of all.
+        let missing = shapes.iter().position(|shape| !shape.is_whole());
+        let number = missing.unwrap_or(0);
+        let value = match (u32::try_from(number), shapes.get_mut(number)) {
+            (Ok(number), Some(shape)) => visitor.visit_enum(Variant { way, shape, number }),
+            _ => Err(NoShape("it has no variants".to_owned())),
         };
         way.leave(new);
         value

@@ -148,16 +148,16 @@ impl Sources {
         Ok((sources, poller))
     }
 
-    /// A number for the next source.
-    pub(super) fn next_id(&self) -> usize {
-        self.next.fetch_add(1, Ordering::Relaxed)
-    }
-
-    /// Polls a source from now on.
+    /// Polls the source that `make` makes with its token; its number.
     ///
     /// # Errors
-    /// What the system says; it must be removed then, too.
-    pub(super) fn add(&self, id: usize, source: &Arc<dyn Source>) -> io::Result<()> {
+    /// What the system says.
+    pub(super) fn add(
+        &self,
+        make: impl FnOnce(Token) -> Arc<dyn Source>,
+    ) -> io::Result<(usize, Arc<dyn Source>)> {
+        let id = self.next.fetch_add(1, Ordering::Relaxed);
+        let source = make(Token(id));
         self.write().insert(id, source.clone());
         self.version.fetch_add(1, Ordering::Release);
         let interest = match source.visible() {
@@ -166,11 +166,15 @@ impl Sources {
             None => Interest::READABLE | Interest::WRITABLE,
         };
         let fd = source.fd().as_raw_fd();
-        self.registry
-            .register(&mut SourceFd(&fd), Token(id), interest)?;
+        let registered = self
+            .registry
+            .register(&mut SourceFd(&fd), Token(id), interest);
+        if registered.is_err() {
+            self.remove(id);
+        }
         // A leader that looks at the memory already must see this one too.
         self.wake();
-        Ok(())
+        registered.map(|()| (id, source))
     }
 
     /// Tells a source anew what has happened to it, and from now on also when it is writable, or no longer.

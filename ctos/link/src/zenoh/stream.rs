@@ -30,6 +30,9 @@ use crate::lock::lock;
 /// How long a stream whose user has gone waits for the other end to take the rest.
 const LINGER: Duration = Duration::from_secs(1);
 
+/// The longest wait at a time.
+const LONGEST: Duration = Duration::from_secs(3600);
+
 #[derive(Default)]
 struct State {
     pipe: Pipe,
@@ -59,22 +62,17 @@ impl Shared {
         }
     }
 
+    /// Waits for a change, until a deadline if there is one; whether that has passed.
     fn wait<'s>(
         &self,
         state: MutexGuard<'s, State>,
         deadline: Option<Duration>,
     ) -> (MutexGuard<'s, State>, bool) {
-        match deadline {
-            None => {
-                let woken = self.changed.wait(state);
-                (woken.unwrap_or_else(PoisonError::into_inner), false)
-            }
-            Some(deadline) => {
-                let woken = self.changed.wait_timeout(state, deadline);
-                let (state, result) = woken.unwrap_or_else(PoisonError::into_inner);
-                (state, result.timed_out())
-            }
-        }
+        let woken = self
+            .changed
+            .wait_timeout(state, deadline.unwrap_or(LONGEST));
+        let (state, result) = woken.unwrap_or_else(PoisonError::into_inner);
+        (state, deadline.is_some() && result.timed_out())
     }
 }
 
