@@ -81,17 +81,22 @@ impl Way {
         self.again > 0
     }
 
-    /// Enters a type that has a name; whether it is not around itself.
-    fn enter(&mut self, name: &'static str, shape: &mut Shape) -> Result<bool, NoShape> {
+    /// Enters a type that has a name: whether it is not around itself, and where its shape is noted.
+    fn enter<'s>(
+        &mut self,
+        name: &'static str,
+        shape: &'s mut Shape,
+        unnoted: &'s mut Shape,
+    ) -> Result<(bool, &'s mut Shape), NoShape> {
         self.has_bottom()?;
         let new = !self.is_again() && !self.around.contains(&name);
         if new {
             self.around.push(name);
-        } else {
-            *shape = Shape::Around(name.to_owned());
-            self.again += 1;
+            return Ok((true, shape));
         }
-        Ok(new)
+        *shape = Shape::Around(name.to_owned());
+        self.again += 1;
+        Ok((false, unnoted))
     }
 
     fn leave(&mut self, new: bool) {
@@ -338,9 +343,8 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
     ) -> Result<V::Value, NoShape> {
         let name = std::any::type_name::<V::Value>();
         let Self { shape, way } = self;
-        let new = way.enter(name, shape)?;
         let mut unnoted = Shape::Unknown;
-        let shape = if new { shape } else { &mut unnoted };
+        let (new, shape) = way.enter(name, shape, &mut unnoted)?;
         let value = visitor.visit_seq(Members::new(way, shape.within(structure(name, fields))));
         way.leave(new);
         value
@@ -354,9 +358,8 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
     ) -> Result<V::Value, NoShape> {
         let name = std::any::type_name::<V::Value>();
         let Self { shape, way } = self;
-        let new = way.enter(name, shape)?;
         let mut unnoted = Shape::Unknown;
-        let shape = if new { shape } else { &mut unnoted };
+        let (new, shape) = way.enter(name, shape, &mut unnoted)?;
         let (names, unknown) = Shape::unknown(variants);
         let shapes = shape.within(Shape::Enum(name.to_owned(), names, unknown));
         // The first of which something is unknown, or the first of all.

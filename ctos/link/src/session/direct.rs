@@ -86,29 +86,31 @@ impl DirectStream {
         }
     }
 
-    /// Reads what there is, up to the end if the other end has `closed`. Whether frames came, and whether it is over.
-    fn read(&self, chunk: &mut [u8], closed: bool) -> (bool, bool) {
-        let mut frames = false;
+    /// Reads what there is, up to the end if the other end has `closed`. What came.
+    fn read(&self, chunk: &mut [u8], closed: bool) -> Seen {
+        let mut seen = Seen::Nothing;
         for _ in 0..READS {
             let (end, count) = self.read_once(chunk, closed);
             if count > 0 {
                 let bytes = chunk.get(..count).unwrap_or_default();
                 let read = self.session.read(self.number, bytes);
-                frames |= read.frames;
+                if read.frames {
+                    seen = Seen::Frames;
+                }
                 if !read.goes_on {
-                    return (frames, true);
+                    return Seen::End;
                 }
             }
             match end {
                 Read::More => {}
-                Read::Drained => return (frames, false),
-                Read::End => return (frames, true),
+                Read::Drained => return seen,
+                Read::End => return Seen::End,
             }
         }
         if let Carrier::Socket(socket) = &self.carrier {
             socket.tell_again();
         }
-        (frames, false)
+        seen
     }
 
     /// One read, and how many bytes it gave.
@@ -143,16 +145,13 @@ impl Source for DirectStream {
         let mut seen = Seen::Nothing;
         if happened.readable {
             let mut reading = lock(&self.reading);
-            let (frames, over) = self.read(&mut reading.chunk, happened.closed);
-            if over {
+            seen = self.read(&mut reading.chunk, happened.closed);
+            if seen == Seen::End {
                 if let Some(ended) = reading.ended.take() {
                     // The driver may be gone.
                     let _ = ended.send(());
                 }
                 return Seen::End;
-            }
-            if frames {
-                seen = Seen::Frames;
             }
         }
         match &self.carrier {
