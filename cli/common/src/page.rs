@@ -1,5 +1,5 @@
 //! What the tasks that serve a page have in common: an address that is bound before anything else is done, who may
-//! do what there, and a server on a thread of its own. Knows no page.
+//! do what there, how its files are sent, and a server on a thread of its own. Knows no page.
 
 use std::{
     io,
@@ -8,16 +8,30 @@ use std::{
     sync::Arc,
 };
 
+use axum::{
+    Router,
+    body::Body,
+    http::{
+        StatusCode,
+        header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE},
+    },
+    response::{IntoResponse, Response},
+};
 use ctos::{
-    config::App,
+    config::{App, TaskConfig},
     control,
-    diagnostic::Finding,
+    diagnostic::{Finding, Findings},
     doors::{self, OpenError, Pages, Refusals},
     security::Keys,
-    task::HandlerError,
+    task::{Context, HandlerError, Phase},
     time::Clock,
 };
+use hyper_util::service::TowerToHyperService;
 use tokio::sync::oneshot;
+
+/// What a browser must not do with a page: load or send anything elsewhere, or show it inside another one.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
+     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// How a page is to be served.
 pub struct Setting<'a> {
@@ -31,23 +45,66 @@ pub struct Setting<'a> {
     pub token: Option<&'a str>,
 }
 
-/// What is wrong with where a page is to be served: others could reach it, and there are no keys.
-pub fn unguarded(listen: SocketAddr, app: &App, code: &'static str) -> Option<Finding> {
-    let guarded = listen.ip().to_canonical().is_loopback() || app.security.is_some();
-    (!guarded).then(|| {
-        let text =
-            format!("a page at {listen}, where others can reach it, needs keys, and there are none");
-        Finding::error(code, text).help(
-            "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]; or listen at 127.0.0.1",
-        )
-    })
+/// A finding about an argument of a page's task.
+pub fn at(task: &TaskConfig, key: &str, finding: Finding) -> Finding {
+    let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+    finding.at(place)
+}
+
+/// Finds what is wrong with where a page is to be served: others could reach it, and there are no keys.
+pub fn check(
+    task: &TaskConfig,
+    listen: SocketAddr,
+    app: &App,
+    code: &'static str,
+    findings: &mut Findings,
+) {
+    if listen.ip().to_canonical().is_loopback() || app.security.is_some() {
+        return;
+    }
+    let text =
+        format!("a page at {listen}, where others can reach it, needs keys, and there are none");
+    let finding = Finding::error(code, text).help(
+        "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]; or listen at 127.0.0.1",
+    );
+    findings.push(at(task, "listen", finding));
+}
+
+/// Whether nobody can look at a page: in virtual time. It is logged once.
+pub fn is_needless(cx: &Context, phase: Phase) -> bool {
+    let needless = cx.chassis().clock().origin_ns().is_none();
+    if needless && phase == Phase::Create {
+        tracing::info!(task = cx.name(), "no page is served in virtual time");
+    }
+    needless
+}
+
+/// A file of a page, or what else it asks for.
+pub fn file(kind: &'static str, text: impl Into<Body>) -> Response {
+    let headers = [
+        (CONTENT_TYPE, kind),
+        (CONTENT_SECURITY_POLICY, POLICY),
+        // Another version of the program has other files under the same names.
+        (CACHE_CONTROL, "no-store"),
+    ];
+    (headers, text.into()).into_response()
+}
+
+/// Serves what `router` leads to until `stop` is over.
+///
+/// # Errors
+/// The address is of no use any more.
+pub async fn serve(pages: Pages, router: Router, stop: impl Future) -> io::Result<()> {
+    tokio::select! {
+        served = pages.serve(TowerToHyperService::new(router)) => served.map(|never| match never {}),
+        _ = stop => Ok(()),
+    }
 }
 
 /// An address that is bound, and not yet served.
 pub struct Front {
     pages: Pages,
-    /// Who may do what there.
-    pub door: Door,
+    door: Door,
 }
 
 impl Front {
@@ -82,21 +139,13 @@ impl Front {
         })
     }
 
-    /// Who may do what, for the server.
-    pub fn take_door(&mut self) -> Door {
-        std::mem::take(&mut self.door)
-    }
-
-    /// The page's address, without a token: for logs.
-    pub fn url(&self) -> String {
+    /// The page's address, without a token.
+    fn url(&self) -> String {
         self.pages.url()
     }
 
     /// Writes the file that opens the page with its token, which stands behind `mark` in the address.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn opener(&self, app: &str, task: &str, mark: &str) -> io::Result<Option<Opener>> {
+    fn opener(&self, app: &str, task: &str, mark: &str) -> io::Result<Option<Opener>> {
         let Some(token) = &self.door.token else {
             return Ok(None);
         };
@@ -111,15 +160,30 @@ impl Front {
         Ok(Some(Opener { path }))
     }
 
-    /// Serves it on a thread called `name`, until what is returned is sent or dropped.
+    /// Serves the page of a task, and writes the file that opens it. `server` is given who may do what; the
+    /// token stands behind `mark` in the address.
     ///
     /// # Errors
-    /// The system has no thread to give.
-    pub fn serve<S, F>(
-        self,
+    /// The system has no thread to give, or no place for the file.
+    pub fn serve_task<S, F>(
+        mut self,
+        cx: &Context,
         name: &'static str,
+        mark: &str,
         server: S,
-    ) -> Result<oneshot::Sender<()>, HandlerError>
+    ) -> Result<Served, HandlerError>
+    where
+        S: FnOnce(Pages, Door, oneshot::Receiver<()>) -> F + Send + 'static,
+        F: Future<Output = io::Result<()>>,
+    {
+        let opener = self.opener(&cx.app().name, cx.name(), mark)?;
+        let (url, door) = (self.url(), std::mem::take(&mut self.door));
+        let _stop = self.serve(name, move |pages, stopped| server(pages, door, stopped))?;
+        Ok(Served { url, opener, _stop })
+    }
+
+    /// Serves it on a thread called `name`, until what is returned is sent or dropped.
+    fn serve<S, F>(self, name: &'static str, server: S) -> Result<oneshot::Sender<()>, HandlerError>
     where
         S: FnOnce(Pages, oneshot::Receiver<()>) -> F + Send + 'static,
         F: Future<Output = io::Result<()>>,
@@ -147,6 +211,15 @@ fn failed(listen: SocketAddr, error: &dyn std::fmt::Display) -> HandlerError {
     HandlerError::new(format!(
         "a page cannot be served at {listen}: {error}; choose another `listen`"
     ))
+}
+
+/// A task's page that is served, until this is dropped.
+pub struct Served {
+    /// Its address, without a token: for logs.
+    pub url: String,
+    /// The file that opens it.
+    pub opener: Option<Opener>,
+    _stop: oneshot::Sender<()>,
 }
 
 /// A page that leads to `url`, for a browser that opens it as a file.
@@ -222,9 +295,10 @@ impl Door {
         }
     }
 
-    /// Counts and logs that somebody was refused.
-    pub fn refuse(&self, reason: &str) {
+    /// Refuses somebody, which is counted and logged.
+    pub fn refuse(&self, reason: &str) -> Response {
         self.refusals.note(&Clock::real_from(0), "a page", reason);
+        (StatusCode::FORBIDDEN, format!("{reason}\n")).into_response()
     }
 
     /// Why somebody who may look on may do no more.
@@ -293,8 +367,18 @@ mod tests {
         let beyond = setting("0.0.0.0:0", false, None);
         let told = Front::bind(&app(""), &beyond).err().unwrap().to_string();
         assert!(told.contains("[security]"), "{told}");
-        let found = unguarded(beyond.listen, &app(""), "test::open").unwrap();
-        assert!(found.to_string().contains("needs keys"), "{found}");
+        let found = |app: &App| {
+            let mut findings = Findings::new();
+            check(
+                &app.tasks[0],
+                beyond.listen,
+                app,
+                "test::open",
+                &mut findings,
+            );
+            findings.to_string()
+        };
+        assert!(found(&app("")).contains("needs keys"));
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("a");
         ctos::security::make_key(&key, ctos::security::Role::Boot).unwrap();
@@ -302,7 +386,7 @@ mod tests {
         let keys = app(&format!(
             "[security]\nkey = {key:?}\nauthority = {authority:?}\n"
         ));
-        assert!(unguarded(beyond.listen, &keys, "test::open").is_none());
+        assert_eq!(found(&keys), "");
         let front = Front::bind(&keys, &beyond).unwrap();
         assert!(front.url().starts_with("https://"), "{}", front.url());
         let token = front.door.token.clone().unwrap();

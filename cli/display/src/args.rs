@@ -63,18 +63,13 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     let Some(args) = findings.keep(task.args.parse::<DisplayArgs>()) else {
         return;
     };
-    let at = |finding: Finding, key: &str| {
-        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-        finding.at(place)
-    };
+    let at = |finding: Finding, key: &str| page::at(task, key, finding);
     if args.viewers == 0 || args.viewers > MOST_VIEWERS {
         let text = format!("a display for {} viewers", args.viewers);
         let finding = Finding::error("pnt::display::viewers", text);
         findings.push(at(finding, "viewers").help(format!("write 1 to {MOST_VIEWERS}")));
     }
-    if let Some(finding) = page::unguarded(args.listen, app, "pnt::display::open") {
-        findings.push(at(finding, "listen"));
-    }
+    page::check(task, args.listen, app, "pnt::display::open", findings);
     for net in args.nets.iter().flatten() {
         if app.task(net).is_none() {
             let names = app.tasks.iter().map(|task| task.name.as_str());
@@ -121,12 +116,9 @@ pub(super) fn check_overviews(app: &App, registry: &Registry, findings: &mut Fin
             .collect();
         for unknown in overviews.unknown(|net| drawings.get(net)) {
             let text = format!("{}: no net has the node of {unknown}", source.name());
-            let place = task.args.locate("displays");
-            findings.push(
-                Finding::warning("pnt::display::unknown_node", text)
-                    .at(place.unwrap_or_else(|| task.place.clone()))
-                    .help("write `NET/NODE`, in which `*` stands for any letters"),
-            );
+            let finding = Finding::warning("pnt::display::unknown_node", text)
+                .help("write `NET/NODE`, in which `*` stands for any letters");
+            findings.push(page::at(task, "displays", finding));
         }
     }
 }

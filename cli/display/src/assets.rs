@@ -34,10 +34,6 @@ pub(crate) fn asset(name: &str) -> Option<Asset> {
     }
 }
 
-/// What a browser must not do with the page: load or send anything elsewhere, or show it inside another one.
-pub(crate) const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; \
-     connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-
 /// The page as one file that needs no server, with `messages`, each the JSON of one.
 pub(crate) fn standalone(messages: &[String]) -> String {
     let style = format!("<style>\n{STYLE}</style>");

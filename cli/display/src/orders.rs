@@ -25,7 +25,7 @@ use super::{
 /// How long whoever is asked may take.
 const LIMIT: Duration = Duration::from_secs(2);
 
-/// Carries orders out, each beside the others, until the server ends.
+/// Carries orders out, all at the same time, until the server ends.
 /// `displays` is the file of overview displays, if there is one.
 pub(super) async fn carry(
     cx: &Context,

@@ -8,15 +8,11 @@ use axum::{
         Path, Query, State,
         ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code},
     },
-    http::{
-        StatusCode,
-        header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE},
-    },
+    http::StatusCode,
     response::{IntoResponse, Response},
     routing::get,
 };
 use ctos::doors::Pages;
-use hyper_util::service::TowerToHyperService;
 use serde::Deserialize;
 use tokio::sync::{Semaphore, broadcast::error::RecvError, mpsc, oneshot};
 
@@ -25,13 +21,13 @@ use super::{
     hub::{Hub, News},
     wire::{Asked, Told},
 };
-use cli_common::page::{Door, Right};
+use cli_common::page::{self, Door, Right};
 
 /// The longest message of a browser, bytes.
 const LONGEST: usize = 16 * 1024;
 
 /// How long a browser may take to read what it is sent.
-const WRITE_LIMIT: Duration = Duration::from_secs(60);
+const WRITE_DEADLINE: Duration = Duration::from_secs(60);
 
 /// How often a browser is asked whether it is there, and how often in vain before it counts as gone.
 const BEAT: Duration = Duration::from_secs(20);
@@ -41,35 +37,36 @@ const BEATS: u32 = 3;
 pub(crate) type Asking = (Asked, oneshot::Sender<String>);
 
 /// What all connections share.
-pub(crate) struct Desk {
+pub(crate) struct Service {
     pub(crate) hub: Arc<Hub>,
     /// Who may do what.
     pub(crate) door: Door,
     pub(crate) viewers: usize,
-    /// Places for those who look on, and for those who intervene: none keeps the other out.
-    pub(crate) rooms: [Semaphore; 2],
+    /// Permits for those who look on, and for those who intervene: none keeps the other out.
+    pub(crate) permits: [Semaphore; 2],
     pub(crate) orders: mpsc::Sender<Asking>,
 }
 
-/// Places for `viewers` of either kind.
-pub(crate) fn rooms(viewers: usize) -> [Semaphore; 2] {
+/// Permits for `viewers` of either kind.
+pub(crate) fn permits(viewers: usize) -> [Semaphore; 2] {
     [viewers, viewers].map(Semaphore::new)
 }
 
 /// Serves until `stop`.
-pub(crate) async fn serve(pages: Pages, desk: Desk, stop: oneshot::Receiver<()>) -> io::Result<()> {
+pub(crate) async fn serve(
+    pages: Pages,
+    service: Service,
+    stop: oneshot::Receiver<()>,
+) -> io::Result<()> {
     let router = Router::new()
-        .route("/", get(page))
+        .route("/", get(index))
         .route("/ws", get(socket))
         .route("/{name}", get(file))
-        .with_state(Arc::new(desk));
-    tokio::select! {
-        served = pages.serve(TowerToHyperService::new(router)) => served.map(|never| match never {}),
-        _ = stop => Ok(()),
-    }
+        .with_state(Arc::new(service));
+    page::serve(pages, router, stop).await
 }
 
-async fn page() -> Response {
+async fn index() -> Response {
     asset("")
 }
 
@@ -79,15 +76,7 @@ async fn file(Path(name): Path<String>) -> Response {
 
 fn asset(name: &str) -> Response {
     match assets::asset(name) {
-        Some((_, kind, text)) => {
-            let headers = [
-                (CONTENT_TYPE, kind),
-                (CONTENT_SECURITY_POLICY, assets::POLICY),
-                // Another version of the program has other files under the same names.
-                (CACHE_CONTROL, "no-store"),
-            ];
-            (headers, text).into_response()
-        }
+        Some((_, kind, text)) => page::file(kind, text),
         None => (StatusCode::NOT_FOUND, "there is no such file\n").into_response(),
     }
 }
@@ -98,15 +87,14 @@ struct Shown {
 }
 
 async fn socket(
-    State(desk): State<Arc<Desk>>,
+    State(service): State<Arc<Service>>,
     Query(shown): Query<Shown>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let shown = shown.token.unwrap_or_default();
-    let Some(right) = desk.door.right(shown.as_bytes()) else {
+    let Some(right) = service.door.right(shown.as_bytes()) else {
         let text = "open the page by the file that its log names, which has the token";
-        desk.door.refuse(text);
-        return (StatusCode::FORBIDDEN, format!("{text}\n")).into_response();
+        return service.door.refuse(text);
     };
     let control = right == Right::Control;
     upgrade
@@ -114,25 +102,29 @@ async fn socket(
         .max_frame_size(LONGEST)
         .on_upgrade(move |socket| async move {
             // The end of a connection is nobody's failure.
-            let _ = attend(socket, &desk, control).await;
+            let _ = attend(socket, &service, control).await;
         })
 }
 
 /// Sends a text, unless it is not read for too long.
 async fn say(socket: &mut WebSocket, text: &str) -> Result<(), axum::Error> {
     let sent = socket.send(Message::Text(text.into()));
-    let sent = tokio::time::timeout(WRITE_LIMIT, sent).await;
+    let sent = tokio::time::timeout(WRITE_DEADLINE, sent).await;
     sent.unwrap_or_else(|late| Err(axum::Error::new(late)))
 }
 
-async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(), axum::Error> {
-    let [looking, controlling] = &desk.rooms;
-    let room = if control { controlling } else { looking };
-    let Ok(_place) = room.try_acquire() else {
-        let reason = format!("{} look on already", desk.viewers);
+async fn attend(
+    mut socket: WebSocket,
+    service: &Service,
+    control: bool,
+) -> Result<(), axum::Error> {
+    let [looking, controlling] = &service.permits;
+    let permits = if control { controlling } else { looking };
+    let Ok(_permit) = permits.try_acquire() else {
+        let reason = format!("{} look on already", service.viewers);
         return close(socket, close_code::AGAIN, &reason).await;
     };
-    let (told, mut news) = desk.hub.join(control);
+    let (told, mut news) = service.hub.join(control);
     for text in told {
         say(&mut socket, &text).await?;
     }
@@ -148,14 +140,14 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
                 }
                 unanswered += 1;
                 let asked = socket.send(Message::Ping(Vec::new().into()));
-                let asked = tokio::time::timeout(WRITE_LIMIT, asked).await;
+                let asked = tokio::time::timeout(WRITE_DEADLINE, asked).await;
                 asked.unwrap_or_else(|late| Err(axum::Error::new(late)))?;
             }
             new = news.recv() => match new {
                 Ok(News::Told(text)) => say(&mut socket, &text).await?,
                 // It was too slow, or there are other nets now.
                 Ok(News::Anew) | Err(RecvError::Lagged(_)) => {
-                    let (told, anew) = desk.hub.join(control);
+                    let (told, anew) = service.hub.join(control);
                     news = anew;
                     for text in told {
                         say(&mut socket, &text).await?;
@@ -174,7 +166,7 @@ async fn attend(mut socket: WebSocket, desk: &Desk, control: bool) -> Result<(),
                             return close(socket, close_code::POLICY, &reason).await;
                         }
                     };
-                    let answer = ask(desk, asked, control).await;
+                    let answer = ask(service, asked, control).await;
                     say(&mut socket, &answer).await?;
                 }
                 Some(Ok(Message::Binary(_))) => {
@@ -209,7 +201,7 @@ async fn close(mut socket: WebSocket, code: u16, reason: &str) -> Result<(), axu
 }
 
 /// What becomes of what a browser asks.
-async fn ask(desk: &Desk, asked: Asked, control: bool) -> String {
+async fn ask(service: &Service, asked: Asked, control: bool) -> String {
     let id = asked.id;
     let refused = |text: &str| {
         Told::Answer {
@@ -220,10 +212,10 @@ async fn ask(desk: &Desk, asked: Asked, control: bool) -> String {
         .text()
     };
     if asked.kind != "task" && !control {
-        return refused(desk.door.why_only_look());
+        return refused(service.door.why_only_look());
     }
     let (sender, answer) = oneshot::channel();
-    if desk.orders.send((asked, sender)).await.is_err() {
+    if service.orders.send((asked, sender)).await.is_err() {
         return refused("there is nobody to ask: the app has ended, or this is a record");
     }
     match answer.await {

@@ -8,7 +8,7 @@ use ctos::{
     task::{Context, EventHandler, Handled, HandlerError, Phase, StopReason},
 };
 use pnt::stream::{Describe, Follow, NetView};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::mpsc;
 
 use super::{
     args::DisplayArgs,
@@ -16,9 +16,9 @@ use super::{
     hub::Hub,
     orders,
     overview::Overviews,
-    server::{self, Asking, Desk},
+    server::{self, Asking, Service},
 };
-use cli_common::page::{Front, Opener, Setting};
+use cli_common::page::{self, Front, Served, Setting};
 
 /// How long a net waits for something to happen before it answers.
 const PATIENCE_MS: u32 = 2_000;
@@ -35,8 +35,7 @@ const ORDERS: usize = 64;
 pub(super) struct NetDisplay {
     args: DisplayArgs,
     hub: Arc<Hub>,
-    stop: Option<oneshot::Sender<()>>,
-    opener: Option<Opener>,
+    served: Option<Served>,
     orders: Option<mpsc::Receiver<Asking>>,
 }
 
@@ -60,8 +59,7 @@ impl NetDisplay {
         Ok(Self {
             hub: Arc::new(hub.with_tasks(tasks.collect())),
             args,
-            stop: None,
-            opener: None,
+            served: None,
             orders: None,
         })
     }
@@ -75,21 +73,24 @@ impl NetDisplay {
             allow_control: args.allow_control,
             token: args.token.as_deref(),
         };
-        let mut front = Front::bind(cx.app(), &setting)?;
-        self.opener = front.opener(&cx.app().name, cx.name(), "?token=")?;
         let (orders, received) = mpsc::channel(ORDERS);
-        let desk = Desk {
-            hub: self.hub.clone(),
-            door: front.take_door(),
-            viewers: args.viewers,
-            rooms: server::rooms(args.viewers),
-            orders,
+        let (hub, viewers) = (self.hub.clone(), args.viewers);
+        let serve = move |pages, door, stopped| {
+            let permits = server::permits(viewers);
+            let service = Service {
+                hub,
+                door,
+                viewers,
+                permits,
+                orders,
+            };
+            server::serve(pages, service, stopped)
         };
-        let page = front.url();
-        let serve = |pages, stopped| server::serve(pages, desk, stopped);
-        self.stop = Some(front.serve("display", serve)?);
-        let open = self.opener.as_ref().map(tracing::field::display);
-        tracing::warn!(task = cx.name(), page, open, "nets are shown");
+        let front = Front::bind(cx.app(), &setting)?;
+        let served = front.serve_task(cx, "display", "?token=", serve)?;
+        let open = served.opener.as_ref().map(tracing::field::display);
+        tracing::warn!(task = cx.name(), page = served.url, open, "nets are shown");
+        self.served = Some(served);
         self.orders = Some(received);
         Ok(())
     }
@@ -120,10 +121,7 @@ impl EventHandler for NetDisplay {
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        if cx.chassis().clock().origin_ns().is_none() {
-            if phase == Phase::Create {
-                tracing::info!(task = cx.name(), "nobody looks on in virtual time");
-            }
+        if page::is_needless(cx, phase) {
             return Ok(());
         }
         match phase {
@@ -146,12 +144,10 @@ impl EventHandler for NetDisplay {
     }
 
     async fn stop(&mut self, cx: &Context, _reason: &StopReason) -> Handled {
-        self.opener = None;
         self.hub.end();
-        if let Some(stop) = self.stop.take() {
+        if let Some(mut served) = self.served.take() {
+            served.opener = None;
             cx.sleep(FAREWELL).await;
-            // The server may have ended already.
-            let _ = stop.send(());
         }
         Ok(())
     }

@@ -33,7 +33,7 @@ use crate::{
     hub::Hub,
     overview::Overviews,
     record::Recorded,
-    server::{self, Desk},
+    server::{self, Service},
     text,
 };
 use live::Nets;
@@ -235,14 +235,14 @@ fn serve(hub: Hub, listen: SocketAddr) -> u8 {
         // Nobody carries out orders: there is nothing to order of a record.
         let (orders, _) = mpsc::channel(1);
         let (_stop, stopped) = oneshot::channel();
-        let desk = Desk {
+        let service = Service {
             hub: Arc::new(hub),
             door: Door {
                 anybody_looks: true,
                 ..Door::default()
             },
             viewers: 32,
-            rooms: server::rooms(32),
+            permits: server::permits(32),
             orders,
         };
         show::say(&format!("display  {url}  (Ctrl-C ends it)"));
@@ -251,7 +251,7 @@ fn serve(hub: Hub, listen: SocketAddr) -> u8 {
             .build()?;
         runtime.block_on(async {
             tokio::select! {
-                served = server::serve(pages, desk, stopped) => served,
+                served = server::serve(pages, service, stopped) => served,
                 interrupted = tokio::signal::ctrl_c() => interrupted,
             }
         })

@@ -1,15 +1,15 @@
 //! Panels (the report's `scottwish`): buttons, sliders, plots and joysticks for service objects, as a web page. A panel is
 //! a short file, or made of the option table of a class; every control is one line of text to an object.
 //!
-//! `script` reads what stands on a panel, `desk` knows what a page may ask and what it is told, `server` serves it. Two
+//! `script` reads what stands on a panel, `service` knows what a page may ask and what it is told, `server` serves it. Two
 //! offer them: `task` is an event handler that anyone can put into an app, `sorma.panel`; `pool` asks for `scott --panel`.
 //! Knows objects by their names only.
 
 mod args;
-mod desk;
 mod pool;
 pub mod script;
 mod server;
+mod service;
 mod task;
 
 pub use args::{DEFAULT_LISTEN, HANDLER};
@@ -29,9 +29,9 @@ use cli_common::{
 };
 
 use crate::backend::Backend;
-use desk::Desk;
 use pool::Pool;
 use script::Panel;
+use service::Service;
 
 /// Registers the handler.
 pub fn register(registry: &mut Registry) {
@@ -93,8 +93,8 @@ fn serve(pages: Pages, pool: Pool, panel: Panel) -> io::Result<()> {
         allow_control: true,
         ..Door::default()
     };
-    let desk = Desk::new("scott", vec![panel], door, pool);
-    runtime.block_on(server::serve(pages, desk, async {
+    let service = Service::new("scott", vec![panel], door, pool);
+    runtime.block_on(server::serve(pages, service, async {
         // Where Ctrl-C cannot be waited for, it ends the process by itself.
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;

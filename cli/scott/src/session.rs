@@ -113,7 +113,7 @@ impl Session {
         self.for_people = true;
     }
 
-    /// Lines of what goes on beside the prompt are sent there from now on.
+    /// Lines of what goes on in the background of the prompt are sent there from now on.
     pub fn show_above(&mut self, above: SyncSender<String>) {
         self.above = Some(above);
     }
@@ -309,7 +309,7 @@ impl Session {
             let line = match self.json {
                 true => watch::as_json(seen).to_string(),
                 false if self.for_people => watch::nested_line(seen, begin_s),
-                // A script reads the reply; what it led to stands beside it as a comment.
+                // A script reads the reply; what it led to stands behind it as a comment.
                 false => format!("# {}", watch::nested_line(seen, begin_s)),
             };
             if show::data(&line).is_err() {
@@ -327,8 +327,8 @@ impl Session {
             let why = "watch shows what a running app is asked; here is nobody else who asks";
             return self.fail(place, why, exit::FAILED);
         };
-        // What goes on beside the prompt is not ended by what ends a request.
-        let interrupt = match wanted.beside && self.above.is_some() {
+        // What goes on in the background of the prompt is not ended by what ends a request.
+        let interrupt = match wanted.background && self.above.is_some() {
             true => Interrupt::default(),
             false => app.interrupt().clone(),
         };
@@ -340,7 +340,7 @@ impl Session {
             true => watch::as_json(seen).to_string(),
             false => watch::line(seen),
         };
-        if let (true, Some(above)) = (wanted.beside, self.above.clone()) {
+        if let (true, Some(above)) = (wanted.background, self.above.clone()) {
             let wanted = wanted.clone();
             std::thread::spawn(move || {
                 let say = |text: &str| drop(above.send(text.to_owned()));

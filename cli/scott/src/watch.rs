@@ -26,7 +26,7 @@ pub struct Wanted {
     /// After so many it is over.
     pub count: Option<u64>,
     /// Beside the prompt.
-    pub beside: bool,
+    pub background: bool,
 }
 
 const FORM: &str = "write: watch PATTERN[@DAEMON] [--kind EXEC|CTRL|DBX] [--slower TIME] [--from PATTERN] [--failed] \
@@ -53,7 +53,7 @@ impl Wanted {
             daemon,
             options: format!("-objects {}", words::word(objects)),
             count: None,
-            beside: false,
+            background: false,
         };
         while let Some(word) = found.next() {
             let mut value = || {
@@ -79,7 +79,7 @@ impl Wanted {
                     continue;
                 }
                 "&" => {
-                    wanted.beside = true;
+                    wanted.background = true;
                     continue;
                 }
                 other => return Err(format!("`{other}` is no option of watch; {FORM}")),
@@ -344,7 +344,7 @@ mod tests {
             (wanted.objects.as_str(), wanted.daemon.as_deref()),
             ("arm.*", Some("cage"))
         );
-        assert_eq!((wanted.count, wanted.beside), (Some(3), true));
+        assert_eq!((wanted.count, wanted.background), (Some(3), true));
         assert_eq!(
             wanted.options,
             "-objects arm.* -method EXEC -slower 0.05 -from \"a b\""

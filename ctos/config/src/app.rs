@@ -6,7 +6,7 @@ use super::node::Node;
 use super::selection::Selection;
 use super::trail::{Origin, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
-use crate::settings::{Lead, Overrun, Policy, Scope};
+use crate::settings::{Lead, Overrun, Policy, Scope, When};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -120,11 +120,19 @@ pub struct ChassisConfig {
     pub place: Place,
 }
 
+impl ChassisConfig {
+    /// Where one of its keys stands, else its name.
+    pub(super) fn place_of(&self, root: &Node, key: &str) -> Place {
+        let found = root.locate(&format!("chassis.\"{}\".{key}", self.name));
+        found.unwrap_or_else(|| self.place.clone())
+    }
+}
+
 /// What the boot does about a chassis that fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChassisSupervision {
-    /// When its process is started again.
-    pub restart: ChassisRestart,
+    /// When its process is started again; without restarts the app ends with it.
+    pub restart: When,
     /// So many restarts within `window` are too many: the app ends.
     pub max_restarts: u32,
     /// The window in which restarts are counted.
@@ -137,26 +145,15 @@ pub struct ChassisSupervision {
 
 impl Default for ChassisSupervision {
     fn default() -> Self {
+        let usual = Policy::default();
         Self {
-            restart: ChassisRestart::Never,
-            max_restarts: 3,
-            window: Duration::from_secs(60),
+            restart: usual.when,
+            max_restarts: usual.max,
+            window: usual.window,
             backoff: Duration::from_millis(500),
             on_task_failure: OnTaskFailure::App,
         }
     }
-}
-
-/// When the process of a chassis is started again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ChassisRestart {
-    /// Never: the app ends with it.
-    #[default]
-    Never,
-    /// When it ended otherwise than by itself with exit code 0.
-    OnFailure,
-    /// However it ended.
-    Always,
 }
 
 /// What a task that failed for good leads to.
@@ -323,13 +320,14 @@ impl App {
         if place.source.name() == SET {
             return Origin::Set(place.clone());
         }
-        let profiles = self.trail.applied.iter().rev();
-        match profiles.into_iter().find(|profile| profile.holds(place)) {
+        let mut profiles = self.trail.applied.iter().rev();
+        let place = place.clone();
+        match profiles.find(|profile| profile.holds(&place)) {
             Some(profile) => Origin::Profile {
                 name: profile.name.clone(),
-                place: place.clone(),
+                place,
             },
-            None => Origin::File(place.clone()),
+            None => Origin::File(place),
         }
     }
 }

@@ -11,11 +11,11 @@ use super::app::{
     App, BarrierConfig, ChassisConfig, HostConfig, ProcessorConfig, SemaphoreConfig, TimeMode,
 };
 use super::expander::Expander;
-use super::fields::{Fields, FlagOr, check_name};
+use super::fields::{Fields, FlagOr, check_name, unknown_key};
 use super::hosts;
 use super::keys;
 use super::links;
-use super::node::{Entry, Node, Value};
+use super::node::{Entry, Node};
 use super::observe;
 use super::policies::supervision;
 use super::trail::Trail;
@@ -26,15 +26,11 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-const PARTIES_MOST: u32 = 1_000_000;
-
 const SEED: u64 = 1;
-const PHASE_TIMEOUT_S: f64 = 20.0;
-const STOP_TIMEOUT_S: f64 = 5.0;
+const PHASE_TIMEOUT: Duration = Duration::from_secs(20);
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 const QUEUE: usize = 64;
 const MAIN: &str = "main";
-const SPIN_MOST_US: u64 = 10_000;
-const PERIOD_MOST_S: f64 = 3600.0;
 /// A task id has 8 bits for the chassis; 0 is the one that boots, 255 is kept for the runtime.
 const MOST_CHASSIS: usize = 254;
 /// A task id has 8 bits for the processor; 0 is the runtime's own.
@@ -67,26 +63,27 @@ pub(super) fn build(
     if tasks.is_empty() && !builder.findings.has_errors() {
         let finding = Finding::error("ctos::config::no_task", "this app has no task to run")
             .help("add [task.NAME] with handler = \"...\" and on = \"CHASSIS\"");
-        builder.push_at_start(finding);
+        builder.findings.push(finding.at(builder.whole.clone()));
     }
-    let time = builder.time(&root);
+    let times = [("real", TimeMode::Real), ("virtual", TimeMode::Virtual)];
+    let time = Fields::top(&root, keys::TIME, builder.findings).choice("mode", &times);
     let semaphores = builder.semaphores(&root);
     let barriers = builder.barriers(&root);
-    let record = observe::record(builder.fields(&root, keys::RECORD));
-    let metrics = observe::metrics(builder.fields(&root, keys::METRICS));
-    let control = hosts::control(builder.fields(&root, keys::CONTROL));
+    let record = observe::record(Fields::top(&root, keys::RECORD, builder.findings));
+    let metrics = observe::metrics(Fields::top(&root, keys::METRICS, builder.findings));
+    let control = hosts::control(Fields::top(&root, keys::CONTROL, builder.findings));
     let hosts = builder.hosts(&root);
     let stem = origin.file.file_stem().map_or_else(
         || "app".to_owned(),
         |stem| stem.to_string_lossy().into_owned(),
     );
-    let mut fields = builder.fields(&root, keys::APP);
+    let mut fields = Fields::top(&root, keys::APP, builder.findings);
     let name = fields
         .text("name")
         .map_or(stem, |(name, _)| name.to_owned());
-    let seed = fields.integer("seed", 0..=u64::MAX).unwrap_or(SEED);
-    let phase_timeout = fields.seconds("phase_timeout_s", 3600.0);
-    let stop_timeout = fields.seconds("stop_timeout_s", 3600.0);
+    let seed = fields.integer("seed").unwrap_or(SEED);
+    let phase_timeout = fields.seconds("phase_timeout_s").unwrap_or(PHASE_TIMEOUT);
+    let stop_timeout = fields.seconds("stop_timeout_s").unwrap_or(STOP_TIMEOUT);
     let until = fields.text("until");
     let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"192.168.1.10:0\"");
     let listen = listen.map(|listen| (listen, fields.place("listen")));
@@ -116,8 +113,8 @@ pub(super) fn build(
         name,
         seed,
         until,
-        phase_timeout: phase_timeout.unwrap_or(Duration::from_secs_f64(PHASE_TIMEOUT_S)),
-        stop_timeout: stop_timeout.unwrap_or(Duration::from_secs_f64(STOP_TIMEOUT_S)),
+        phase_timeout,
+        stop_timeout,
         time,
         links,
         security,
@@ -147,16 +144,6 @@ struct Builder<'f> {
 }
 
 impl Builder<'_> {
-    /// The fields of a top-level table, all absent when the table is.
-    fn fields<'n>(&mut self, root: &'n Node, table: &'static str) -> Fields<'n, '_> {
-        let node = root.entry(table).map(|entry| &entry.value);
-        Fields::new(node, format!("[{table}]"), table, self.findings)
-    }
-
-    fn push_at_start(&mut self, finding: Finding) {
-        self.findings.push(finding.at(self.whole.clone()));
-    }
-
     fn place_of(&self, entry: &Entry) -> Place {
         entry
             .key_place
@@ -171,23 +158,9 @@ impl Builder<'_> {
                 keys::names(keys::TOP).chain(extra)
             };
             if !known().any(|table| table == entry.key) {
-                let finding = Finding::error(
-                    "ctos::config::unknown_key",
-                    format!("unknown key `{}` at the top level", entry.key),
-                )
-                .label("nobody reads this key")
-                .suggest(&entry.key, known())
-                .at(self.place_of(entry));
-                self.findings.push(finding);
+                self.findings
+                    .push(unknown_key(entry, "at the top level", known()));
             }
-        }
-    }
-
-    fn time(&mut self, root: &Node) -> TimeMode {
-        let mut fields = self.fields(root, keys::TIME);
-        match fields.choice("mode", &["real", "virtual"]) {
-            Some("virtual") => TimeMode::Virtual,
-            _ => TimeMode::Real,
         }
     }
 
@@ -196,14 +169,11 @@ impl Builder<'_> {
         let Some(entry) = root.entry(table) else {
             return &[];
         };
-        if entry.value.entries().is_empty() && !matches!(entry.value.value(), Value::Table(_)) {
-            let finding = Finding::error(
-                "ctos::config::value",
-                format!("`{table}` holds named tables, found {}", entry.value.kind()),
-            )
-            .help(format!("write [{table}.NAME]"))
-            .at(self.place_of(entry));
-            self.findings.push(finding);
+        if !entry.value.is_table() {
+            let text = format!("`{table}` holds named tables, found {}", entry.value.kind());
+            let finding =
+                Finding::error("ctos::config::value", text).help(format!("write [{table}.NAME]"));
+            self.findings.push(finding.at(self.place_of(entry)));
         }
         for named in entry.value.entries() {
             let place = self.place_of(named);
@@ -230,41 +200,31 @@ impl Builder<'_> {
                 one.listen.is_some_and(|at| at.port() != 0) && other.listen == one.listen
             };
             if let Some(other) = chassis.iter().take(index).find(same) {
-                let finding = Finding::error(
-                    "ctos::config::same_address",
-                    format!(
-                        "chassis `{}` and `{}` listen at the same address",
-                        other.name, one.name
-                    ),
-                )
-                .help("give each its own port, or leave `listen` out to have a free one chosen");
-                let place = root.locate(&format!("chassis.\"{}\".listen", one.name));
-                self.findings
-                    .push(finding.at(place.unwrap_or_else(|| one.place.clone())));
+                let (other, own) = (&other.name, &one.name);
+                let text = format!("chassis `{other}` and `{own}` listen at the same address");
+                let finding = Finding::error("ctos::config::same_address", text).help(
+                    "give each its own port, or leave `listen` out to have a free one chosen",
+                );
+                self.findings.push(finding.at(one.place_of(root, "listen")));
             }
         }
         chassis
     }
 
-    /// Points at the first that a task id has no room for.
+    /// Points at the first that a task id has no bits for.
     fn too_many(&mut self, entries: &[Entry], most: usize, whole: &str, parts: &str) {
         if let Some(first) = entries.get(most) {
-            let finding = Finding::error(
-                "ctos::config::too_many",
-                format!(
-                    "{whole} has room for {most} {parts}, and this is one of {}",
-                    entries.len()
-                ),
-            )
-            .help("put more tasks on one processor");
+            let count = entries.len();
+            let text = format!("{whole} has room for {most} {parts}, and this is one of {count}");
+            let finding = Finding::error("ctos::config::too_many", text)
+                .help("put more tasks on one processor");
             self.findings.push(finding.at(self.place_of(first)));
         }
     }
 
     fn chassis(&mut self, entry: &Entry) -> ChassisConfig {
         let place = self.place_of(entry);
-        let what = format!("chassis `{}`", entry.key);
-        let mut fields = Fields::new(Some(&entry.value), what, keys::CHASSIS, self.findings);
+        let mut fields = Fields::named(entry, "chassis", keys::CHASSIS, self.findings);
         let host = fields.text("host").map(|(host, _)| host.to_owned());
         let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:0\"");
         let stop_first = fields.flag("stop_first").unwrap_or(false);
@@ -305,36 +265,35 @@ impl Builder<'_> {
         check_name("processor", &entry.key, &place, self.findings);
         let what = format!("processor `{chassis}/{}`", entry.key);
         let mut fields = Fields::new(Some(&entry.value), what, keys::PROCESSOR, self.findings);
-        let realtime = fields.flag_or("realtime", "require");
+        let realtime = fields.flag_or("realtime");
         let required = realtime == Some(FlagOr::Word);
         let realtime = required || realtime == Some(FlagOr::Flag(true));
-        let priority = fields.integer("priority", 1..=99_u8);
-        let cpu = fields.integer("cpu", 0..=1023_usize);
-        if let (Some(_), false, Some(at)) = (priority, realtime, fields.place("priority")) {
-            let finding = Finding::warning(
-                "ctos::config::no_effect",
-                "a priority without `realtime = true` has no effect",
-            );
-            fields.push(finding.at(at));
+        let priority = fields.integer("priority");
+        let cpu = fields.integer("cpu");
+        if priority.is_some() && !realtime {
+            let text = "a priority without `realtime = true` has no effect";
+            let finding = Finding::warning("ctos::config::no_effect", text);
+            let finding = finding.at(fields.place("priority"));
+            fields.push(finding);
         }
-        let period = fields.seconds("period_s", PERIOD_MOST_S);
-        let overrun = match fields.choice("overrun", &["skip", "run-late-once", "stop"]) {
-            Some("run-late-once") => Overrun::RunLateOnce,
-            Some("stop") => Overrun::Stop,
-            _ => Overrun::Skip,
-        };
-        let spin_us = fields.integer("spin_us", 0..=SPIN_MOST_US);
-        if let (Some(period), Some(spin_us), Some(at)) = (period, spin_us, fields.place("spin_us"))
-            && Duration::from_micros(spin_us) > period / 2
+        let period = fields.seconds("period_s");
+        let overruns = [
+            ("skip", Overrun::Skip),
+            ("run-late-once", Overrun::RunLateOnce),
+            ("stop", Overrun::Stop),
+        ];
+        let overrun = fields.choice("overrun", &overruns);
+        let spin = fields.integer("spin_us").map(Duration::from_micros);
+        if let (Some(period), Some(spin)) = (period, spin)
+            && spin > period / 2
         {
-            let finding = Finding::error(
-                "ctos::config::spin",
-                format!(
-                    "{spin_us} us of spinning are more than half of the period of {} s; the other tasks of the processor would starve",
-                    period.as_secs_f64()
-                ),
+            let text = format!(
+                "{} us of spinning are more than half of the period of {} s; the other tasks of the processor would starve",
+                spin.as_micros(),
+                period.as_secs_f64()
             );
-            fields.push(finding.at(at));
+            let finding = Finding::error("ctos::config::spin", text).at(fields.place("spin_us"));
+            fields.push(finding);
         }
         ProcessorConfig {
             name: entry.key.clone(),
@@ -344,7 +303,7 @@ impl Builder<'_> {
             cpu,
             period,
             overrun,
-            spin: spin_us.map(Duration::from_micros),
+            spin,
             place,
         }
     }
@@ -352,12 +311,11 @@ impl Builder<'_> {
     fn semaphores(&mut self, root: &Node) -> Vec<SemaphoreConfig> {
         let entries = self.named(root, "semaphore").iter();
         let read = entries.map(|entry| {
-            let what = format!("semaphore `{}`", entry.key);
-            let mut fields = Fields::new(Some(&entry.value), what, keys::SEMAPHORE, self.findings);
+            let mut fields = Fields::named(entry, "semaphore", keys::SEMAPHORE, self.findings);
             SemaphoreConfig {
                 name: entry.key.clone(),
                 scope: scope(&mut fields),
-                permits: fields.integer("permits", 1..=PARTIES_MOST),
+                permits: fields.integer("permits"),
                 place: self.place_of(entry),
             }
         });
@@ -367,12 +325,11 @@ impl Builder<'_> {
     fn barriers(&mut self, root: &Node) -> Vec<BarrierConfig> {
         let entries = self.named(root, "barrier").iter();
         let read = entries.map(|entry| {
-            let what = format!("barrier `{}`", entry.key);
-            let mut fields = Fields::new(Some(&entry.value), what, keys::BARRIER, self.findings);
+            let mut fields = Fields::named(entry, "barrier", keys::BARRIER, self.findings);
             BarrierConfig {
                 name: entry.key.clone(),
                 scope: scope(&mut fields),
-                parties: fields.integer("parties", 1..=PARTIES_MOST),
+                parties: fields.integer("parties"),
                 place: self.place_of(entry),
             }
         });
@@ -382,8 +339,8 @@ impl Builder<'_> {
 
 /// Who shares a semaphore or barrier.
 fn scope(fields: &mut Fields<'_, '_>) -> Option<Scope> {
-    match fields.choice("scope", &["chassis", "app"])? {
-        "app" => Some(Scope::App),
-        _ => Some(Scope::Chassis),
-    }
+    fields.choice(
+        "scope",
+        &[("chassis", Some(Scope::Chassis)), ("app", Some(Scope::App))],
+    )
 }

@@ -3,8 +3,7 @@
 
 use super::app::App;
 use super::expander::Expander;
-use super::load::{Texts, lexical};
-use super::reading::{Sources, load_from};
+use super::load::lexical;
 use super::selection::Selection;
 use crate::diagnostic::{Finding, Findings};
 use serde::{Deserialize, Serialize};
@@ -61,10 +60,9 @@ impl App {
         let included = included.map(|read| read.path.display().to_string());
         let data = opened.keys().filter(|name| Path::new(name).is_absolute());
         if let Some(path) = included.chain(data.cloned()).next() {
-            let finding = Finding::error(
-                "ctos::config::bundle",
-                format!("`{path}` is an absolute path, so the app cannot be sent to another host"),
-            );
+            let text =
+                format!("`{path}` is an absolute path, so the app cannot be sent to another host");
+            let finding = Finding::error("ctos::config::bundle", text);
             return Err(finding.help("name it relative to the file that names it"));
         }
         let mut files = BTreeMap::new();
@@ -77,11 +75,8 @@ impl App {
         let top = common_folder(files.keys());
         let name = |path: &Path| {
             let relative = path.strip_prefix(&top).unwrap_or(path);
-            let parts = relative.components();
-            let parts: Vec<_> = parts
-                .map(|part| part.as_os_str().to_string_lossy())
-                .collect();
-            parts.join("/")
+            let parts = relative.iter().map(|part| part.to_string_lossy());
+            parts.collect::<Vec<_>>().join("/")
         };
         Ok(Bundle {
             file: name(&whole(&self.file)?),
@@ -125,20 +120,14 @@ impl Bundle {
     /// # Errors
     /// As [`load`](super::load).
     pub fn load(&self, expanders: &[(&'static str, &dyn Expander)]) -> Result<App, Findings> {
-        let texts: Vec<(&str, &str)> = self
-            .files
-            .iter()
+        let texts = self.files.iter();
+        let texts: Vec<_> = texts
             .map(|(path, text)| (path.as_str(), text.as_str()))
             .collect();
         let set = |(name, value): (&String, &Option<String>)| Some((name.clone(), value.clone()?));
         let variables = self.variables.iter().filter_map(set).collect();
-        let selection = Selection {
-            file: PathBuf::from(&self.file),
-            profiles: self.profiles.clone(),
-            sets: self.sets.clone(),
-        };
-        let sources: &Sources = &Texts(&texts, &variables);
-        load_from(sources, &selection, expanders)
+        let selection = self.selection(PathBuf::from(&self.file));
+        selection.load_texts(&texts, &variables, expanders)
     }
 
     /// Writes the files into `folder`, which is made, and returns what to read the app again by.
@@ -164,10 +153,14 @@ impl Bundle {
                 .and_then(|()| std::fs::write(&path, text))
                 .map_err(|error| BundleError::Io { path, error })?;
         }
-        Ok(Selection {
-            file: folder.join(&self.file),
+        Ok(self.selection(folder.join(&self.file)))
+    }
+
+    fn selection(&self, file: PathBuf) -> Selection {
+        Selection {
+            file,
             profiles: self.profiles.clone(),
             sets: self.sets.clone(),
-        })
+        }
     }
 }

@@ -7,39 +7,44 @@ use super::node::{Entry, Node, Value};
 use crate::diagnostic::{Finding, Place};
 use serde::de::{
     self, Deserialize, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess,
-    SeqAccess, Unexpected, VariantAccess, Visitor,
+    SeqAccess, Unexpected, VariantAccess, Visitor, value::StrDeserializer,
 };
 use std::fmt;
 
 /// Why a node cannot be read as the type asked for.
 #[derive(Debug)]
 pub(super) struct NodeError {
+    finding: Finding,
     kind: Kind,
-    place: Option<Place>,
     /// Keys and indices from the outside in.
     path: Vec<String>,
 }
 
 #[derive(Debug)]
 enum Kind {
-    UnknownField(String, &'static [&'static str]),
-    UnknownVariant(String, &'static [&'static str]),
-    MissingField(&'static str),
-    Other(String),
+    UnknownField(String),
+    UnknownVariant,
+    MissingField,
+    Other,
 }
 
 impl NodeError {
-    fn new(kind: Kind) -> Self {
+    fn new(kind: Kind, code: &'static str, message: String) -> Self {
         Self {
+            finding: Finding::error(code, message),
             kind,
-            place: None,
             path: Vec::new(),
         }
     }
 
+    fn with(mut self, more: impl FnOnce(Finding) -> Finding) -> Self {
+        self.finding = more(self.finding);
+        self
+    }
+
     /// Adds the place unless a deeper one is known.
     fn at(mut self, place: Option<&Place>) -> Self {
-        self.place = self.place.or_else(|| place.cloned());
+        self.finding.place = self.finding.place.or_else(|| place.cloned());
         self
     }
 
@@ -50,56 +55,22 @@ impl NodeError {
 
     /// The finding for a person, with "did you mean".
     pub(super) fn into_finding(self) -> Finding {
-        let path = self.path.join(".");
-        let within = if path.is_empty() {
-            String::new()
-        } else {
-            format!(" in `{path}`")
-        };
-        let finding = match &self.kind {
-            Kind::UnknownField(field, expected) => Finding::error(
-                "ctos::config::unknown_key",
-                format!("unknown key `{field}`{within}"),
-            )
-            .label("nobody reads this key")
-            .suggest(field, expected.iter().copied()),
-            Kind::UnknownVariant(variant, expected) => {
-                let of = if path.is_empty() {
-                    String::new()
-                } else {
-                    format!(" for `{path}`")
-                };
-                Finding::error(
-                    "ctos::config::unknown_choice",
-                    format!("unknown choice `{variant}`{of}"),
-                )
-                .suggest(variant, expected.iter().copied())
-            }
-            Kind::MissingField(field) => Finding::error(
-                "ctos::config::missing_key",
-                format!("the key `{field}` is missing{within}"),
-            )
-            .label(format!("`{field}` belongs into this table"))
-            .help(format!("add `{field} = ...`")),
-            Kind::Other(text) => {
-                let message = if path.is_empty() {
-                    text.clone()
-                } else {
-                    format!("`{path}`: {text}")
-                };
-                Finding::error("ctos::config::value", message)
-            }
-        };
-        match self.place {
-            Some(place) => finding.at(place),
-            None => finding,
+        let mut finding = self.finding;
+        if !self.path.is_empty() {
+            let (path, message) = (self.path.join("."), &finding.message);
+            finding.message = match self.kind {
+                Kind::UnknownField(_) | Kind::MissingField => format!("{message} in `{path}`"),
+                Kind::UnknownVariant => format!("{message} for `{path}`"),
+                Kind::Other => format!("`{path}`: {message}"),
+            };
         }
+        finding
     }
 
     /// Completes an error that came up while `node` was read. An unknown key that serde only found
     /// after buffering (tagged enums) is looked up again among the keys below.
     fn while_reading(self, node: &Node) -> Self {
-        if let (None, Kind::UnknownField(field, _)) = (&self.place, &self.kind)
+        if let (None, Kind::UnknownField(field)) = (&self.finding.place, &self.kind)
             && let Some(entry) = find_key(node, field)
         {
             let place = entry.key_place.clone();
@@ -121,12 +92,7 @@ fn find_key<'a>(node: &'a Node, key: &str) -> Option<&'a Entry> {
 
 impl fmt::Display for NodeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.kind {
-            Kind::UnknownField(field, _) => write!(f, "unknown key `{field}`"),
-            Kind::UnknownVariant(variant, _) => write!(f, "unknown choice `{variant}`"),
-            Kind::MissingField(field) => write!(f, "the key `{field}` is missing"),
-            Kind::Other(text) => f.write_str(text),
-        }
+        f.write_str(&self.finding.message)
     }
 }
 
@@ -134,35 +100,44 @@ impl std::error::Error for NodeError {}
 
 impl de::Error for NodeError {
     fn custom<T: fmt::Display>(text: T) -> Self {
-        Self::new(Kind::Other(text.to_string()))
+        Self::new(Kind::Other, "ctos::config::value", text.to_string())
     }
 
     fn invalid_type(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
-        Self::new(Kind::Other(format!(
-            "expected {}, found {}",
-            wanted(expected),
-            describe(found)
-        )))
+        let (wanted, found) = (wanted(expected), describe(found));
+        Self::custom(format!("expected {wanted}, found {found}"))
     }
 
     fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
-        Self::new(Kind::Other(format!(
-            "{} does not fit, expected {}",
-            describe(found),
-            wanted(expected)
-        )))
+        let (wanted, found) = (wanted(expected), describe(found));
+        Self::custom(format!("{found} does not fit, expected {wanted}"))
     }
 
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
-        Self::new(Kind::UnknownField(field.to_owned(), expected))
+        let kind = Kind::UnknownField(field.to_owned());
+        let message = format!("unknown key `{field}`");
+        Self::new(kind, "ctos::config::unknown_key", message).with(|finding| {
+            let finding = finding.label("nobody reads this key");
+            finding.suggest(field, expected.iter().copied())
+        })
     }
 
     fn unknown_variant(variant: &str, expected: &'static [&'static str]) -> Self {
-        Self::new(Kind::UnknownVariant(variant.to_owned(), expected))
+        let message = format!("unknown choice `{variant}`");
+        Self::new(
+            Kind::UnknownVariant,
+            "ctos::config::unknown_choice",
+            message,
+        )
+        .with(|finding| finding.suggest(variant, expected.iter().copied()))
     }
 
     fn missing_field(field: &'static str) -> Self {
-        Self::new(Kind::MissingField(field))
+        let message = format!("the key `{field}` is missing");
+        Self::new(Kind::MissingField, "ctos::config::missing_key", message).with(|finding| {
+            let finding = finding.label(format!("`{field}` belongs into this table"));
+            finding.help(format!("add `{field} = ...`"))
+        })
     }
 }
 
@@ -214,7 +189,7 @@ impl<'de> Deserializer<'de> for At<'de> {
                 (_, Ok(number)) => visitor.visit_u64(number),
                 _ => visitor.visit_i128(*number),
             },
-            Value::Array(elements) => visitor.visit_seq(Elements { elements, next: 0 }),
+            Value::Array(elements) => visitor.visit_seq(Elements { elements, read: 0 }),
             Value::Table(entries) => visitor.visit_map(Entries { entries, next: 0 }),
         };
         result.map_err(|error| error.while_reading(self.0))
@@ -244,7 +219,7 @@ impl<'de> Deserializer<'de> for At<'de> {
         let result = match &self.0.value {
             Value::String(variant) => visitor.visit_enum(variant.as_str().into_deserializer()),
             Value::Table(entries) => match entries.as_slice() {
-                [entry] => visitor.visit_enum(Variant { entry }),
+                [entry] => visitor.visit_enum(Variant(entry)),
                 _ => Err(de::Error::custom(format!(
                     "expected a table with exactly one key out of: {}",
                     variants.join(", ")
@@ -267,7 +242,7 @@ impl<'de> Deserializer<'de> for At<'de> {
 
 struct Elements<'de> {
     elements: &'de [Node],
-    next: usize,
+    read: usize,
 }
 
 impl<'de> SeqAccess<'de> for Elements<'de> {
@@ -277,18 +252,26 @@ impl<'de> SeqAccess<'de> for Elements<'de> {
         &mut self,
         seed: T,
     ) -> Result<Option<T::Value>, NodeError> {
-        let Some(element) = self.elements.get(self.next) else {
+        let Some(element) = self.elements.get(self.read) else {
             return Ok(None);
         };
-        let index = self.next;
-        self.next += 1;
+        let index = self.read;
+        self.read += 1;
         seed.deserialize(At(element))
             .map(Some)
             .map_err(|error| error.while_reading(element).inside(index.to_string()))
     }
 
     fn size_hint(&self) -> Option<usize> {
-        Some(self.elements.len() - self.next)
+        Some(self.elements.len() - self.read)
+    }
+}
+
+impl Entry {
+    fn read_key<'de, K: DeserializeSeed<'de>>(&'de self, seed: K) -> Result<K::Value, NodeError> {
+        let key: StrDeserializer<'de, NodeError> = self.key.as_str().into_deserializer();
+        let read = seed.deserialize(key);
+        read.map_err(|error| error.at(self.key_place.as_ref()))
     }
 }
 
@@ -307,11 +290,7 @@ impl<'de> MapAccess<'de> for Entries<'de> {
         let Some(entry) = self.entries.get(self.next) else {
             return Ok(None);
         };
-        let key: de::value::StrDeserializer<'de, NodeError> =
-            entry.key.as_str().into_deserializer();
-        seed.deserialize(key)
-            .map(Some)
-            .map_err(|error| error.at(entry.key_place.as_ref()))
+        entry.read_key(seed).map(Some)
     }
 
     fn next_value_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<T::Value, NodeError> {
@@ -329,9 +308,7 @@ impl<'de> MapAccess<'de> for Entries<'de> {
 }
 
 /// `{ variant = content }`.
-struct Variant<'de> {
-    entry: &'de Entry,
-}
+struct Variant<'de>(&'de Entry);
 
 impl<'de> EnumAccess<'de> for Variant<'de> {
     type Error = NodeError;
@@ -341,12 +318,7 @@ impl<'de> EnumAccess<'de> for Variant<'de> {
         self,
         seed: V,
     ) -> Result<(V::Value, At<'de>), NodeError> {
-        let key: de::value::StrDeserializer<'de, NodeError> =
-            self.entry.key.as_str().into_deserializer();
-        let value = seed
-            .deserialize(key)
-            .map_err(|error| error.at(self.entry.key_place.as_ref()))?;
-        Ok((value, At(&self.entry.value)))
+        Ok((self.0.read_key(seed)?, At(&self.0.value)))
     }
 }
 
@@ -354,12 +326,11 @@ impl<'de> VariantAccess<'de> for At<'de> {
     type Error = NodeError;
 
     fn unit_variant(self) -> Result<(), NodeError> {
-        if self.0.entries().is_empty() && matches!(self.0.value, Value::Table(_)) {
+        if self.0.entries().is_empty() && self.0.is_table() {
             return Ok(());
         }
-        let error: NodeError =
-            de::Error::custom("this choice takes no value: write it as a string");
-        Err(error.at(self.0.place()))
+        let text = "this choice takes no value: write it as a string";
+        Err(<NodeError as de::Error>::custom(text).at(self.0.place()))
     }
 
     fn newtype_variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<T::Value, NodeError> {

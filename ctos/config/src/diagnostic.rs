@@ -27,23 +27,15 @@ impl Source {
     /// # Errors
     /// A finding that names the file when it cannot be read or is not UTF-8.
     pub fn read(path: &Path) -> Result<Self, Finding> {
+        let bytes = std::fs::read(path).map_err(|error| Finding::unreadable(path, &error))?;
         let name = path.display().to_string();
-        match std::fs::read(path) {
-            Ok(bytes) => match String::from_utf8(bytes) {
-                Ok(text) => Ok(Self::new(name, text)),
-                Err(error) => Err(Finding::error(
-                    "ctos::file::not_text",
-                    format!(
-                        "`{name}` is not UTF-8 text (byte {})",
-                        error.utf8_error().valid_up_to()
-                    ),
-                )),
-            },
-            Err(error) => Err(Finding::error(
-                "ctos::file::unreadable",
-                format!("cannot read `{name}`: {error}"),
-            )
-            .help("check the path; it is taken relative to the file that names it")),
+        match String::from_utf8(bytes) {
+            Ok(text) => Ok(Self::new(name, text)),
+            Err(error) => {
+                let at = error.utf8_error().valid_up_to();
+                let text = format!("`{name}` is not UTF-8 text (byte {at})");
+                Err(Finding::error("ctos::file::not_text", text))
+            }
         }
     }
 
@@ -84,14 +76,12 @@ impl Source {
     /// The place of a whole line, counted from 1.
     #[must_use]
     pub fn at_line(&self, line: usize) -> Place {
-        let mut start = 0;
-        for (index, text) in self.text.split('\n').enumerate() {
-            if index + 1 == line {
-                return self.at(start..start + text.trim_end().len());
-            }
-            start += text.len() + 1;
-        }
-        self.at(self.text.len()..self.text.len())
+        let end = self.text.len();
+        let starts = self.text.match_indices('\n').map(|(at, _)| at + 1);
+        let start = std::iter::once(0).chain(starts).nth(line.wrapping_sub(1));
+        let start = start.unwrap_or(end);
+        let text = self.text[start..].split('\n').next().unwrap_or_default();
+        self.at(start..start + text.trim_end().len())
     }
 }
 
@@ -160,10 +150,17 @@ impl Finding {
         }
     }
 
-    /// Adds where it is.
+    /// A file that cannot be read.
+    pub(crate) fn unreadable(path: &Path, error: &dyn fmt::Display) -> Self {
+        let text = format!("cannot read `{}`: {error}", path.display());
+        Self::error("ctos::file::unreadable", text)
+            .help("check the path; it is taken relative to the file that names it")
+    }
+
+    /// Adds where it is, where that is known.
     #[must_use]
-    pub fn at(mut self, place: Place) -> Self {
-        self.place = Some(place);
+    pub fn at(mut self, place: impl Into<Option<Place>>) -> Self {
+        self.place = place.into().or(self.place);
         self
     }
 
@@ -185,22 +182,21 @@ impl Finding {
     /// list only what is nearest.
     #[must_use]
     pub fn suggest<'a>(self, given: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
+        self.suggest_of(given, known.into_iter().collect())
+    }
+
+    fn suggest_of(self, given: &str, mut names: Vec<&str>) -> Self {
         /// More than these nobody reads.
         const LISTED: usize = 24;
         /// So many of a longer list.
         const NEAREST: usize = 6;
-        let mut known: Vec<(usize, &str)> = known
-            .into_iter()
-            .map(|name| (strsim::damerau_levenshtein(given, name), name))
-            .collect();
-        known.sort_unstable();
-        let Some((distance, best)) = known.first() else {
+        names.sort_by_cached_key(|name| (strsim::damerau_levenshtein(given, name), *name));
+        let Some(best) = names.first() else {
             return self;
         };
-        if *distance <= 1 + given.chars().count() / 3 {
+        if strsim::damerau_levenshtein(given, best) <= 1 + given.chars().count() / 3 {
             return self.help(format!("did you mean `{best}`?"));
         }
-        let mut names: Vec<&str> = known.iter().map(|(_, name)| *name).collect();
         if names.len() > LISTED {
             let nearest = names[..NEAREST].join(", ");
             return self.help(format!("nearest of {} known here: {nearest}", names.len()));
@@ -259,13 +255,7 @@ impl Findings {
 
     /// Keeps the value of a result and adds its finding.
     pub fn keep<T>(&mut self, result: Result<T, Finding>) -> Option<T> {
-        match result {
-            Ok(value) => Some(value),
-            Err(finding) => {
-                self.push(finding);
-                None
-            }
-        }
+        result.map_err(|finding| self.push(finding)).ok()
     }
 
     /// Whether nothing at all was found.
@@ -277,19 +267,16 @@ impl Findings {
     /// Whether one of them is an error.
     #[must_use]
     pub fn has_errors(&self) -> bool {
-        self.list
-            .iter()
-            .any(|finding| finding.severity == Severity::Error)
+        let mut severities = self.list.iter().map(|finding| finding.severity);
+        severities.any(|severity| severity == Severity::Error)
     }
 
     /// The findings, sorted by file and place.
     #[must_use]
     pub fn into_sorted(mut self) -> Vec<Finding> {
         self.list.sort_by_key(|finding| {
-            finding
-                .place
-                .as_ref()
-                .map(|place| (place.source.name.clone(), place.range.start))
+            let place = finding.place.as_ref()?;
+            Some((place.source.name.clone(), place.range.start))
         });
         self.list
     }
@@ -310,13 +297,8 @@ impl From<Finding> for Findings {
 
 impl fmt::Display for Findings {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (index, finding) in self.list.iter().enumerate() {
-            if index > 0 {
-                writeln!(f)?;
-            }
-            write!(f, "{finding}")?;
-        }
-        Ok(())
+        let lines: Vec<String> = self.list.iter().map(ToString::to_string).collect();
+        f.write_str(&lines.join("\n"))
     }
 }
 

@@ -1,18 +1,17 @@
 //! Reads the keys of one table one by one, so that all that is wrong in it is found at once.
 
-use super::keys;
-use super::node::{Node, Value};
+use super::keys::{self, Kind};
+use super::node::{Entry, Node, Value};
 use crate::diagnostic::{Finding, Findings, Place};
-use std::fmt::Display;
-use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
 /// The keys of one table. Every getter returns `None` for a key that is absent, and also, with a
-/// finding, for one that is wrong.
+/// finding, for one that is wrong: that is not what [`keys`] says it holds.
 pub(super) struct Fields<'n, 'f> {
     node: Option<&'n Node>,
     what: String,
+    table: &'static str,
     findings: &'f mut Findings,
 }
 
@@ -24,6 +23,23 @@ pub(super) enum FlagOr {
 }
 
 impl<'n, 'f> Fields<'n, 'f> {
+    /// Looks at the table of that name at the top level.
+    pub(super) fn top(root: &'n Node, table: &'static str, findings: &'f mut Findings) -> Self {
+        let node = root.entry(table).map(|entry| &entry.value);
+        Self::new(node, format!("[{table}]"), table, findings)
+    }
+
+    /// Looks at a table with a name of its own, called `kind` and that name in messages.
+    pub(super) fn named(
+        entry: &'n Entry,
+        kind: &str,
+        table: &'static str,
+        findings: &'f mut Findings,
+    ) -> Self {
+        let what = format!("{kind} `{}`", entry.key);
+        Self::new(Some(&entry.value), what, table, findings)
+    }
+
     /// Looks at `node`, called `what` in messages, and reports the keys that the list does not have in `table`.
     pub(super) fn new(
         node: Option<&'n Node>,
@@ -34,27 +50,19 @@ impl<'n, 'f> Fields<'n, 'f> {
         let mut fields = Self {
             node,
             what,
+            table,
             findings,
         };
-        let Some(node) = node else {
-            return fields;
-        };
-        if !matches!(node.value(), Value::Table(_)) {
+        if let Some(node) = node.filter(|node| !node.is_table()) {
             fields.wrong(node, "expected a table of keys");
-            return fields;
         }
-        for entry in node.entries() {
+        for entry in node.map_or(&[][..], Node::entries) {
             if !keys::names(table).any(|known| known == entry.key) {
-                let finding = Finding::error(
-                    "ctos::config::unknown_key",
-                    format!("unknown key `{}` in {}", entry.key, fields.what),
-                )
-                .label("nobody reads this key")
-                .suggest(&entry.key, keys::names(table));
-                fields.push(match &entry.key_place {
-                    Some(place) => finding.at(place.clone()),
-                    None => finding,
-                });
+                fields.push(unknown_key(
+                    entry,
+                    &format!("in {}", fields.what),
+                    keys::names(table),
+                ));
             }
         }
         fields
@@ -74,15 +82,15 @@ impl<'n, 'f> Fields<'n, 'f> {
         self.node?.entry(key).map(|entry| &entry.value)
     }
 
+    /// What the key holds.
+    fn kind(&self, key: &str) -> Option<&'static Kind> {
+        let key = keys::table(self.table).iter().find(|one| one.name == key)?;
+        Some(&key.kind)
+    }
+
     fn wrong(&mut self, node: &Node, expected: &str) {
-        let finding = Finding::error(
-            "ctos::config::value",
-            format!("{}: {expected}, found {}", self.what, shown(node)),
-        );
-        self.push(match node.place() {
-            Some(place) => finding.at(place.clone()),
-            None => finding,
-        });
+        let text = format!("{}: {expected}, found {}", self.what, shown(node));
+        self.push(Finding::error("ctos::config::value", text).at(node.place().cloned()));
     }
 
     fn wrong_key(&mut self, key: &str, node: &Node, expected: &str) {
@@ -108,123 +116,155 @@ impl<'n, 'f> Fields<'n, 'f> {
     /// A text that must be there; `help` says what to add when it is not.
     pub(super) fn required(&mut self, key: &str, help: &str) -> Option<(&'n str, Place)> {
         if self.value(key).is_none()
-            && let Some(Node {
-                value: Value::Table(_),
-                place,
-            }) = self.node
+            && let Some(node) = self.node.filter(|node| node.is_table())
         {
-            let finding = Finding::error(
-                "ctos::config::missing_key",
-                format!("{} has no `{key}`", self.what),
-            )
-            .help(help);
-            self.push(match place {
-                Some(place) => finding.at(place.clone()),
-                None => finding,
-            });
+            let text = format!("{} has no `{key}`", self.what);
+            let finding = Finding::error("ctos::config::missing_key", text).help(help);
+            self.push(finding.at(node.place().cloned()));
         }
         self.text(key)
     }
 
-    /// One of a few words.
-    pub(super) fn choice(&mut self, key: &str, choices: &[&'static str]) -> Option<&'static str> {
-        let (text, place) = self.text(key)?;
-        let found = choices.iter().find(|choice| **choice == text);
-        if found.is_none() {
-            let finding = Finding::error(
-                "ctos::config::unknown_choice",
-                format!("{}: unknown choice `{text}` for `{key}`", self.what),
-            );
-            self.push(finding.suggest(text, choices.iter().copied()).at(place));
+    /// What one of a few words stands for; the default without any.
+    pub(super) fn choice<T: Copy + Default>(&mut self, key: &str, choices: &[(&str, T)]) -> T {
+        let found = self.text(key).and_then(|(text, place)| {
+            let found = choices.iter().find(|(word, _)| *word == text);
+            if found.is_none() {
+                self.unknown_choice(key, text, choices.iter().map(|(word, _)| *word), place);
+            }
+            found
+        });
+        found.map(|(_, choice)| *choice).unwrap_or_default()
+    }
+
+    fn unknown_choice<'w>(
+        &mut self,
+        key: &str,
+        text: &str,
+        known: impl Iterator<Item = &'w str>,
+        place: Place,
+    ) {
+        let said = format!("{}: unknown choice `{text}` for `{key}`", self.what);
+        let finding = Finding::error("ctos::config::unknown_choice", said);
+        self.push(finding.suggest(text, known).at(place));
+    }
+
+    /// What `read` makes of a value.
+    fn read<T>(
+        &mut self,
+        key: &str,
+        expected: &str,
+        read: impl FnOnce(&'n Node) -> Option<T>,
+    ) -> Option<T> {
+        let node = self.value(key)?;
+        let value = read(node);
+        if value.is_none() {
+            self.wrong_key(key, node, expected);
         }
-        found.copied()
+        value
     }
 
     /// A boolean.
     pub(super) fn flag(&mut self, key: &str) -> Option<bool> {
-        let node = self.value(key)?;
-        let flag = node.as_bool();
-        if flag.is_none() {
-            self.wrong_key(key, node, "true or false");
-        }
-        flag
+        self.read(key, "true or false", Node::as_bool)
     }
 
-    /// A boolean, or one word beside.
-    pub(super) fn flag_or(&mut self, key: &str, word: &str) -> Option<FlagOr> {
-        let node = self.value(key)?;
-        let found = match (node.as_bool(), node.as_str()) {
-            (Some(flag), _) => Some(FlagOr::Flag(flag)),
-            (None, Some(text)) if text == word => Some(FlagOr::Word),
-            _ => None,
+    /// A boolean, or the key's one word.
+    pub(super) fn flag_or(&mut self, key: &str) -> Option<FlagOr> {
+        let Kind::FlagOr(word) = self.kind(key)? else {
+            return None;
         };
-        if found.is_none() {
-            self.wrong_key(key, node, &format!("true, false or {word:?}"));
-        }
-        found
+        let expected = format!("true, false or {word:?}");
+        self.read(key, &expected, |node| match node.as_str() {
+            Some(text) => (text == *word).then_some(FlagOr::Word),
+            None => node.as_bool().map(FlagOr::Flag),
+        })
     }
 
-    /// A whole number within a range.
-    pub(super) fn integer<T>(&mut self, key: &str, range: RangeInclusive<T>) -> Option<T>
-    where
-        T: TryFrom<i128> + PartialOrd + Display,
-    {
-        let node = self.value(key)?;
-        let number = node
-            .as_integer()
-            .and_then(|number| T::try_from(number).ok())
-            .filter(|number| range.contains(number));
-        if number.is_none() {
-            let expected = format!("a whole number from {} to {}", range.start(), range.end());
-            self.wrong_key(key, node, &expected);
-        }
-        number
+    /// A whole number within the key's range.
+    pub(super) fn integer<T: TryFrom<u64>>(&mut self, key: &str) -> Option<T> {
+        T::try_from(self.whole(key)?).ok()
     }
 
-    /// A number within a range.
-    pub(super) fn number(&mut self, key: &str, range: RangeInclusive<f64>) -> Option<f64> {
-        let node = self.value(key)?;
-        let number = node.as_f64().filter(|number| range.contains(number));
-        if number.is_none() {
-            let expected = format!("a number from {} to {}", range.start(), range.end());
-            self.wrong_key(key, node, &expected);
-        }
-        number
+    fn whole(&mut self, key: &str) -> Option<u64> {
+        let Kind::Integer(least, most) = self.kind(key)? else {
+            return None;
+        };
+        self.read(
+            key,
+            &format!("a whole number from {least} to {most}"),
+            |node| {
+                let number = u64::try_from(node.as_integer()?).ok()?;
+                (least..=most).contains(&&number).then_some(number)
+            },
+        )
     }
 
-    /// A time in seconds, above 0 and at most `most`.
-    pub(super) fn seconds(&mut self, key: &str, most: f64) -> Option<Duration> {
-        let node = self.value(key)?;
-        let time = node
-            .as_f64()
-            .filter(|time| *time > 0.0 && *time <= most)
-            .map(Duration::from_secs_f64);
-        if time.is_none() {
-            let expected = format!("a number of seconds above 0 and at most {most}");
-            self.wrong_key(key, node, &expected);
-        }
-        time
+    /// A number within the key's range.
+    pub(super) fn number(&mut self, key: &str) -> Option<f64> {
+        let Kind::Number(least, most) = self.kind(key)? else {
+            return None;
+        };
+        let expected = format!("a number from {least} to {most}");
+        self.read(key, &expected, |node| {
+            node.as_f64()
+                .filter(|number| least <= number && number <= most)
+        })
+    }
+
+    /// A time in seconds, above 0 and at most the key's longest.
+    pub(super) fn seconds(&mut self, key: &str) -> Option<Duration> {
+        let Kind::Seconds(most) = self.kind(key)? else {
+            return None;
+        };
+        let expected = format!("a number of seconds above 0 and at most {most}");
+        self.read(key, &expected, |node| {
+            let time = node.as_f64().filter(|time| *time > 0.0 && time <= most);
+            time.map(Duration::from_secs_f64)
+        })
     }
 
     /// A string that is parsed further.
     pub(super) fn parsed<T: FromStr>(&mut self, key: &str, expected: &str) -> Option<T> {
         let (text, _) = self.text(key)?;
-        let parsed = text.parse().ok();
-        if let (None, Some(node)) = (&parsed, self.value(key)) {
-            self.wrong_key(key, node, expected);
-        }
-        parsed
+        self.read(key, expected, |_| text.parse().ok())
     }
 
     /// A table.
     pub(super) fn table(&mut self, key: &str) -> Option<&'n Node> {
-        let node = self.value(key)?;
-        if matches!(node.value(), Value::Table(_)) {
-            return Some(node);
-        }
-        self.wrong_key(key, node, "a table");
-        None
+        self.read(key, "a table", |node| node.is_table().then_some(node))
     }
+
+    /// The elements of a list; `help` says how one is written.
+    pub(super) fn list(&mut self, key: &str, help: &str) -> &'n [Node] {
+        let Some(list) = self.value(key) else {
+            return &[];
+        };
+        if !matches!(list.value(), Value::Array(_)) {
+            let text = format!("{}: `{key}` must be a list", self.what);
+            let finding = Finding::error("ctos::config::value", text).help(help);
+            self.push(finding.at(list.place().cloned()));
+        }
+        list.elements()
+    }
+
+    /// Whether it has no keys.
+    pub(super) fn is_empty(&self) -> bool {
+        self.node.is_none_or(|node| node.entries().is_empty())
+    }
+}
+
+/// A key that nobody reads; `place` is where it stands, in words.
+pub(super) fn unknown_key<'a>(
+    entry: &Entry,
+    place: &str,
+    known: impl Iterator<Item = &'a str>,
+) -> Finding {
+    let text = format!("unknown key `{}` {place}", entry.key);
+    Finding::error("ctos::config::unknown_key", text)
+        .label("nobody reads this key")
+        .suggest(&entry.key, known)
+        .at(entry.key_place.clone())
 }
 
 /// A value as it stands in a message.
@@ -243,13 +283,9 @@ fn shown(node: &Node) -> String {
 pub(super) fn check_name(kind: &str, name: &str, place: &Place, findings: &mut Findings) {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-.".contains(letter);
     if name.is_empty() || name.len() > 64 || !name.chars().all(plain) {
-        findings.push(
-            Finding::error(
-                "ctos::config::name",
-                format!("`{}` cannot be the name of a {kind}", name.escape_debug()),
-            )
-            .help("names are 1 to 64 letters, digits, `_`, `-` or `.`")
-            .at(place.clone()),
-        );
+        let text = format!("`{}` cannot be the name of a {kind}", name.escape_debug());
+        let finding = Finding::error("ctos::config::name", text)
+            .help("names are 1 to 64 letters, digits, `_`, `-` or `.`");
+        findings.push(finding.at(place.clone()));
     }
 }

@@ -10,27 +10,22 @@ use super::{
     app::{ChassisConfig, HostConfig},
     fields::Fields,
     keys,
-    links::is_loopback,
+    links::{KEYS_HELP, is_loopback},
     node::{Entry, Node},
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
 /// Reads the table of one host.
 pub(super) fn host(entry: &Entry, place: Place, findings: &mut Findings) -> Option<HostConfig> {
-    let what = format!("host `{}`", entry.key);
-    let mut fields = Fields::new(Some(&entry.value), what, keys::HOST, findings);
+    let mut fields = Fields::named(entry, "host", keys::HOST, findings);
     let help = "add agent = \"IP:PORT\", where `ctos agent` listens on that host";
     let (_, agent_place) = fields.required("agent", help)?;
     let agent = fields.parsed::<SocketAddr>("agent", "an address such as \"192.168.1.20:7410\"")?;
     if agent.port() == 0 || agent.ip().is_unspecified() {
-        let finding = Finding::error(
-            "ctos::config::value",
-            format!(
-                "nobody can call {agent}, where the agent of host `{}` should be",
-                entry.key
-            ),
-        )
-        .help("write the address and the port at which `ctos agent` says that it listens");
+        let name = &entry.key;
+        let text = format!("nobody can call {agent}, where the agent of host `{name}` should be");
+        let finding = Finding::error("ctos::config::value", text)
+            .help("write the address and the port at which `ctos agent` says that it listens");
         fields.push(finding.at(agent_place.clone()));
         return None;
     }
@@ -81,7 +76,12 @@ impl Together<'_> {
                 continue;
             }
             // One that is declared with a mistake has a finding of its own.
-            if self.root.locate(&format!("host.\"{host}\"")).is_some() {
+            if self
+                .root
+                .tables("host")
+                .iter()
+                .any(|entry| entry.key == *host)
+            {
                 continue;
             }
             let text = format!("there is no host `{host}`");
@@ -93,7 +93,7 @@ impl Together<'_> {
             } else {
                 finding.suggest(host, self.hosts.iter().map(|known| known.name.as_str()))
             };
-            findings.push(finding.at(self.place(&one.name, "host", &one.place)));
+            findings.push(finding.at(one.place_of(self.root, "host")));
         }
     }
 
@@ -109,8 +109,7 @@ impl Together<'_> {
                     .help("one agent is one host: put the chassis of both on one of them");
                 findings.push(finding.at(host.agent_place.clone()));
             }
-            let is_used = |one: &ChassisConfig| one.host.as_ref() == Some(&host.name);
-            if !self.chassis.iter().any(is_used) && !findings.has_errors() {
+            if !self.is_used(host) && !findings.has_errors() {
                 let text = format!("no chassis is on host `{}`", host.name);
                 let finding = Finding::warning("ctos::config::idle_host", text);
                 findings.push(finding.at(host.place.clone()));
@@ -120,14 +119,9 @@ impl Together<'_> {
 
     /// Without keys nothing may be beyond this host.
     fn keys(&self, findings: &mut Findings) {
-        let help =
-            "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]";
         let mut push = |text: String, place: Option<Place>| {
-            let finding = Finding::error("ctos::config::no_keys", text).help(help);
-            findings.push(match place {
-                Some(place) => finding.at(place),
-                None => finding,
-            });
+            let finding = Finding::error("ctos::config::no_keys", text).help(KEYS_HELP);
+            findings.push(finding.at(place));
         };
         for host in self
             .hosts
@@ -152,42 +146,38 @@ impl Together<'_> {
 
     /// The hosts that have chassis.
     fn used(&self) -> impl Iterator<Item = &HostConfig> {
-        let chassis = self.chassis;
-        self.hosts.iter().filter(move |host| {
-            chassis
-                .iter()
-                .any(|one| one.host.as_ref() == Some(&host.name))
-        })
+        self.hosts.iter().filter(|host| self.is_used(host))
+    }
+
+    fn is_used(&self, host: &HostConfig) -> bool {
+        let mut chassis = self.chassis.iter();
+        chassis.any(|one| one.host.as_ref() == Some(&host.name))
     }
 
     /// Chassis of different hosts call each other: an address that means something on one host only
     /// would leave them waiting.
     fn reachable(&self, findings: &mut Findings) {
-        let far: Vec<&HostConfig> = self
-            .used()
-            .filter(|host| !is_loopback(host.agent.ip()))
-            .collect();
-        let Some(first) = far.first() else { return };
+        let mut used = self.used();
+        let Some(first) = used.find(|host| !is_loopback(host.agent.ip())) else {
+            return;
+        };
         let is_local =
             |address: SocketAddr| is_loopback(address.ip()) || address.ip().is_unspecified();
         let mut push = |text: String, help: &str, place: Place| {
             let finding = Finding::error("ctos::config::unreachable", text);
             findings.push(finding.help(help.to_owned()).at(place));
         };
+        let name = &first.name;
         match self.boot {
             None => push(
                 format!(
-                    "host `{}` cannot call back: the app does not say where the boot listens for other hosts",
-                    first.name
+                    "host `{name}` cannot call back: the app does not say where the boot listens for other hosts"
                 ),
                 "add [app] listen = \"IP:0\", with the address by which other hosts reach this one; 0 is a free port",
                 first.agent_place.clone(),
             ),
             Some((address, place)) if is_local(*address) => push(
-                format!(
-                    "the boot would listen at {address}, which host `{}` cannot reach",
-                    first.name
-                ),
+                format!("the boot would listen at {address}, which host `{name}` cannot reach"),
                 "write the address by which other hosts reach this one",
                 place.clone().unwrap_or_else(|| first.place.clone()),
             ),
@@ -196,8 +186,8 @@ impl Together<'_> {
         for host in self.used().filter(|host| is_loopback(host.agent.ip())) {
             push(
                 format!(
-                    "the agent of host `{}` is at the loopback of this one, where host `{}` cannot reach its chassis",
-                    host.name, first.name
+                    "the agent of host `{}` is at the loopback of this one, where host `{name}` cannot reach its chassis",
+                    host.name
                 ),
                 "write the address by which other hosts reach it",
                 host.agent_place.clone(),
@@ -211,15 +201,10 @@ impl Together<'_> {
                         one.name
                     ),
                     "write the address by which other hosts reach it, or leave `listen` out",
-                    self.place(&one.name, "listen", &one.place),
+                    one.place_of(self.root, "listen"),
                 );
             }
         }
-    }
-
-    fn place(&self, chassis: &str, key: &str, otherwise: &Place) -> Place {
-        let found = self.root.locate(&format!("chassis.\"{chassis}\".{key}"));
-        found.unwrap_or_else(|| otherwise.clone())
     }
 }
 

@@ -40,8 +40,8 @@ mod variables;
 mod zenoh;
 
 pub use app::{
-    App, BarrierConfig, ChassisConfig, ChassisRestart, ChassisSupervision, HostConfig,
-    OnTaskFailure, ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
+    App, BarrierConfig, ChassisConfig, ChassisSupervision, HostConfig, OnTaskFailure,
+    ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use expander::{Expander, GeneratedTask};
@@ -50,6 +50,8 @@ pub use node::{Entry, Node, Value};
 pub use reading::{load, load_texts};
 pub use schema::schema;
 pub use selection::Selection;
+/// When the process of a chassis is started again: a failure is any end but one by itself with exit code 0.
+pub use settings::When as ChassisRestart;
 pub use settings::{BOOT_CHASSIS, Lead, Overrun, Policy, Scope, When};
 pub use shown::ShownValue;
 pub use trail::Origin;

@@ -3,13 +3,7 @@
 
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 
-use super::{
-    app::ChassisConfig,
-    fields::Fields,
-    keys,
-    node::{Node, Value},
-    zenoh::ZenohConfig,
-};
+use super::{app::ChassisConfig, fields::Fields, keys, node::Node, zenoh::ZenohConfig};
 use crate::{
     diagnostic::{Finding, Findings, Place},
     settings::BOOT_CHASSIS,
@@ -22,7 +16,7 @@ const SPIN: Duration = Duration::from_micros(5);
 /// How chassis of one host are joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SameHost {
-    /// By shared memory, beside a Unix socket that shows when one of them ends.
+    /// By shared memory, with a Unix socket that shows when one of them ends.
     #[default]
     Shared,
     /// By Unix sockets.
@@ -186,23 +180,21 @@ pub struct SecurityConfig {
 /// Reads the keys of `[app]` that belong to links; `[injure]` is read by [`injury`], `[zenoh]` by its module.
 pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
     let default = LinkConfig::default();
-    let same_host = match app.choice("same_host", &["shm", "unix", "tcp", "zenoh"]) {
-        Some("unix") => SameHost::Unix,
-        Some("tcp") => SameHost::Tcp,
-        Some("zenoh") => SameHost::Zenoh,
-        _ => SameHost::Shared,
-    };
-    let spin = app.integer("spin_us", 0..=1_000_000_u64);
-    let room = app.integer("link_room_mib", 1..=65_536_usize);
+    let same_host = [
+        ("shm", SameHost::Shared),
+        ("unix", SameHost::Unix),
+        ("tcp", SameHost::Tcp),
+        ("zenoh", SameHost::Zenoh),
+    ];
+    let peer_timeout = app.seconds("peer_timeout_s");
+    let spin = app.integer("spin_us").map(Duration::from_micros);
+    let room = app.integer::<usize>("link_room_mib");
     LinkConfig {
-        peer_timeout: app
-            .seconds("peer_timeout_s", 3600.0)
-            .unwrap_or(default.peer_timeout),
-        same_host,
-        spin: spin.map_or(default.spin, Duration::from_micros),
+        peer_timeout: peer_timeout.unwrap_or(default.peer_timeout),
+        same_host: app.choice("same_host", &same_host),
+        spin: spin.unwrap_or(default.spin),
         room: room.unwrap_or(ROOM_MIB) << 20,
-        zenoh: None,
-        injury: InjuryConfig::default(),
+        ..default
     }
 }
 
@@ -212,60 +204,39 @@ pub(super) fn injury(
     chassis: &[ChassisConfig],
     findings: &mut Findings,
 ) -> InjuryConfig {
-    let node = root.entry("injure").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[injure]".to_owned(), keys::INJURE, findings);
-    let drop = fields.number("drop", 0.0..=0.9).unwrap_or(0.0);
-    let late = fields
-        .text("delay")
-        .map(|(text, place)| (delay(text), place));
-    let delay = match late {
-        Some((Some(delay), _)) => delay,
-        Some((None, place)) => {
-            fields.push(
-                Finding::error("ctos::config::value", "[injure]: `delay` cannot be read")
-                    .help("write a time such as \"5ms\", or a range such as \"5ms..20ms\"")
-                    .at(place),
-            );
-            Default::default()
+    let mut fields = Fields::top(root, keys::INJURE, findings);
+    let drop = fields.number("drop").unwrap_or_default();
+    let late = fields.text("delay").and_then(|(text, place)| {
+        let delay = delay(text);
+        if delay.is_none() {
+            let finding = Finding::error("ctos::config::value", "[injure]: `delay` cannot be read")
+                .help("write a time such as \"5ms\", or a range such as \"5ms..20ms\"");
+            fields.push(finding.at(place));
         }
-        None => Default::default(),
-    };
-    let break_bytes = fields.integer("break_bytes", 0..=1 << 40_usize);
-    let cuts = match node.and_then(|node| node.entry("cut")) {
-        Some(entry) => all_cuts(&entry.value, chassis, findings),
-        None => Vec::new(),
-    };
+        delay
+    });
+    let break_bytes = fields.integer("break_bytes").unwrap_or_default();
+    let cuts = fields.list("cut", "write cut = [\"a:b@2s\"]");
     InjuryConfig {
         drop,
-        delay,
-        cuts,
-        break_bytes: break_bytes.unwrap_or(0),
+        delay: late.unwrap_or_default(),
+        cuts: all_cuts(cuts, chassis, findings),
+        break_bytes,
     }
 }
 
-fn all_cuts(node: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> Vec<Cut> {
-    let at = |finding: Finding, node: &Node| match node.place() {
-        Some(place) => finding.at(place.clone()),
-        None => finding,
-    };
-    if !matches!(node.value(), Value::Array(_)) {
-        let finding = Finding::error("ctos::config::value", "[injure]: `cut` must be a list")
-            .help("write cut = [\"a:b@2s\"]");
-        findings.push(at(finding, node));
-    }
+fn all_cuts(texts: &[Node], chassis: &[ChassisConfig], findings: &mut Findings) -> Vec<Cut> {
     let names = || {
         let names = chassis.iter().map(|chassis| chassis.name.as_str());
         names.chain([BOOT_CHASSIS])
     };
     let mut cuts = Vec::new();
-    for text in node.elements() {
-        let mut push = |finding: Finding| findings.push(at(finding, text));
+    for text in texts {
+        let mut push = |finding: Finding| findings.push(finding.at(text.place().cloned()));
         let Some(cut) = text.as_str().and_then(Cut::parse) else {
-            push(
-                Finding::error("ctos::config::value", "[injure]: a `cut` cannot be read").help(
-                    "write two chassis, when, and for how long: \"a:b@2s\", \"a:boot@2s+0.5s\"",
-                ),
-            );
+            let finding = Finding::error("ctos::config::value", "[injure]: a `cut` cannot be read");
+            let help = "write two chassis, when, and for how long: \"a:b@2s\", \"a:boot@2s+0.5s\"";
+            push(finding.help(help));
             continue;
         };
         for end in [&cut.one, &cut.other] {
@@ -285,9 +256,8 @@ pub(super) fn security(
     chassis: &[ChassisConfig],
     findings: &mut Findings,
 ) -> Option<SecurityConfig> {
-    let node = root.entry("security").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[security]".to_owned(), keys::SECURITY, findings);
-    if node.is_none_or(|node| node.entries().is_empty()) {
+    let mut fields = Fields::top(root, keys::SECURITY, findings);
+    if fields.is_empty() {
         for one in chassis {
             open_to_strangers(one, root, findings);
         }
@@ -309,16 +279,18 @@ fn open_to_strangers(chassis: &ChassisConfig, root: &Node, findings: &mut Findin
     let Some(listen) = chassis.listen.filter(|listen| !is_loopback(listen.ip())) else {
         return;
     };
+    let name = &chassis.name;
     let text = format!(
-        "chassis `{}` would listen at {listen}, where others can reach it, and the app has no keys",
-        chassis.name
+        "chassis `{name}` would listen at {listen}, where others can reach it, and the app has no keys"
     );
-    let finding = Finding::error("ctos::config::no_keys", text).help(
-        "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]; or listen at 127.0.0.1",
-    );
-    let place = root.locate(&format!("chassis.\"{}\".listen", chassis.name));
-    findings.push(finding.at(place.unwrap_or_else(|| chassis.place.clone())));
+    let finding = Finding::error("ctos::config::no_keys", text);
+    let finding = finding.help(format!("{KEYS_HELP}; or listen at 127.0.0.1"));
+    findings.push(finding.at(chassis.place_of(root, "listen")));
 }
+
+/// What to do where keys are missing.
+pub(super) const KEYS_HELP: &str =
+    "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]";
 
 /// Whether only this host can call it.
 pub(super) fn is_loopback(address: IpAddr) -> bool {

@@ -56,17 +56,10 @@ impl Files for Texts<'_> {
 
     fn read(&self, path: &Path) -> Result<Source, Finding> {
         let wanted = lexical(path);
-        match self
-            .0
-            .iter()
-            .find(|(name, _)| lexical(Path::new(name)) == wanted)
-        {
+        let mut texts = self.0.iter();
+        match texts.find(|(name, _)| lexical(Path::new(name)) == wanted) {
             Some((name, text)) => Ok(Source::new(*name, *text)),
-            None => Err(Finding::error(
-                "ctos::file::unreadable",
-                format!("cannot read `{}`: no such text", path.display()),
-            )
-            .help("check the path; it is taken relative to the file that names it")),
+            None => Err(Finding::unreadable(path, &"no such text")),
         }
     }
 
@@ -180,23 +173,13 @@ fn profile_of_file(
     let (name, place) = (entry.value.as_str(), entry.value.place());
     match (name, place) {
         (Some(name), Some(place)) if !name.is_empty() => {
-            let mut found = Findings::new();
-            let name = variables::expanded(name, Some(place), files, used, &mut found);
-            let chosen = found
-                .is_empty()
-                .then(|| Chosen::in_file(name, place.clone()));
-            findings.extend(found);
-            chosen
+            let name = variables::whole(name, place, files, used, findings)?;
+            Some(Chosen::in_file(name, place.clone()))
         }
         _ => {
-            let finding = Finding::error(
-                "ctos::config::value",
-                "[app]: `profile` must be the name of a profile",
-            );
-            findings.push(match place {
-                Some(place) => finding.at(place.clone()),
-                None => finding,
-            });
+            let text = "[app]: `profile` must be the name of a profile";
+            let finding = Finding::error("ctos::config::value", text);
+            findings.push(finding.at(place.cloned()));
             None
         }
     }
@@ -226,17 +209,9 @@ impl Loader<'_> {
         if self.done.contains(&identity) {
             return None;
         }
-        let source = match self.files.read(path) {
-            Ok(source) => source,
-            Err(finding) => {
-                let finding = match named_at {
-                    Some(place) => finding.at(place.clone()),
-                    None => finding,
-                };
-                self.findings.push(finding);
-                return None;
-            }
-        };
+        let read = self.files.read(path);
+        let read = read.map_err(|finding| finding.at(named_at.cloned()));
+        let source = self.findings.keep(read)?;
         self.sources.push(Read {
             path: path.to_owned(),
             text: source.text().to_owned(),
@@ -272,15 +247,10 @@ impl Loader<'_> {
         let mut paths = Vec::new();
         let list = entry.value;
         let wrong = |node: &Node| {
-            let finding = Finding::error(
-                "ctos::config::include",
-                format!("`include` is a list of paths, found {}", node.kind()),
-            )
-            .help("write include = [\"common.toml\"]");
-            match node.place() {
-                Some(place) => finding.at(place.clone()),
-                None => finding,
-            }
+            let text = format!("`include` is a list of paths, found {}", node.kind());
+            let finding = Finding::error("ctos::config::include", text)
+                .help("write include = [\"common.toml\"]");
+            finding.at(node.place().cloned())
         };
         if !matches!(list.value(), Value::Array(_)) {
             self.findings.push(wrong(&list));
@@ -289,12 +259,8 @@ impl Loader<'_> {
             match (element.as_str(), element.place()) {
                 (Some(path), Some(place)) => {
                     let (files, used) = (self.files, &mut self.used);
-                    let mut found = Findings::new();
-                    let path = variables::expanded(path, Some(place), files, used, &mut found);
-                    if found.is_empty() {
-                        paths.push((path, place.clone()));
-                    }
-                    self.findings.extend(found);
+                    let path = variables::whole(path, place, files, used, self.findings);
+                    paths.extend(path.map(|path| (path, place.clone())));
                 }
                 _ => self.findings.push(wrong(element)),
             }
@@ -303,27 +269,16 @@ impl Loader<'_> {
     }
 
     fn cyclic(&mut self, start: usize, path: &Path, named_at: Option<&Place>) {
-        let mut names: Vec<&str> = self
-            .chain
-            .iter()
-            .skip(start)
-            .map(|(_, name)| name.as_str())
-            .collect();
+        let chain = self.chain.iter().skip(start);
+        let mut names: Vec<&str> = chain.map(|(_, name)| name.as_str()).collect();
         let again = path.display().to_string();
         names.push(names.first().copied().unwrap_or(&again));
-        let finding = Finding::error(
-            "ctos::config::include_cycle",
-            format!(
-                "files include each other in a circle: {}",
-                names.join(" -> ")
-            ),
-        )
-        .label("this closes the circle")
-        .help("move what both need into a third file that includes neither");
-        self.findings.push(match named_at {
-            Some(place) => finding.at(place.clone()),
-            None => finding,
-        });
+        let circle = names.join(" -> ");
+        let text = format!("files include each other in a circle: {circle}");
+        let finding = Finding::error("ctos::config::include_cycle", text)
+            .label("this closes the circle")
+            .help("move what both need into a third file that includes neither");
+        self.findings.push(finding.at(named_at.cloned()));
     }
 }
 
@@ -348,21 +303,14 @@ fn unknown_name(root: &Node, over: &Node) -> Option<Finding> {
     }
     let name = kind.value.entries().first()?;
     let whole = name.key_place != name.value.place;
-    let there = root
-        .entry(&kind.key)
-        .map_or(&[][..], |entry| entry.value.entries());
+    let there = root.tables(&kind.key);
     if whole || there.iter().any(|entry| entry.key == name.key) {
         return None;
     }
-    let finding = Finding::error(
-        "ctos::config::unknown_name",
-        format!("there is no {} called `{}`", kind.key, name.key),
-    )
-    .suggest(&name.key, there.iter().map(|entry| entry.key.as_str()));
-    Some(match &name.key_place {
-        Some(place) => finding.at(place.clone()),
-        None => finding,
-    })
+    let text = format!("there is no {} called `{}`", kind.key, name.key);
+    let finding = Finding::error("ctos::config::unknown_name", text)
+        .suggest(&name.key, there.iter().map(|entry| entry.key.as_str()));
+    Some(finding.at(name.key_place.clone()))
 }
 
 fn parse_set(source: &Source) -> Result<Node, Finding> {
@@ -372,9 +320,15 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
             .at(source.at(0..text.len()))
             .help("write --set path.to.key=value, for example --set time.mode=virtual")
     };
-    let equals = unquoted_equals(text).ok_or_else(|| usage("there is no `=`"))?;
-    let (left, right) = (&text[..equals], &text[equals + 1..]);
-    let mut keys = set_path(left).ok_or_else(|| usage("the part before `=` is not a key"))?;
+    if !text.contains('=') {
+        return Err(usage("there is no `=`"));
+    }
+    // Not one in a quoted key: what stands before it would be none.
+    let split = text.match_indices('=').find_map(|(at, _)| {
+        let (left, right) = text.split_at(at);
+        Some((set_path(left)?, left, right.strip_prefix('=')?))
+    });
+    let (mut keys, left, right) = split.ok_or_else(|| usage("the part before `=` is not a key"))?;
     if let [(key, _)] = keys.as_slice()
         && keys::names(keys::APP).any(|known| known == key)
     {
@@ -386,35 +340,19 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
     }
     let names: Vec<&str> = keys.iter().map(|(key, _)| key.as_str()).collect();
     if matches!(names.as_slice(), ["profile", ..] | ["app", "profile"]) {
-        return Err(Finding::error(
-            "ctos::config::set",
-            format!("`--set {text}`: profiles are chosen before `--set` is read"),
-        )
-        .at(source.at(0..text.len()))
-        .help("write --profile NAME to choose one; --set overrides what it says"));
+        let finding = usage("profiles are chosen before `--set` is read");
+        return Err(
+            finding.help("write --profile NAME to choose one; --set overrides what it says")
+        );
     }
     let trimmed = right.trim();
     if trimmed.is_empty() {
         return Err(usage("the value is missing (an empty text is \"\")"));
     }
-    let start = equals + 1 + (right.len() - right.trim_start().len());
+    let start = text.len() - right.trim_start().len();
     let value = set_value(source, start..start + trimmed.len())?;
     let keys = keys.into_iter().map(|(key, range)| (key, source.at(range)));
     Ok(Node::nested(keys.collect(), value))
-}
-
-/// The first `=` that does not stand in a quoted key.
-fn unquoted_equals(text: &str) -> Option<usize> {
-    let mut quote = None;
-    for (at, letter) in text.char_indices() {
-        match (quote, letter) {
-            (None, '=') => return Some(at),
-            (None, '"' | '\'') => quote = Some(letter),
-            (Some(open), _) if open == letter => quote = None,
-            _ => {}
-        }
-    }
-    None
 }
 
 /// A dotted TOML key with the byte range of each part, or `None` when it is not one.

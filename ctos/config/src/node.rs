@@ -100,6 +100,11 @@ impl Node {
         self.place.as_ref()
     }
 
+    /// Whether it is a table.
+    pub(super) fn is_table(&self) -> bool {
+        matches!(self.value, Value::Table(_))
+    }
+
     /// The keys of a table with their values and places, in order; nothing for other nodes.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
@@ -107,6 +112,12 @@ impl Node {
             Value::Table(entries) => entries,
             _ => &[],
         }
+    }
+
+    /// The keys of a table in this one, if it is there.
+    pub(super) fn tables(&self, key: &str) -> &[Entry] {
+        let entry = self.entry(key);
+        entry.map_or(&[], |entry| entry.value.entries())
     }
 
     /// The elements of an array; nothing for other nodes.
@@ -271,9 +282,7 @@ impl Node {
         for entry in theirs {
             match ours.iter_mut().find(|own| own.key == entry.key) {
                 Some(own) => {
-                    let both = matches!(own.value.value, Value::Table(_))
-                        && matches!(entry.value.value, Value::Table(_));
-                    if !both {
+                    if !own.value.is_table() || !entry.value.is_table() {
                         own.key_place = entry.key_place;
                     }
                     own.value.merge(entry.value);
@@ -285,49 +294,40 @@ impl Node {
 
     /// The value of one key of a table, to change it.
     pub(super) fn inner(&mut self, key: &str) -> Option<&mut Self> {
-        match &mut self.value {
-            Value::Table(entries) => {
-                let entry = entries.iter_mut().find(|entry| entry.key == key)?;
-                Some(&mut entry.value)
-            }
-            _ => None,
-        }
+        let Value::Table(entries) = &mut self.value else {
+            return None;
+        };
+        let entry = entries.iter_mut().find(|entry| entry.key == key)?;
+        Some(&mut entry.value)
     }
 
     /// Removes a key of a table and returns it.
     pub(super) fn take(&mut self, key: &str) -> Option<Entry> {
-        match &mut self.value {
-            Value::Table(entries) => {
-                let at = entries.iter().position(|entry| entry.key == key)?;
-                Some(entries.remove(at))
-            }
-            _ => None,
-        }
+        let Value::Table(entries) = &mut self.value else {
+            return None;
+        };
+        let at = entries.iter().position(|entry| entry.key == key)?;
+        Some(entries.remove(at))
     }
 
     /// Gives every part that has no place this one.
     pub(super) fn placed(mut self, place: &Place) -> Self {
-        self.place.get_or_insert_with(|| place.clone());
-        self.value = match self.value {
-            Value::Array(elements) => Value::Array(
-                elements
-                    .into_iter()
-                    .map(|element| element.placed(place))
-                    .collect(),
-            ),
-            Value::Table(entries) => Value::Table(
-                entries
-                    .into_iter()
-                    .map(|entry| Entry {
-                        key: entry.key,
-                        key_place: entry.key_place.or_else(|| Some(place.clone())),
-                        value: entry.value.placed(place),
-                    })
-                    .collect(),
-            ),
-            scalar => scalar,
-        };
+        self.place_all(place);
         self
+    }
+
+    fn place_all(&mut self, place: &Place) {
+        self.place.get_or_insert_with(|| place.clone());
+        match &mut self.value {
+            Value::Array(elements) => elements.iter_mut().for_each(|one| one.place_all(place)),
+            Value::Table(entries) => {
+                for entry in entries {
+                    entry.key_place.get_or_insert_with(|| place.clone());
+                    entry.value.place_all(place);
+                }
+            }
+            _ => {}
+        }
     }
 
     /// The tables that a dotted key stands for, with `value` innermost.
@@ -414,13 +414,9 @@ impl Reader<'_> {
     }
 
     fn unrepresentable(&mut self, place: &Place, kind: &str) -> Value {
-        self.findings.push(
-            Finding::error(
-                "ctos::config::number",
-                format!("this {kind} is too large to be represented"),
-            )
-            .at(place.clone()),
-        );
+        let text = format!("this {kind} is too large to be represented");
+        let finding = Finding::error("ctos::config::number", text);
+        self.findings.push(finding.at(place.clone()));
         Value::Integer(0)
     }
 
@@ -471,40 +467,23 @@ impl From<Value> for Node {
     }
 }
 
-impl From<&str> for Node {
-    fn from(text: &str) -> Self {
-        Value::String(text.to_owned()).into()
-    }
+macro_rules! from {
+    ($($type:ty => $value:path;)+) => {$(
+        impl From<$type> for Node {
+            fn from(value: $type) -> Self {
+                $value(value.into()).into()
+            }
+        }
+    )+};
 }
 
-impl From<String> for Node {
-    fn from(text: String) -> Self {
-        Value::String(text).into()
-    }
-}
-
-impl From<bool> for Node {
-    fn from(value: bool) -> Self {
-        Value::Bool(value).into()
-    }
-}
-
-impl From<f64> for Node {
-    fn from(number: f64) -> Self {
-        Value::Float(number).into()
-    }
-}
-
-impl From<i64> for Node {
-    fn from(number: i64) -> Self {
-        Value::Integer(number.into()).into()
-    }
-}
-
-impl From<u64> for Node {
-    fn from(number: u64) -> Self {
-        Value::Integer(number.into()).into()
-    }
+from! {
+    &str => Value::String;
+    String => Value::String;
+    bool => Value::Bool;
+    f64 => Value::Float;
+    i64 => Value::Integer;
+    u64 => Value::Integer;
 }
 
 impl<T: Into<Self>> From<Vec<T>> for Node {

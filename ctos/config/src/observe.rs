@@ -30,10 +30,10 @@ impl RecordConfig {
 /// `[record]`; `None` without a `file`.
 pub(super) fn record(mut fields: Fields<'_, '_>) -> Option<RecordConfig> {
     let file = fields.text("file").map(|(file, _)| PathBuf::from(file));
-    let max_mb = fields.integer("max_mb", 1..=1_000_000_u64);
-    let keep = fields.integer("keep", 1..=100_000_usize);
-    let flush = fields.seconds("flush_s", 3600.0);
-    let buffer_mb = fields.integer("buffer_mb", 1..=10_000_usize);
+    let max_mb = fields.integer::<u64>("max_mb");
+    let keep = fields.integer("keep");
+    let flush = fields.seconds("flush_s");
+    let buffer_mb = fields.integer::<usize>("buffer_mb");
     let file = file?;
     let usual = RecordConfig::new(file);
     Some(RecordConfig {
@@ -56,11 +56,8 @@ pub(super) fn metrics(mut fields: Fields<'_, '_>) -> Option<SocketAddr> {
         format!("metrics are served to this host only, and {listen} is not on its loopback"),
     )
     .help("listen on 127.0.0.1 and let a proxy that knows its clients pass them on");
-    let place = fields.place("listen");
-    fields.push(match place {
-        Some(place) => finding.at(place),
-        None => finding,
-    });
+    let finding = finding.at(fields.place("listen"));
+    fields.push(finding);
     None
 }
 

@@ -17,8 +17,8 @@ const SPIN: Duration = Duration::from_micros(20);
 #[must_use]
 pub fn shares(app: &App, processor: &ProcessorConfig, cpus: usize) -> bool {
     let all = || app.chassis.iter().flat_map(|chassis| &chassis.processors);
-    let beside = |other: &&ProcessorConfig| processor.cpu.is_some() && other.cpu == processor.cpu;
-    all().filter(beside).count() > 1 || (cpus < 2 && all().count() > 1)
+    let together = |other: &&ProcessorConfig| processor.cpu.is_some() && other.cpu == processor.cpu;
+    all().filter(together).count() > 1 || (cpus < 2 && all().count() > 1)
 }
 
 /// How long `processor` of `app` looks for messages, on a machine with `cpus` CPUs that it may use.

@@ -4,7 +4,7 @@
 //! [`build`](super::build) to say.
 
 use super::fields::check_name;
-use super::node::{Entry, Node, Value};
+use super::node::{Entry, Node};
 use crate::diagnostic::{Finding, Findings, Place, Source};
 
 /// The profiles of an app, in declared order.
@@ -45,40 +45,29 @@ impl Profiles {
         let Some(entry) = entry else {
             return Self::default();
         };
-        if !is_table(&entry.value) {
-            findings.push(placed(
-                Finding::error(
-                    "ctos::config::value",
-                    format!("`profile` holds named tables, found {}", entry.value.kind()),
-                )
-                .help("write [profile.NAME]; app.profile chooses one"),
-                entry.value.place(),
-            ));
+        if !entry.value.is_table() {
+            let text = format!("`profile` holds named tables, found {}", entry.value.kind());
+            let finding = Finding::error("ctos::config::value", text)
+                .help("write [profile.NAME]; app.profile chooses one");
+            findings.push(finding.at(entry.value.place().cloned()));
         }
         let mut profiles = Vec::new();
         for named in entry.value.entries() {
             if let Some(place) = &named.key_place {
                 check_name("profile", &named.key, place, findings);
             }
-            if is_table(&named.value) {
+            if named.value.is_table() {
                 check_contents(named, findings);
                 profiles.push(Profile {
                     name: named.key.clone(),
                     tables: named.value.clone(),
                 });
             } else {
-                findings.push(placed(
-                    Finding::error(
-                        "ctos::config::value",
-                        format!(
-                            "profile `{}` holds tables of the app, found {}",
-                            named.key,
-                            named.value.kind()
-                        ),
-                    )
-                    .help(format!("write for example [profile.{}.time]", named.key)),
-                    named.value.place(),
-                ));
+                let (name, kind) = (&named.key, named.value.kind());
+                let text = format!("profile `{name}` holds tables of the app, found {kind}");
+                let finding = Finding::error("ctos::config::value", text)
+                    .help(format!("write for example [profile.{name}.time]"));
+                findings.push(finding.at(named.value.place().cloned()));
             }
         }
         Self(profiles)
@@ -124,28 +113,20 @@ impl Profile {
 
     /// A task that the app has not, and that is not whole either, is a typing error.
     fn half_tasks(&self, root: &Node, findings: &mut Findings) {
-        let there = tasks(root);
-        for task in tasks(&self.tables) {
+        let there = root.tables("task");
+        for task in self.tables.tables("task") {
             let known = there.iter().any(|entry| entry.key == task.key);
-            if known || task.value.entry("handler").is_some() || !is_table(&task.value) {
+            if known || task.value.entry("handler").is_some() || !task.value.is_table() {
                 continue;
             }
-            let finding = Finding::error(
-                "ctos::config::unknown_name",
-                format!(
-                    "profile `{}` changes a task `{}`, which does not exist",
-                    self.name, task.key
-                ),
-            )
-            .suggest(&task.key, there.iter().map(|entry| entry.key.as_str()));
-            findings.push(placed(finding, task.key_place.as_ref()));
+            let (own, task_name) = (&self.name, &task.key);
+            let text =
+                format!("profile `{own}` changes a task `{task_name}`, which does not exist");
+            let finding = Finding::error("ctos::config::unknown_name", text)
+                .suggest(&task.key, there.iter().map(|entry| entry.key.as_str()));
+            findings.push(finding.at(task.key_place.clone()));
         }
     }
-}
-
-fn tasks(root: &Node) -> &[Entry] {
-    root.entry("task")
-        .map_or(&[][..], |entry| entry.value.entries())
 }
 
 /// What no profile may hold, because it is read before profiles are.
@@ -172,19 +153,8 @@ fn check_contents(profile: &Entry, findings: &mut Findings) {
     for (entry, what, help) in refused {
         if let Some(entry) = entry {
             let finding = Finding::error("ctos::config::profile", what).help(help);
-            findings.push(placed(finding, entry.key_place.as_ref()));
+            findings.push(finding.at(entry.key_place.clone()));
         }
-    }
-}
-
-fn is_table(node: &Node) -> bool {
-    matches!(node.value(), Value::Table(_))
-}
-
-fn placed(finding: Finding, place: Option<&Place>) -> Finding {
-    match place {
-        Some(place) => finding.at(place.clone()),
-        None => finding,
     }
 }
 

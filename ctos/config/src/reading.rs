@@ -9,7 +9,7 @@ use crate::{
     expander::Expander,
     load::{Disk, Files, Texts, merged},
     node::Node,
-    profiles,
+    profiles::Profile,
     selection::Selection,
     trail::Trail,
     variables,
@@ -76,11 +76,8 @@ pub fn load_texts(
     selection.load_texts(texts, &BTreeMap::new(), expanders)
 }
 
-/// Where files and variables come from.
-pub(crate) type Sources<'a> = dyn Files + 'a;
-
-pub(crate) fn load_from(
-    files: &Sources<'_>,
+fn load_from(
+    files: &dyn Files,
     selection: &Selection,
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
@@ -102,22 +99,13 @@ pub(crate) fn load_from(
         place,
     };
     let mut app = build::build(merged.root, origin.clone(), expanders, &mut findings);
-    let applied = |name: &String| {
-        merged
-            .profiles
-            .iter()
-            .find(|one| one.name == *name)
-            .cloned()
-    };
+    let profiles = &merged.profiles;
+    let applied = |name: &String| profiles.iter().find(|one| one.name == *name).cloned();
     let layers = merged.applied.iter().filter_map(applied).collect();
     for profile in merged.profiles.iter() {
         if !merged.applied.contains(&profile.name) {
-            let idle = IdleProfile {
-                profile,
-                bare: &merged.bare,
-                origin: &origin,
-            };
-            idle.check(files, expanders, &mut findings);
+            let root = merged.bare.clone();
+            check_idle(profile, root, &origin, files, expanders, &mut findings);
         }
     }
     if findings.has_errors() {
@@ -129,49 +117,39 @@ pub(crate) fn load_from(
     Ok(app)
 }
 
-/// A profile that is not chosen. Its keys are read all the same, so that a typing error in it is
-/// found today and not on the day when it is needed.
-struct IdleProfile<'a> {
-    profile: &'a profiles::Profile,
-    /// The app without any profile.
-    bare: &'a Node,
-    origin: &'a build::Origin,
-}
+/// What is wrong with the keys and values of a profile by themselves. Whether its names lead anywhere may
+/// depend on another profile.
+const ASKED: [&str; 5] = [
+    "ctos::config::unknown_key",
+    "ctos::config::unknown_choice",
+    "ctos::config::value",
+    "ctos::config::name",
+    "ctos::config::number",
+];
 
-impl IdleProfile<'_> {
-    /// What is wrong with the profile's keys and values by themselves. Whether its names lead
-    /// anywhere may depend on another profile, and is not asked here.
-    const ASKED: [&'static str; 5] = [
-        "ctos::config::unknown_key",
-        "ctos::config::unknown_choice",
-        "ctos::config::value",
-        "ctos::config::name",
-        "ctos::config::number",
-    ];
-
-    fn check(
-        &self,
-        files: &Sources<'_>,
-        expanders: &[(&'static str, &dyn Expander)],
-        findings: &mut Findings,
-    ) {
-        let mut root = self.bare.clone();
-        let mut found = Findings::new();
-        self.profile.lay_over(&mut root, &mut found);
-        let mut unset = Findings::new();
-        let mut used = variables::Used::new();
-        variables::expand(&mut root, files, &mut used, &mut unset, &|_| true);
-        build::build(root, self.origin.clone(), expanders, &mut found);
-        for finding in found.into_sorted() {
-            let here = finding.place.as_ref();
-            // A variable need not be set for a profile that is not chosen; its value is unknown then.
-            let known = unset.is_empty() || finding.code == "ctos::config::unknown_key";
-            if known
-                && Self::ASKED.contains(&finding.code)
-                && here.is_some_and(|place| self.profile.holds(place))
-            {
-                findings.push(finding);
-            }
+/// Looks through a profile that is not chosen, so that a typing error in it is found today and not on the day when it
+/// is needed. `root` is the app without any profile.
+fn check_idle(
+    profile: &Profile,
+    mut root: Node,
+    origin: &build::Origin,
+    files: &dyn Files,
+    expanders: &[(&'static str, &dyn Expander)],
+    findings: &mut Findings,
+) {
+    let mut found = Findings::new();
+    profile.lay_over(&mut root, &mut found);
+    let mut unset = Findings::new();
+    let mut used = variables::Used::new();
+    variables::expand(&mut root, files, &mut used, &mut unset, &|_| true);
+    build::build(root, origin.clone(), expanders, &mut found);
+    for finding in found.into_sorted() {
+        let here = finding.place.as_ref();
+        // A variable need not be set for a profile that is not chosen; its value is unknown then.
+        let known = unset.is_empty() || finding.code == "ctos::config::unknown_key";
+        let asked = known && ASKED.contains(&finding.code);
+        if asked && here.is_some_and(|place| profile.holds(place)) {
+            findings.push(finding);
         }
     }
 }

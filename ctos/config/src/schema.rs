@@ -24,15 +24,11 @@ pub fn schema(expanders: &[&str]) -> Value {
     profile.remove("include");
     profile.remove("profile");
     definitions.insert("profile".to_owned(), closed(profile));
-    let mut schema = Map::new();
-    schema.insert(
-        "$schema".to_owned(),
-        json!("http://json-schema.org/draft-07/schema#"),
-    );
-    schema.insert("title".to_owned(), json!("Configuration of a CTOS app"));
-    schema.extend(closed(top).as_object().cloned().unwrap_or_default());
-    schema.insert("definitions".to_owned(), Value::Object(definitions));
-    Value::Object(schema)
+    let mut schema = closed(top);
+    schema["$schema"] = json!("http://json-schema.org/draft-07/schema#");
+    schema["title"] = json!("Configuration of a CTOS app");
+    schema["definitions"] = Value::Object(definitions);
+    schema
 }
 
 /// A table that has no keys but these.

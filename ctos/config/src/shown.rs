@@ -1,13 +1,14 @@
 //! An app's configuration as it counts in the end: every value, also those that no file says, each
 //! with where it comes from.
 
-use super::app::App;
+use super::app::{App, TaskConfig};
 use super::keys::{self, Kind, PROCESSOR, TOP};
 use super::node::{Entry, Node, Value};
 use super::trail::Origin;
 use super::variables::escaped;
 use crate::diagnostic::{Findings, Place, Source};
 use std::fmt::Write;
+use toml_writer::{ToTomlKey, ToTomlValue, TomlKeyBuilder, TomlStringBuilder};
 
 /// The processor of a chassis that declares none.
 const MAIN: &str = "main";
@@ -63,13 +64,9 @@ impl App {
         }
         text.push('\n');
         self.write_table(&self.completed(), "", &mut text);
-        let written = self.root.entry("task");
-        let written = |name: &str| written.is_some_and(|tasks| tasks.value.entry(name).is_some());
-        let mut made = self
-            .tasks
-            .iter()
-            .filter(|task| !written(&task.name))
-            .peekable();
+        let written = self.root.tables("task");
+        let is_made = |task: &&TaskConfig| !written.iter().any(|entry| entry.key == task.name);
+        let mut made = self.tasks.iter().filter(is_made).peekable();
         if made.peek().is_some() {
             text.push_str("\n# Made from these tables:\n");
         }
@@ -82,10 +79,8 @@ impl App {
     }
 
     fn write_table(&self, table: &Node, path: &str, text: &mut String) {
-        let (tables, values): (Vec<&Entry>, Vec<&Entry>) = table
-            .entries()
-            .iter()
-            .partition(|entry| matches!(entry.value.value(), Value::Table(_)));
+        let entries = table.entries().iter();
+        let (tables, values): (Vec<&Entry>, _) = entries.partition(|entry| entry.value.is_table());
         if !path.is_empty() && (!values.is_empty() || tables.is_empty()) {
             text.push('\n');
             self.write_line(&format!("[{path}]"), table, text);
@@ -163,10 +158,7 @@ fn parsed(default: &str) -> Node {
 fn write_value(node: &Node, out: &mut String) {
     // Writing into a String cannot fail.
     let _ = match node.value() {
-        Value::String(text) => {
-            write_string(&escaped(text), out);
-            Ok(())
-        }
+        Value::String(text) => write!(out, "{}", basic(&escaped(text))),
         Value::Integer(number) => write!(out, "{number}"),
         Value::Float(number) if number.is_nan() => write!(out, "nan"),
         Value::Float(number) => write!(out, "{number:?}"),
@@ -195,31 +187,16 @@ fn write_value(node: &Node, out: &mut String) {
 }
 
 /// A TOML basic string on one line.
-fn write_string(text: &str, out: &mut String) {
-    out.push('"');
-    for letter in text.chars() {
-        match letter {
-            '"' => out.push_str("\\\""),
-            '\\' => out.push_str("\\\\"),
-            '\n' => out.push_str("\\n"),
-            '\t' => out.push_str("\\t"),
-            letter if letter.is_control() => {
-                let _ = write!(out, "\\u{:04X}", u32::from(letter));
-            }
-            letter => out.push(letter),
-        }
-    }
-    out.push('"');
+fn basic(text: &str) -> String {
+    TomlStringBuilder::new(text).as_basic().to_toml_value()
 }
 
 fn bare_or_quoted(key: &str) -> String {
-    let bare = |letter: char| letter.is_ascii_alphanumeric() || "_-".contains(letter);
-    if !key.is_empty() && key.chars().all(bare) {
-        return key.to_owned();
+    let builder = TomlKeyBuilder::new(key);
+    match builder.as_unquoted() {
+        Some(bare) => bare.to_toml_key(),
+        None => builder.as_basic().to_toml_key(),
     }
-    let mut quoted = String::new();
-    write_string(key, &mut quoted);
-    quoted
 }
 
 fn joined(path: &str, key: &str) -> String {
@@ -247,10 +224,8 @@ impl From<&Node> for serde_json::Value {
             Value::Array(elements) => elements.iter().map(Self::from).collect(),
             Value::Table(entries) => {
                 let each = entries.iter();
-                Self::Object(
-                    each.map(|entry| (entry.key.clone(), Self::from(&entry.value)))
-                        .collect(),
-                )
+                let each = each.map(|entry| (entry.key.clone(), Self::from(&entry.value)));
+                Self::Object(each.collect())
             }
         }
     }

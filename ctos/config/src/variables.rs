@@ -60,20 +60,19 @@ pub(super) fn expanded(
             out.push_str("${");
             rest = after;
         } else if let Some(after) = from.strip_prefix("${") {
-            let (inside, left) = after
-                .split_once('}')
-                .map_or((after, None), |(inside, left)| (inside, Some(left)));
-            let reference = Reference::parse(inside).filter(|_| left.is_some());
-            let value = match reference {
-                Some(reference) => reference.value(files, used),
-                None => Err(malformed(inside)),
+            let (inside, left) = match after.split_once('}') {
+                Some((inside, left)) => (inside, Some(left)),
+                None => (after, None),
             };
+            let reference = Reference::parse(inside).filter(|_| left.is_some());
+            let reference = reference.ok_or_else(|| malformed(inside));
+            let value = reference.and_then(|reference| reference.value(files, used));
             match value {
                 Ok(value) => out.push_str(&value),
-                Err(finding) => findings.push(match place {
-                    Some(place) => finding.at(narrowed(place, &format!("${{{inside}"))),
-                    None => finding,
-                }),
+                Err(finding) => {
+                    let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
+                    findings.push(finding.at(part));
+                }
             }
             rest = left.unwrap_or_default();
         } else {
@@ -83,6 +82,21 @@ pub(super) fn expanded(
     }
     out.push_str(rest);
     out
+}
+
+/// [`expanded`], if nothing is wrong with it.
+pub(super) fn whole(
+    text: &str,
+    place: &Place,
+    files: &dyn Files,
+    used: &mut Used,
+    findings: &mut Findings,
+) -> Option<String> {
+    let mut found = Findings::new();
+    let text = expanded(text, Some(place), files, used, &mut found);
+    let text = found.is_empty().then_some(text);
+    findings.extend(found);
+    text
 }
 
 /// A text written so that [`expanded`] gives it back.
@@ -114,10 +128,8 @@ impl<'a> Reference<'a> {
         let found = match files.variable(name).map(OsString::into_string) {
             Some(Ok(value)) => Some(value),
             Some(Err(_)) => {
-                return Err(Finding::error(
-                    "ctos::config::variable",
-                    format!("the environment variable `{name}` does not hold UTF-8 text"),
-                ));
+                let text = format!("the environment variable `{name}` does not hold UTF-8 text");
+                return Err(Finding::error("ctos::config::variable", text));
             }
             None => None,
         };

@@ -10,8 +10,8 @@ use std::{
 use super::{
     fields::Fields,
     keys,
-    links::{SameHost, is_loopback},
-    node::{Node, Value},
+    links::{KEYS_HELP, SameHost, is_loopback},
+    node::Node,
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
@@ -118,88 +118,80 @@ pub(super) fn zenoh(
     same_host: SameHost,
     findings: &mut Findings,
 ) -> Option<ZenohConfig> {
-    let node = root.entry("zenoh").map(|entry| &entry.value);
-    let mut fields = Fields::new(node, "[zenoh]".to_owned(), keys::ZENOH, findings);
-    let mode = match fields.choice("mode", &["peer", "client", "router"]) {
-        Some("client") => ZenohMode::Client,
-        Some("router") => ZenohMode::Router,
-        _ => ZenohMode::Peer,
-    };
+    let mut fields = Fields::top(root, keys::ZENOH, findings);
+    let modes = [
+        ("peer", ZenohMode::Peer),
+        ("client", ZenohMode::Client),
+        ("router", ZenohMode::Router),
+    ];
+    let mode = fields.choice("mode", &modes);
     let multicast = fields.text("multicast");
-    let asked = node.filter(|node| !node.entries().is_empty());
-    let same_host = root
-        .locate("app.same_host")
-        .filter(|_| same_host == SameHost::Zenoh);
-    let Some(node) = asked else {
-        if let Some(place) = same_host {
+    if fields.is_empty() {
+        let place = root.locate("app.same_host");
+        if let Some(place) = place.filter(|_| same_host == SameHost::Zenoh) {
             let text = "`same_host = \"zenoh\"` joins chassis over a network that is not described";
             let finding = Finding::error("ctos::config::zenoh", text);
             findings.push(finding.help(NOBODY_HELP).at(place));
         }
         return None;
-    };
-    let connect = endpoints(node, "connect", findings);
-    let listen = endpoints(node, "listen", findings);
-    let security = root.entry("security").map(|entry| &entry.value);
-    let mut asked = Asked {
-        place: node.place().cloned().or_else(|| root.locate("zenoh"))?,
+    }
+    let connect = endpoints(&mut fields, "connect");
+    let listen = endpoints(&mut fields, "listen");
+    let asked = Asked {
+        place: root.locate("zenoh")?,
         listen_place: root.locate("zenoh.listen"),
         mode,
         connect,
         listen,
         multicast,
-        keys: security.is_some_and(|security| !security.entries().is_empty()),
-        findings,
     };
-    asked.check();
+    let has_keys = !root.tables("security").is_empty();
+    asked.check(has_keys, findings);
     Some(asked.config())
 }
 
 /// Reads a list of endpoints, each with its place.
-fn endpoints(node: &Node, key: &str, findings: &mut Findings) -> Vec<(ZenohEndpoint, Place)> {
-    let Some(list) = node.entry(key).map(|entry| &entry.value) else {
-        return Vec::new();
-    };
-    let mut push = |text: String, node: &Node| {
-        let finding = Finding::error("ctos::config::value", text)
-            .help("write a list such as [\"tls/10.0.0.5:7447\"]");
-        findings.push(match node.place() {
-            Some(place) => finding.at(place.clone()),
-            None => finding,
-        });
-    };
-    if !matches!(list.value(), Value::Array(_)) {
-        push(format!("[zenoh]: `{key}` must be a list"), list);
-    }
+fn endpoints(fields: &mut Fields<'_, '_>, key: &str) -> Vec<(ZenohEndpoint, Place)> {
+    let help = "write a list such as [\"tls/10.0.0.5:7447\"]";
     let mut endpoints = Vec::new();
-    for element in list.elements() {
+    for element in fields.list(key, help) {
         let parsed = element.as_str().map(str::parse::<ZenohEndpoint>);
-        match (parsed, element.place()) {
-            (Some(Ok(endpoint)), Some(place)) => endpoints.push((endpoint, place.clone())),
-            (Some(Err(error)), _) => push(format!("[zenoh]: {error}"), element),
-            _ => push(format!("[zenoh]: `{key}` is a list of texts"), element),
-        }
+        let text = match (parsed, element.place()) {
+            (Some(Ok(endpoint)), Some(place)) => {
+                endpoints.push((endpoint, place.clone()));
+                continue;
+            }
+            (Some(Err(error)), _) => format!("[zenoh]: {error}"),
+            _ => format!("[zenoh]: `{key}` is a list of texts"),
+        };
+        let finding = Finding::error("ctos::config::value", text).help(help);
+        fields.push(finding.at(element.place().cloned()));
     }
     endpoints
 }
 
 const NOBODY_HELP: &str = "add [zenoh] with connect = [\"tls/HOST:7447\"] for a router, or mode = \"router\" with listen, or multicast = \"lo\"";
-const KEYS_HELP: &str =
-    "make keys with `ctos keys new keys/NAME --role boot` and name them in [security]";
 
 /// What was asked for, with places, until it is known to fit together.
-struct Asked<'a, 'f> {
+struct Asked<'a> {
     place: Place,
     listen_place: Option<Place>,
     mode: ZenohMode,
     connect: Vec<(ZenohEndpoint, Place)>,
     listen: Vec<(ZenohEndpoint, Place)>,
     multicast: Option<(&'a str, Place)>,
-    keys: bool,
-    findings: &'f mut Findings,
 }
 
-impl Asked<'_, '_> {
+fn wrong(text: impl Into<String>, help: &str, place: &Place) -> Finding {
+    let finding = Finding::error("ctos::config::zenoh", text);
+    finding.help(help).at(place.clone())
+}
+
+fn warning(code: &'static str, text: impl Into<String>, help: &str, place: &Place) -> Finding {
+    Finding::warning(code, text).help(help).at(place.clone())
+}
+
+impl Asked<'_> {
     fn config(self) -> ZenohConfig {
         let endpoints = |list: Vec<(ZenohEndpoint, Place)>| {
             let endpoints = list.into_iter().map(|(endpoint, _)| endpoint);
@@ -221,146 +213,115 @@ impl Asked<'_, '_> {
         }
     }
 
-    fn error(&mut self, text: impl Into<String>, help: &str, place: &Place) {
-        let finding = Finding::error("ctos::config::zenoh", text.into());
-        self.findings.push(finding.help(help).at(place.clone()));
+    /// Whom it connects to, and where it listens.
+    fn endpoints(&self) -> impl Iterator<Item = &(ZenohEndpoint, Place)> {
+        self.connect.iter().chain(&self.listen)
     }
 
-    fn check(&mut self) {
+    fn check(&self, has_keys: bool, findings: &mut Findings) {
         if !has_zenoh() {
-            let finding = Finding::error(
-                "ctos::config::no_zenoh",
-                "[zenoh] asks for links over zenoh, and this program was built without them",
-            );
-            self.findings.push(
-                finding
-                    .help("build it with `cargo build --release --features zenoh`, or leave [zenoh] and `same_host = \"zenoh\"` out")
-                    .at(self.place.clone()),
-            );
+            let text = "[zenoh] asks for links over zenoh, and this program was built without them";
+            let help = "build it with `cargo build --release --features zenoh`, or leave [zenoh] and `same_host = \"zenoh\"` out";
+            let finding = Finding::error("ctos::config::no_zenoh", text);
+            findings.push(finding.help(help).at(self.place.clone()));
         }
-        self.interface();
-        self.listening();
-        let nobody =
-            self.mode != ZenohMode::Router && self.connect.is_empty() && self.multicast.is_none();
-        if nobody {
-            let place = self.place.clone();
-            let text = "[zenoh] names neither whom to connect to nor where to look, so nobody would be found";
-            self.error(text, NOBODY_HELP, &place);
-        }
-        if self.keys {
-            self.with_keys();
-        } else {
-            self.without_keys();
-        }
-    }
-
-    fn interface(&mut self) {
-        let Some((name, place)) = self.multicast.clone() else {
-            return;
-        };
         let letter = |letter: char| letter.is_ascii_alphanumeric() || "_-.:@".contains(letter);
-        if !name.chars().all(letter) {
+        if let Some((name, place)) = &self.multicast
+            && !name.chars().all(letter)
+        {
             let text = format!("[zenoh]: `{name}` is not the name of an interface");
-            self.error(
-                text,
-                "write one such as \"lo\" or \"eth0\", or its address",
-                &place,
-            );
+            let help = "write one such as \"lo\" or \"eth0\", or its address";
+            findings.push(wrong(text, help, place));
+        }
+        self.listening(findings);
+        if self.mode != ZenohMode::Router && self.connect.is_empty() && self.multicast.is_none() {
+            let text = "[zenoh] names neither whom to connect to nor where to look, so nobody would be found";
+            findings.push(wrong(text, NOBODY_HELP, &self.place));
+        }
+        if has_keys {
+            self.with_keys(findings);
+        } else {
+            self.without_keys(findings);
         }
     }
 
     /// Every process of an app reads the same configuration, so only one of them could have a port.
-    fn listening(&mut self) {
-        let listen = self.listen.clone();
-        if self.mode == ZenohMode::Router && listen.is_empty() {
+    fn listening(&self, findings: &mut Findings) {
+        if self.mode == ZenohMode::Router && self.listen.is_empty() {
             let text = "[zenoh] with mode = \"router\" does not say where the chassis find it";
-            let place = self.place.clone();
-            self.error(text, "add listen = [\"tcp/127.0.0.1:7447\"]", &place);
+            let help = "add listen = [\"tcp/127.0.0.1:7447\"]";
+            findings.push(wrong(text, help, &self.place));
         }
-        if let (ZenohMode::Client, Some(place)) = (self.mode, self.listen_place.clone()) {
-            let finding = Finding::warning(
-                "ctos::config::no_effect",
-                "`listen` has no effect with mode = \"client\"",
-            );
-            self.findings.push(finding.at(place));
+        if let (ZenohMode::Client, Some(place)) = (self.mode, &self.listen_place) {
+            let text = "`listen` has no effect with mode = \"client\"";
+            let finding = Finding::warning("ctos::config::no_effect", text);
+            findings.push(finding.at(place.clone()));
         }
-        for (endpoint, place) in &listen {
+        for (endpoint, place) in &self.listen {
             let fixed = endpoint.port != 0;
             let ip = endpoint.ip();
-            match self.mode {
-                _ if ip.is_none() => {
-                    let text = format!("{endpoint}: `listen` takes addresses, not names");
-                    self.error(text, "write the address of one of its interfaces", place);
-                }
-                ZenohMode::Router if !fixed || ip.is_some_and(|ip| ip.is_unspecified()) => {
-                    let text = format!(
-                        "{endpoint}: the chassis connect to the router at what `listen` says"
-                    );
-                    let help = "write an address that they can reach, and a port";
-                    self.error(text, help, place);
-                }
-                ZenohMode::Peer if fixed => {
-                    let text =
-                        format!("{endpoint}: only one process of the app could have this port");
-                    let help = "write port 0 for a free one, or mode = \"router\"";
-                    self.error(text, help, place);
-                }
-                _ => {}
-            }
+            let (text, help) = match self.mode {
+                _ if ip.is_none() => (
+                    "`listen` takes addresses, not names",
+                    "write the address of one of its interfaces",
+                ),
+                ZenohMode::Router if !fixed || ip.is_some_and(|ip| ip.is_unspecified()) => (
+                    "the chassis connect to the router at what `listen` says",
+                    "write an address that they can reach, and a port",
+                ),
+                ZenohMode::Peer if fixed => (
+                    "only one process of the app could have this port",
+                    "write port 0 for a free one, or mode = \"router\"",
+                ),
+                _ => continue,
+            };
+            findings.push(wrong(format!("{endpoint}: {text}"), help, place));
         }
     }
 
     /// With keys: what the chassis say to each other is closed to everybody, the network itself is not.
-    fn with_keys(&mut self) {
-        for (endpoint, place) in self.listen.clone() {
-            if !endpoint.tls && !endpoint.is_loopback() {
-                let text = format!(
-                    "{endpoint} lets in everybody who can reach it: they can disturb, not read or pose as a chassis"
-                );
-                let finding = Finding::warning("ctos::config::open_zenoh", text);
-                let help = "listen only where those are whom you trust";
-                self.findings.push(finding.help(help).at(place));
-            }
+    fn with_keys(&self, findings: &mut Findings) {
+        let open = |(endpoint, _): &&(ZenohEndpoint, _)| !endpoint.tls && !endpoint.is_loopback();
+        for (endpoint, place) in self.listen.iter().filter(open) {
+            let text = format!(
+                "{endpoint} lets in everybody who can reach it: they can disturb, not read or pose as a chassis"
+            );
+            let help = "listen only where those are whom you trust";
+            findings.push(warning("ctos::config::open_zenoh", text, help, place));
         }
-        let endpoints = self.connect.iter().chain(&self.listen);
-        let unsound: Vec<_> = endpoints
-            .filter(|(endpoint, _)| endpoint.tls)
-            .cloned()
-            .collect();
-        for (endpoint, place) in unsound {
+        for (endpoint, place) in self.endpoints().filter(|(endpoint, _)| endpoint.tls) {
             let text = format!(
                 "{endpoint}: zenoh's own TLS connections can end the process when they break (eclipse-zenoh/zenoh#2557)"
             );
-            let finding = Finding::warning("ctos::config::zenoh_tls", text);
             let help = "write tcp/: with [security], chassis speak TLS with each other through it";
-            self.findings.push(finding.help(help).at(place));
+            findings.push(warning("ctos::config::zenoh_tls", text, help, place));
         }
     }
 
-    fn without_keys(&mut self) {
-        let endpoints = self.connect.iter().chain(&self.listen);
-        let mut open: Vec<(String, Place)> = endpoints
-            .filter(|(endpoint, _)| endpoint.tls || !endpoint.is_loopback())
-            .map(|(endpoint, place)| (endpoint.to_string(), place.clone()))
-            .collect();
-        if let Some((interface, place)) = &self.multicast {
+    fn without_keys(&self, findings: &mut Findings) {
+        let open = |(endpoint, _): &&(ZenohEndpoint, _)| endpoint.tls || !endpoint.is_loopback();
+        let open = self.endpoints().filter(open);
+        let open = open.map(|(endpoint, place)| (endpoint.to_string(), place));
+        let multicast = self.multicast.iter().filter(|(interface, _)| {
             let ip = interface.parse::<IpAddr>();
-            if !ip.map_or(*interface == "lo", is_loopback) {
-                open.push((format!("multicast on {interface}"), place.clone()));
-            }
-        }
-        if open.is_empty() {
-            let finding = Finding::warning(
+            !ip.map_or(*interface == "lo", is_loopback)
+        });
+        let multicast =
+            multicast.map(|(interface, place)| (format!("multicast on {interface}"), place));
+        let mut open = open.chain(multicast).peekable();
+        if open.peek().is_none() {
+            let text = "[zenoh] without keys: every user of this host can join the network and hear and say what they like";
+            findings.push(warning(
                 "ctos::config::open_zenoh",
-                "[zenoh] without keys: every user of this host can join the network and hear and say what they like",
-            );
-            self.findings
-                .push(finding.help(KEYS_HELP).at(self.place.clone()));
+                text,
+                KEYS_HELP,
+                &self.place,
+            ));
         }
         for (what, place) in open {
             let text = format!("[zenoh]: {what} needs keys, and the app has none");
             let finding = Finding::error("ctos::config::no_keys", text);
-            self.findings.push(finding.help(KEYS_HELP).at(place));
+            findings.push(finding.help(KEYS_HELP).at(place.clone()));
         }
     }
 }

@@ -1,5 +1,5 @@
 //! What is said over a stream before a session uses it: both ends belong to the same run of the same
-//! app, and how far each has heard the other.
+//! app, and up to which number each has heard the other.
 //!
 //! Everything a stranger sends is bounded, and nothing of it is believed before the run's secret was
 //! said.
@@ -9,7 +9,7 @@ use std::{fmt, io};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
-use crate::address::Address;
+use crate::{address::Address, noise};
 
 /// The first bytes of a caller: the protocol, and its version.
 const GREETING: [u8; 8] = *b"ctos\0\0\0\x05";
@@ -43,11 +43,7 @@ impl Token {
     /// # Errors
     /// When there is none.
     pub fn fresh() -> io::Result<Self> {
-        let mut bytes = [0_u8; 16];
-        getrandom::fill(&mut bytes).map_err(|error| io::Error::other(error.to_string()))?;
-        Ok(Self(
-            bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
-        ))
+        Ok(Self(noise::text(noise::bytes::<16>()?)))
     }
 }
 
@@ -200,14 +196,18 @@ pub async fn say(
     stream: &mut (impl AsyncWrite + Unpin),
     what: &impl Serialize,
 ) -> Result<(), HandshakeError> {
+    stream.write_all(&said(what)?).await?;
+    Ok(stream.flush().await?)
+}
+
+/// One thing, behind its length.
+fn said(what: &impl Serialize) -> Result<Vec<u8>, HandshakeError> {
     let body = postcard::to_stdvec(what)?;
     if body.len() > HANDSHAKE_LIMIT {
         return Err(HandshakeError::TooLong(body.len()));
     }
     let length = u32::try_from(body.len()).unwrap_or(u32::MAX).to_le_bytes();
-    stream.write_all(&[&length[..], &body].concat()).await?;
-    stream.flush().await?;
-    Ok(())
+    Ok([&length[..], &body].concat())
 }
 
 /// Hears one thing, and not a byte more.
@@ -246,9 +246,7 @@ pub fn greeting_of_corpus() -> Vec<u8> {
         },
     };
     // Plain data: it is encoded, and is short.
-    let body = postcard::to_stdvec(&greeting).unwrap_or_default();
-    let length = (body.len() as u32).to_le_bytes();
-    [&GREETING[..], &length, &body].concat()
+    [&GREETING[..], &said(&greeting).unwrap_or_default()].concat()
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ use ctos_time::{self as time, lock, park, seed};
 pub mod address;
 pub mod handshake;
 pub mod injure;
+mod noise;
 pub mod reactor;
 pub mod security;
 pub mod session;

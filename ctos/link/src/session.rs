@@ -27,8 +27,6 @@ use tokio::sync::watch;
 
 pub use self::core::{AttachError, Limits};
 pub use self::state::DownReason;
-#[cfg(feature = "zenoh")]
-pub use self::writer::DirectWrite;
 pub use self::writer::{Bytes, Writer};
 use self::{
     core::Core,
@@ -59,7 +57,6 @@ pub trait Receiver: Send + Sync {
 /// One end of a session, shared by the threads that post to it and read its streams.
 pub struct Session {
     clock: Clock,
-    injured: bool,
     joined: Mutex<Joined>,
     /// Held while something is handed to the receiver, so that one stream's last packet comes before
     /// the next one's first.
@@ -93,22 +90,16 @@ impl Joined {
         }
     }
 
-    /// Whether the driver must go on: a stream that fails is found by it, and of room that comes only it
-    /// may be told.
-    fn needs_driver(&self, pumped: &io::Result<Pumped>) -> bool {
-        match pumped {
+    /// Writes, or lets the driver write: it finds a stream that fails, and only it may be told that one is writable
+    /// again. Whether the stream takes no more.
+    fn pump_or_wake(&mut self, now: Instant) -> bool {
+        let pumped = self.pump(now);
+        let needs_driver = match pumped {
             Ok(Pumped::Idle) => self.core.is_injured(),
             Ok(Pumped::Blocked) => !self.writer.as_ref().is_some_and(Writer::is_watched),
             Err(_) => true,
-        }
-    }
-
-    /// Writes, or lets the driver write. Whether there was too little room.
-    fn pump_or_wake(&mut self, now: Instant) -> bool {
-        let pumped = self.pump(now);
-        if self.needs_driver(&pumped)
-            && let Some(driver) = &self.driver
-        {
+        };
+        if needs_driver && let Some(driver) = &self.driver {
             driver.wake_by_ref();
         }
         matches!(pumped, Ok(Pumped::Blocked))
@@ -139,7 +130,6 @@ impl Session {
         let core = Core::new(limits, injury, clock.now());
         Arc::new(Self {
             clock,
-            injured: core.is_injured(),
             joined: Mutex::new(Joined {
                 core,
                 writer: None,
@@ -172,7 +162,7 @@ impl Session {
 
     /// Whether it is injured on purpose.
     pub fn is_injured(&self) -> bool {
-        self.injured
+        lock(&self.joined).core.is_injured()
     }
 
     /// Whether its streams are cut on purpose at the moment.
@@ -254,21 +244,13 @@ impl Session {
         }
     }
 
-    /// Goes on writing to `stream`, which may have room again.
-    pub(super) fn pump(&self, stream: u64) {
-        let mut joined = lock(&self.joined);
-        if joined.core.stream() == stream {
-            joined.pump_or_wake(self.clock.now());
-        }
-    }
-
-    /// [`Self::pump`] for a stream over `socket`, which is asked about room as long as there is too little.
-    pub(super) fn pump_socket(&self, stream: u64, socket: &Socket) {
+    /// Goes on writing to `stream`, which may be writable again. A `socket` is awaited as long as it is not.
+    pub(super) fn pump(&self, stream: u64, socket: Option<&Socket>) {
         let mut joined = lock(&self.joined);
         let blocked = joined.core.stream() == stream && joined.pump_or_wake(self.clock.now());
-        if !blocked {
-            // Whoever finds too little later asks behind this: under the lock, too.
-            socket.set_wants_room(false);
+        if let (false, Some(socket)) = (blocked, socket) {
+            // Whoever is blocked later asks behind this: under the lock, too.
+            socket.await_writable(false);
         }
     }
 
@@ -377,16 +359,9 @@ impl Session {
     /// Puts something in and writes as far as the stream allows; what is left the driver writes.
     fn put<T>(&self, put: impl FnOnce(&mut Core, Instant) -> T) -> T {
         let now = self.clock.now();
-        let (put, driver) = {
-            let mut joined = lock(&self.joined);
-            let put = put(&mut joined.core, now);
-            let pumped = joined.pump(now);
-            let driver = joined.needs_driver(&pumped);
-            (put, if driver { joined.driver.take() } else { None })
-        };
-        if let Some(driver) = driver {
-            driver.wake();
-        }
+        let mut joined = lock(&self.joined);
+        let put = put(&mut joined.core, now);
+        joined.pump_or_wake(now);
         put
     }
 }

@@ -31,43 +31,22 @@ const RING: usize = 1 << 20;
 const LINE: usize = 128;
 
 /// Where the fields of a ring stand, in lines from its start: bytes ever written, bytes ever read,
-/// whether the writer waits for room.
+/// whether the writer waits for space.
 const WRITTEN: usize = 0;
 const READ: usize = 1;
-const WANTS_ROOM: usize = 2;
+const WANTS_SPACE: usize = 2;
 /// Lines of a ring before its data.
 const RING_LINES: usize = 3;
 
-/// Lines of a bell: whether anybody sleeps beside it.
+/// Lines of a bell: whether anybody sleeps at it.
 const BELL_LINES: usize = 1;
 
 /// Bytes of the whole: two bells, then two rings.
 const SIZE: usize = 2 * BELL_LINES * LINE + 2 * (RING_LINES * LINE + RING);
 
-/// Which side of the memory this process is on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
-    /// The one that made it.
-    Maker,
-    /// The one to which it was passed.
-    Guest,
-}
-
-impl Side {
-    fn index(self) -> usize {
-        match self {
-            Self::Maker => 0,
-            Self::Guest => 1,
-        }
-    }
-
-    fn other(self) -> Self {
-        match self {
-            Self::Maker => Self::Guest,
-            Self::Guest => Self::Maker,
-        }
-    }
-}
+/// The side that made the memory, and the one to which it was passed.
+const MAKER: usize = 0;
+const GUEST: usize = 1;
 
 /// What the other side wrote cannot be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -80,7 +59,8 @@ pub struct Corrupt {
 /// Memory that two processes share.
 pub struct Shared {
     memory: Arc<Memory>,
-    side: Side,
+    /// Which side this process is.
+    side: usize,
     /// What wakes the maker, and the guest.
     bells: [OwnedFd; 2],
 }
@@ -98,7 +78,7 @@ impl Shared {
         let bells = [bell()?, bell()?];
         let [maker, guest] = &bells;
         let passed = [file.try_clone()?, maker.try_clone()?, guest.try_clone()?];
-        let shared = Self::map(file.as_fd(), bells, Side::Maker)?;
+        let shared = Self::map(file.as_fd(), bells, MAKER)?;
         Ok((shared, passed))
     }
 
@@ -117,10 +97,10 @@ impl Shared {
         for bell in [&maker, &guest] {
             rustix::fs::fcntl_setfl(bell, OFlags::NONBLOCK)?;
         }
-        Self::map(file.as_fd(), [maker, guest], Side::Guest)
+        Self::map(file.as_fd(), [maker, guest], GUEST)
     }
 
-    fn map(file: BorrowedFd<'_>, bells: [OwnedFd; 2], side: Side) -> io::Result<Self> {
+    fn map(file: BorrowedFd<'_>, bells: [OwnedFd; 2], side: usize) -> io::Result<Self> {
         let memory = Arc::new(Memory::new(file, SIZE)?);
         Ok(Self {
             memory,
@@ -139,27 +119,29 @@ impl Shared {
             side,
             bells: bells.each_ref().map(|bell| bell.try_clone().unwrap()),
         };
-        (side(Side::Maker), side(Side::Guest))
+        (side(MAKER), side(GUEST))
     }
 
     /// The three things that this side needs of it; the last one says when something has come, or
-    /// room has, while this side sleeps.
+    /// space is free, while this side sleeps.
     pub fn split(self) -> (Sender, Receiver, OwnedFd) {
         let Self {
             memory,
             side,
             bells,
         } = self;
-        let (own, theirs) = match (side, bells) {
-            (Side::Maker, [maker, guest]) => (maker, guest),
-            (Side::Guest, [maker, guest]) => (guest, maker),
+        let [maker, guest] = bells;
+        let (other, own, theirs) = match side {
+            MAKER => (GUEST, maker, guest),
+            _ => (MAKER, guest, maker),
         };
         let theirs = Bell {
-            sleeper: Sleeper::of(&memory, side.other()),
+            memory: memory.clone(),
+            side: other,
             fd: Arc::new(theirs),
         };
         // A side writes into the ring of its own number.
-        let ring = |side: Side| Ring {
+        let ring = |side: usize| Ring {
             memory: memory.clone(),
             start: ring_of(side),
         };
@@ -169,10 +151,10 @@ impl Shared {
             written: AtomicU64::new(0),
         };
         let receiver = Receiver {
-            ring: ring(side.other()),
-            // To see whether room has come for what could not be written.
+            ring: ring(other),
+            // To see whether space is free for what could not be written.
             own: ring(side),
-            sleeper: Sleeper::of(&memory, side),
+            side,
             theirs,
             read: AtomicU64::new(0),
         };
@@ -181,8 +163,8 @@ impl Shared {
 }
 
 /// Where the ring begins into which a side writes.
-fn ring_of(side: Side) -> usize {
-    2 * BELL_LINES * LINE + side.index() * (RING_LINES * LINE + RING)
+fn ring_of(side: usize) -> usize {
+    2 * BELL_LINES * LINE + side * (RING_LINES * LINE + RING)
 }
 
 /// A field. All of them lie inside and are aligned: the memory has [`SIZE`] bytes.
@@ -191,9 +173,10 @@ fn long(memory: &Memory, at: usize) -> &AtomicU64 {
     memory.long(at).unwrap_or(&NOWHERE)
 }
 
-/// As [`long`], of 32 bits.
-fn short(memory: &Memory, at: usize) -> &AtomicU32 {
+/// Whether a side sleeps.
+fn sleeps(memory: &Memory, side: usize) -> &AtomicU32 {
     static NOWHERE: AtomicU32 = AtomicU32::new(0);
+    let at = side * BELL_LINES * LINE;
     memory.short(at).unwrap_or(&NOWHERE)
 }
 
@@ -208,40 +191,21 @@ pub fn bell() -> io::Result<OwnedFd> {
 /// Neither side can make the memory smaller under the other one.
 const SEALS: SealFlags = SealFlags::SHRINK.union(SealFlags::GROW);
 
-/// Says whether one side sleeps.
-#[derive(Clone)]
-struct Sleeper {
-    memory: Arc<Memory>,
-    start: usize,
-}
-
-impl Sleeper {
-    fn of(memory: &Arc<Memory>, side: Side) -> Self {
-        Self {
-            memory: memory.clone(),
-            start: side.index() * BELL_LINES * LINE,
-        }
-    }
-
-    fn sleeps(&self) -> &AtomicU32 {
-        short(&self.memory, self.start)
-    }
-}
-
 /// Wakes the other side when it sleeps.
 #[derive(Clone)]
 struct Bell {
-    sleeper: Sleeper,
+    memory: Arc<Memory>,
+    side: usize,
     fd: Arc<OwnedFd>,
 }
 
 impl Bell {
-    /// Wakes whoever sleeps beside it; costs nothing when nobody does.
+    /// Wakes whoever sleeps at it; costs nothing when nobody does.
     fn ring(&self) {
         // Pairs with the fence of the one who goes to sleep: either this sees the sleeper, or the
         // sleeper sees what was written before this.
         fence(Ordering::SeqCst);
-        let sleeps = self.sleeper.sleeps();
+        let sleeps = sleeps(&self.memory, self.side);
         if sleeps.load(Ordering::Relaxed) != 0 && sleeps.swap(0, Ordering::SeqCst) != 0 {
             // It can only fail when it was rung 2^64 times.
             let _ = rustix::io::write(&*self.fd, &1_u64.to_ne_bytes());
@@ -294,31 +258,31 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Writes as much as there is room for.
+    /// Writes as much as there is space for.
     ///
     /// # Errors
-    /// `WouldBlock` when there is no room; the bell of this side rings when there is some again.
+    /// `WouldBlock` when there is no space; the bell of this side rings when there is some again.
     /// `InvalidData` when the other side's positions cannot be.
     pub fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
         let written = self.written.load(Ordering::Relaxed);
-        let mut room = self.room(written)?;
-        if room == 0 {
-            self.ring.field(WANTS_ROOM).store(1, Ordering::SeqCst);
-            // The reader may have made room before it could see the wish.
-            room = self.room(written)?;
-            if room == 0 {
+        let mut space = self.space(written)?;
+        if space == 0 {
+            self.ring.field(WANTS_SPACE).store(1, Ordering::SeqCst);
+            // The reader may have freed some before it could see the wish.
+            space = self.space(written)?;
+            if space == 0 {
                 return Err(io::ErrorKind::WouldBlock.into());
             }
         }
         // Nobody waits any more; a wish that stays would keep the other thread of this side awake.
-        let wants = self.ring.field(WANTS_ROOM);
+        let wants = self.ring.field(WANTS_SPACE);
         if wants.load(Ordering::Relaxed) != 0 {
             wants.store(0, Ordering::SeqCst);
         }
         let mut at = written;
         for slice in slices {
-            let (mut now, _) = slice.split_at(slice.len().min(room));
-            room -= now.len();
+            let (mut now, _) = slice.split_at(slice.len().min(space));
+            space -= now.len();
             while !now.is_empty() {
                 let (place, until_wrap) = self.ring.place(at);
                 let (part, later) = now.split_at(now.len().min(until_wrap));
@@ -334,7 +298,7 @@ impl Sender {
         Ok(usize::try_from(at - written).unwrap_or(RING))
     }
 
-    fn room(&self, written: u64) -> io::Result<usize> {
+    fn space(&self, written: u64) -> io::Result<usize> {
         let read = self.ring.field(READ).load(Ordering::Acquire);
         let filled = Ring::filled(written, read);
         filled
@@ -347,7 +311,7 @@ impl Sender {
 pub struct Receiver {
     ring: Ring,
     own: Ring,
-    sleeper: Sleeper,
+    side: usize,
     theirs: Bell,
     /// Bytes ever read: what the memory says of it, the other side may have changed. Written by one
     /// thread at a time, which holds the lock of the stream.
@@ -375,27 +339,27 @@ impl Receiver {
             self.read.store(read, Ordering::Relaxed);
             self.ring.field(READ).store(read, Ordering::Release);
             fence(Ordering::SeqCst);
-            if self.ring.field(WANTS_ROOM).load(Ordering::Relaxed) != 0 {
+            if self.ring.field(WANTS_SPACE).load(Ordering::Relaxed) != 0 {
                 self.theirs.ring();
             }
         }
         Ok(count)
     }
 
-    /// Whether something has come, or room has for what waits for it.
+    /// Whether something has come, or space is free for what waits for it.
     pub fn has_work(&self) -> bool {
         let has_data =
             self.ring.field(WRITTEN).load(Ordering::Acquire) != self.read.load(Ordering::Relaxed);
-        has_data || (self.waits_for_room() && self.has_room())
+        has_data || (self.waits_for_space() && self.has_space())
     }
 
-    /// Whether this side has something to write for which there was no room. A peer that says otherwise in
+    /// Whether this side has something to write for which there was no space. A peer that says otherwise in
     /// the memory keeps only its own messages waiting.
-    pub fn waits_for_room(&self) -> bool {
-        self.own.field(WANTS_ROOM).load(Ordering::Acquire) != 0
+    pub fn waits_for_space(&self) -> bool {
+        self.own.field(WANTS_SPACE).load(Ordering::Acquire) != 0
     }
 
-    fn has_room(&self) -> bool {
+    fn has_space(&self) -> bool {
         let written = self.own.field(WRITTEN).load(Ordering::Acquire);
         let read = self.own.field(READ).load(Ordering::Acquire);
         written.wrapping_sub(read) < RING as u64
@@ -404,7 +368,7 @@ impl Receiver {
     /// This side's bell must ring from now on, or need no longer. Whoever goes to sleep looks for work
     /// once more, behind a fence.
     pub fn set_asleep(&self, asleep: bool) {
-        let sleeps = self.sleeper.sleeps();
+        let sleeps = sleeps(&self.ring.memory, self.side);
         sleeps.store(u32::from(asleep), Ordering::Relaxed);
     }
 }

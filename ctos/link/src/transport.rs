@@ -22,19 +22,17 @@ use tokio_rustls::TlsStream;
 
 pub use crate::address::{Address, AddressError};
 use crate::{
+    noise,
     security::{Identity, KeyError, Keys},
-    session::{Bytes, Writer},
+    session::Bytes,
     zenoh,
 };
-
-impl<S: AsyncRead + AsyncWrite + Send + Unpin + 'static> Bytes for TlsStream<S> {}
 
 /// A stream between two processes.
 pub enum Stream {
     Tcp(TcpStream),
     Unix(UnixStream),
-    Tls(Box<TlsStream<TcpStream>>),
-    /// Over zenoh, with TLS or without.
+    /// With TLS, or over zenoh.
     Other(Box<dyn Bytes>),
 }
 
@@ -44,26 +42,7 @@ impl Stream {
         match self {
             Self::Tcp(stream) => stream.peer_addr().is_ok_and(|peer| peer.ip().is_loopback()),
             Self::Unix(_) => true,
-            Self::Tls(_) | Self::Other(_) => false,
-        }
-    }
-
-    /// The half that is read, and the half that is written.
-    pub fn split(self) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
-        match self {
-            Self::Tcp(stream) => {
-                let (reader, writer) = stream.into_split();
-                (Box::new(reader), Writer::Tcp(writer))
-            }
-            Self::Unix(stream) => {
-                let (reader, writer) = stream.into_split();
-                (Box::new(reader), Writer::Unix(writer))
-            }
-            Self::Tls(stream) => {
-                let (reader, writer) = tokio::io::split(*stream);
-                (Box::new(reader), Writer::Other(Box::new(writer)))
-            }
-            Self::Other(stream) => stream.halves(),
+            Self::Other(_) => false,
         }
     }
 }
@@ -73,7 +52,6 @@ macro_rules! each_stream {
         match $stream {
             Stream::Tcp($inner) => $does,
             Stream::Unix($inner) => $does,
-            Stream::Tls($inner) => $does,
             Stream::Other($inner) => $does,
         }
     };
@@ -96,6 +74,18 @@ impl AsyncWrite for Stream {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         each_stream!(self.get_mut(), stream => Pin::new(stream).poll_write(cx, bytes))
+    }
+
+    fn poll_write_vectored(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        slices: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        each_stream!(self.get_mut(), stream => Pin::new(stream).poll_write_vectored(cx, slices))
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        each_stream!(self, stream => stream.is_write_vectored())
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -165,11 +155,7 @@ pub async fn connect_over(
         Address::Tcp(to) => {
             let stream = TcpStream::connect(to).await.map_err(io)?;
             stream.set_nodelay(true).map_err(io)?;
-            let Some(keys) = keys else {
-                return Ok((Stream::Tcp(stream), None));
-            };
-            let (stream, identity) = keys.call(stream).await.map_err(key)?;
-            Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
+            call(stream, Stream::Tcp, keys).await.map_err(key)
         }
         Address::Zenoh(to) => {
             let none = || io::Error::other("this process is in no zenoh network");
@@ -178,14 +164,39 @@ pub async fn connect_over(
                 None => Err(none()),
             };
             let stream = stream.map_err(io)?;
-            let Some(keys) = keys else {
-                return Ok((Stream::Other(Box::new(stream)), None));
-            };
-            let (stream, identity) = keys.call(stream).await.map_err(key)?;
-            let stream = TlsStream::from(stream);
-            Ok((Stream::Other(Box::new(stream)), Some(identity)))
+            call(stream, other, keys).await.map_err(key)
         }
     }
+}
+
+/// Both ends of a call prove who they are, where there are keys; without, it is the stream that `plain` makes.
+async fn call<S: Bytes + 'static>(
+    stream: S,
+    plain: fn(S) -> Stream,
+    keys: Option<&Arc<Keys>>,
+) -> Result<(Stream, Option<Identity>), KeyError> {
+    let Some(keys) = keys else {
+        return Ok((plain(stream), None));
+    };
+    let (stream, identity) = keys.call(stream).await?;
+    Ok((other(TlsStream::from(stream)), Some(identity)))
+}
+
+/// As [`call`], where one is called.
+async fn answer<S: Bytes + 'static>(
+    stream: S,
+    plain: fn(S) -> Stream,
+    keys: Option<Arc<Keys>>,
+) -> Result<(Stream, Option<Identity>), KeyError> {
+    let Some(keys) = keys else {
+        return Ok((plain(stream), None));
+    };
+    let (stream, identity) = keys.answer(stream).await?;
+    Ok((other(TlsStream::from(stream)), Some(identity)))
+}
+
+fn other(stream: impl Bytes + 'static) -> Stream {
+    Stream::Other(Box::new(stream))
 }
 
 /// How much of what a browser says is read before it is hung up on, bytes.
@@ -238,21 +249,9 @@ impl Call {
             Self::Tcp(mut stream, keys) => {
                 stream.set_nodelay(true)?;
                 refuse_browser(&mut stream).await?;
-                let Some(keys) = keys else {
-                    return Ok((Stream::Tcp(stream), None));
-                };
-                let (stream, identity) = keys.answer(stream).await?;
-                Ok((Stream::Tls(Box::new(stream.into())), Some(identity)))
+                answer(stream, Stream::Tcp, keys).await
             }
-            Self::Zenoh(caller, None) => {
-                let stream = caller.answer().await?;
-                Ok((Stream::Other(Box::new(stream)), None))
-            }
-            Self::Zenoh(caller, Some(keys)) => {
-                let (stream, identity) = keys.answer(caller.answer().await?).await?;
-                let stream = TlsStream::from(stream);
-                Ok((Stream::Other(Box::new(stream)), Some(identity)))
-            }
+            Self::Zenoh(caller, keys) => answer(caller.answer().await?, other, keys).await,
         }
     }
 }
@@ -325,9 +324,7 @@ impl Listener {
     pub fn unix(name: &str) -> io::Result<Self> {
         let folder = socket_folder()?;
         remove_stale(&folder);
-        let mut noise = [0_u8; 6];
-        getrandom::fill(&mut noise).map_err(|error| io::Error::other(error.to_string()))?;
-        let path = folder.join(socket_name(name, noise));
+        let path = folder.join(socket_name(name, noise::bytes()?));
         let listener = listen_at(&path)?;
         Ok(Self::Unix(listener, SocketFile { path }))
     }
@@ -381,9 +378,8 @@ pub fn listen_at(path: &Path) -> io::Result<UnixListener> {
 /// The file of a socket at which chassis `name` is called. No control socket has such a name, which is the number of its
 /// process to whoever looks for those of processes that have ended: the noise may consist of digits alone.
 pub fn socket_name(name: &str, noise: [u8; 6]) -> String {
-    let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
     let short: String = name.chars().take(16).collect();
-    format!("{short}-{noise}.{LINK}")
+    format!("{short}-{}.{LINK}", noise::text(noise))
 }
 
 /// How the files of sockets end at which chassis are called, and those of control sockets.
@@ -463,8 +459,6 @@ fn remove_stale(folder: &Path) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    impl Bytes for tokio::io::DuplexStream {}
 
     #[tokio::test]
     async fn only_a_stream_whose_other_end_is_known_to_be_on_this_host_is_nearby() {

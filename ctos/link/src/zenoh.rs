@@ -32,7 +32,7 @@ use self::{
     settings::{Part, settings},
     stream::{End, StreamKeys},
 };
-use crate::{address::is_plain_key, config::App, lock::lock, security};
+use crate::{address::is_plain_key, config::App, lock::lock, noise, security};
 
 /// Every key begins so.
 const ROOT: &str = "ctos";
@@ -44,10 +44,10 @@ const CALLERS: usize = 64;
 const CALL_AGAIN: Duration = Duration::from_millis(100);
 
 /// How long who is called may take to answer before the call is tried again.
-const ANSWER_LIMIT: Duration = Duration::from_secs(1);
+const ANSWER_DEADLINE: Duration = Duration::from_secs(1);
 
 /// How long the goodbye to the network may take.
-const CLOSE_LIMIT: Duration = Duration::from_secs(1);
+const CLOSE_DEADLINE: Duration = Duration::from_secs(1);
 
 /// Runs what waits for zenoh on a thread of its own.
 async fn on_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> io::Result<T> {
@@ -133,6 +133,37 @@ impl Fabric {
         })))
     }
 
+    /// Opens a stream on a thread of its own, which then publishes what is written to it. `open` is told whether nobody
+    /// waits for it any more.
+    async fn stream<F>(&self, open: F) -> io::Result<ZenohStream>
+    where
+        F: FnOnce(&Session, &dyn Fn() -> bool) -> io::Result<End> + Send + 'static,
+    {
+        let (alive, membership) = (self.alive()?, self.membership.clone());
+        let (sender, opened) = oneshot::channel();
+        std::thread::Builder::new()
+            .name("zenoh-stream".to_owned())
+            .spawn(move || {
+                let ended = || sender.is_closed();
+                match membership
+                    .session()
+                    .and_then(|session| open(session, &ended))
+                {
+                    Ok(end) => {
+                        // Nobody takes it when who waited gave up just now: then it is dropped and ends.
+                        let _ = sender.send(Ok(end.stream()));
+                        end.publish(alive);
+                    }
+                    Err(error) => {
+                        let _ = sender.send(Err(error));
+                    }
+                }
+            })?;
+        opened
+            .await
+            .map_err(|_| io::Error::other("zenoh ended unexpectedly"))?
+    }
+
     fn alive(&self) -> io::Result<mpsc::Sender<()>> {
         let closing = || io::Error::other("this process leaves the zenoh network");
         lock(&self.alive).clone().ok_or_else(closing)
@@ -143,7 +174,12 @@ impl Fabric {
     /// # Errors
     /// When there is no randomness, or the session is over.
     pub async fn listen(self: &Arc<Self>, name: &str) -> io::Result<Listener> {
-        let key = format!("{}/{}-{}", self.prefix, key_part(name), noise::<6>()?);
+        let key = format!(
+            "{}/{}-{}",
+            self.prefix,
+            key_part(name),
+            noise::text(noise::bytes::<6>()?)
+        );
         let (sender, calls) = mpsc::channel(CALLERS);
         let (membership, at) = (self.membership.clone(), format!("{key}/call"));
         on_thread(move || {
@@ -151,7 +187,7 @@ impl Fabric {
                 .session()?
                 .declare_queryable(at)
                 .callback(move |query: Query| {
-                    // One for whom there is no room is not answered, and calls again.
+                    // One for whom there is no place is not answered, and calls again.
                     let _ = sender.try_send(query);
                 })
                 .background()
@@ -176,26 +212,9 @@ impl Fabric {
             let text = format!("`{key}` is not a key of this app");
             return Err(io::Error::new(io::ErrorKind::InvalidInput, text));
         }
-        let (alive, membership, key) = (self.alive()?, self.membership.clone(), key.to_owned());
-        let (sender, called) = oneshot::channel();
-        std::thread::Builder::new()
-            .name("zenoh-stream".to_owned())
-            .spawn(move || {
-                let ended = || sender.is_closed();
-                match membership.session().and_then(|on| call(on, &key, ended)) {
-                    Ok(end) => {
-                        // Nobody takes it when the caller gave up just now: then it is dropped and ends.
-                        let _ = sender.send(Ok(end.stream()));
-                        end.publish(alive);
-                    }
-                    Err(error) => {
-                        let _ = sender.send(Err(error));
-                    }
-                }
-            })?;
-        called
+        let key = key.to_owned();
+        self.stream(move |session, ended| call(session, &key, ended))
             .await
-            .map_err(|_| io::Error::other("zenoh ended unexpectedly"))?
     }
 
     /// Leaves the network once everything written has arrived, or cannot.
@@ -203,13 +222,13 @@ impl Fabric {
         drop(lock(&self.alive).take());
         let over = async { self.over.lock().await.recv().await };
         // What does not arrive in time belongs to somebody who no longer reads.
-        let _ = tokio::time::timeout(CLOSE_LIMIT, over).await;
+        let _ = tokio::time::timeout(CLOSE_DEADLINE, over).await;
         let membership = self.membership.clone();
         let left = on_thread(move || match membership.session() {
             Ok(session) => session.close().wait().map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         });
-        if let Ok(Ok(Err(error))) = tokio::time::timeout(CLOSE_LIMIT, left).await {
+        if let Ok(Ok(Err(error))) = tokio::time::timeout(CLOSE_DEADLINE, left).await {
             tracing::debug!(error, "the zenoh network was not left in order");
         }
     }
@@ -221,7 +240,7 @@ fn call(session: &Session, key: &str, ended: impl Fn() -> bool) -> io::Result<En
     let querier = session
         .declare_querier(format!("{key}/call"))
         .consolidation(ConsolidationMode::None)
-        .timeout(ANSWER_LIMIT)
+        .timeout(ANSWER_DEADLINE)
         .wait()
         .map_err(failed())?;
     let (sender, changes) = std::sync::mpsc::channel();
@@ -245,10 +264,10 @@ fn call(session: &Session, key: &str, ended: impl Fn() -> bool) -> io::Result<En
             }
         }
         // A stream of its own for each attempt: an answer that comes too late must not meet the next.
-        let id = noise::<12>()?;
+        let id = noise::text(noise::bytes::<12>()?);
         let end = End::open(session, &StreamKeys::of_caller(key, &id)).map_err(failed())?;
         let replies = querier.get().payload(id).wait().map_err(failed())?;
-        // Ends with an answer, without one, or with the querier's limit.
+        // Ends with an answer, without one, or with the querier's deadline.
         if replies.recv().is_ok_and(|reply| reply.result().is_ok()) {
             return Ok(end);
         }
@@ -301,43 +320,16 @@ impl Caller {
         let Self { fabric, key, query } = self;
         let id = query.payload().and_then(stream_id);
         let id = id.ok_or_else(|| io::Error::other("a call over zenoh without a stream's id"))?;
-        let (alive, membership) = (fabric.alive()?, fabric.membership.clone());
-        let (sender, answered) = oneshot::channel();
-        std::thread::Builder::new()
-            .name("zenoh-stream".to_owned())
-            .spawn(move || {
-                let failed = || refused("cannot answer a call");
-                let opened = membership.session().and_then(|session| {
-                    let end = End::open(session, &StreamKeys::of_called(&key, &id));
-                    let end = end.map_err(failed())?;
-                    let answer = query.reply(query.key_expr().clone(), id);
-                    answer.wait().map_err(failed())?;
-                    // The answer ends with the query.
-                    drop(query);
-                    Ok(end)
-                });
-                match opened {
-                    Ok(end) => {
-                        // Nobody takes it when the door was closed just now: then it is dropped and ends.
-                        let _ = sender.send(Ok(end.stream()));
-                        end.publish(alive);
-                    }
-                    Err(error) => {
-                        let _ = sender.send(Err(error));
-                    }
-                }
-            })?;
-        answered
-            .await
-            .map_err(|_| io::Error::other("zenoh ended unexpectedly"))?
+        let open = move |session: &Session, _: &dyn Fn() -> bool| {
+            let failed = || refused("cannot answer a call");
+            let end = End::open(session, &StreamKeys::of_called(&key, &id)).map_err(failed())?;
+            let answer = query.reply(query.key_expr().clone(), id);
+            // The answer ends with the query, which goes with this.
+            answer.wait().map_err(failed())?;
+            Ok(end)
+        };
+        fabric.stream(open).await
     }
-}
-
-/// So many random bytes, as text.
-fn noise<const BYTES: usize>() -> io::Result<String> {
-    let mut bytes = [0_u8; BYTES];
-    getrandom::fill(&mut bytes).map_err(|error| io::Error::other(error.to_string()))?;
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// A stream's id, if it is one: it becomes part of a key, so nothing else may stand in it.

@@ -198,9 +198,10 @@ impl<'de> Deserialize<'de> for Blob {
 /// The data of a message on its way over a link: bytes, and large blobs that belong in between.
 #[derive(Debug, Clone, Default)]
 pub struct Body {
+    /// What stands before the first large blob: mostly all.
     bytes: Vec<u8>,
-    /// Each with the place in `bytes` before which it belongs; in that order.
-    blobs: Vec<(usize, Bytes)>,
+    /// That blob, and what follows it.
+    rest: Vec<Bytes>,
 }
 
 impl Body {
@@ -211,8 +212,8 @@ impl Body {
 
     /// How many bytes it is.
     pub fn len(&self) -> usize {
-        let blobs = self.blobs.iter().map(|(_, blob)| blob.len());
-        self.bytes.len() + blobs.sum::<usize>()
+        let rest = self.rest.iter().map(Bytes::len);
+        self.bytes.len() + rest.sum::<usize>()
     }
 
     /// The bytes, when they are in one piece.
@@ -220,37 +221,25 @@ impl Body {
     /// # Errors
     /// The body as it is, when blobs belong in between.
     pub fn into_bytes(self) -> Result<Vec<u8>, Self> {
-        if self.blobs.is_empty() {
+        if self.rest.is_empty() {
             Ok(self.bytes)
         } else {
             Err(self)
         }
     }
 
-    /// Its pieces, in order.
-    fn pieces(&self) -> impl Iterator<Item = &[u8]> {
-        let mut taken = 0;
-        let mut rest = self.bytes.as_slice();
-        let blobs = self.blobs.iter().flat_map(move |(place, blob)| {
-            let (before, after) = rest.split_at(place.saturating_sub(taken).min(rest.len()));
-            taken = *place;
-            rest = after;
-            [before, blob.as_ref()]
-        });
-        let last = self.blobs.last().map_or(0, |(place, _)| *place);
-        blobs.chain(self.bytes.get(last..))
-    }
-
     /// Appends all of it to `buffer`.
     pub fn append_to(&self, buffer: &mut Vec<u8>) {
         buffer.reserve(self.len());
-        self.pieces()
-            .for_each(|piece| buffer.extend_from_slice(piece));
+        buffer.extend_from_slice(&self.bytes);
+        self.rest
+            .iter()
+            .for_each(|part| buffer.extend_from_slice(part));
     }
 
     /// In one piece; without a copy where it is.
     pub fn into_vec(self) -> Vec<u8> {
-        if self.blobs.is_empty() {
+        if self.rest.is_empty() {
             return self.bytes;
         }
         let mut all = Vec::new();
@@ -260,31 +249,14 @@ impl Body {
 
     /// In its parts, the first apart from the others, of which there are mostly none.
     pub fn into_parts(self) -> (Bytes, Vec<Bytes>) {
-        let mut rest = Bytes::from(self.bytes);
-        let mut parts = Vec::new();
-        let mut taken = 0;
-        for (place, blob) in self.blobs {
-            let before = rest.split_to(place.saturating_sub(taken).min(rest.len()));
-            taken = place;
-            parts.push(before);
-            parts.push(blob);
-        }
-        if parts.is_empty() {
-            return (rest, parts);
-        }
-        parts.push(rest);
-        let first = parts.remove(0);
-        parts.retain(|part| !part.is_empty());
-        (first, parts)
+        (self.bytes.into(), self.rest)
     }
 }
 
 impl From<Vec<u8>> for Body {
     fn from(bytes: Vec<u8>) -> Self {
-        Self {
-            bytes,
-            blobs: Vec::new(),
-        }
+        let rest = Vec::new();
+        Self { bytes, rest }
     }
 }
 
@@ -313,10 +285,17 @@ impl<T> Drop for Emptied<T> {
 pub fn body_of<E>(encode: impl FnOnce() -> Result<Vec<u8>, E>) -> Result<Body, E> {
     let emptied = Emptied(&COLLECTED);
     COLLECTED.set(Some(Vec::new()));
-    let bytes = encode()?;
+    let mut bytes = encode()?;
     let blobs = COLLECTED.take().unwrap_or_default();
     drop(emptied);
-    Ok(Body { bytes, blobs })
+    let mut rest = Vec::new();
+    for (place, blob) in blobs.into_iter().rev() {
+        let behind = bytes.split_off(place.min(bytes.len()));
+        rest.extend((!behind.is_empty()).then(|| behind.into()));
+        rest.push(blob);
+    }
+    rest.reverse();
+    Ok(Body { bytes, rest })
 }
 
 /// For an output to which `bytes` are written at `place`: whether they are a blob that was collected,
@@ -345,12 +324,15 @@ pub fn read_from<T>(bytes: Vec<u8>, decode: impl FnOnce(&[u8]) -> T) -> T {
     if bytes.len() < LEAST {
         return decode(&bytes);
     }
+    let (bytes, _emptied) = lend(bytes);
+    decode(&bytes)
+}
+
+fn lend(bytes: Vec<u8>) -> (Bytes, Emptied<Bytes>) {
     let bytes = Bytes::from(bytes);
     let emptied = Emptied(&READ);
     READ.set(Some(bytes.clone()));
-    let read = decode(&bytes);
-    drop(emptied);
-    read
+    (bytes, emptied)
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ pub trait Command: Serialize + DeserializeOwned + Send + 'static {
 /// Codes from here on belong to the runtime.
 pub const SYSTEM_COMMANDS: u16 = 0xff00;
 
-/// The one command of the runtime that follows requests on a link; the others have room of their own.
+/// The one command of the runtime that follows requests on a link; the others have credits of their own.
 pub const FENCE: u16 = 0xff6a;
 
 /// What is known of a command without its types.
@@ -111,10 +111,7 @@ fn to_json<T: Serialize + DeserializeOwned + 'static>(
     json: &mut Vec<u8>,
 ) -> Result<(), PayloadError> {
     let value = decode::<T>(bytes)?;
-    serde_json::to_writer(json, &value).map_err(|error| PayloadError {
-        expected: std::any::type_name::<T>(),
-        reason: error.to_string(),
-    })
+    serde_json::to_writer(json, &value).map_err(PayloadError::of::<T>)
 }
 
 /// Code, name and documentation say what a command is; how it is turned into text follows from them.

@@ -31,10 +31,7 @@ impl<T: Serialize + Send + 'static> Payload for T {
     }
 
     fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
-        append(self, buffer).map_err(|error| PayloadError {
-            expected: std::any::type_name::<T>(),
-            reason: error.to_string(),
-        })
+        append(self, buffer).map_err(PayloadError::of::<T>)
     }
 }
 
@@ -79,19 +76,27 @@ pub struct PayloadError {
     pub reason: String,
 }
 
+impl PayloadError {
+    /// Data is not a `T`, and why.
+    pub(super) fn of<T: ?Sized>(reason: impl ToString) -> Self {
+        Self {
+            expected: std::any::type_name::<T>(),
+            reason: reason.to_string(),
+        }
+    }
+
+    /// What follows a `T` and should not.
+    pub(super) fn too_long<T>(rest: &[u8]) -> Self {
+        Self::of::<T>(format_args!("{} bytes too many", rest.len()))
+    }
+}
+
 /// Reads exactly one `T`.
 pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadError> {
-    let expected = std::any::type_name::<T>();
     match postcard::take_from_bytes::<T>(bytes) {
         Ok((value, [])) => Ok(value),
-        Ok((_, rest)) => Err(PayloadError {
-            expected,
-            reason: format!("{} bytes too many", rest.len()),
-        }),
-        Err(error) => Err(PayloadError {
-            expected,
-            reason: error.to_string(),
-        }),
+        Ok((_, rest)) => Err(PayloadError::too_long::<T>(rest)),
+        Err(error) => Err(PayloadError::of::<T>(error)),
     }
 }
 
@@ -119,14 +124,10 @@ impl Data {
     /// When the pointer is of another type, or the bytes do not decode to exactly one `T`.
     #[inline]
     pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
-        let expected = std::any::type_name::<T>();
         match self {
             Self::Typed(value) => match (value as Box<dyn Any>).downcast::<T>() {
                 Ok(value) => Ok(*value),
-                Err(_) => Err(PayloadError {
-                    expected,
-                    reason: "the sender passed another type".to_owned(),
-                }),
+                Err(_) => Err(PayloadError::of::<T>("the sender passed another type")),
             },
             Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
         }

@@ -5,26 +5,31 @@ use std::{fmt, time::Duration};
 use serde::{Deserialize, Serialize};
 
 /// Why a message did not lead to a reply, without the names of the tasks.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Fault {
     /// No task has this id (any more).
+    #[error("no such task is running")]
     UnknownTask,
-    /// The receiver's queue is full and so is the room for senders that wait.
+    /// The receiver's queue is full, and so is the line of senders that wait.
+    #[error("its queue is full ({capacity} messages)")]
     Full {
         /// The capacity of the queue.
         capacity: usize,
     },
     /// Too much is under way to the receiver's chassis already: it does not read, or not fast enough.
+    #[error("the link to its chassis is full ({bytes} bytes under way)")]
     LinkFull {
         /// Bytes that are under way.
         bytes: usize,
     },
     /// The reply did not come in time.
+    #[error("no answer within {:.3} s", .after.as_secs_f64())]
     Deadline {
         /// How long the sender waited.
         after: Duration,
     },
     /// The reply did not come in time, and could not: tasks wait for one another.
+    #[error("no answer within {:.3} s, because tasks wait for one another: {circle}", .after.as_secs_f64())]
     Circle {
         /// How long the sender waited.
         after: Duration,
@@ -32,79 +37,47 @@ pub enum Fault {
         circle: String,
     },
     /// The chassis of the receiver is gone.
+    #[error("chassis `{chassis}` is gone")]
     PeerDown {
         /// Its name.
         chassis: String,
     },
     /// The receiver takes no such command.
+    #[error("it takes no such command; it takes: {}", .takes.join(", "))]
     UnknownCommand {
         /// What it takes.
         takes: Vec<String>,
     },
     /// The data is not what the command needs.
+    #[error("the data cannot be read: {text}")]
     BadPayload {
         /// What is wrong with it.
         text: String,
     },
     /// The receiver understood and said no.
+    #[error("refused: {text}")]
     Refused {
         /// Its reason.
         text: String,
     },
     /// The receiver ended the request without an answer.
+    #[error("ended without an answer")]
     NoReply,
     /// The receiver's handler panicked.
+    #[error("the handler panicked: {text}")]
     Panicked {
         /// What the panic said.
         text: String,
     },
     /// The receiver is being stopped.
+    #[error("it is being stopped")]
     Stopping,
-    /// Whether there is room cannot be seen from here: the receiver is on another chassis.
+    /// Whether there is a permit cannot be seen from here: the receiver is on another chassis.
+    #[error("it is on chassis `{chassis}`, so whether it has room cannot be seen from here")]
     Elsewhere {
         /// Its name.
         chassis: String,
     },
-}
-
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::UnknownTask => f.write_str("no such task is running"),
-            Self::Full { capacity } => write!(f, "its queue is full ({capacity} messages)"),
-            Self::LinkFull { bytes } => {
-                write!(
-                    f,
-                    "the link to its chassis is full ({bytes} bytes under way)"
-                )
-            }
-            Self::Deadline { after } => {
-                write!(f, "no answer within {:.3} s", after.as_secs_f64())
-            }
-            Self::Circle { after, circle } => write!(
-                f,
-                "no answer within {:.3} s, because tasks wait for one another: {circle}",
-                after.as_secs_f64()
-            ),
-            Self::PeerDown { chassis } => write!(f, "chassis `{chassis}` is gone"),
-            Self::UnknownCommand { takes } => {
-                write!(
-                    f,
-                    "it takes no such command; it takes: {}",
-                    takes.join(", ")
-                )
-            }
-            Self::BadPayload { text } => write!(f, "the data cannot be read: {text}"),
-            Self::Refused { text } => write!(f, "refused: {text}"),
-            Self::NoReply => f.write_str("ended without an answer"),
-            Self::Panicked { text } => write!(f, "the handler panicked: {text}"),
-            Self::Stopping => f.write_str("it is being stopped"),
-            Self::Elsewhere { chassis } => write!(
-                f,
-                "it is on chassis `{chassis}`, so whether it has room cannot be seen from here"
-            ),
-        }
-    }
 }
 
 /// A call or a send that failed: who asked whom for what, and why it failed.

@@ -1,12 +1,12 @@
 //! A value in fields: how many a type has, and the postcard bytes of each. For whoever carries replies of types
 //! that it does not know, and keeps their parts apart.
 
-use std::fmt;
+use std::{cell::Cell, fmt};
 
+use postcard::de_flavors::Flavor;
 use serde::{
-    Serialize, Serializer,
-    de::DeserializeOwned,
-    ser::{Impossible, SerializeStruct, SerializeTuple, SerializeTupleStruct},
+    Deserializer, Serialize,
+    de::{DeserializeOwned, DeserializeSeed, SeqAccess, Visitor},
 };
 
 use super::{PayloadError, data::decode, shape::fields_of};
@@ -61,184 +61,139 @@ impl fmt::Debug for Fields {
     }
 }
 
-fn split<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
-    let value = decode::<T>(bytes)?;
-    match fields_of::<T>() {
-        0 => return Ok(Vec::new()),
+fn split<T: DeserializeOwned>(bytes: &[u8]) -> Result<Vec<Vec<u8>>, PayloadError> {
+    let count = fields_of::<T>();
+    if count < 2 {
+        decode::<T>(bytes)?;
         // Also of a structure of one field, whose bytes are those of the field.
-        1 => return Ok(vec![bytes.to_vec()]),
-        _ => {}
+        return Ok(vec![bytes.to_vec(); count]);
     }
-    value
-        .serialize(Apart(Vec::new()))
-        .map_err(|error| PayloadError {
-            expected: std::any::type_name::<T>(),
-            reason: error.to_string(),
-        })
+    let left = Cell::new(bytes);
+    let mut parts = Vec::new();
+    let apart = Apart {
+        from: &mut postcard::Deserializer::from_flavor(Left(&left)),
+        left: &left,
+        parts: &mut parts,
+        count: 0,
+    };
+    T::deserialize(apart).map_err(PayloadError::of::<T>)?;
+    match left.get() {
+        [] => Ok(parts),
+        rest => Err(PayloadError::too_long::<T>(rest)),
+    }
 }
 
-/// Writes each field of a structure or a tuple by itself.
-struct Apart(Vec<Vec<u8>>);
+/// Bytes that are read, and can be seen meanwhile.
+struct Left<'de>(&'de Cell<&'de [u8]>);
 
-type Parts = postcard::Result<Vec<Vec<u8>>>;
+impl<'de> Flavor<'de> for Left<'de> {
+    type Remainder = ();
+    type Source = ();
 
-impl Apart {
-    fn add<T: Serialize + ?Sized>(&mut self, field: &T) -> postcard::Result<()> {
-        self.0.push(postcard::to_stdvec(field)?);
+    fn pop(&mut self) -> postcard::Result<u8> {
+        let [byte] = *self.try_take_n(1)? else {
+            return Err(postcard::Error::DeserializeUnexpectedEnd);
+        };
+        Ok(byte)
+    }
+
+    fn size_hint(&self) -> Option<usize> {
+        Some(self.0.get().len())
+    }
+
+    fn try_take_n(&mut self, count: usize) -> postcard::Result<&'de [u8]> {
+        let split = self.0.get().split_at_checked(count);
+        let (taken, left) = split.ok_or(postcard::Error::DeserializeUnexpectedEnd)?;
+        self.0.set(left);
+        Ok(taken)
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
         Ok(())
     }
 }
 
-/// A value that is no structure and no tuple: [`count`] says so, and nobody comes here with one.
-const fn whole<T>() -> postcard::Result<T> {
-    Err(postcard::Error::WontImplement)
+/// Reads the outermost structure or tuple, and notes the bytes of each of its fields.
+struct Apart<'a, 'de> {
+    from: &'a mut postcard::Deserializer<'de, Left<'de>>,
+    left: &'de Cell<&'de [u8]>,
+    parts: &'a mut Vec<Vec<u8>>,
+    /// How many fields are still to come.
+    count: usize,
 }
 
-macro_rules! whole {
-    ($($name:ident($($type:ty),*);)+) => {$(
-        fn $name(self, $(_: $type),*) -> Parts {
-            whole()
-        }
-    )+};
-}
-
-type Never = Impossible<Vec<Vec<u8>>, postcard::Error>;
-
-impl Serializer for Apart {
-    type Ok = Vec<Vec<u8>>;
+impl<'de> SeqAccess<'de> for Apart<'_, 'de> {
     type Error = postcard::Error;
-    type SerializeSeq = Never;
-    type SerializeTuple = Self;
-    type SerializeTupleStruct = Self;
-    type SerializeTupleVariant = Never;
-    type SerializeMap = Never;
-    type SerializeStruct = Self;
-    type SerializeStructVariant = Never;
 
-    whole! {
-        serialize_bool(bool);
-        serialize_i8(i8);
-        serialize_i16(i16);
-        serialize_i32(i32);
-        serialize_i64(i64);
-        serialize_u8(u8);
-        serialize_u16(u16);
-        serialize_u32(u32);
-        serialize_u64(u64);
-        serialize_f32(f32);
-        serialize_f64(f64);
-        serialize_char(char);
-        serialize_str(&str);
-        serialize_bytes(&[u8]);
-        serialize_none();
-        serialize_unit();
-        serialize_unit_struct(&'static str);
-        serialize_unit_variant(&'static str, u32, &'static str);
+    fn next_element_seed<T: DeserializeSeed<'de>>(
+        &mut self,
+        seed: T,
+    ) -> postcard::Result<Option<T::Value>> {
+        let Some(count) = self.count.checked_sub(1) else {
+            return Ok(None);
+        };
+        self.count = count;
+        let before = self.left.get();
+        let value = seed.deserialize(&mut *self.from)?;
+        let size = before.len() - self.left.get().len();
+        self.parts.extend(before.get(..size).map(<[u8]>::to_vec));
+        Ok(Some(value))
     }
 
-    fn serialize_some<T: Serialize + ?Sized>(self, _: &T) -> Parts {
-        whole()
+    fn size_hint(&self) -> Option<usize> {
+        Some(self.count)
     }
+}
 
-    fn serialize_newtype_struct<T: Serialize + ?Sized>(self, _: &'static str, value: &T) -> Parts {
-        value.serialize(self)
-    }
-
-    fn serialize_newtype_variant<T: Serialize + ?Sized>(
-        self,
-        _: &'static str,
-        _: u32,
-        _: &'static str,
-        _: &T,
-    ) -> Parts {
-        whole()
-    }
-
-    fn serialize_seq(self, _: Option<usize>) -> postcard::Result<Never> {
-        whole()
-    }
-
-    fn serialize_tuple(self, _: usize) -> postcard::Result<Self> {
-        Ok(self)
-    }
-
-    fn serialize_tuple_struct(self, _: &'static str, _: usize) -> postcard::Result<Self> {
-        Ok(self)
-    }
-
-    fn serialize_tuple_variant(
-        self,
-        _: &'static str,
-        _: u32,
-        _: &'static str,
-        _: usize,
-    ) -> postcard::Result<Never> {
-        whole()
-    }
-
-    fn serialize_map(self, _: Option<usize>) -> postcard::Result<Never> {
-        whole()
-    }
-
-    fn serialize_struct(self, _: &'static str, _: usize) -> postcard::Result<Self> {
-        Ok(self)
-    }
-
-    fn serialize_struct_variant(
-        self,
-        _: &'static str,
-        _: u32,
-        _: &'static str,
-        _: usize,
-    ) -> postcard::Result<Never> {
-        whole()
-    }
+impl<'de> Deserializer<'de> for Apart<'_, 'de> {
+    type Error = postcard::Error;
 
     fn is_human_readable(&self) -> bool {
         false
     }
-}
 
-impl SerializeTuple for Apart {
-    type Ok = Vec<Vec<u8>>;
-    type Error = postcard::Error;
-
-    fn serialize_element<T: Serialize + ?Sized>(&mut self, value: &T) -> postcard::Result<()> {
-        self.add(value)
+    /// No structure and no tuple: [`fields_of`] says so, and nobody comes here with one.
+    fn deserialize_any<V: Visitor<'de>>(self, _: V) -> postcard::Result<V::Value> {
+        Err(postcard::Error::WontImplement)
     }
 
-    fn end(self) -> Parts {
-        Ok(self.0)
-    }
-}
-
-impl SerializeTupleStruct for Apart {
-    type Ok = Vec<Vec<u8>>;
-    type Error = postcard::Error;
-
-    fn serialize_field<T: Serialize + ?Sized>(&mut self, value: &T) -> postcard::Result<()> {
-        self.add(value)
-    }
-
-    fn end(self) -> Parts {
-        Ok(self.0)
-    }
-}
-
-impl SerializeStruct for Apart {
-    type Ok = Vec<Vec<u8>>;
-    type Error = postcard::Error;
-
-    fn serialize_field<T: Serialize + ?Sized>(
-        &mut self,
+    fn deserialize_newtype_struct<V: Visitor<'de>>(
+        self,
         _: &'static str,
-        value: &T,
-    ) -> postcard::Result<()> {
-        self.add(value)
+        visitor: V,
+    ) -> postcard::Result<V::Value> {
+        visitor.visit_newtype_struct(self)
     }
 
-    fn end(self) -> Parts {
-        Ok(self.0)
+    fn deserialize_tuple<V: Visitor<'de>>(
+        self,
+        count: usize,
+        visitor: V,
+    ) -> postcard::Result<V::Value> {
+        visitor.visit_seq(Self { count, ..self })
+    }
+
+    fn deserialize_tuple_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        count: usize,
+        visitor: V,
+    ) -> postcard::Result<V::Value> {
+        self.deserialize_tuple(count, visitor)
+    }
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> postcard::Result<V::Value> {
+        self.deserialize_tuple(fields.len(), visitor)
+    }
+
+    serde::forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf
+        option unit unit_struct seq map enum identifier ignored_any
     }
 }
 

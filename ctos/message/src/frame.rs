@@ -13,7 +13,7 @@ pub const FRAME_FIXED: usize = Header::BYTES + 3 * 8;
 /// The most data that one message carries between chassis, bytes.
 pub const BODY_LIMIT: usize = FRAME_LIMIT - FRAME_FIXED;
 
-/// A message on its way between two chassis: the 16-byte header, what a message needs besides it to
+/// A message on its way between two chassis: the 16-byte header, what a message needs in addition to
 /// be answered, followed and given up in time, and the data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
@@ -142,7 +142,7 @@ pub struct Counts {
     pub bytes_in: u64,
     /// Streams it has had; all but the first are reconnections.
     pub streams: u64,
-    /// Frames for which there was no room.
+    /// Frames for which there were no credits.
     pub refused: u64,
     /// Bytes that are under way and not acknowledged.
     pub bytes_under_way: u64,
@@ -151,7 +151,7 @@ pub struct Counts {
 /// A way to another chassis. Frames posted by one thread arrive in their order.
 ///
 /// Posting never waits: what is under way is bounded, and a request beyond that is refused. Answers and
-/// messages of the runtime have room of their own and are never refused.
+/// messages of the runtime have credits of their own and are never refused.
 pub trait Link: Send + Sync {
     /// Sends a frame. A link that is down drops it; its calls end when the chassis learns so.
     ///

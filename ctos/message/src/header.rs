@@ -143,30 +143,13 @@ impl Header {
     /// Reads 16 bytes.
     #[must_use]
     pub fn decode(bytes: &[u8; Self::BYTES]) -> Self {
-        let [
-            t0,
-            t1,
-            t2,
-            t3,
-            f0,
-            f1,
-            f2,
-            f3,
-            c0,
-            c1,
-            g0,
-            g1,
-            s0,
-            s1,
-            s2,
-            s3,
-        ] = *bytes;
+        let all = u128::from_le_bytes(*bytes);
         Self {
-            to: Tid::from_bits(u32::from_le_bytes([t0, t1, t2, t3])),
-            from: Tid::from_bits(u32::from_le_bytes([f0, f1, f2, f3])),
-            command: u16::from_le_bytes([c0, c1]),
-            flags: Flags::from_bits(u16::from_le_bytes([g0, g1])),
-            size: u32::from_le_bytes([s0, s1, s2, s3]),
+            to: Tid::from_bits(all as u32),
+            from: Tid::from_bits((all >> 32) as u32),
+            command: (all >> 64) as u16,
+            flags: Flags::from_bits((all >> 80) as u16),
+            size: (all >> 96) as u32,
         }
     }
 }

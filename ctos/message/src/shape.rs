@@ -2,7 +2,7 @@
 //! reads postcard bytes as JSON.
 //! How it is found, `trace.rs` says.
 
-use std::panic::AssertUnwindSafe;
+use std::{mem::discriminant, panic::AssertUnwindSafe};
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -83,79 +83,23 @@ impl Shape {
         }
     }
 
-    /// What is in the option that this is.
-    pub(super) fn option(&mut self) -> &mut Self {
-        if !matches!(self, Self::Option(_)) {
-            *self = Self::Option(Box::new(Self::Unknown));
+    /// What is in this, which becomes `new` unless it is of that kind.
+    pub(super) fn within(&mut self, new: Self) -> &mut [Self] {
+        if discriminant(self) != discriminant(&new) {
+            *self = new;
         }
         match self {
-            Self::Option(inner) => inner,
-            other => other,
+            Self::Option(inner) | Self::Sequence(inner) => std::slice::from_mut(inner),
+            Self::Map(inner) => &mut inner[..],
+            Self::Tuple(inner) | Self::Struct(.., inner) | Self::Enum(.., inner) => inner,
+            Self::Unknown | Self::Leaf(_) | Self::Around(_) => &mut [],
         }
     }
 
-    /// What is in the sequence that this is.
-    pub(super) fn sequence(&mut self) -> &mut Self {
-        if !matches!(self, Self::Sequence(_)) {
-            *self = Self::Sequence(Box::new(Self::Unknown));
-        }
-        match self {
-            Self::Sequence(inner) => inner,
-            other => other,
-        }
-    }
-
-    /// What is in the map that this is.
-    pub(super) fn map(&mut self) -> Option<&mut [Self; 2]> {
-        if !matches!(self, Self::Map(_)) {
-            *self = Self::Map(Box::new([Self::Unknown, Self::Unknown]));
-        }
-        match self {
-            Self::Map(inner) => Some(inner),
-            _ => None,
-        }
-    }
-
-    /// What is in the tuple that this is.
-    pub(super) fn tuple(&mut self, count: usize) -> &mut [Self] {
-        if !matches!(self, Self::Tuple(_)) {
-            *self = Self::Tuple(vec![Self::Unknown; count]);
-        }
-        match self {
-            Self::Tuple(inner) => inner,
-            _ => &mut [],
-        }
-    }
-
-    /// What is in the struct that this is.
-    pub(super) fn fields(&mut self, name: &str, fields: &[&str]) -> &mut [Self] {
-        if !matches!(self, Self::Struct(..)) {
-            let names = fields.iter().map(|&field| field.to_owned()).collect();
-            *self = Self::Struct(name.to_owned(), names, vec![Self::Unknown; fields.len()]);
-        }
-        match self {
-            Self::Struct(.., inner) => inner,
-            _ => &mut [],
-        }
-    }
-
-    /// The first variant of the enum that this is of which something is unknown; its first one if there
-    /// is none.
-    pub(super) fn missing_variant(
-        &mut self,
-        name: &str,
-        variants: &[&str],
-    ) -> Option<(u32, &mut Self)> {
-        if !matches!(self, Self::Enum(..)) {
-            let names = variants.iter().map(|&name| name.to_owned()).collect();
-            *self = Self::Enum(name.to_owned(), names, vec![Self::Unknown; variants.len()]);
-        }
-        let Self::Enum(.., inner) = self else {
-            return None;
-        };
-        let missing = inner.iter().position(|shape| !shape.is_whole());
-        let number = missing.unwrap_or(0);
-        Some((u32::try_from(number).ok()?, inner.get_mut(number)?))
+    /// Fields or variants of which nothing is known, with their names.
+    pub(super) fn unknown(names: &[&str]) -> (Vec<String>, Vec<Self>) {
+        let unknown = vec![Self::Unknown; names.len()];
+        (names.iter().map(|&name| name.to_owned()).collect(), unknown)
     }
 
     /// Appends `bytes` as JSON to `json`, which is left as it was when they are no such value.
@@ -229,13 +173,14 @@ impl<'a> Reader<'a> {
             },
             Shape::Sequence(each) => {
                 let count = self.take::<usize>()?;
-                self.many(std::iter::repeat_n(&**each, count), depth)
+                self.many(std::iter::repeat_n((None, &**each), count), b"[]", depth)
             }
             Shape::Map(entry) => self.map(entry, depth),
-            Shape::Tuple(inner) => self.many(inner.iter(), depth),
+            Shape::Tuple(inner) => self.many(inner.iter().map(|shape| (None, shape)), b"[]", depth),
             Shape::Struct(_, names, inner) => {
                 self.around.push(shape);
-                let read = self.members(names, inner, depth);
+                let members = names.iter().map(Some).zip(inner);
+                let read = self.many(members, b"{}", depth);
                 self.around.pop();
                 read
             }
@@ -284,15 +229,25 @@ impl<'a> Reader<'a> {
         read
     }
 
-    fn many(&mut self, shapes: impl Iterator<Item = &'a Shape>, depth: usize) -> Option<()> {
-        self.byte(b'[');
-        for (index, shape) in shapes.enumerate() {
+    /// Values in brackets, each behind its name if it has one.
+    fn many(
+        &mut self,
+        values: impl Iterator<Item = (Option<&'a String>, &'a Shape)>,
+        [open, close]: &[u8; 2],
+        depth: usize,
+    ) -> Option<()> {
+        self.byte(*open);
+        for (index, (name, shape)) in values.enumerate() {
             if index > 0 {
                 self.byte(b',');
             }
+            if let Some(name) = name {
+                self.put(name)?;
+                self.byte(b':');
+            }
             self.value(shape, depth)?;
         }
-        self.byte(b']');
+        self.byte(*close);
         Some(())
     }
 
@@ -321,32 +276,13 @@ impl<'a> Reader<'a> {
         Some(())
     }
 
-    fn members(&mut self, names: &[String], inner: &'a [Shape], depth: usize) -> Option<()> {
-        self.byte(b'{');
-        for (index, (name, shape)) in names.iter().zip(inner).enumerate() {
-            if index > 0 {
-                self.byte(b',');
-            }
-            self.put(name)?;
-            self.byte(b':');
-            self.value(shape, depth)?;
-        }
-        self.byte(b'}');
-        Some(())
-    }
-
-    fn variant(&mut self, names: &[String], inner: &'a [Shape], depth: usize) -> Option<()> {
+    fn variant(&mut self, names: &'a [String], inner: &'a [Shape], depth: usize) -> Option<()> {
         let number = usize::try_from(self.take::<u32>()?).ok()?;
         let (name, shape) = (names.get(number)?, inner.get(number)?);
         if *shape == Shape::Leaf(Leaf::Nothing) {
             return self.put(name);
         }
-        self.byte(b'{');
-        self.put(name)?;
-        self.byte(b':');
-        self.value(shape, depth)?;
-        self.byte(b'}');
-        Some(())
+        self.many(std::iter::once((Some(name), shape)), b"{}", depth)
     }
 }
 

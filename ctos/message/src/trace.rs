@@ -1,6 +1,6 @@
 //! Finds the shape of a type: lets it read itself from nothing, and notes what it asks for.
 
-use std::fmt;
+use std::{fmt, marker::PhantomData};
 
 use serde::{
     Deserializer,
@@ -21,13 +21,7 @@ const DEPTH: usize = 64;
 pub(super) fn shape_of<T: DeserializeOwned>() -> Option<Shape> {
     let mut shape = Shape::Unknown;
     for _ in 0..PASSES {
-        let reading = Nothing {
-            shape: &mut shape,
-            around: &mut Vec::new(),
-            depth: 0,
-            again: false,
-        };
-        T::deserialize(reading).ok()?;
+        Way::default().read(&mut shape, PhantomData::<T>).ok()?;
         if shape.is_whole() {
             return Some(shape);
         }
@@ -39,12 +33,7 @@ pub(super) fn shape_of<T: DeserializeOwned>() -> Option<Shape> {
 pub(super) fn outermost<T: DeserializeOwned>() -> Shape {
     let mut shape = Shape::Unknown;
     // Only what it asks for first matters here.
-    let _ = T::deserialize(Nothing {
-        shape: &mut shape,
-        around: &mut Vec::new(),
-        depth: 0,
-        again: false,
-    });
+    let _ = Way::default().read(&mut shape, PhantomData::<T>);
     shape
 }
 
@@ -62,78 +51,98 @@ impl serde::de::Error for NoShape {
 /// What a type is read from.
 struct Nothing<'a> {
     shape: &'a mut Shape,
-    /// The names of the types around this one.
-    around: &'a mut Vec<&'static str>,
-    depth: usize,
-    /// Within a type that is around itself: as little as can be is read, and nothing noted.
-    again: bool,
+    way: &'a mut Way,
 }
 
-impl Nothing<'_> {
-    fn leaf(&mut self, leaf: Leaf) {
-        *self.shape = Shape::Leaf(leaf);
+/// What is around the type that is read.
+#[derive(Default)]
+struct Way {
+    /// The types that have names.
+    around: Vec<&'static str>,
+    depth: usize,
+    /// How many of them are around themselves: then as little as can be is read, and nothing noted.
+    again: usize,
+}
+
+impl Way {
+    /// Reads a type within those around it.
+    fn read<'de, S: DeserializeSeed<'de>>(
+        &mut self,
+        shape: &mut Shape,
+        seed: S,
+    ) -> Result<S::Value, NoShape> {
+        self.depth += 1;
+        let value = seed.deserialize(Nothing { shape, way: self });
+        self.depth -= 1;
+        value
     }
 
-    fn inner<'b>(&'b mut self, shape: &'b mut Shape) -> Nothing<'b> {
-        Nothing {
-            shape,
-            around: self.around,
-            depth: self.depth + 1,
-            again: self.again,
+    fn is_again(&self) -> bool {
+        self.again > 0
+    }
+
+    /// Enters a type that has a name: whether it is not around itself, and where its shape is noted.
+    fn enter<'s>(
+        &mut self,
+        name: &'static str,
+        shape: &'s mut Shape,
+        unnoted: &'s mut Shape,
+    ) -> Result<(bool, &'s mut Shape), NoShape> {
+        self.has_bottom()?;
+        let new = !self.is_again() && !self.around.contains(&name);
+        if new {
+            self.around.push(name);
+            return Ok((true, shape));
+        }
+        *shape = Shape::Around(name.to_owned());
+        self.again += 1;
+        Ok((false, unnoted))
+    }
+
+    fn leave(&mut self, new: bool) {
+        if new {
+            self.around.pop();
+        } else {
+            self.again -= 1;
         }
     }
 
-    /// Reads a type that has a name, which may be around itself.
-    fn named<T>(
-        mut self,
-        name: &'static str,
-        read: impl FnOnce(&mut Nothing<'_>, &mut Shape) -> Result<T, NoShape>,
-    ) -> Result<T, NoShape> {
+    fn has_bottom(&self) -> Result<(), NoShape> {
         if self.depth > DEPTH {
             return Err(NoShape("it has no bottom".to_owned()));
         }
-        if self.again || self.around.contains(&name) {
-            *self.shape = Shape::Around(name.to_owned());
-            self.again = true;
-            return read(&mut self, &mut Shape::Unknown);
-        }
-        self.around.push(name);
-        let mut shape = std::mem::replace(self.shape, Shape::Unknown);
-        let value = read(&mut self, &mut shape);
-        *self.shape = shape;
-        self.around.pop();
-        value
+        Ok(())
     }
 }
 
-/// Reads the members of a tuple or a struct.
-fn members<'de, V: Visitor<'de>>(
-    within: &mut Nothing<'_>,
-    shapes: &mut [Shape],
-    visitor: V,
-) -> Result<V::Value, NoShape> {
-    visitor.visit_seq(Members {
-        within,
-        shapes: shapes.iter_mut(),
-    })
-}
-
-struct Members<'a, 'b> {
-    within: &'a mut Nothing<'b>,
+/// The members of a tuple or a struct, or one entry of a map.
+struct Members<'a> {
+    way: &'a mut Way,
     shapes: std::slice::IterMut<'a, Shape>,
 }
 
-impl<'de> SeqAccess<'de> for Members<'_, '_> {
+impl<'a> Members<'a> {
+    fn new(way: &'a mut Way, shapes: &'a mut [Shape]) -> Self {
+        let shapes = shapes.iter_mut();
+        Self { way, shapes }
+    }
+
+    fn next<'de, S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, NoShape> {
+        let Some(shape) = self.shapes.next() else {
+            return Ok(None);
+        };
+        self.way.read(shape, seed).map(Some)
+    }
+}
+
+impl<'de> SeqAccess<'de> for Members<'_> {
     type Error = NoShape;
 
     fn next_element_seed<T: DeserializeSeed<'de>>(
         &mut self,
         seed: T,
     ) -> Result<Option<T::Value>, NoShape> {
-        let Some(shape) = self.shapes.next() else {
-            return Ok(None);
-        };
-        seed.deserialize(self.within.inner(shape)).map(Some)
+        self.next(seed)
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -141,41 +150,39 @@ impl<'de> SeqAccess<'de> for Members<'_, '_> {
     }
 }
 
-/// One entry of a map, or none.
-struct Entry<'a, 'b> {
-    within: &'a mut Nothing<'b>,
-    entry: &'a mut [Shape; 2],
-    left: bool,
-}
-
-impl<'de> MapAccess<'de> for Entry<'_, '_> {
+impl<'de> MapAccess<'de> for Members<'_> {
     type Error = NoShape;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(
         &mut self,
         seed: K,
     ) -> Result<Option<K::Value>, NoShape> {
-        if !std::mem::replace(&mut self.left, false) {
-            return Ok(None);
-        }
-        let [key, _] = &mut *self.entry;
-        seed.deserialize(self.within.inner(key)).map(Some)
+        self.next(seed)
     }
 
     fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, NoShape> {
-        let [_, value] = &mut *self.entry;
-        seed.deserialize(self.within.inner(value))
+        let none = || NoShape("a value was asked for without its key".to_owned());
+        self.next(seed)?.ok_or_else(none)
     }
 }
 
+fn tuple(count: usize) -> Shape {
+    Shape::Tuple(vec![Shape::Unknown; count])
+}
+
+fn structure(name: &str, fields: &[&str]) -> Shape {
+    let (names, unknown) = Shape::unknown(fields);
+    Shape::Struct(name.to_owned(), names, unknown)
+}
+
 /// One variant of an enum.
-struct Variant<'a, 'b> {
-    within: &'a mut Nothing<'b>,
+struct Variant<'a> {
+    way: &'a mut Way,
     shape: &'a mut Shape,
     number: u32,
 }
 
-impl<'de> EnumAccess<'de> for Variant<'_, '_> {
+impl<'de> EnumAccess<'de> for Variant<'_> {
     type Error = NoShape;
     type Variant = Self;
 
@@ -185,7 +192,7 @@ impl<'de> EnumAccess<'de> for Variant<'_, '_> {
     }
 }
 
-impl<'de> VariantAccess<'de> for Variant<'_, '_> {
+impl<'de> VariantAccess<'de> for Variant<'_> {
     type Error = NoShape;
 
     fn unit_variant(self) -> Result<(), NoShape> {
@@ -194,11 +201,11 @@ impl<'de> VariantAccess<'de> for Variant<'_, '_> {
     }
 
     fn newtype_variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<T::Value, NoShape> {
-        seed.deserialize(self.within.inner(self.shape))
+        self.way.read(self.shape, seed)
     }
 
     fn tuple_variant<V: Visitor<'de>>(self, len: usize, visitor: V) -> Result<V::Value, NoShape> {
-        members(self.within, self.shape.tuple(len), visitor)
+        visitor.visit_seq(Members::new(self.way, self.shape.within(tuple(len))))
     }
 
     fn struct_variant<V: Visitor<'de>>(
@@ -206,14 +213,17 @@ impl<'de> VariantAccess<'de> for Variant<'_, '_> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        members(self.within, self.shape.fields("", fields), visitor)
+        visitor.visit_seq(Members::new(
+            self.way,
+            self.shape.within(structure("", fields)),
+        ))
     }
 }
 
 macro_rules! leaves {
     ($($method:ident => $leaf:ident, $visit:ident, $value:expr;)*) => {
-        $(fn $method<V: Visitor<'de>>(mut self, visitor: V) -> Result<V::Value, NoShape> {
-            self.leaf(Leaf::$leaf);
+        $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
+            *self.shape = Shape::Leaf(Leaf::$leaf);
             visitor.$visit($value)
         })*
     };
@@ -248,8 +258,8 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         deserialize_byte_buf => Bytes, visit_bytes, &[];
     }
 
-    fn deserialize_unit<V: Visitor<'de>>(mut self, visitor: V) -> Result<V::Value, NoShape> {
-        self.leaf(Leaf::Unit);
+    fn deserialize_unit<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
+        *self.shape = Shape::Leaf(Leaf::Unit);
         visitor.visit_unit()
     }
 
@@ -266,46 +276,44 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         _: &'static str,
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        let Self { depth, .. } = self;
-        if depth > DEPTH {
-            return Err(NoShape("it has no bottom".to_owned()));
-        }
-        visitor.visit_newtype_struct(Nothing {
-            depth: depth + 1,
-            ..self
-        })
+        let Self { shape, way } = self;
+        way.has_bottom()?;
+        way.depth += 1;
+        let value = visitor.visit_newtype_struct(Nothing { shape, way });
+        way.depth -= 1;
+        value
     }
 
-    fn deserialize_option<V: Visitor<'de>>(mut self, visitor: V) -> Result<V::Value, NoShape> {
-        if self.again {
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
+        let Self { shape, way } = self;
+        if way.is_again() {
             return visitor.visit_none();
         }
-        let mut shape = std::mem::replace(self.shape, Shape::Unknown);
-        let value = visitor.visit_some(self.inner(shape.option()));
-        *self.shape = shape;
+        let [shape] = shape.within(Shape::Option(Box::new(Shape::Unknown))) else {
+            return visitor.visit_none();
+        };
+        way.depth += 1;
+        let value = visitor.visit_some(Nothing { shape, way });
+        way.depth -= 1;
         value
     }
 
-    fn deserialize_seq<V: Visitor<'de>>(mut self, visitor: V) -> Result<V::Value, NoShape> {
-        if self.again {
-            return members(&mut self, &mut [], visitor);
-        }
-        let mut shape = std::mem::replace(self.shape, Shape::Unknown);
-        let one = std::slice::from_mut(shape.sequence());
-        let value = members(&mut self, one, visitor);
-        *self.shape = shape;
-        value
+    fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
+        let Self { shape, way } = self;
+        let members = if way.is_again() {
+            &mut []
+        } else {
+            shape.within(Shape::Sequence(Box::new(Shape::Unknown)))
+        };
+        visitor.visit_seq(Members::new(way, members))
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(
-        mut self,
+        self,
         len: usize,
         visitor: V,
     ) -> Result<V::Value, NoShape> {
-        let mut shape = std::mem::replace(self.shape, Shape::Unknown);
-        let value = members(&mut self, shape.tuple(len), visitor);
-        *self.shape = shape;
-        value
+        visitor.visit_seq(Members::new(self.way, self.shape.within(tuple(len))))
     }
 
     fn deserialize_tuple_struct<V: Visitor<'de>>(
@@ -317,19 +325,14 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         self.deserialize_tuple(len, visitor)
     }
 
-    fn deserialize_map<V: Visitor<'de>>(mut self, visitor: V) -> Result<V::Value, NoShape> {
-        let mut shape = std::mem::replace(self.shape, Shape::Unknown);
-        let left = !self.again;
-        let Some(entry) = shape.map() else {
-            return Err(NoShape("it is no map".to_owned()));
+    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NoShape> {
+        let Self { shape, way } = self;
+        let entry = if way.is_again() {
+            &mut []
+        } else {
+            shape.within(Shape::Map(Box::new([Shape::Unknown, Shape::Unknown])))
         };
-        let value = visitor.visit_map(Entry {
-            within: &mut self,
-            entry,
-            left,
-        });
-        *self.shape = shape;
-        value
+        visitor.visit_map(Members::new(way, entry))
     }
 
     fn deserialize_struct<V: Visitor<'de>>(
@@ -339,9 +342,12 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         visitor: V,
     ) -> Result<V::Value, NoShape> {
         let name = std::any::type_name::<V::Value>();
-        self.named(name, |within, shape| {
-            members(within, shape.fields(name, fields), visitor)
-        })
+        let Self { shape, way } = self;
+        let mut unnoted = Shape::Unknown;
+        let (new, shape) = way.enter(name, shape, &mut unnoted)?;
+        let value = visitor.visit_seq(Members::new(way, shape.within(structure(name, fields))));
+        way.leave(new);
+        value
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -351,16 +357,20 @@ impl<'de> Deserializer<'de> for Nothing<'_> {
         visitor: V,
     ) -> Result<V::Value, NoShape> {
         let name = std::any::type_name::<V::Value>();
-        self.named(name, |within, shape| {
-            let Some((number, shape)) = shape.missing_variant(name, variants) else {
-                return Err(NoShape("it has no variants".to_owned()));
-            };
-            visitor.visit_enum(Variant {
-                within,
-                shape,
-                number,
-            })
-        })
+        let Self { shape, way } = self;
+        let mut unnoted = Shape::Unknown;
+        let (new, shape) = way.enter(name, shape, &mut unnoted)?;
+        let (names, unknown) = Shape::unknown(variants);
+        let shapes = shape.within(Shape::Enum(name.to_owned(), names, unknown));
+        // The first of which something is unknown, or the first of all.
+        let missing = shapes.iter().position(|shape| !shape.is_whole());
+        let number = missing.unwrap_or(0);
+        let value = match (u32::try_from(number), shapes.get_mut(number)) {
+            (Ok(number), Some(shape)) => visitor.visit_enum(Variant { way, shape, number }),
+            _ => Err(NoShape("it has no variants".to_owned())),
+        };
+        way.leave(new);
+        value
     }
 
     fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, NoShape> {

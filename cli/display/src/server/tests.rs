@@ -26,7 +26,7 @@ fn served(viewers: usize) -> Served {
     let address = listener.local_addr().unwrap();
     let pages = Pages::new(listener, None, &[]).unwrap();
     let (orders, _) = mpsc::channel(1);
-    let desk = Desk {
+    let service = Service {
         hub: Arc::new(Hub::live("app", Overviews::default(), None)),
         door: Door {
             token: Some("secret".to_owned()),
@@ -35,7 +35,7 @@ fn served(viewers: usize) -> Served {
             ..Door::default()
         },
         viewers,
-        rooms: rooms(viewers),
+        permits: permits(viewers),
         orders,
     };
     let (stop, stopped) = oneshot::channel();
@@ -44,7 +44,7 @@ fn served(viewers: usize) -> Served {
             .enable_all()
             .build()
             .unwrap();
-        runtime.block_on(serve(pages, desk, stopped)).unwrap();
+        runtime.block_on(serve(pages, service, stopped)).unwrap();
     });
     Served {
         address,

@@ -78,10 +78,7 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
     let Some(args) = findings.keep(task.args.parse::<PanelArgs>()) else {
         return;
     };
-    let at = |finding: Finding, key: &str| {
-        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-        finding.at(place)
-    };
+    let at = |finding: Finding, key: &str| page::at(task, key, finding);
     let name = &task.name;
     for file in &args.panels {
         match app.read(file) {
@@ -119,7 +116,5 @@ pub(super) fn check(task: &TaskConfig, app: &App, findings: &mut Findings) {
         let wanted = args.daemon.as_deref().unwrap_or_default();
         findings.push(finding.suggest(wanted, known.iter().map(String::as_str)));
     }
-    if let Some(finding) = page::unguarded(args.listen, app, "sorma::panel::open") {
-        findings.push(at(finding, "listen"));
-    }
+    page::check(task, args.listen, app, "sorma::panel::open", findings);
 }

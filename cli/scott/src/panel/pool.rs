@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use futures_util::{FutureExt as _, future::BoxFuture};
 use std::sync::Arc;
 
-use super::desk::Objects;
+use super::service::Objects;
 use crate::{attach::refusal, backend::Backend};
 
 /// Those who are asked. A request that takes long keeps no other waiting: each has one for itself.

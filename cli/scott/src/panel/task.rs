@@ -13,11 +13,11 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 
 use super::{
     args::PanelArgs,
-    desk::{Desk, Objects},
     script::Panel,
     server,
+    service::{Objects, Service},
 };
-use cli_common::page::{Front, Opener, Setting};
+use cli_common::page::{self, Front, Served, Setting};
 
 use crate::attach::refusal;
 
@@ -37,8 +37,7 @@ pub(super) struct ObjectPanel {
     args: PanelArgs,
     panels: Vec<Panel>,
     daemon: String,
-    stop: Option<oneshot::Sender<()>>,
-    opener: Option<Opener>,
+    served: Option<Served>,
     asked: Option<mpsc::Receiver<Asking>>,
 }
 
@@ -70,8 +69,7 @@ impl ObjectPanel {
             panels: args.read(cx.app(), &mut Findings::new()),
             daemon: daemon.ok_or_else(|| HandlerError::new("the app has no daemon to ask"))?,
             args,
-            stop: None,
-            opener: None,
+            served: None,
             asked: None,
         })
     }
@@ -85,17 +83,22 @@ impl ObjectPanel {
             allow_control: args.allow_control,
             token: args.token.as_deref(),
         };
-        let mut front = Front::bind(cx.app(), &setting)?;
-        self.opener = front.opener(&cx.app().name, cx.name(), "#")?;
         let (lines, asked) = mpsc::channel(LINES);
-        let page = front.url();
-        let panels = std::mem::take(&mut self.panels);
-        let desk = Desk::new(&cx.app().name, panels, front.take_door(), Carried(lines));
-        let serve =
-            |pages, stopped: oneshot::Receiver<()>| server::serve(pages, desk, stopped.map(|_| ()));
-        self.stop = Some(front.serve("panel", serve)?);
-        let open = self.opener.as_ref().map(tracing::field::display);
-        tracing::warn!(task = cx.name(), page, open, "a panel is served");
+        let (name, panels) = (cx.app().name.clone(), std::mem::take(&mut self.panels));
+        let serve = move |pages, door, stopped| {
+            let service = Service::new(&name, panels, door, Carried(lines));
+            server::serve(pages, service, stopped)
+        };
+        let front = Front::bind(cx.app(), &setting)?;
+        let served = front.serve_task(cx, "panel", "#", serve)?;
+        let open = served.opener.as_ref().map(tracing::field::display);
+        tracing::warn!(
+            task = cx.name(),
+            page = served.url,
+            open,
+            "a panel is served"
+        );
+        self.served = Some(served);
         self.asked = Some(asked);
         Ok(())
     }
@@ -107,10 +110,7 @@ impl EventHandler for ObjectPanel {
     }
 
     async fn phase(&mut self, cx: &Context, phase: Phase) -> Handled {
-        if cx.chassis().clock().origin_ns().is_none() {
-            if phase == Phase::Create {
-                tracing::info!(task = cx.name(), "nobody uses a panel in virtual time");
-            }
+        if page::is_needless(cx, phase) {
             return Ok(());
         }
         match phase {
@@ -128,20 +128,16 @@ impl EventHandler for ObjectPanel {
     }
 
     async fn stop(&mut self, _cx: &Context, _reason: &StopReason) -> Handled {
-        self.opener = None;
-        if let Some(stop) = self.stop.take() {
-            // The server may have ended already.
-            let _ = stop.send(());
-        }
+        self.served = None;
         Ok(())
     }
 }
 
-/// Has every line met, each beside the others.
+/// Has every line met, all at the same time.
 async fn carry(cx: &Context, daemon: &str, mut asked: mpsc::Receiver<Asking>) {
-    let room = Arc::new(Semaphore::new(UNDER_WAY));
+    let permits = Arc::new(Semaphore::new(UNDER_WAY));
     while let Some((line, reply)) = asked.recv().await {
-        let Ok(place) = Arc::clone(&room).try_acquire_owned() else {
+        let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
             // Whoever asked may be gone.
             let _ = reply.send(refusal(&line, "too many requests are under way"));
             continue;
@@ -149,7 +145,7 @@ async fn carry(cx: &Context, daemon: &str, mut asked: mpsc::Receiver<Asking>) {
         let (child, daemon) = (cx.clone(), daemon.to_owned());
         cx.spawn(async move {
             let _ = reply.send(met(&child, &daemon, line).await);
-            drop(place);
+            drop(permit);
         });
     }
 }

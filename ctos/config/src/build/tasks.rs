@@ -13,25 +13,20 @@ use crate::settings::Policy;
 impl Builder<'_> {
     pub(super) fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
         let entries = self.named(root, "task");
-        entries
-            .iter()
-            .filter_map(|entry| self.task(entry, chassis))
-            .collect()
+        let read = entries.iter();
+        read.filter_map(|entry| self.task(entry, chassis)).collect()
     }
 
     fn task(&mut self, entry: &Entry, chassis: &[ChassisConfig]) -> Option<TaskConfig> {
         let place = self.place_of(entry);
-        let what = format!("task `{}`", entry.key);
-        let mut fields = Fields::new(Some(&entry.value), what, keys::TASK, self.findings);
-        let handler = fields.required(
-            "handler",
-            "add handler = \"NAME\", the handler that this task runs",
-        );
+        let mut fields = Fields::named(entry, "task", keys::TASK, self.findings);
+        let help = "add handler = \"NAME\", the handler that this task runs";
+        let handler = fields.required("handler", help);
         let on = fields.required("on", "add on = \"CHASSIS\" or on = \"CHASSIS/PROCESSOR\"");
-        let queue = fields.integer("queue", 1..=65_536_usize).unwrap_or(QUEUE);
+        let queue = fields.integer("queue").unwrap_or(QUEUE);
         let restart = restart(&mut fields);
-        let call_deadline = fields.seconds("call_deadline_s", 86_400.0);
-        let handler_limit = fields.seconds("handler_limit_s", 86_400.0);
+        let call_deadline = fields.seconds("call_deadline_s");
+        let handler_limit = fields.seconds("handler_limit_s");
         let args = fields.table("args").cloned();
         let args = args.unwrap_or_else(|| Node::table().placed(&place));
         let (handler, handler_place) = handler?;
@@ -65,11 +60,8 @@ impl Builder<'_> {
             None => (on, None),
         };
         let Some(chassis) = all.iter().find(|chassis| chassis.name == name) else {
-            let finding = Finding::error(
-                "ctos::config::unknown_chassis",
-                format!("there is no chassis `{name}`"),
-            )
-            .at(place.clone());
+            let text = format!("there is no chassis `{name}`");
+            let finding = Finding::error("ctos::config::unknown_chassis", text).at(place.clone());
             self.findings.push(if all.is_empty() {
                 finding.help(format!("declare it: [chassis.{name}]"))
             } else {
@@ -84,12 +76,10 @@ impl Builder<'_> {
         };
         if found.is_none() {
             let wanted = processor.unwrap_or_default();
-            let finding = Finding::error(
-                "ctos::config::unknown_processor",
-                format!("chassis `{name}` has no processor `{wanted}`"),
-            );
-            self.findings
-                .push(finding.suggest(wanted, names()).at(place.clone()));
+            let text = format!("chassis `{name}` has no processor `{wanted}`");
+            let finding =
+                Finding::error("ctos::config::unknown_processor", text).suggest(wanted, names());
+            self.findings.push(finding.at(place.clone()));
         }
         found.map(|found| (chassis.name.clone(), found.to_owned()))
     }
@@ -120,14 +110,12 @@ impl Builder<'_> {
         let place = task.place;
         check_name("task", &task.name, &place, self.findings);
         if let Some(other) = tasks.iter().find(|other| other.name == task.name) {
-            let finding = Finding::error(
-                "ctos::config::same_name",
-                format!(
-                    "a task called `{}` is generated here, but `{}` is declared at {} already",
-                    task.name, task.name, other.place
-                ),
-            )
-            .help("rename one of them");
+            let (name, at) = (&task.name, &other.place);
+            let text = format!(
+                "a task called `{name}` is generated here, but `{name}` is declared at {at} already"
+            );
+            let finding =
+                Finding::error("ctos::config::same_name", text).help("rename one of them");
             self.findings.push(finding.at(place));
             return;
         }
@@ -155,10 +143,8 @@ impl Builder<'_> {
             // With errors, the task that belongs there may be the one that could not be read.
             let used = tasks.iter().any(|task| task.chassis == one.name);
             if !used && !self.findings.has_errors() {
-                let finding = Finding::warning(
-                    "ctos::config::idle_chassis",
-                    format!("no task is on chassis `{}`", one.name),
-                );
+                let text = format!("no task is on chassis `{}`", one.name);
+                let finding = Finding::warning("ctos::config::idle_chassis", text);
                 self.findings.push(finding.at(one.place.clone()));
             }
         }
@@ -172,19 +158,15 @@ impl Builder<'_> {
         root: &Node,
         tasks: &[TaskConfig],
     ) {
-        let declared = root
-            .entry("task")
-            .map_or(&[][..], |entry| entry.value.entries());
+        let declared = root.tables("task");
         let names = || {
             let declared = declared.iter().map(|entry| entry.key.as_str());
             let made = tasks.iter().map(|task| task.name.as_str());
             declared.chain(made)
         };
         if !names().any(|name| name == until) {
-            let finding = Finding::error(
-                "ctos::config::unknown_task",
-                format!("`until` waits for the task `{until}`, which does not exist"),
-            );
+            let text = format!("`until` waits for the task `{until}`, which does not exist");
+            let finding = Finding::error("ctos::config::unknown_task", text);
             let mut known: Vec<_> = names().collect();
             known.sort_unstable();
             known.dedup();

@@ -6,7 +6,10 @@ use std::{
     thread::ThreadId,
 };
 
-use super::*;
+use super::{
+    sources::{TIMER, WAKER},
+    *,
+};
 
 /// Says by which thread it was served, and nudges whoever shall handle it.
 struct Pipe {
@@ -18,7 +21,7 @@ struct Pipe {
 impl Source for Pipe {
     fn serve(&self, happened: Happened) -> Seen {
         let mut byte = [0];
-        if !happened.came || rustix::io::read(&self.stream, &mut byte).is_err() {
+        if !happened.readable || rustix::io::read(&self.stream, &mut byte).is_err() {
             return Seen::Nothing;
         }
         if let Some(parker) = &self.handles {

@@ -3,7 +3,9 @@
 use std::{io, path::Path, sync::Arc};
 
 use rustls::{
-    ClientConfig, ClientConnection, RootCertStore, ServerConfig, StreamOwned,
+    ClientConfig, ClientConnection, ConfigBuilder, RootCertStore, ServerConfig, StreamOwned,
+    client::WantsClientCert,
+    crypto::CryptoProvider,
     pki_types::{CertificateDer, ServerName},
     server::WebPkiClientVerifier,
 };
@@ -12,7 +14,7 @@ use tokio_rustls::{TlsAcceptor, TlsConnector, client, server};
 
 use super::{Identity, KeyError, files};
 
-/// Every key has this name beside its holder's: which host answers does not matter, only its key.
+/// Every key has this name in addition to its holder's: which host answers does not matter, only its key.
 pub(super) const SERVER_NAME: &str = "chassis.ctos";
 
 /// What [`Keys::call_blocking`] makes of a connection.
@@ -23,7 +25,6 @@ pub struct Keys {
     identity: Identity,
     acceptor: TlsAcceptor,
     page: TlsAcceptor,
-    connector: TlsConnector,
     client: Arc<ClientConfig>,
 }
 
@@ -42,42 +43,27 @@ impl Keys {
     pub fn load(key: &Path, authority: &Path) -> Result<Self, KeyError> {
         let certificate = files::certificate(&files::with_ending(key, "pem"))?;
         let identity = identity(&certificate).ok_or(KeyError::NoRole)?;
-        let mut roots = RootCertStore::empty();
-        roots
-            .add(files::certificate(authority)?)
-            .map_err(unusable)?;
-        let roots = Arc::new(roots);
-        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let roots = roots(authority)?;
+        let provider = provider();
         let verifier =
             WebPkiClientVerifier::builder_with_provider(roots.clone(), provider.clone()).build();
         let verifier = verifier.map_err(unusable)?;
         let private = || files::private_key(&files::with_ending(key, "key"));
         let chain = vec![certificate];
-        let server = ServerConfig::builder_with_provider(provider.clone())
+        let server = ServerConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(unusable)?
-            .with_client_cert_verifier(verifier)
-            .with_single_cert(chain.clone(), private()?)
             .map_err(unusable)?;
-        let page = ServerConfig::builder_with_provider(provider.clone())
-            .with_safe_default_protocol_versions()
-            .map_err(unusable)?
-            .with_no_client_auth()
-            .with_single_cert(chain.clone(), private()?)
-            .map_err(unusable)?;
-        let client = ClientConfig::builder_with_provider(provider)
-            .with_safe_default_protocol_versions()
-            .map_err(unusable)?
-            .with_root_certificates(roots)
-            .with_client_auth_cert(chain, private()?)
-            .map_err(unusable)?;
-        let client = Arc::new(client);
+        let page = server.clone().with_no_client_auth();
+        let page = page.with_single_cert(chain.clone(), private()?);
+        let server = server.with_client_cert_verifier(verifier);
+        let server = server.with_single_cert(chain.clone(), private()?);
+        let client = client(roots)?.with_client_auth_cert(chain, private()?);
+        let (server, page) = (server.map_err(unusable)?, page.map_err(unusable)?);
         Ok(Self {
             identity,
             acceptor: TlsAcceptor::from(Arc::new(server)),
             page: TlsAcceptor::from(Arc::new(page)),
-            connector: TlsConnector::from(client.clone()),
-            client,
+            client: Arc::new(client.map_err(unusable)?),
         })
     }
 
@@ -101,7 +87,8 @@ impl Keys {
         stream: S,
     ) -> Result<(client::TlsStream<S>, Identity), KeyError> {
         let name = ServerName::try_from(SERVER_NAME).map_err(unusable)?;
-        let stream = self.connector.connect(name, stream).await?;
+        let connector = TlsConnector::from(self.client.clone());
+        let stream = connector.connect(name, stream).await?;
         let identity = first_identity(stream.get_ref().1.peer_certificates())?;
         Ok((stream, identity))
     }
@@ -158,16 +145,27 @@ fn unusable(error: impl std::error::Error + Send + Sync + 'static) -> KeyError {
 /// # Errors
 /// The authority is none.
 pub fn browser_of(authority: &Path) -> Result<ClientConnection, KeyError> {
-    let mut roots = RootCertStore::empty();
-    roots
-        .add(files::certificate(authority)?)
-        .map_err(unusable)?;
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let client = ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .map_err(unusable)?
-        .with_root_certificates(roots)
-        .with_no_client_auth();
+    let client = client(roots(authority)?)?.with_no_client_auth();
     let name = ServerName::try_from(SERVER_NAME).map_err(unusable)?;
     ClientConnection::new(Arc::new(client), name).map_err(unusable)
+}
+
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(rustls::crypto::ring::default_provider())
+}
+
+/// The authority by which others are believed.
+fn roots(authority: &Path) -> Result<Arc<RootCertStore>, KeyError> {
+    let mut roots = RootCertStore::empty();
+    let authority = files::certificate(authority)?;
+    roots.add(authority).map_err(unusable)?;
+    Ok(Arc::new(roots))
+}
+
+fn client(
+    roots: Arc<RootCertStore>,
+) -> Result<ConfigBuilder<ClientConfig, WantsClientCert>, KeyError> {
+    let client = ClientConfig::builder_with_provider(provider());
+    let client = client.with_safe_default_protocol_versions();
+    Ok(client.map_err(unusable)?.with_root_certificates(roots))
 }

@@ -10,7 +10,7 @@ use super::{
     line::{Line, gives_up, is_fence, lane_of_request},
     packet::{Content, Decoder, Kind, Packet, PacketError},
     state::{DownReason, Event, State},
-    window::{Arrival, Incoming, Lane, NoRoom, Outgoing, Pumped},
+    window::{Arrival, Incoming, Lane, Outgoing, Pumped},
 };
 use crate::{
     frame::{Counts, Frame, Full},
@@ -25,7 +25,7 @@ const PULSES: u32 = 4;
 /// How often an injured session looks after what was lost.
 const INJURED_PULSE: Duration = Duration::from_millis(20);
 
-/// Faults are let through when there is no room for answers; they are small.
+/// Faults are let through when there are no credits for answers; they are small.
 const SMALL: usize = 4 * 1024;
 
 /// What a session holds to.
@@ -78,7 +78,7 @@ pub struct Core {
     injured: bool,
     state: State,
     outgoing: Outgoing,
-    /// Requests that wait for room.
+    /// Requests that wait for credits.
     line: Line,
     incoming: Incoming,
     decoder: Decoder,
@@ -224,19 +224,18 @@ impl Core {
         let size = frame.body.len();
         match lane {
             Lane::Data | Lane::Urgent => {
-                if let Err(NoRoom { held }) = self.line.send(frame, &mut self.outgoing, now) {
-                    self.counts.refused += 1;
-                    return Err(Full { bytes: held });
-                }
+                let sent = self.line.send(frame, &mut self.outgoing, now);
+                self.counts.refused += u64::from(sent.is_err());
+                sent?;
             }
-            // One that still waits for room is not sent at all.
+            // One that still waits for credits is not sent at all.
             Lane::Control if gives_up(&frame) && self.line.withdraw(frame.call) => {}
             Lane::Control => {
-                let frame = match self.outgoing.has_room(lane, size) {
+                let frame = match self.outgoing.admits(lane, size) {
                     Ok(()) => frame,
-                    Err(NoRoom { held }) => {
+                    Err(Full { bytes }) => {
                         self.counts.refused += 1;
-                        self.without_body(frame, held)
+                        self.without_body(frame, bytes)
                     }
                 };
                 self.outgoing.put_frame(frame, lane, now);
@@ -247,13 +246,13 @@ impl Core {
         Ok(())
     }
 
-    /// A control frame for which there is no room: what is small goes anyway, a large answer becomes the
+    /// A control frame for which there are no credits: what is small goes anyway, a large answer becomes the
     /// fault that says so.
-    fn without_body(&self, mut frame: Frame, held: usize) -> Frame {
+    fn without_body(&self, mut frame: Frame, under_way: usize) -> Frame {
         if frame.body.len() <= SMALL || !frame.header.flags.contains(Flags::REPLY) {
             return frame;
         }
-        frame.body = (self.limits.full)(held).into();
+        frame.body = (self.limits.full)(under_way).into();
         frame.header.flags = frame.header.flags.with(Flags::FAULT);
         frame.header.size = u32::try_from(frame.body.len()).unwrap_or(u32::MAX);
         frame
@@ -387,9 +386,9 @@ impl Core {
             // This process itself stood still: what the peer said meanwhile has not been read yet.
             self.heard = self.heard + late;
         }
-        let limit = self.limits.timeout;
-        if now.since(self.heard) >= limit {
-            return self.event(Event::Silence, DownReason::Silence(limit));
+        let timeout = self.limits.timeout;
+        if now.since(self.heard) >= timeout {
+            return self.event(Event::Silence, DownReason::Silence(timeout));
         }
         if self.state != State::Down {
             self.outgoing.pulse(Kind::Pulse);

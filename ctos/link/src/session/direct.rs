@@ -6,6 +6,7 @@ use std::{
     sync::{Arc, Mutex},
 };
 
+use mio::Token;
 use rustix::{
     io::Errno,
     net::{RecvFlags, recv},
@@ -22,7 +23,7 @@ use crate::{
 /// How many bytes are read at a time.
 const CHUNK: usize = 64 * 1024;
 
-/// How often one stream is read before others have their turn.
+/// How often one stream is read before others are polled.
 const READS: usize = 64;
 
 /// What a stream is read from.
@@ -78,29 +79,38 @@ impl DirectStream {
         (stream, ends)
     }
 
-    /// Reads what there is, up to the end if the other end has `closed`. Whether frames came, and whether it is over.
-    fn read(&self, chunk: &mut [u8], closed: bool) -> (bool, bool) {
-        let mut frames = false;
+    /// Its token at the reactor.
+    pub(super) fn set_token(&self, token: Token) {
+        if let Carrier::Socket(socket) = &self.carrier {
+            socket.set_token(token);
+        }
+    }
+
+    /// Reads what there is, up to the end if the other end has `closed`. What came.
+    fn read(&self, chunk: &mut [u8], closed: bool) -> Seen {
+        let mut seen = Seen::Nothing;
         for _ in 0..READS {
             let (end, count) = self.read_once(chunk, closed);
             if count > 0 {
                 let bytes = chunk.get(..count).unwrap_or_default();
                 let read = self.session.read(self.number, bytes);
-                frames |= read.frames;
+                if read.frames {
+                    seen = Seen::Frames;
+                }
                 if !read.goes_on {
-                    return (frames, true);
+                    return Seen::End;
                 }
             }
             match end {
                 Read::More => {}
-                Read::Drained => return (frames, false),
-                Read::End => return (frames, true),
+                Read::Drained => return seen,
+                Read::End => return Seen::End,
             }
         }
         if let Carrier::Socket(socket) = &self.carrier {
             socket.tell_again();
         }
-        (frames, false)
+        seen
     }
 
     /// One read, and how many bytes it gave.
@@ -133,29 +143,26 @@ impl DirectStream {
 impl Source for DirectStream {
     fn serve(&self, happened: Happened) -> Seen {
         let mut seen = Seen::Nothing;
-        if happened.came {
+        if happened.readable {
             let mut reading = lock(&self.reading);
-            let (frames, over) = self.read(&mut reading.chunk, happened.closed);
-            if over {
+            seen = self.read(&mut reading.chunk, happened.closed);
+            if seen == Seen::End {
                 if let Some(ended) = reading.ended.take() {
                     // The driver may be gone.
                     let _ = ended.send(());
                 }
                 return Seen::End;
             }
-            if frames {
-                seen = Seen::Frames;
-            }
         }
         match &self.carrier {
-            Carrier::Socket(socket) if happened.room => {
-                self.session.pump_socket(self.number, socket);
+            Carrier::Socket(socket) if happened.writable => {
+                self.session.pump(self.number, Some(socket));
             }
             Carrier::Socket(_) => {}
-            // The bell of shared memory rings for what comes and for room.
+            // The bell of shared memory rings for what comes and for space.
             Carrier::Shared { receiver, .. } => {
-                if happened.room || receiver.waits_for_room() {
-                    self.session.pump(self.number);
+                if happened.writable || receiver.waits_for_space() {
+                    self.session.pump(self.number, None);
                 }
             }
         }

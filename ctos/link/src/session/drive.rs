@@ -6,7 +6,6 @@ use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::{
     io::{AsyncRead, AsyncReadExt},
     net::UnixStream,
-    sync::oneshot,
 };
 
 use super::{
@@ -26,7 +25,7 @@ const CHUNK: usize = 64 * 1024;
 const INJURED_TICK: Duration = Duration::from_millis(1);
 
 /// How long what the other end said last is waited for when it takes no more.
-const LAST_WORDS_LIMIT: Duration = Duration::from_millis(500);
+const LAST_WORDS_DEADLINE: Duration = Duration::from_millis(500);
 
 /// Carries `session` over `stream` until that ends; `received` is what the other end has. Plain sockets are
 /// read by `reactor`.
@@ -41,7 +40,7 @@ pub async fn drive(
 ) -> Result<(), AttachError> {
     let stream = match stream {
         // What makes other bytes of what it reads, or keeps it back, needs a driver of its own.
-        Stream::Tls(_) | Stream::Other(_) => stream,
+        Stream::Other(_) => stream,
         _ if session.is_injured() => stream,
         Stream::Tcp(_) | Stream::Unix(_) => {
             let is_nearby = stream.is_nearby();
@@ -57,8 +56,8 @@ pub async fn drive(
             };
         }
     };
-    let (mut reader, writer) = stream.split();
-    let number = session.attach(writer, received)?;
+    let (mut reader, writer) = tokio::io::split(stream);
+    let number = session.attach(Writer::Other(Box::new(writer)), received)?;
     let mut read = pin!(read_all(session, number, &mut reader));
     let write = poll_fn(|cx| session.poll_pump(cx, number));
     let late = async {
@@ -75,7 +74,7 @@ pub async fn drive(
                 Err(error)
             } else {
                 // The other end has closed; what it said last may not have been read yet.
-                let rest = tokio::time::timeout(LAST_WORDS_LIMIT, read).await;
+                let rest = tokio::time::timeout(LAST_WORDS_DEADLINE, read).await;
                 rest.unwrap_or(Ok(())).and(Err(error))
             }
         }
@@ -101,7 +100,7 @@ fn fd_of(stream: Stream) -> io::Result<OwnedFd> {
             }
             Ok(stream.into())
         }
-        Stream::Tls(_) | Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
+        Stream::Other(_) => Err(io::ErrorKind::Unsupported.into()),
     }
 }
 
@@ -138,24 +137,7 @@ pub async fn drive_shared(
     let (sender, receiver, bell) = shared.split();
     let number = session.attach(Writer::Shared(sender), received)?;
     let carrier = Carrier::Shared { receiver, bell };
-    let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
-    let watched = reactor.add(move |_| Arc::new(stream));
-    match watched {
-        Ok(watched) => {
-            tokio::select! {
-                _ = &mut ended => {}
-                error = poll_fn(|cx| session.poll_pump(cx, number)) => {
-                    last_words(&error, ended).await;
-                }
-                () = hung_up(&socket) => {
-                    // What is still there is read.
-                    watched.serve();
-                }
-            }
-        }
-        Err(error) => broke(&error),
-    }
-    session.lost(number);
+    watched(session, number, carrier, reactor, hung_up(&socket)).await;
     Ok(())
 }
 
@@ -168,31 +150,42 @@ async fn drive_socket(
 ) -> Result<(), AttachError> {
     let socket = Arc::new(socket);
     let number = session.attach(Writer::Socket(socket.clone()), received)?;
-    let carrier = Carrier::Socket(socket.clone());
+    let carrier = Carrier::Socket(socket);
+    watched(session, number, carrier, reactor, std::future::pending()).await;
+    Ok(())
+}
+
+/// Has the reactor read stream `number` until it ends, or until the other end has `hung_up`.
+async fn watched(
+    session: &Arc<Session>,
+    number: u64,
+    carrier: Carrier,
+    reactor: &Arc<Reactor>,
+    hung_up: impl Future<Output = ()>,
+) {
     let (stream, mut ended) = DirectStream::new(session.clone(), number, carrier);
     let watched = reactor.add(move |token| {
-        socket.set_token(token);
+        stream.set_token(token);
         Arc::new(stream)
     });
     match watched {
-        Ok(_watched) => {
+        Ok(watched) => {
             tokio::select! {
                 _ = &mut ended => {}
                 error = poll_fn(|cx| session.poll_pump(cx, number)) => {
-                    last_words(&error, ended).await;
+                    broke(&error);
+                    // The other end has closed; what it said last may not have been read yet.
+                    let _ = tokio::time::timeout(LAST_WORDS_DEADLINE, ended).await;
+                }
+                () = hung_up => {
+                    // What is still there is read.
+                    watched.serve();
                 }
             }
         }
         Err(error) => broke(&error),
     }
     session.lost(number);
-    Ok(())
-}
-
-/// The other end has closed; what it said last may not have been read yet.
-async fn last_words(error: &io::Error, ended: oneshot::Receiver<()>) {
-    broke(error);
-    let _ = tokio::time::timeout(LAST_WORDS_LIMIT, ended).await;
 }
 
 fn broke(error: &io::Error) {

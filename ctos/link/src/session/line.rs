@@ -1,11 +1,11 @@
-//! The line of requests that wait for room in a link: as senders wait for room in a mailbox, they wait
-//! here, in their order, until there is some or they give up. Pure: knows no stream and no clock.
+//! The line of requests that wait for credits of a link: as senders wait for a permit of a mailbox, they wait
+//! here, in their order, until there are some or they give up. Pure: knows no stream and no clock.
 
 use std::{collections::VecDeque, time::Duration};
 
-use super::window::{Lane, NoRoom, Outgoing};
+use super::window::{Lane, Outgoing};
 use crate::{
-    frame::{Frame, NO_DEADLINE},
+    frame::{Frame, Full, NO_DEADLINE},
     message::{FENCE, Flags},
     time::Instant,
 };
@@ -13,53 +13,53 @@ use crate::{
 /// How many requests may wait.
 const MOST: usize = 1024;
 
-/// Requests for which there is no room yet.
+/// Requests for which there are no credits yet.
 pub(super) struct Line {
     waiting: VecDeque<(Frame, Instant)>,
     bytes: usize,
     /// How many bytes may wait.
-    room: usize,
+    credits: usize,
 }
 
 impl Line {
-    pub(super) fn new(room: usize) -> Self {
+    pub(super) fn new(credits: usize) -> Self {
         Self {
             waiting: VecDeque::new(),
             bytes: 0,
-            room,
+            credits,
         }
     }
 
-    /// Sends a request, or lets it wait for room. Nothing overtakes those that wait, but one of high priority
+    /// Sends a request, or lets it wait for credits. Nothing overtakes those that wait, but one of high priority
     /// overtakes those of normal priority.
     ///
     /// # Errors
-    /// [`NoRoom`] when too many wait already; there is always room for a [`FENCE`].
+    /// [`Full`] when too many wait already; a [`FENCE`] is always taken.
     pub(super) fn send(
         &mut self,
         frame: Frame,
         outgoing: &mut Outgoing,
         now: Instant,
-    ) -> Result<(), NoRoom> {
+    ) -> Result<(), Full> {
         let lane = lane_of_request(&frame);
         let waits = |(other, _): &(Frame, Instant)| {
             lane == Lane::Data || lane_of_request(other) == Lane::Urgent
         };
-        match outgoing.has_room(lane, frame.body.len()) {
+        match outgoing.admits(lane, frame.body.len()) {
             Ok(()) if !self.waiting.iter().any(waits) => {
                 outgoing.put_frame(frame, lane, now);
                 Ok(())
             }
             Ok(()) => self.join(frame, now, outgoing.bytes()),
-            Err(NoRoom { held }) => self.join(frame, now, held),
+            Err(Full { bytes }) => self.join(frame, now, bytes),
         }
     }
 
-    fn join(&mut self, frame: Frame, now: Instant, held: usize) -> Result<(), NoRoom> {
+    fn join(&mut self, frame: Frame, now: Instant, bytes: usize) -> Result<(), Full> {
         let size = frame.body.len();
-        let too_much = self.bytes > 0 && self.bytes.saturating_add(size) > self.room;
+        let too_much = self.bytes > 0 && self.bytes.saturating_add(size) > self.credits;
         if (self.waiting.len() >= MOST || too_much) && !is_fence(&frame) {
-            return Err(NoRoom { held });
+            return Err(Full { bytes });
         }
         self.bytes += size;
         self.waiting.push_back((frame, now));
@@ -79,13 +79,13 @@ impl Line {
         taken.is_some()
     }
 
-    /// Sends those for which there is room now; whether there were any. The time that they waited is no
+    /// Sends those for which there are credits now; whether there were any. The time that they waited is no
     /// longer theirs.
     pub(super) fn advance(&mut self, outgoing: &mut Outgoing, now: Instant) -> bool {
         let mut any = false;
         while let Some((frame, _)) = self.waiting.front() {
             let lane = lane_of_request(frame);
-            if outgoing.has_room(lane, frame.body.len()).is_err() {
+            if outgoing.admits(lane, frame.body.len()).is_err() {
                 return any;
             }
             let Some((mut frame, since)) = self.waiting.pop_front() else {

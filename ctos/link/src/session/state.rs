@@ -2,7 +2,7 @@
 //!
 //! Knows no stream, no clock and no frame: what moves the session is told to it as an event.
 
-use std::{fmt, time::Duration};
+use std::time::Duration;
 
 /// Where a session with one peer stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -85,45 +85,32 @@ impl Event {
 }
 
 /// Why a session is down.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DownReason {
     /// Nothing was heard for so long.
+    #[error("nothing was heard of it for {:.3} s", .0.as_secs_f64())]
     Silence(Duration),
     /// The peer's process has ended.
+    #[error("its process has ended")]
     Ended,
     /// Nobody listens where the peer did; what the system says.
+    #[error("nobody listens there any more: {0}")]
     Deserted(String),
     /// Another chassis, or another life of this one, answers where the peer did.
+    #[error("another chassis answers there")]
     Replaced,
     /// The peer said that it ends.
+    #[error("it said goodbye")]
     Bye,
     /// The peer has given this chassis up.
+    #[error("it has given this chassis up")]
     GivenUp,
     /// What the peer sent cannot be read.
+    #[error("it sent what no peer may send: {0}")]
     Rubbish(String),
     /// This end wanted it.
+    #[error("this end closed the link")]
     Closed,
-}
-
-impl fmt::Display for DownReason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Silence(limit) => {
-                write!(
-                    f,
-                    "nothing was heard of it for {:.3} s",
-                    limit.as_secs_f64()
-                )
-            }
-            Self::Ended => f.write_str("its process has ended"),
-            Self::Deserted(why) => write!(f, "nobody listens there any more: {why}"),
-            Self::Replaced => f.write_str("another chassis answers there"),
-            Self::Bye => f.write_str("it said goodbye"),
-            Self::GivenUp => f.write_str("it has given this chassis up"),
-            Self::Rubbish(what) => write!(f, "it sent what no peer may send: {what}"),
-            Self::Closed => f.write_str("this end closed the link"),
-        }
-    }
 }
 
 /// Every transition. What is not listed leaves the session as it is.

@@ -8,7 +8,7 @@ use bytes::{Buf, BufMut, Bytes, BytesMut};
 use super::packet::{Kind, PACKET_HEAD, PacketError, put_head};
 use crate::{
     blob::Body,
-    frame::{FRAME_FIXED, Frame},
+    frame::{FRAME_FIXED, Frame, Full},
     injure::Injury,
     time::Instant,
 };
@@ -30,7 +30,7 @@ pub const PIECE_NEARBY: usize = 1024 * 1024;
 /// How many slices one write takes.
 const SLICES: usize = 32;
 
-/// Which room a packet takes.
+/// Which credits a packet takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lane {
     /// Requests of tasks.
@@ -39,6 +39,10 @@ pub enum Lane {
     Urgent,
     /// Answers, and everything of the runtime: never kept out by requests.
     Control,
+}
+
+impl Lane {
+    const COUNT: usize = 3;
 }
 
 /// A packet that may have to be sent again.
@@ -104,13 +108,6 @@ impl Kept {
     }
 }
 
-/// There is no room for a packet.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct NoRoom {
-    /// Bytes that are under way already.
-    pub held: usize,
-}
-
 /// How far a stream took what there was.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pumped {
@@ -138,16 +135,15 @@ pub struct Outgoing {
     small: BytesMut,
     /// An unnumbered packet that goes before the next numbered one.
     pulse: Option<Kind>,
-    room: usize,
-    held_data: usize,
-    held_urgent: usize,
-    held_control: usize,
+    /// How many bytes of each lane may be under way, and are.
+    credits: usize,
+    held: [usize; Lane::COUNT],
     injury: Option<Injury>,
 }
 
 impl Outgoing {
-    /// With `room` bytes for each lane.
-    pub fn new(room: usize, injury: Option<Injury>) -> Self {
+    /// With credits of so many bytes for each lane.
+    pub fn new(credits: usize, injury: Option<Injury>) -> Self {
         Self {
             kept: VecDeque::new(),
             acked: 0,
@@ -157,10 +153,8 @@ impl Outgoing {
             staged: VecDeque::new(),
             small: BytesMut::new(),
             pulse: None,
-            room,
-            held_data: 0,
-            held_urgent: 0,
-            held_control: 0,
+            credits,
+            held: [0; Lane::COUNT],
             injury,
         }
     }
@@ -170,28 +164,16 @@ impl Outgoing {
         self.piece = piece;
     }
 
-    /// Whether `size` more bytes have room. A lane that is empty takes a packet of any size.
-    pub fn has_room(&self, lane: Lane, size: usize) -> Result<(), NoRoom> {
-        let held = match lane {
-            Lane::Data => self.held_data,
-            Lane::Urgent => self.held_urgent,
-            Lane::Control => self.held_control,
-        };
-        if held > 0 && held.saturating_add(size) > self.room {
-            return Err(NoRoom { held });
+    /// Whether there are credits for `size` more bytes. A lane that is empty takes a packet of any size.
+    pub fn admits(&self, lane: Lane, size: usize) -> Result<(), Full> {
+        let bytes = self.held[lane as usize];
+        if bytes > 0 && bytes.saturating_add(size) > self.credits {
+            return Err(Full { bytes });
         }
         Ok(())
     }
 
-    fn held(&mut self, lane: Lane) -> &mut usize {
-        match lane {
-            Lane::Data => &mut self.held_data,
-            Lane::Urgent => &mut self.held_urgent,
-            Lane::Control => &mut self.held_control,
-        }
-    }
-
-    /// Takes a frame; the caller has asked for room.
+    /// Takes a frame; the caller has asked whether there are credits.
     pub fn put_frame(&mut self, frame: Frame, lane: Lane, now: Instant) {
         let head = frame.head();
         self.put(Kind::Frame, Some(head), frame.body, lane, now);
@@ -234,7 +216,7 @@ impl Outgoing {
             cut: 0,
             ready,
         };
-        *self.held(lane) += kept.size();
+        self.held[lane as usize] += kept.size();
         // On an injured link everything keeps its place: what is late is late in its order.
         if lane == Lane::Urgent && self.injury.is_none() {
             let first =
@@ -279,7 +261,7 @@ impl Outgoing {
 
     /// Bytes under way.
     pub fn bytes(&self) -> usize {
-        self.held_data + self.held_urgent + self.held_control
+        self.held.iter().sum()
     }
 
     /// The other end has received everything up to `received`.
@@ -295,7 +277,7 @@ impl Outgoing {
             let Some(kept) = self.kept.pop_front() else {
                 break;
             };
-            *self.held(kept.lane) -= kept.size();
+            self.held[kept.lane as usize] -= kept.size();
             self.acked += 1;
         }
         // What was acknowledged on an earlier stream need not be written on this one.
@@ -348,23 +330,19 @@ impl Outgoing {
                 None => usize::MAX,
             };
             let small = self.small.get(..most).unwrap_or(&self.small);
-            let written = if self.staged.is_empty() {
-                write(&[IoSlice::new(small)])
-            } else {
-                let mut slices = [IoSlice::new(&[]); SLICES];
-                let mut count = 0;
-                let staged = self.staged.iter().map(|bytes| &bytes[..]);
-                let staged = staged.chain((!small.is_empty()).then_some(small));
-                for (slice, bytes) in slices.iter_mut().zip(staged) {
-                    *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
-                    count += 1;
-                    if most != usize::MAX {
-                        break;
-                    }
+            let mut slices = [IoSlice::new(&[]); SLICES];
+            let mut count = 0;
+            let staged = self.staged.iter().map(|bytes| &bytes[..]);
+            let staged = staged.chain((!small.is_empty()).then_some(small));
+            for (slice, bytes) in slices.iter_mut().zip(staged) {
+                *slice = IoSlice::new(bytes.get(..most).unwrap_or(bytes));
+                count += 1;
+                if most != usize::MAX {
+                    break;
                 }
-                let (filled, _) = slices.split_at(count);
-                write(filled)
-            };
+            }
+            let (filled, _) = slices.split_at(count);
+            let written = write(filled);
             match written {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(written) => self.written(written),

@@ -13,44 +13,21 @@ use std::{
 
 use mio::Token;
 use rustix::net::{SendAncillaryBuffer, SendFlags, send, sendmsg};
-use tokio::{
-    io::{AsyncRead, AsyncWrite},
-    net::{tcp, unix},
-};
+use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::window::{PIECE, PIECE_NEARBY};
 use crate::{reactor::Reactor, shm};
 
-/// A stream that takes what it has room for from whatever thread.
-pub trait DirectWrite: AsyncWrite + Send + Unpin {
-    /// Takes what there is room for.
-    ///
-    /// # Errors
-    /// `WouldBlock` when there is none.
-    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize>;
-}
-
 /// What a stream must be able to do.
-pub trait Bytes: AsyncRead + AsyncWrite + Send + Unpin + 'static {
-    /// The half that is read, and the half that is written.
-    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
-        let (reader, writer) = tokio::io::split(self);
-        (Box::new(reader), Writer::Other(Box::new(writer)))
-    }
-}
+pub trait Bytes: AsyncRead + AsyncWrite + Send + Unpin {}
+
+impl<S: AsyncRead + AsyncWrite + Send + Unpin> Bytes for S {}
 
 /// Where a session writes.
 pub enum Writer {
-    Tcp(tcp::OwnedWriteHalf),
-    Unix(unix::OwnedWriteHalf),
     /// A socket at which the chassis's own reactor waits.
     Socket(Arc<Socket>),
     Shared(shm::Sender),
-    #[cfg_attr(
-        not(feature = "zenoh"),
-        allow(dead_code, reason = "only streams over zenoh are such")
-    )]
-    Direct(Box<dyn DirectWrite>),
     /// Written to by its driver only.
     Other(Box<dyn AsyncWrite + Send + Unpin>),
 }
@@ -59,11 +36,8 @@ impl Writer {
     /// Writes from any thread what can be written at once.
     pub(super) fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
         match self {
-            Self::Tcp(stream) => stream.try_write_vectored(slices),
-            Self::Unix(stream) => stream.try_write_vectored(slices),
             Self::Socket(socket) => socket.try_write(slices),
             Self::Shared(sender) => sender.try_write(slices),
-            Self::Direct(stream) => stream.try_write(slices),
             Self::Other(_) => Err(io::ErrorKind::WouldBlock.into()),
         }
     }
@@ -72,13 +46,13 @@ impl Writer {
     pub(super) fn piece(&self) -> usize {
         let is_nearby = match self {
             Self::Socket(socket) => socket.is_nearby,
-            Self::Unix(_) | Self::Shared(_) => true,
-            Self::Tcp(_) | Self::Direct(_) | Self::Other(_) => false,
+            Self::Shared(_) => true,
+            Self::Other(_) => false,
         };
         if is_nearby { PIECE_NEARBY } else { PIECE }
     }
 
-    /// Whether room that comes is told to the reactor, so that the driver need not ask for it.
+    /// Whether the reactor is told when it is writable again, so that the driver need not ask.
     pub(super) fn is_watched(&self) -> bool {
         matches!(self, Self::Socket(_) | Self::Shared(_))
     }
@@ -90,9 +64,6 @@ impl Writer {
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         match self {
-            Self::Tcp(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Unix(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
-            Self::Direct(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Other(stream) => Pin::new(stream).poll_write_vectored(cx, slices),
             Self::Socket(_) | Self::Shared(_) => match self.try_write(slices) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
@@ -117,8 +88,8 @@ pub struct Socket {
     reactor: Weak<Reactor>,
     /// Its token at the reactor; 0 until it has one.
     token: AtomicUsize,
-    /// The reactor waits for room.
-    wants_room: AtomicBool,
+    /// The reactor tells when it is writable.
+    awaited: AtomicBool,
 }
 
 impl Socket {
@@ -130,7 +101,7 @@ impl Socket {
             reactor,
             token: AtomicUsize::new(0),
             // The reactor begins with it.
-            wants_room: AtomicBool::new(true),
+            awaited: AtomicBool::new(true),
         }
     }
 
@@ -152,28 +123,28 @@ impl Socket {
         if let Err(error) = &written
             && error.kind() == io::ErrorKind::WouldBlock
         {
-            self.set_wants_room(true);
+            self.await_writable(true);
         }
         written
     }
 
-    /// There is room, or there shall be some.
-    pub(super) fn set_wants_room(&self, wants: bool) {
-        if self.wants_room.swap(wants, Ordering::SeqCst) != wants {
-            self.tell(wants);
+    /// The reactor tells when it is writable, or need no longer.
+    pub(super) fn await_writable(&self, awaits: bool) {
+        if self.awaited.swap(awaits, Ordering::SeqCst) != awaits {
+            self.tell(awaits);
         }
     }
 
     /// More has come than was read: it is to be told again.
     pub(super) fn tell_again(&self) {
-        self.wants_room.store(true, Ordering::SeqCst);
+        self.awaited.store(true, Ordering::SeqCst);
         self.tell(true);
     }
 
-    fn tell(&self, room: bool) {
+    fn tell(&self, writable: bool) {
         if let Some(reactor) = self.reactor.upgrade() {
             let token = Token(self.token.load(Ordering::Acquire));
-            reactor.tell(self.fd(), token, room);
+            reactor.tell(self.fd(), token, writable);
         }
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! A zenoh network gives way to congestion in its own manner: what does not fit is dropped, or the whole
 //! connection stands still, and with it the streams of all others. So no end ever sends more than the
-//! other one has room for. Knows no network: chunks go in and come out as bytes.
+//! other one has credits for. Knows no network: chunks go in and come out as bytes.
 
 use bytes::{Buf, BytesMut};
 
@@ -15,12 +15,12 @@ pub(super) const WINDOW: u64 = 512 * 1024;
 pub(super) const CHUNK: usize = 60 * 1024;
 
 /// How much may be written and not sent, bytes.
-const ROOM: usize = 256 * 1024;
+const UNSENT: usize = 256 * 1024;
 
 /// The other end is told what was read when it is this much, bytes.
 const TELL: u64 = WINDOW / 4;
 
-/// In front of a chunk's data: whether it is the last, its offset, how far the sender has read.
+/// In front of a chunk's data: whether it is the last, its offset, up to which one the sender has read.
 const HEAD: usize = 1 + 8 + 8;
 
 const LAST: u8 = 1;
@@ -133,13 +133,13 @@ impl Pipe {
         Read::Bytes(count)
     }
 
-    /// Takes what there is room for; how much that was. `None` when nothing will be sent any more.
+    /// Takes what there is space for; how much that was. `None` when nothing will be sent any more.
     pub(super) fn write(&mut self, bytes: &[u8]) -> Option<usize> {
         if self.broken.is_some() || self.closed {
             return None;
         }
-        let room = ROOM.saturating_sub(self.waiting.len());
-        let taken = bytes.get(..room).unwrap_or(bytes);
+        let space = UNSENT.saturating_sub(self.waiting.len());
+        let taken = bytes.get(..space).unwrap_or(bytes);
         self.waiting.extend_from_slice(taken);
         Some(taken.len())
     }
@@ -270,7 +270,7 @@ mod tests {
                 carry(&mut a, &mut b, carried);
                 ended = read_all(&mut b, read, &mut got);
                 carry(&mut b, &mut a, back);
-                prop_assert!(a.sent - a.acknowledged <= WINDOW && a.waiting.len() <= ROOM);
+                prop_assert!(a.sent - a.acknowledged <= WINDOW && a.waiting.len() <= UNSENT);
                 prop_assert!(a.broken().is_none() && b.broken().is_none());
                 if ended && a.is_over() {
                     break;

@@ -1,6 +1,6 @@
 //! What zenoh is told: the configuration of the app in its words, and what must not be left to its defaults.
 //!
-//! Its defaults are made for discovery on a desk: multicast on every interface, listening at every address,
+//! Its defaults are made for discovery on a bench: multicast on every interface, listening at every address,
 //! whoever comes is let in, a client that gives up at once. Knows no session and no stream.
 
 use std::time::Duration;

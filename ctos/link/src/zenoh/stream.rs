@@ -25,13 +25,13 @@ use tokio::{
 };
 
 use super::pipe::{Broken, Pipe, Read};
-use crate::{
-    lock::lock,
-    session::{Bytes, DirectWrite, Writer},
-};
+use crate::lock::lock;
 
 /// How long a stream whose user has gone waits for the other end to take the rest.
 const LINGER: Duration = Duration::from_secs(1);
+
+/// The longest wait at a time.
+const LONGEST: Duration = Duration::from_secs(3600);
 
 #[derive(Default)]
 struct State {
@@ -62,22 +62,17 @@ impl Shared {
         }
     }
 
+    /// Waits for a change, until a deadline if there is one; whether that has passed.
     fn wait<'s>(
         &self,
         state: MutexGuard<'s, State>,
-        limit: Option<Duration>,
+        deadline: Option<Duration>,
     ) -> (MutexGuard<'s, State>, bool) {
-        match limit {
-            None => {
-                let woken = self.changed.wait(state);
-                (woken.unwrap_or_else(PoisonError::into_inner), false)
-            }
-            Some(limit) => {
-                let woken = self.changed.wait_timeout(state, limit);
-                let (state, result) = woken.unwrap_or_else(PoisonError::into_inner);
-                (state, result.timed_out())
-            }
-        }
+        let woken = self
+            .changed
+            .wait_timeout(state, deadline.unwrap_or(LONGEST));
+        let (state, result) = woken.unwrap_or_else(PoisonError::into_inner);
+        (state, deadline.is_some() && result.timed_out())
     }
 }
 
@@ -172,10 +167,7 @@ impl End {
 
     /// The user's end. `alive` is dropped when nothing is left to send.
     pub(super) fn stream(&self) -> ZenohStream {
-        ZenohStream {
-            reader: ReadHalf(self.shared.clone()),
-            writer: WriteHalf(self.shared.clone()),
-        }
+        ZenohStream(self.shared.clone())
     }
 
     /// Publishes what the user writes, until that has all arrived or cannot. Waits for the network.
@@ -212,9 +204,9 @@ impl End {
                 }
                 return Some(chunk);
             }
-            let limit = state.pipe.is_closed().then_some(LINGER);
+            let deadline = state.pipe.is_closed().then_some(LINGER);
             let late;
-            (state, late) = self.shared.wait(state, limit);
+            (state, late) = self.shared.wait(state, deadline);
             if late {
                 return None;
             }
@@ -222,56 +214,34 @@ impl End {
     }
 }
 
-/// The user's end of a stream.
-pub struct ZenohStream {
-    reader: ReadHalf,
-    writer: WriteHalf,
-}
+/// The user's end of a stream. Without it, what arrives counts as read, and the other end is told that no more comes.
+pub struct ZenohStream(Arc<Shared>);
 
-/// What is read. Without it, what arrives counts as read.
-struct ReadHalf(Arc<Shared>);
-
-/// What is written. Without it, the other end is told that no more comes.
-struct WriteHalf(Arc<Shared>);
-
-impl Bytes for ZenohStream {
-    fn halves(self: Box<Self>) -> (Box<dyn AsyncRead + Send + Unpin>, Writer) {
-        let Self { reader, writer } = *self;
-        (Box::new(reader), Writer::Direct(Box::new(writer)))
-    }
-}
-
-impl DirectWrite for WriteHalf {
-    fn try_write(&self, slices: &[io::IoSlice<'_>]) -> io::Result<usize> {
-        self.put(slices, None)
-    }
-}
-
-impl WriteHalf {
-    /// Takes what there is room for; `waker` is woken when there is some again.
-    fn put(&self, slices: &[io::IoSlice<'_>], waker: Option<&Waker>) -> io::Result<usize> {
+impl ZenohStream {
+    /// Takes what there is space for; `waker` is woken when there is some again.
+    fn put(&self, slices: &[io::IoSlice<'_>], waker: &Waker) -> Poll<io::Result<usize>> {
         let mut state = lock(&self.0.state);
         let mut written = 0;
         for slice in slices {
-            let count = state.pipe.write(slice).ok_or(io::ErrorKind::BrokenPipe)?;
+            let Some(count) = state.pipe.write(slice) else {
+                return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
+            };
             written += count;
             if count < slice.len() {
                 break;
             }
         }
         if written == 0 && slices.iter().any(|slice| !slice.is_empty()) {
-            if let Some(waker) = waker {
-                state.writer = Some(waker.clone());
-            }
-            return Err(io::ErrorKind::WouldBlock.into());
+            state.writer = Some(waker.clone());
+            return Poll::Pending;
         }
         drop(state);
         self.0.changed.notify_all();
-        Ok(written)
+        Poll::Ready(Ok(written))
     }
 }
 
-impl AsyncRead for ReadHalf {
+impl AsyncRead for ZenohStream {
     fn poll_read(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -297,7 +267,7 @@ impl AsyncRead for ReadHalf {
     }
 }
 
-impl AsyncWrite for WriteHalf {
+impl AsyncWrite for ZenohStream {
     fn poll_write(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -311,10 +281,7 @@ impl AsyncWrite for WriteHalf {
         cx: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        match self.put(slices, Some(cx.waker())) {
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
-            put => Poll::Ready(put),
-        }
+        self.put(slices, cx.waker())
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -332,42 +299,11 @@ impl AsyncWrite for WriteHalf {
     }
 }
 
-impl AsyncRead for ZenohStream {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        into: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.reader).poll_read(cx, into)
-    }
-}
-
-impl AsyncWrite for ZenohStream {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.writer).poll_write(cx, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.writer).poll_flush(cx)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.writer).poll_shutdown(cx)
-    }
-}
-
-impl Drop for ReadHalf {
+impl Drop for ZenohStream {
     fn drop(&mut self) {
-        self.0.change(Pipe::forget);
-    }
-}
-
-impl Drop for WriteHalf {
-    fn drop(&mut self) {
-        self.0.change(Pipe::close);
+        self.0.change(|pipe| {
+            pipe.close();
+            pipe.forget();
+        });
     }
 }

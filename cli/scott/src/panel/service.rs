@@ -18,7 +18,7 @@ pub(super) trait Objects: Send + Sync + 'static {
 }
 
 /// Some panels, and who meets their lines.
-pub(super) struct Desk {
+pub(super) struct Service {
     name: String,
     panels: Vec<Panel>,
     /// The lines that change nothing: those by which the panels show how it stands.
@@ -27,7 +27,7 @@ pub(super) struct Desk {
     pub(super) door: Door,
 }
 
-impl Desk {
+impl Service {
     pub(super) fn new(name: &str, panels: Vec<Panel>, door: Door, objects: impl Objects) -> Self {
         let looks = panels.iter().flat_map(|panel| &panel.widgets);
         let looks = looks.filter_map(Widget::look).map(str::to_owned).collect();
@@ -124,9 +124,9 @@ mod tests {
             anybody_looks: true,
             ..Door::default()
         };
-        let desk = Desk::new("cell", panels.to_vec(), door, Echo);
-        assert!(desk.is_look("pino EXEC state"));
-        assert!(desk.is_look("pino EXEC control"));
+        let service = Service::new("cell", panels.to_vec(), door, Echo);
+        assert!(service.is_look("pino EXEC state"));
+        assert!(service.is_look("pino EXEC control"));
         for line in [
             "pino EXEC stop",
             "mvpos EXEC home",
@@ -135,15 +135,16 @@ mod tests {
             "mvpos CTRL -speed {speed}",
             "",
         ] {
-            assert!(!desk.is_look(line), "{line}");
+            assert!(!service.is_look(line), "{line}");
         }
-        let described = desk.described(1, Right::Look).now_or_never().flatten();
+        let described = service.described(1, Right::Look).now_or_never().flatten();
         let described = described.unwrap();
         assert_eq!(described["control"], false);
         assert_eq!(described["panels"].as_array().unwrap().len(), 2);
         assert_eq!(described["widgets"][0]["dump"], "spot CTRL -dump");
         assert!(
-            desk.described(2, Right::Look)
+            service
+                .described(2, Right::Look)
                 .now_or_never()
                 .flatten()
                 .is_none()
