@@ -421,6 +421,52 @@ fn a_handler_made_of_methods_answers_in_all_the_ways_there_are() {
     });
 }
 
+/// A child of the driver that counts how often the driver's processor came to it.
+fn counting(cx: &Context) -> std::rc::Rc<std::cell::Cell<u32>> {
+    let count = std::rc::Rc::new(std::cell::Cell::new(0));
+    let counted = count.clone();
+    cx.spawn(async move {
+        loop {
+            counted.set(counted.get() + 1);
+            let mut polled = false;
+            std::future::poll_fn(|poll| {
+                poll.waker().wake_by_ref();
+                if std::mem::replace(&mut polled, true) {
+                    std::task::Poll::Ready(())
+                } else {
+                    std::task::Poll::Pending
+                }
+            })
+            .await;
+        }
+    });
+    count
+}
+
+#[test]
+fn a_call_is_handled_at_once_where_its_receiver_waits_on_the_same_processor() {
+    play(&[], |cx| async move {
+        let hand = cx.task("hand").await?;
+        let count = counting(&cx);
+        let sum = add(&cx, &hand, 2).await?;
+        assert_eq!((sum, count.get()), (2, 0), "something else came between");
+        Ok(())
+    });
+}
+
+#[test]
+fn a_task_that_calls_without_end_leaves_its_processor_to_others() {
+    play(&[], |cx| async move {
+        let hand = cx.task("hand").await?;
+        let count = counting(&cx);
+        for _ in 0..1000 {
+            add(&cx, &hand, 1).await?;
+        }
+        assert!(count.get() >= 20, "{}", count.get());
+        Ok(())
+    });
+}
+
 #[test]
 fn a_failed_part_of_a_handler_follows_the_restart_policy() {
     for how in ["Panic", "Child", "Synchronous", "ChildMeanwhile"] {

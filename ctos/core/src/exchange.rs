@@ -104,7 +104,6 @@ impl Calls {
         home: impl FnOnce() -> Arc<dyn Home>,
         now: Instant,
         deadline: Duration,
-        wait: Option<Wait>,
     ) -> Ticket {
         let index = self.free.pop().unwrap_or_else(|| self.add_slot(home()));
         // The index was free or has just been made.
@@ -114,11 +113,17 @@ impl Calls {
         slot.state = State::Waiting(None);
         slot.began = now;
         slot.deadline = deadline;
-        slot.wait = wait;
         slot.long = Long::NotYet;
         Ticket {
             shared: slot.shared.clone(),
             generation: slot.generation,
+        }
+    }
+
+    /// The caller of a call waits for it now.
+    pub(crate) fn wait(&mut self, key: CallKey, wait: Wait) {
+        if let Some(slot) = self.slot(key) {
+            slot.wait = Some(wait);
         }
     }
 

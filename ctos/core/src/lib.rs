@@ -90,7 +90,7 @@ pub use report::TaskCounters;
 pub mod task {
     pub use crate::{
         children::StartError,
-        context::{Call, Calling, Context, Elapsed, Find, NameError, Send, Sending, TaskRef},
+        context::{Call, Context, Elapsed, Find, NameError, Send, TaskRef},
         handled::{Handled, HandlerError},
         handler::{EventHandler, Handover},
         phase::{Phase, StopReason},

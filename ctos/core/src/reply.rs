@@ -336,7 +336,7 @@ mod tests {
     fn call() -> (Rc<Processor>, ReplySlot, CallKey) {
         let processor = Processor::new(Arc::default(), Clock::virtual_clock());
         processor.enter();
-        let ticket = processor.begin_call(Instant::START, Duration::from_secs(1), None);
+        let ticket = processor.begin_call(Instant::START, Duration::from_secs(1));
         let key = ticket.key();
         (processor, ReplySlot::call(ticket), key)
     }
@@ -355,7 +355,7 @@ mod tests {
         let first = answer(&processor, key).unwrap().unwrap();
         assert_eq!(first.take::<u8>().unwrap(), 1);
         // The next call uses the same slot.
-        let next = processor.begin_call(Instant::START, Duration::from_secs(1), None);
+        let next = processor.begin_call(Instant::START, Duration::from_secs(1));
         processor.take_answer(key, Ok(Data::of(2_u8)));
         assert!(answer(&processor, next.key()).is_none());
     }
@@ -402,7 +402,7 @@ mod tests {
         assert!(!slot.is_abandoned());
         processor.give_up_call(key);
         assert!(slot.is_abandoned());
-        let next = processor.begin_call(Instant::START, Duration::from_secs(1), None);
+        let next = processor.begin_call(Instant::START, Duration::from_secs(1));
         assert!(slot.is_abandoned());
         slot.answer(Ok(Data::of(1_u8)));
         assert!(answer(&processor, next.key()).is_none());

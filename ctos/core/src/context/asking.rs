@@ -3,7 +3,7 @@
 
 use std::{
     cell::Cell,
-    future::{Future, IntoFuture},
+    future::Future,
     marker::PhantomData,
     pin::Pin,
     rc::Rc,
@@ -32,7 +32,7 @@ use ctos_message::{
     fault::{CallError, Fault},
 };
 
-/// A call that has not been made yet; `.await` makes it.
+/// A call; `.await` makes it. Dropped before its end, it tells the receiver that nobody waits.
 #[must_use = "a call is made when it is awaited"]
 pub struct Call<C: Command> {
     ask: Ask,
@@ -61,28 +61,9 @@ impl<C: Command> Call<C> {
     }
 }
 
-impl<C: Command> IntoFuture for Call<C> {
-    type Output = Result<C::Reply, CallError>;
-    type IntoFuture = Calling<C>;
+impl<C: Command> Unpin for Call<C> {}
 
-    fn into_future(self) -> Calling<C> {
-        Calling {
-            ask: self.ask,
-            command: PhantomData,
-        }
-    }
-}
-
-/// A call under way. Dropped before its end, it tells the receiver that nobody waits.
-#[must_use = "a call is made when it is awaited"]
-pub struct Calling<C: Command> {
-    ask: Ask,
-    command: PhantomData<fn(C) -> C::Reply>,
-}
-
-impl<C: Command> Unpin for Calling<C> {}
-
-impl<C: Command> Future for Calling<C> {
+impl<C: Command> Future for Call<C> {
     type Output = Result<C::Reply, CallError>;
 
     fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
@@ -93,7 +74,7 @@ impl<C: Command> Future for Calling<C> {
     }
 }
 
-/// A one-way message that has not been sent yet; `.await` sends it.
+/// A one-way message; `.await` sends it. Dropped before it is taken, it is not delivered.
 #[must_use = "a message is sent when it is awaited"]
 pub struct Send<C: Command> {
     ask: Ask,
@@ -122,28 +103,9 @@ impl<C: Command> Send<C> {
     }
 }
 
-impl<C: Command> IntoFuture for Send<C> {
-    type Output = Result<(), CallError>;
-    type IntoFuture = Sending<C>;
+impl<C: Command> Unpin for Send<C> {}
 
-    fn into_future(self) -> Sending<C> {
-        Sending {
-            ask: self.ask,
-            command: PhantomData,
-        }
-    }
-}
-
-/// A one-way message under way. Dropped before it is taken, it is not delivered.
-#[must_use = "a message is sent when it is awaited"]
-pub struct Sending<C: Command> {
-    ask: Ask,
-    command: PhantomData<fn(C)>,
-}
-
-impl<C: Command> Unpin for Sending<C> {}
-
-impl<C: Command> Future for Sending<C> {
+impl<C: Command> Future for Send<C> {
     type Output = Result<(), CallError>;
 
     fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
@@ -242,9 +204,15 @@ impl Ask {
                 {
                     waits.circle = Circle::Found(found);
                 }
-                if !std::mem::replace(&mut waits.waited, true) && self.wait == WaitFor::Reply {
-                    // The clock was looked at for the call, and the poll ends here.
-                    self.asker.processor.stay();
+                if !std::mem::replace(&mut waits.waited, true) {
+                    let wait = Wait {
+                        activity: self.asker.record.statistics.activity().clone(),
+                        to: self.to.clone(),
+                        tid: waits.asked.to,
+                        command: self.command,
+                        place: None,
+                    };
+                    self.asker.processor.await_call(key, self.deadline, wait);
                 }
                 Poll::Pending
             }
@@ -260,32 +228,17 @@ impl Ask {
     /// Sends the message. The answer, if it is known at once.
     fn begin(&mut self, mut message: Message) -> Option<Result<Data, Fault>> {
         let Inner {
-            chassis,
-            processor,
-            record,
-            ..
+            chassis, processor, ..
         } = &*self.asker;
         let key = Cell::new(None);
-        let tid = message.header().to;
-        let wait_from = |now| {
-            let wait = Wait {
-                activity: record.statistics.activity().clone(),
-                to: self.to.clone(),
-                tid,
-                command: self.command,
-                place: None,
-            };
-            let ticket = processor.begin_call(now, self.deadline, Some(wait));
+        let began = (self.wait == WaitFor::Reply).then(|| processor.look_at_clock());
+        message.envelope.deadline = began.map(|began| began + self.deadline);
+        let mut slot = || {
+            let began = began.unwrap_or_else(|| processor.now());
+            let ticket = processor.begin_call(began, self.deadline);
             key.set(Some(ticket.key()));
-            ReplySlot::call(ticket)
+            Some(ReplySlot::call(ticket))
         };
-        let mut call = None;
-        if self.wait == WaitFor::Reply {
-            let now = processor.look_at_clock();
-            message.envelope.deadline = Some(now + self.deadline);
-            call = Some(wait_from(now));
-        }
-        let mut slot = || call.take().or_else(|| Some(wait_from(processor.now())));
         let ready = processor.ready_count();
         let delivered = chassis.deliver(message, self.wait, &mut slot);
         if self.wait == WaitFor::Reply {
@@ -296,7 +249,6 @@ impl Ask {
             Outcome::Failed(fault) => (None, Some(Err(fault))),
             Outcome::Waits(outbound) => (outbound, None),
         };
-        drop(call);
         if let (Some(key), Some(_)) = (key.get(), &answer) {
             processor.give_up_call(key);
         }

@@ -2,13 +2,13 @@ use std::task::Waker;
 
 use super::*;
 use crate::processor::{Processor, ProcessorHandle};
-use ctos_message::Data;
+use ctos_message::{Data, Tid};
 use ctos_time::Clock;
 
 const DEADLINE: Duration = Duration::from_secs(5);
 
 fn begin(calls: &mut Calls, home: &Arc<ProcessorHandle>, deadline: Duration) -> Ticket {
-    calls.begin(|| home.clone(), at(1), deadline, None)
+    calls.begin(|| home.clone(), at(1), deadline)
 }
 
 fn look(calls: &mut Calls, key: CallKey) -> Looked {
@@ -83,8 +83,16 @@ fn a_long_wait_is_told_once_before_the_deadline() {
 #[test]
 fn a_call_that_has_ended_leaves_no_timer() {
     let processor = Processor::new(Arc::default(), Clock::virtual_clock());
-    let ticket = processor.begin_call(Instant::START, DEADLINE, None);
+    let ticket = processor.begin_call(Instant::START, DEADLINE);
     let key = ticket.key();
+    let wait = Wait {
+        activity: Arc::default(),
+        to: "t".into(),
+        tid: Tid::default(),
+        command: "c",
+        place: None,
+    };
+    processor.await_call(key, DEADLINE, wait);
     assert_eq!(processor.next_deadline(), Some(Instant::START + LONG));
     processor.enter();
     ticket.answer(answer(1));

@@ -95,7 +95,7 @@ impl Bench {
     fn waiting_send(&self, message: Message) -> Waiter {
         let ticket = self
             .caller
-            .begin_call(Instant::START, Duration::from_secs(1), None);
+            .begin_call(Instant::START, Duration::from_secs(1));
         let key = ticket.key();
         let told = Acceptance::Told(ReplySlot::call(ticket));
         self.task.mailbox.put(message, told);
@@ -211,7 +211,7 @@ fn whatever_waits_when_the_task_ends_is_answered() {
         let waiter = bench.waiting_send(message(2, Flags::NONE));
         let call = bench
             .caller
-            .begin_call(Instant::START, Duration::from_secs(1), None);
+            .begin_call(Instant::START, Duration::from_secs(1));
         let asked = Waiter {
             caller: bench.caller.clone(),
             key: call.key(),

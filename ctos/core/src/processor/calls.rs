@@ -17,22 +17,21 @@ use ctos_time::Instant;
 const YOUNG: Duration = Duration::from_millis(1);
 
 impl Processor {
-    /// Begins a call that a future of this processor makes at `now`; `wait` is shown if it takes a while.
-    pub(crate) fn begin_call(
-        &self,
-        now: Instant,
-        deadline: Duration,
-        wait: Option<Wait>,
-    ) -> Ticket {
+    /// Begins a call that a future of this processor makes at `now`.
+    pub(crate) fn begin_call(&self, now: Instant, deadline: Duration) -> Ticket {
         let mut calls = self.calls.borrow_mut();
-        let ticket = calls.begin(|| self.handle.clone(), now, deadline, wait);
+        calls.begin(|| self.handle.clone(), now, deadline)
+    }
+
+    /// A call of at most `deadline` had no answer in the poll that made it; `wait` is shown if it takes a while.
+    pub(crate) fn await_call(&self, key: CallKey, deadline: Duration, wait: Wait) {
+        self.calls.borrow_mut().wait(key, wait);
         let mut young = self.young.borrow_mut();
         if young.is_empty() || deadline < YOUNG {
-            let settle_at = now + deadline.min(YOUNG);
+            let settle_at = self.recent() + deadline.min(YOUNG);
             self.settle_at.set(settle_at.min(self.settle_at.get()));
         }
-        young.push(ticket.key());
-        ticket
+        young.push(key);
     }
 
     /// Sets timers for the young calls that still wait, and shows what they wait for. Most have ended by then and

@@ -134,11 +134,6 @@ impl Processor {
         }
     }
 
-    /// No code of tasks has run since the last look, to speak of.
-    pub(crate) fn stay(&self) {
-        self.fresh.set(true);
-    }
-
     /// Code of a task is about to run: the last look at the clock will be an old one.
     pub(crate) fn leave(&self) {
         self.fresh.set(false);

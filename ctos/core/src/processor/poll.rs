@@ -130,7 +130,9 @@ impl Processor {
 
     /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
     fn poll_running(&self, id: FutureId, mut running: Running) {
-        let outer = self.current.replace(Some((id, WakerOf::the(&running.waker))));
+        let outer = self
+            .current
+            .replace(Some((id, WakerOf::the(&running.waker))));
         let polled = {
             let Running { future, waker, .. } = &mut running;
             let mut cx = PollContext::from_waker(waker);

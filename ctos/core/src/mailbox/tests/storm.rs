@@ -115,7 +115,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
             outcomes.insert(label, (way, result));
             continue;
         }
-        let ticket = here.begin_call(here.now(), LIMIT, None);
+        let ticket = here.begin_call(here.now(), LIMIT);
         let key = ticket.key();
         let slot = ReplySlot::call(ticket);
         if way == Way::Call {
