@@ -220,6 +220,8 @@ where
         }
     });
     let served = http1::Builder::new()
+        // Who has said all that it asks is answered all the same.
+        .half_close(true)
         .timer(TokioTimer::new())
         .header_read_timeout(SILENCE)
         .serve_connection(stream, answers)
