@@ -18,7 +18,7 @@ use crate::{
     envelope::Message,
     handled::{Handled, HandlerError},
     handler::{EventHandler, Handover},
-    runner::dynamic::{DynHandler, WithHandover},
+    runner::dynamic::{DynHandler, passing, plain},
 };
 use ctos_config::{
     App, TaskConfig,
@@ -162,11 +162,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Box::new(move |cx| {
-            let handler: Box<dyn DynHandler> = Box::new(build(cx)?);
-            Ok(handler)
-        });
-        self.add(name, commands, build)
+        self.add(name, commands, Box::new(move |cx| Ok(plain(build(cx)?))))
     }
 
     /// Registers a kind of event handler that passes its state on: its tasks can be moved while they run,
@@ -177,11 +173,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Box::new(move |cx| {
-            let handler: Box<dyn DynHandler> = Box::new(WithHandover(build(cx)?));
-            Ok(handler)
-        });
-        self.add(name, commands, build)
+        self.add(name, commands, Box::new(move |cx| Ok(passing(build(cx)?))))
     }
 
     fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {

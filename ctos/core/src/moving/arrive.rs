@@ -15,7 +15,7 @@ use crate::{
     envelope::{Message, Replier},
     handled::Handled,
     phase::Phase,
-    runner::{Origin, Runner, TaskSpec, drop_handler, start_at},
+    runner::{Origin, Runner, TaskSpec, drop_handler, dynamic::Notice, start_at},
     system::{AbortMove, Forwarded, MoveIn, Transfer},
     tap::WaitFor,
 };
@@ -189,7 +189,7 @@ async fn settle_in(runner: &mut Runner, state: &[u8]) -> Handled {
         if phase == Phase::Create {
             handler.take_over(&cx, state)?;
         }
-        handler.phase(&cx, phase).await?;
+        handler.tell(&cx, Notice::Phase(phase)).await?;
         runner.entered(phase);
     }
     Ok(())

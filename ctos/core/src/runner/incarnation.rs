@@ -7,7 +7,7 @@ use futures_util::{
     future::{Either, select},
 };
 
-use super::{Next, Runner, build_contained, drop_handler};
+use super::{Next, Runner, build_contained, drop_handler, dynamic::Notice};
 use crate::{
     contain::panic_text,
     context::Context,
@@ -80,7 +80,7 @@ impl Runner {
         let cx = self.cx.clone();
         let mut why = "it was told to shut down".to_owned();
         if let Some(handler) = &mut self.handler {
-            let stopping = AssertUnwindSafe(handler.stop(&cx, &StopReason::Shutdown));
+            let stopping = AssertUnwindSafe(handler.tell(&cx, Notice::Stop(&StopReason::Shutdown)));
             match cx.timeout(limit, stopping.catch_unwind()).await {
                 Ok(Ok(Ok(()))) => {}
                 Ok(Ok(Err(error))) => why = format!("it was told to shut down and said: {error}"),
@@ -250,7 +250,7 @@ impl Runner {
         let reached = self.phase;
         for phase in Phase::ALL {
             if reached.is_some_and(|reached| phase <= reached) {
-                handler.phase(&self.cx, phase).await?;
+                handler.tell(&self.cx, Notice::Phase(phase)).await?;
             }
         }
         self.kept = None;
