@@ -60,7 +60,6 @@ fn is_name(name: &str) -> bool {
     (1..=64).contains(&name.len()) && name.chars().all(allowed)
 }
 
-#[doc(hidden)]
 impl Context {
     /// Starts the event handler `handler` as a task of its own, called `THIS_TASK.name`, on the same
     /// processor; `args` are its arguments. It passes the three startup phases before this returns, can
@@ -98,7 +97,10 @@ impl Context {
             }
         }
     }
+}
 
+#[doc(hidden)]
+impl Context {
     fn child_spec(
         &self,
         task: &str,

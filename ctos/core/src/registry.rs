@@ -104,10 +104,7 @@ impl HandlerKind {
         let names = self.waits_for.as_ref().map(|names| names(task));
         names.unwrap_or_default()
     }
-}
 
-#[doc(hidden)]
-impl HandlerKind {
     /// The name in the configuration.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -134,7 +131,10 @@ impl HandlerKind {
     ) -> &mut Self {
         self.check_in_app(move |task, _, findings| check(task, findings))
     }
+}
 
+#[doc(hidden)]
+impl HandlerKind {
     pub fn recipe(&self) -> Arc<Recipe> {
         self.recipe.clone()
     }
@@ -261,10 +261,7 @@ impl Registry {
                 .suggest(command, commands.iter().map(|info| info.name))
             })
     }
-}
 
-#[doc(hidden)]
-impl Registry {
     /// No kinds.
     #[must_use]
     pub fn new() -> Self {

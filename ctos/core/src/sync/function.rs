@@ -95,10 +95,7 @@ impl Synchronous {
         self.on_failure = Some(Rc::new(hook));
         self
     }
-}
 
-#[doc(hidden)]
-impl Synchronous {
     /// The function called `name`, which runs at every base tick of its processor and exchanges nothing.
     pub fn new(name: impl Into<String>, function: impl Cyclic + 'static) -> Self {
         Self {

@@ -392,10 +392,7 @@ impl Schedule {
         }
         any
     }
-}
 
-#[doc(hidden)]
-impl Schedule {
     /// Without functions.
     #[must_use]
     pub fn new(settings: ScheduleSettings, clock: Clock) -> Self {
