@@ -110,7 +110,7 @@ impl EventHandler for Agent {
             }
             Rebound::CODE => {
                 let (rebound, reply) = message.open::<Rebound>()?;
-                turn(cx, rebound, reply);
+                redirect(cx, rebound, reply);
                 Ok(())
             }
             WaitsFor::CODE => {
@@ -292,12 +292,12 @@ fn take_load(cx: &Context, to: Tid, what: Load, reply: Replier<Transfer>) -> Han
 }
 
 /// A name has another id now, or none.
-fn turn(cx: &Context, rebound: Rebound, reply: Replier<Rebound>) {
+fn redirect(cx: &Context, rebound: Rebound, reply: Replier<Rebound>) {
     let here = cx.clone();
     match rebound.new {
         Some(new) if rebound.moved => cx.spawn(async move {
             // A reply cannot fail, here and below.
-            let _ = match moving::turn(&here, &rebound, new).await {
+            let _ = match moving::redirect(&here, &rebound, new).await {
                 Ok(()) => reply.ok(()),
                 Err(error) => reply.fail(error),
             };

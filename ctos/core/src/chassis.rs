@@ -205,10 +205,7 @@ impl Chassis {
             chassis: self.name_of(peer).to_owned(),
         }
     }
-}
 
-#[doc(hidden)]
-impl Chassis {
     /// The app's time, as this chassis sees it.
     #[must_use]
     pub fn clock(&self) -> &Clock {
@@ -221,6 +218,15 @@ impl Chassis {
         self.name_of(self.index)
     }
 
+    /// The schedules of the processors here that have synchronous functions.
+    #[must_use]
+    pub fn schedules(&self) -> Vec<ScheduleView> {
+        self.cyclics.schedules()
+    }
+}
+
+#[doc(hidden)]
+impl Chassis {
     /// The numbers of all chassis of the app but this one.
     pub fn others(&self) -> impl Iterator<Item = u8> + '_ {
         (0..self.names.len())
@@ -252,12 +258,6 @@ impl Chassis {
     /// Its processors' threads sleep there when they have nothing else to do, and look at its links.
     pub fn set_parks(&self, make: MakePark) {
         let _ = self.parks.set(make);
-    }
-
-    /// The schedules of the processors here that have synchronous functions.
-    #[must_use]
-    pub fn schedules(&self) -> Vec<ScheduleView> {
-        self.cyclics.schedules()
     }
 
     pub fn add_task(&self, task: Arc<TaskRecord>) {

@@ -60,7 +60,6 @@ fn is_name(name: &str) -> bool {
     (1..=64).contains(&name.len()) && name.chars().all(allowed)
 }
 
-#[doc(hidden)]
 impl Context {
     /// Starts the event handler `handler` as a task of its own, called `THIS_TASK.name`, on the same
     /// processor; `args` are its arguments. It passes the three startup phases before this returns, can
@@ -98,7 +97,10 @@ impl Context {
             }
         }
     }
+}
 
+#[doc(hidden)]
+impl Context {
     fn child_spec(
         &self,
         task: &str,
@@ -137,10 +139,10 @@ impl Context {
             tid: child.tid(),
         };
         self.call(&Self::server(), RegisterTid { task }).await?;
-        let limit = self.app().phase_timeout;
+        let deadline = self.app().phase_timeout;
         for phase in Phase::ALL {
             let enter = crate::system::EnterPhase { phase };
-            self.call(child, enter).deadline(limit).await?;
+            self.call(child, enter).deadline(deadline).await?;
         }
         Ok(())
     }
@@ -153,8 +155,8 @@ impl Context {
             let (cx, reason) = (self.clone(), reason.clone());
             let name = format!("its task `{}`", task.name());
             self.quiet_after(move || name.clone(), async move {
-                let limit = cx.app().stop_timeout;
-                match cx.call(&task, Quiesce { reason }).deadline(limit).await {
+                let deadline = cx.app().stop_timeout;
+                match cx.call(&task, Quiesce { reason }).deadline(deadline).await {
                     Err(error) if !error.is_gone() => Err(error.into()),
                     _ => Ok(()),
                 }
@@ -173,8 +175,8 @@ impl Context {
     }
 
     async fn end_started(&self, child: &TaskRef) {
-        let limit = self.app().stop_timeout;
-        if let Err(error) = self.call(child, Shutdown {}).deadline(limit).await
+        let deadline = self.app().stop_timeout;
+        if let Err(error) = self.call(child, Shutdown {}).deadline(deadline).await
             && !error.is_gone()
         {
             tracing::warn!(task = child.name(), error = %error, "did not shut down");

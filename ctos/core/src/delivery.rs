@@ -33,12 +33,12 @@ impl Acceptance {
     }
 }
 
-/// What became of a message that does not wait for room.
+/// What became of a message that does not wait for a credit.
 pub enum Offered {
     /// It is in the queue.
     Taken,
-    /// There is no room now.
-    NoRoom(Message),
+    /// There is no credit now.
+    Full(Message),
     /// The task takes nothing more.
     Closed(Message),
 }

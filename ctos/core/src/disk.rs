@@ -46,13 +46,15 @@ impl Extension for OnDisk {
     }
 }
 
-#[doc(hidden)]
 impl Chassis {
     /// What survives it, if it is simulated.
     pub fn disk(&self) -> Option<Arc<Disk>> {
         self.extension::<OnDisk>().0.clone()
     }
+}
 
+#[doc(hidden)]
+impl Chassis {
     /// It is simulated, and this survives it.
     pub fn set_disk(&self, disk: Arc<Disk>) {
         self.extend(Arc::new(OnDisk(Some(disk))));
@@ -65,7 +67,6 @@ impl fmt::Debug for Disk {
     }
 }
 
-#[doc(hidden)]
 impl Context {
     /// The disk of the simulated host; `None` in real time, where there is the file system.
     #[must_use]

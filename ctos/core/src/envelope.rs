@@ -77,6 +77,12 @@ impl Message {
             }
         }
     }
+
+    /// What the sender asks for.
+    #[must_use]
+    pub fn command(&self) -> u16 {
+        self.envelope.header.command
+    }
 }
 
 #[doc(hidden)]
@@ -128,12 +134,6 @@ impl Message {
         self.envelope.deadline = deadline;
         self
     }
-
-    /// What the sender asks for.
-    #[must_use]
-    pub fn command(&self) -> u16 {
-        self.envelope.header.command
-    }
 }
 
 /// The right to answer one request, now or later. Dropped without an answer, it tells the caller so.
@@ -174,10 +174,7 @@ impl<C: Command> Replier<C> {
         }
         Ok(())
     }
-}
 
-#[doc(hidden)]
-impl<C: Command> Replier<C> {
     /// Whether the caller no longer waits (its deadline passed, or it is gone).
     #[must_use]
     pub fn is_abandoned(&self) -> bool {

@@ -17,7 +17,6 @@ struct Said {
     text: String,
 }
 
-#[doc(hidden)]
 impl HandlerError {
     /// An error that says `text`.
     #[must_use]

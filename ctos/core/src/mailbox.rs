@@ -1,6 +1,6 @@
-//! A task's bounded queue: a high-priority lane and a normal one, and senders that wait for room.
+//! A task's bounded queue: a high-priority lane and a normal one, and senders that wait for a credit.
 //!
-//! First in, first out per lane, so also per pair of sender and receiver. Each lane has its own room
+//! First in, first out per lane, so also per pair of sender and receiver. Each lane has its own credits
 //! and its own line of waiting senders: a flood of normal messages cannot keep an urgent one out.
 //! Messages of the runtime itself (phases, stop, a dead chassis) travel in the high-priority lane and
 //! are never refused.
@@ -37,7 +37,7 @@ pub struct Mailbox {
 }
 
 impl Mailbox {
-    /// The queue of the task in `slot` of the processor `home`, with room for `capacity` messages of
+    /// The queue of the task in `slot` of the processor `home`, with credits for `capacity` messages of
     /// each priority.
     pub(crate) fn new(capacity: usize, home: Arc<ProcessorHandle>, slot: u16) -> Self {
         Self {
@@ -51,7 +51,7 @@ impl Mailbox {
         }
     }
 
-    /// How many messages of each priority it has room for.
+    /// How many messages of each priority there are credits for.
     fn capacity(&self) -> usize {
         self.capacity as usize
     }
@@ -99,7 +99,7 @@ impl Mailbox {
         if system {
             credits.take_always();
         } else if !credits.take(self.capacity()) {
-            return Err(Offered::NoRoom(message));
+            return Err(Offered::Full(message));
         }
         Ok(message)
     }
@@ -121,7 +121,7 @@ impl Mailbox {
     pub fn put(&self, message: Message, acceptance: Acceptance) {
         match self.offer(message) {
             Offered::Taken => acceptance.tell(Ok(())),
-            Offered::NoRoom(message) => self.line_up(message, acceptance),
+            Offered::Full(message) => self.line_up(message, acceptance),
             Offered::Closed(message) => refuse(message, acceptance, &Fault::Stopping),
         }
     }

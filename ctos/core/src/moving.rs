@@ -8,7 +8,7 @@
 //! 3. The task identification service gives the name to the new place. This is the moment: before it,
 //!    any failure leaves the task where it was, with its state and its queue; after it, the old place
 //!    only sends on what still comes to it, and replies take the way back.
-//! 4. Every chassis turns to the new place by itself and sends a fence by the old one. The new place
+//! 4. Every chassis redirects itself to the new place and sends a fence by the old one. The new place
 //!    keeps what comes straight from a chassis until the fence of that chassis has arrived, so the two
 //!    ways of one sender never mix. When all fences are through, the old place is given up.
 //!
@@ -59,8 +59,8 @@ impl Context {
             task: task.to_owned(),
             to: to.to_owned(),
         };
-        let limit = PATIENCE + self.app().phase_timeout.saturating_mul(4);
-        self.call(&Self::server(), request).deadline(limit).await
+        let deadline = PATIENCE + self.app().phase_timeout.saturating_mul(4);
+        self.call(&Self::server(), request).deadline(deadline).await
     }
 }
 
@@ -68,9 +68,9 @@ fn agent_of(chassis: u8) -> TaskRef {
     TaskRef::new("agent", system::agent_tid(chassis))
 }
 
-/// Turns this chassis to the new place of a task: its messages go straight there from now on, and a
+/// Redirects this chassis to the new place of a task: its messages go straight there from now on, and a
 /// fence follows those that went by the old place.
-pub async fn turn(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
+pub async fn redirect(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
     let chassis = cx.chassis();
     chassis
         .directory
@@ -85,7 +85,7 @@ pub async fn turn(cx: &Context, rebound: &Rebound, new: Tid) -> Handled {
 
 /// Fences off a chassis that cannot reach the old place of a task any more, or whose fence cannot reach
 /// the new one: done by the chassis that boots, which reaches everybody who is left.
-pub(crate) async fn turn_for(cx: &Context, rebound: &Rebound, new: Tid, chassis: u8) -> bool {
+pub(crate) async fn redirect_for(cx: &Context, rebound: &Rebound, new: Tid, chassis: u8) -> bool {
     let old = TaskRef::new(rebound.name.as_str(), rebound.old);
     let agent = agent_of(new.chassis());
     let began = cx.now();

@@ -18,7 +18,7 @@ use crate::{
     envelope::Message,
     handled::{Handled, HandlerError},
     handler::{EventHandler, Handover},
-    runner::dynamic::{DynHandler, WithHandover},
+    runner::dynamic::{DynHandler, passing, plain},
 };
 use ctos_config::{
     App, TaskConfig,
@@ -104,10 +104,7 @@ impl HandlerKind {
         let names = self.waits_for.as_ref().map(|names| names(task));
         names.unwrap_or_default()
     }
-}
 
-#[doc(hidden)]
-impl HandlerKind {
     /// The name in the configuration.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -134,7 +131,10 @@ impl HandlerKind {
     ) -> &mut Self {
         self.check_in_app(move |task, _, findings| check(task, findings))
     }
+}
 
+#[doc(hidden)]
+impl HandlerKind {
     pub fn recipe(&self) -> Arc<Recipe> {
         self.recipe.clone()
     }
@@ -162,11 +162,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Box::new(move |cx| {
-            let handler: Box<dyn DynHandler> = Box::new(build(cx)?);
-            Ok(handler)
-        });
-        self.add(name, commands, build)
+        self.add(name, commands, Box::new(move |cx| Ok(plain(build(cx)?))))
     }
 
     /// Registers a kind of event handler that passes its state on: its tasks can be moved while they run,
@@ -177,11 +173,7 @@ impl Registry {
         commands: &[CommandInfo],
         build: impl Fn(&Context) -> Result<H, HandlerError> + Send + Sync + 'static,
     ) -> &mut HandlerKind {
-        let build: Build = Box::new(move |cx| {
-            let handler: Box<dyn DynHandler> = Box::new(WithHandover(build(cx)?));
-            Ok(handler)
-        });
-        self.add(name, commands, build)
+        self.add(name, commands, Box::new(move |cx| Ok(passing(build(cx)?))))
     }
 
     fn add(&mut self, name: &str, commands: &[CommandInfo], build: Build) -> &mut HandlerKind {
@@ -269,10 +261,7 @@ impl Registry {
                 .suggest(command, commands.iter().map(|info| info.name))
             })
     }
-}
 
-#[doc(hidden)]
-impl Registry {
     /// No kinds.
     #[must_use]
     pub fn new() -> Self {

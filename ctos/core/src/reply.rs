@@ -225,7 +225,7 @@ impl ReplySlot {
     /// What is enough to answer in place of whoever has the slot.
     pub(crate) fn key(&self) -> Option<ReplyKey> {
         Some(match self.to.as_ref()? {
-            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.shared.clone(), ticket.generation),
+            ReplyTo::Local(ticket) => ReplyKey::Local(ticket.key()),
             ReplyTo::Outside(promise) => ReplyKey::Outside(promise.clone()),
             ReplyTo::Remote(request) => ReplyKey::Remote(request.clone()),
         })
@@ -264,7 +264,7 @@ impl fmt::Debug for ReplySlot {
 /// has that right, and may have passed it on.
 pub(crate) enum ReplyKey {
     /// To a call of a task of this chassis.
-    Local(Arc<Shared>, u64),
+    Local(CallKey),
     /// To somebody in this process who is no task.
     Outside(Arc<Promise>),
     /// Over a link.
@@ -272,10 +272,11 @@ pub(crate) enum ReplyKey {
 }
 
 impl ReplyKey {
-    /// Answers in place of whoever has the right to; nothing comes of it when that was done already.
-    pub(crate) fn answer(self, answer: Answer) {
+    /// Answers in place of whoever has the right to; nothing comes of it when that was done already. A call of a
+    /// task of this chassis waits at `home`.
+    pub(crate) fn answer(self, home: &dyn Home, answer: Answer) {
         match self {
-            Self::Local(shared, generation) => Ticket { shared, generation }.answer(answer),
+            Self::Local(key) => home.take_answer(key, answer),
             Self::Outside(promise) => promise.fulfil(answer),
             Self::Remote(request) => request.answer(answer),
         }

@@ -59,7 +59,7 @@ pub struct QueueReport {
     pub urgent: u64,
     /// Messages of normal priority.
     pub normal: u64,
-    /// Senders that wait for room.
+    /// Senders that wait for a credit.
     pub waiting: u64,
     /// How many messages of each priority it holds at most.
     pub capacity: u64,

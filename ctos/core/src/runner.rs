@@ -17,7 +17,7 @@ use crate::{
     processor::{Processor, ProcessorHandle},
     registry::Recipe,
     runner::{
-        dynamic::DynHandler,
+        dynamic::{DynHandler, Notice},
         serving::{Served, Serving},
     },
     supervise::{Ending, Event, Policy, Restarts, State},
@@ -325,7 +325,7 @@ impl Runner {
     async fn enter_phase(&mut self, cx: &Context, message: Message) -> Handled {
         let (EnterPhase { phase }, reply) = message.open::<EnterPhase>()?;
         let handler = self.handler.as_mut().ok_or("it is being restarted")?;
-        handler.phase(cx, phase).await?;
+        handler.tell(cx, Notice::Phase(phase)).await?;
         self.entered(phase);
         reply.ok(())
     }
@@ -356,7 +356,7 @@ impl Runner {
         if let Some(handler) = &mut self.handler
             && self.phase == Some(Phase::Run)
         {
-            handler.quiesce(cx, &reason).await?;
+            handler.tell(cx, Notice::Quiesce(&reason)).await?;
         }
         cx.quiet_after_started(&reason);
         cx.said_quiet();
@@ -370,7 +370,7 @@ impl Runner {
         cx.chassis().set_stopping();
         cx.begin_stop(&reason, None);
         if let Some(handler) = &mut self.handler {
-            handler.stop(cx, &reason).await?;
+            handler.tell(cx, Notice::Stop(&reason)).await?;
         }
         cx.end_all_started().await;
         reply.ok(())
@@ -387,12 +387,12 @@ pub(crate) fn drop_handler(cx: &Context, handler: Box<dyn DynHandler>) {
 
 async fn chassis_down(handler: &mut dyn DynHandler, cx: &Context, message: Message) -> Handled {
     let (ChassisDown { chassis }, _) = message.open::<ChassisDown>()?;
-    handler.chassis_down(cx, &chassis).await
+    handler.tell(cx, Notice::ChassisDown(&chassis)).await
 }
 
 async fn chassis_up(handler: &mut dyn DynHandler, cx: &Context, message: Message) -> Handled {
     let (ChassisUp { chassis }, _) = message.open::<ChassisUp>()?;
-    handler.chassis_up(cx, &chassis).await
+    handler.tell(cx, Notice::ChassisUp(&chassis)).await
 }
 
 async fn task_changed(handler: &mut dyn DynHandler, cx: &Context, message: Message) -> Handled {
@@ -400,10 +400,12 @@ async fn task_changed(handler: &mut dyn DynHandler, cx: &Context, message: Messa
     match change {
         Change::Up => {
             let task = TaskRef::new(task.name, task.tid);
-            handler.task_up(cx, &task).await
+            handler.tell(cx, Notice::TaskUp(&task)).await
         }
         Change::Down { reason } | Change::Ended { reason } => {
-            handler.task_down(cx, &task.name, &reason).await
+            handler
+                .tell(cx, Notice::TaskDown(&task.name, &reason))
+                .await
         }
     }
 }

@@ -117,10 +117,7 @@ impl Semaphore {
             Err(error) => Err(error),
         }
     }
-}
 
-#[doc(hidden)]
-impl Semaphore {
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -301,7 +298,6 @@ pub struct Permit {
     ticket: Ticket,
 }
 
-#[doc(hidden)]
 impl Permit {
     /// Gives it back.
     pub fn release(self) {
@@ -422,10 +418,7 @@ impl Barrier {
             }
         }
     }
-}
 
-#[doc(hidden)]
-impl Barrier {
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -449,10 +442,7 @@ impl Context {
         views.extend(here.filter(|view| view.scope == Scope::Chassis));
         Ok(views)
     }
-}
 
-#[doc(hidden)]
-impl Context {
     /// The counting semaphore called `name`, with `permits` unless `[semaphore.NAME]` of the configuration
     /// says how many. It is shared by the tasks of this chassis; by those of the whole app, if the
     /// configuration says so or its name begins with `app/`.

@@ -52,7 +52,6 @@ pub struct Restarts {
     rng: Option<Box<ChaCha8Rng>>,
 }
 
-#[doc(hidden)]
 impl Restarts {
     /// Nothing was restarted so far. The jitter is drawn from `seed`, so that things that fail together are
     /// not restarted together.
@@ -87,7 +86,10 @@ impl Restarts {
         self.recent.push_back(now);
         Verdict::RestartAfter(self.backoff(restarts))
     }
+}
 
+#[doc(hidden)]
+impl Restarts {
     /// The back-off, doubled `doublings` times, less up to a quarter of it.
     fn backoff(&mut self, doublings: usize) -> Duration {
         let factor = u32::try_from(doublings)

@@ -17,7 +17,7 @@ pub struct TaskRecord {
 }
 
 impl TaskRecord {
-    /// A task of processor `home` that takes `commands`, with room for `capacity` messages of each priority.
+    /// A task of processor `home` that takes `commands`, with credits for `capacity` messages of each priority.
     pub(crate) fn new(
         name: &str,
         tid: Tid,
@@ -46,8 +46,8 @@ impl TaskRecord {
 
 #[cfg(test)]
 impl TaskRecord {
-    /// One with room for `capacity` messages, in `slot` of the processor `home`.
-    pub(crate) fn with_room(
+    /// One with credits for `capacity` messages, in `slot` of the processor `home`.
+    pub(crate) fn with_capacity(
         capacity: usize,
         home: Arc<crate::processor::ProcessorHandle>,
         slot: u16,

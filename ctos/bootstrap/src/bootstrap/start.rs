@@ -10,7 +10,7 @@ use ctos_core::{
     handler::EventHandler,
     names::{self, TidServer},
     registry::Recipe,
-    runner::{TaskSpec, start_task},
+    runner::{TaskSpec, dynamic::plain, start_task},
     semaphore::{self, server::SemaphoreServer},
     system,
 };
@@ -55,7 +55,7 @@ fn start<H: EventHandler>(
     };
     let recipe = Recipe {
         commands: commands.into(),
-        build: Box::new(move |cx| Ok(Box::new(build(cx)))),
+        build: Box::new(move |cx| Ok(plain(build(cx)))),
     };
     let spec = TaskSpec::new(name, tid, None, Arc::new(recipe), processor);
     let record = spec.record.clone();

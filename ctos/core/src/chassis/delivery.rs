@@ -109,7 +109,7 @@ impl Chassis {
         let message = match offered {
             Offered::Taken if wait == WaitFor::Reply => return Outcome::Waits(None),
             Offered::Taken => return Outcome::Taken,
-            Offered::Closed(message) | Offered::NoRoom(message) => message,
+            Offered::Closed(message) | Offered::Full(message) => message,
         };
         let task = self.task(to).filter(|task| !task.mailbox.is_closed());
         match (task, wait) {
@@ -174,7 +174,7 @@ impl Chassis {
         self.deliver(message, WaitFor::Acceptance, &mut || None);
     }
 
-    /// Turns `message` to where the receiver is now, and begins a trace if it belongs to none.
+    /// Directs `message` to where the receiver is now, and begins a trace if it belongs to none.
     fn address(&self, message: &mut Message) {
         let envelope = &mut *message.envelope;
         if envelope.trace == 0 {

@@ -428,7 +428,7 @@ mod tests {
     fn frames_of_a_link_come_in_their_order_whichever_threads_of_the_chassis_read_them() {
         let chassis = cell();
         let processor = chassis.processor(1).unwrap();
-        let task = TaskRecord::with_room(8, processor.handle.clone(), 0);
+        let task = TaskRecord::with_capacity(8, processor.handle.clone(), 0);
         let queue = TaskQueue::open(task.clone());
         processor.add_queue(0, queue.clone());
         chassis.add_task(task.clone());

@@ -266,25 +266,6 @@ impl Context {
     pub fn shared<T: std::marker::Send + Sync + 'static>(&self, key: &str) -> Option<Arc<T>> {
         self.inner.chassis.shared(key)
     }
-}
-
-#[doc(hidden)]
-impl Context {
-    pub fn new(
-        record: Arc<TaskRecord>,
-        chassis: Arc<Chassis>,
-        processor: Rc<Processor>,
-        config: Option<Box<TaskConfig>>,
-    ) -> Self {
-        Self::of(Rc::new(Inner {
-            record,
-            chassis,
-            processor,
-            config,
-            family: RefCell::default(),
-            incarnation: Cell::new(0),
-        }))
-    }
 
     /// The task's symbolic name.
     #[must_use]
@@ -325,6 +306,25 @@ impl Context {
         };
         let id = self.inner.processor.spawn(child, Some(Rc::new(on_panic)));
         self.inner.family().children.insert(number, id);
+    }
+}
+
+#[doc(hidden)]
+impl Context {
+    pub fn new(
+        record: Arc<TaskRecord>,
+        chassis: Arc<Chassis>,
+        processor: Rc<Processor>,
+        config: Option<Box<TaskConfig>>,
+    ) -> Self {
+        Self::of(Rc::new(Inner {
+            record,
+            chassis,
+            processor,
+            config,
+            family: RefCell::default(),
+            incarnation: Cell::new(0),
+        }))
     }
 }
 

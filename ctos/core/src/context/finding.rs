@@ -94,14 +94,14 @@ impl NameError {
 pub struct Find<'c> {
     cx: &'c Context,
     name: &'c str,
-    limit: Duration,
+    deadline: Duration,
     asking: Option<LocalBoxFuture<'c, Result<TaskRef, NameError>>>,
 }
 
 impl Find<'_> {
     /// Waits for so long at most while the task's chassis is being restarted; with zero, not at all.
-    pub fn deadline(mut self, limit: Duration) -> Self {
-        self.limit = limit;
+    pub fn deadline(mut self, deadline: Duration) -> Self {
+        self.deadline = deadline;
         self
     }
 }
@@ -113,7 +113,7 @@ impl Future for Find<'_> {
         let Self {
             cx,
             name,
-            limit,
+            deadline,
             asking,
         } = self.get_mut();
         let asking = match asking {
@@ -126,7 +126,7 @@ impl Future for Find<'_> {
                     }
                     known => known.map(|(_, tid)| tid),
                 };
-                asking.insert(Box::pin(cx.find(name, gone, *limit)))
+                asking.insert(Box::pin(cx.find(name, gone, *deadline)))
             }
         };
         asking.as_mut().poll(poll)
@@ -148,7 +148,7 @@ impl Context {
         Find {
             cx: self,
             name,
-            limit: self.inner.call_deadline(),
+            deadline: self.inner.call_deadline(),
             asking: None,
         }
     }
@@ -165,10 +165,10 @@ impl Context {
         &self,
         name: &str,
         mut gone: Option<Tid>,
-        limit: Duration,
+        deadline: Duration,
     ) -> Result<TaskRef, NameError> {
         let directory = &self.inner.chassis.directory;
-        let until = self.now() + limit;
+        let until = self.now() + deadline;
         let mut away: Option<String> = None;
         loop {
             let waits = away.is_some();
@@ -208,7 +208,7 @@ impl Context {
                         from,
                         name,
                         chassis,
-                        after: limit,
+                        after: deadline,
                     });
                 }
                 (Err(error), _) => return Err(error.into()),
@@ -220,9 +220,13 @@ impl Context {
     /// task may be about to [start](Self::start) it, or its chassis is just being started again.
     ///
     /// # Errors
-    /// [`NameError::NotYet`] after `limit`, with who waits for whom; [`NameError::Circle`] at once, when
+    /// [`NameError::NotYet`] after `deadline`, with who waits for whom; [`NameError::Circle`] at once, when
     /// the task that would start it waits, directly or not, for a name that only this task can start.
-    pub async fn wait_for_task(&self, name: &str, limit: Duration) -> Result<TaskRef, NameError> {
+    pub async fn wait_for_task(
+        &self,
+        name: &str,
+        deadline: Duration,
+    ) -> Result<TaskRef, NameError> {
         let directory = &self.inner.chassis.directory;
         if let Some((name, tid)) = directory.known(name) {
             return Ok(TaskRef::new(name, tid));
@@ -231,7 +235,7 @@ impl Context {
             name: name.to_owned(),
             waiter: self.name().to_owned(),
         };
-        match self.call(&Self::server(), request).deadline(limit).await {
+        match self.call(&Self::server(), request).deadline(deadline).await {
             Ok(Ok(tid)) => Ok(TaskRef::new(name, directory.learn(name, tid))),
             Ok(Err(circle)) => Err(NameError::Circle { circle }),
             Err(error) if matches!(error.fault, Fault::Deadline { .. }) => {
@@ -241,7 +245,7 @@ impl Context {
                 Err(NameError::NotYet {
                     from: self.name().to_owned(),
                     name: name.to_owned(),
-                    after: limit,
+                    after: deadline,
                     why: self.call(&Self::server(), query).await?,
                 })
             }

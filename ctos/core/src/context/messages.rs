@@ -36,7 +36,7 @@ impl Context {
         Send::new(self.inner.clone(), to, message)
     }
 
-    /// Sends only if the receiver is on this chassis and has room now.
+    /// Sends only if the receiver is on this chassis and has a credit for it now.
     ///
     /// # Errors
     /// [`Fault::Full`], [`Fault::Elsewhere`] and the like, with both names.

@@ -133,10 +133,7 @@ impl Context {
         family.quiet.as_mut()?.waits.extend(waits);
         (!words.is_empty()).then(|| words.join("; "))
     }
-}
 
-#[doc(hidden)]
-impl Context {
     /// Whether the app is being stopped, as far as this task was told: from the call of its handler's
     /// [`quiesce`](crate::handler::EventHandler::quiesce) on. Begin nothing then that need not be.
     #[must_use]

@@ -113,10 +113,7 @@ impl Context {
     pub fn is_recording(&self) -> bool {
         self.inner.chassis.tap.recorder().is_some()
     }
-}
 
-#[doc(hidden)]
-impl Context {
     /// Puts a synchronous function on the schedule of this task's processor, which it shares with those of
     /// the other tasks there, until the handle is dropped. Its name becomes `task.function`. If it panics,
     /// it is taken off the schedule, and the task's restart policy decides.

@@ -11,15 +11,7 @@ pub struct TaskRef {
     pub(super) tid: Tid,
 }
 
-#[doc(hidden)]
 impl TaskRef {
-    pub fn new(name: impl Into<Arc<str>>, tid: Tid) -> Self {
-        Self {
-            name: name.into(),
-            tid,
-        }
-    }
-
     /// Its symbolic name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -30,5 +22,15 @@ impl TaskRef {
     #[must_use]
     pub fn tid(&self) -> Tid {
         self.tid
+    }
+}
+
+#[doc(hidden)]
+impl TaskRef {
+    pub fn new(name: impl Into<Arc<str>>, tid: Tid) -> Self {
+        Self {
+            name: name.into(),
+            tid,
+        }
     }
 }

@@ -47,13 +47,15 @@ impl TaskQueue {
     /// Drops the news that parts of the handler broke: it is gone altogether.
     pub(crate) fn forget_broken(&self) {
         let mut lanes = self.lanes();
+        let credits = lanes.urgent.all_credits();
         let queue = std::mem::take(&mut lanes.urgent.queue);
         let is_news = |message: &Message| message.command() == Broke::CODE;
         let (news, kept): (VecDeque<_>, VecDeque<_>) = queue.into_iter().partition(is_news);
+        let kept_count = kept.len();
         lanes.urgent.queue = kept;
         self.count_interruptions(&lanes);
         drop(lanes);
-        self.task.mailbox.credits(true).give(news.len());
+        self.task.mailbox.credits(true).give(credits - kept_count);
         drop(news);
         // The credits they had are for those who wait.
         self.admit();
@@ -92,13 +94,14 @@ impl TaskQueue {
     pub(crate) fn take_accepted(&self) -> Vec<Message> {
         let mut lanes = self.lanes();
         let of_runtime = |message: &Message| message.command() >= SYSTEM_COMMANDS;
+        let (in_urgent, in_normal) = (lanes.urgent.all_credits(), lanes.normal.all_credits());
         let urgent = std::mem::take(&mut lanes.urgent.queue);
         let (kept, taken): (VecDeque<_>, VecDeque<_>) = urgent.into_iter().partition(of_runtime);
+        let mailbox = &self.task.mailbox;
+        mailbox.credits(true).give(in_urgent - kept.len());
+        mailbox.credits(false).give(in_normal);
         lanes.urgent.queue = kept;
         let normal = std::mem::take(&mut lanes.normal.queue);
-        let mailbox = &self.task.mailbox;
-        mailbox.credits(true).give(taken.len());
-        mailbox.credits(false).give(normal.len());
         self.count_interruptions(&lanes);
         taken.into_iter().chain(normal).collect()
     }
@@ -115,7 +118,7 @@ impl TaskQueue {
             for urgent in [true, false] {
                 let credits = self.task.mailbox.credits(urgent);
                 let lane = lanes.lane(urgent);
-                credits.give(lane.queue.len());
+                credits.give(lane.all_credits());
                 let queued = lane.queue.drain(..);
                 all.extend(queued.map(|message| (message, Acceptance::Silent)));
                 for waiting in lane.waiting.drain(..) {

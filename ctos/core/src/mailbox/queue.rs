@@ -25,7 +25,20 @@ pub(super) struct Lane {
     pub(super) queue: VecDeque<Message>,
     /// While it holds anybody, whoever comes waits, too: nobody is overtaken.
     pub(super) waiting: VecDeque<(Message, Acceptance)>,
+    /// Credits of messages that were taken out, to be given back together: senders on other cores use the same
+    /// memory. None while the queue is empty.
+    owed: usize,
 }
+
+impl Lane {
+    /// The credits of all messages that are or were in the queue, to be given back.
+    pub(super) fn all_credits(&mut self) -> usize {
+        self.queue.len() + std::mem::take(&mut self.owed)
+    }
+}
+
+/// This part of the capacity is owed at most.
+const OWED_PART: usize = 4;
 
 /// Who is told when messages have been taken.
 #[derive(Default)]
@@ -158,8 +171,13 @@ impl TaskQueue {
         let lane = lanes.lane(urgent);
         let message = lane.queue.pop_front()?;
         let others_wait = !lane.waiting.is_empty();
+        lane.owed += 1;
+        let mailbox = &self.task.mailbox;
+        let is_time = lane.queue.is_empty() || lane.owed * OWED_PART >= mailbox.capacity();
+        if others_wait || is_time {
+            mailbox.credits(urgent).give(std::mem::take(&mut lane.owed));
+        }
         drop(lanes);
-        self.task.mailbox.credits(urgent).give(1);
         if others_wait {
             self.admit();
         }
@@ -168,6 +186,13 @@ impl TaskQueue {
                 .set(self.interruptions.get().saturating_sub(1));
         }
         Some(message)
+    }
+
+    /// Gives back the credits of messages that were taken out: whether there were any.
+    fn give_owed(&self, urgent: bool) -> bool {
+        let owed = std::mem::take(&mut self.lanes().lane(urgent).owed);
+        self.task.mailbox.credits(urgent).give(owed);
+        owed > 0
     }
 
     /// Gives the credits there are to those who wait, and tells them.
@@ -257,7 +282,14 @@ impl TaskQueue {
 
 impl Inlet for TaskQueue {
     fn offer(&self, processor: &Processor, message: Message) -> Offered {
-        match self.task.mailbox.take_credit(message) {
+        let mailbox = &self.task.mailbox;
+        let taken = match mailbox.take_credit(message) {
+            Err(Offered::Full(message)) if self.give_owed(is_urgent(&message).0) => {
+                mailbox.take_credit(message)
+            }
+            taken => taken,
+        };
+        match taken {
             Ok(message) => {
                 let place = Place::Queue;
                 self.take_in(processor, Delivery { message, place });
@@ -310,6 +342,7 @@ impl Inlet for TaskQueue {
         let acceptance = match place {
             Place::Queue => Acceptance::Silent,
             Place::Line(acceptance) => {
+                credits.give(std::mem::take(&mut lane.owed));
                 let may = !held && lane.waiting.is_empty();
                 if !may || !credits.take_past_others(mailbox.capacity()) {
                     lane.waiting.push_back((message, acceptance));

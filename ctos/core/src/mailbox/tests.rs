@@ -69,7 +69,7 @@ impl Bench {
             Senders::Here => processor.clone(),
             Senders::Afar => Processor::new(Arc::default(), clock),
         };
-        let task = TaskRecord::with_room(capacity, processor.handle.clone(), 0);
+        let task = TaskRecord::with_capacity(capacity, processor.handle.clone(), 0);
         let queue = TaskQueue::open(task.clone());
         processor.add_queue(0, queue.clone());
         caller.enter();
@@ -106,7 +106,7 @@ impl Bench {
     fn try_send(&self, message: Message) -> Result<(), Fault> {
         match self.task.mailbox.offer(message) {
             Offered::Taken => Ok(()),
-            Offered::NoRoom(_) => Err(self.task.mailbox.full()),
+            Offered::Full(_) => Err(self.task.mailbox.full()),
             Offered::Closed(_) => Err(Fault::Stopping),
         }
     }
@@ -263,7 +263,7 @@ fn a_message_whose_sender_gave_up_waiting_is_never_delivered() {
 
 #[test]
 fn a_sender_whose_message_waits_is_not_overtaken_by_its_next_one() {
-    // The room that the taken message leaves belongs to the one that waits, though that one has not
+    // The credit of the taken message belongs to the one that waits, though that one has not
     // been taken in yet.
     let bench = Bench::new(2, Senders::Afar);
     bench.send(message(1, Flags::NONE));

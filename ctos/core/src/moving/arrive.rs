@@ -15,7 +15,7 @@ use crate::{
     envelope::{Message, Replier},
     handled::Handled,
     phase::Phase,
-    runner::{Origin, Runner, TaskSpec, drop_handler, start_at},
+    runner::{Origin, Runner, TaskSpec, drop_handler, dynamic::Notice, start_at},
     system::{AbortMove, Forwarded, MoveIn, Transfer},
     tap::WaitFor,
 };
@@ -56,8 +56,8 @@ impl Arrivals {
         self.0.borrow_mut().insert(new, Expected { from, settle });
         let (arrivals, here) = (self.clone(), cx.clone());
         cx.spawn(async move {
-            let limit = here.app().phase_timeout.saturating_mul(2);
-            let why = match here.timeout(limit, starting).await {
+            let deadline = here.app().phase_timeout.saturating_mul(2);
+            let why = match here.timeout(deadline, starting).await {
                 Ok(Ok(Ok(()))) if !reply.is_abandoned() => {
                     let _ = reply.ok(new);
                     return arrivals.see_settled(&here, new).await;
@@ -161,8 +161,8 @@ fn make_place(
 /// Lets the handler take over and pass the phases; true when the place is the task's.
 pub async fn arrive(runner: &mut Runner, arrival: Arrival) -> bool {
     let cx = runner.cx.clone();
-    let limit = cx.app().phase_timeout;
-    let settling = AssertUnwindSafe(cx.timeout(limit, settle_in(runner, &arrival.state)));
+    let deadline = cx.app().phase_timeout;
+    let settling = AssertUnwindSafe(cx.timeout(deadline, settle_in(runner, &arrival.state)));
     let outcome = match settling.catch_unwind().await {
         Ok(Ok(Ok(()))) => Ok(()),
         Ok(Ok(Err(error))) => Err(error.to_string()),
@@ -189,7 +189,7 @@ async fn settle_in(runner: &mut Runner, state: &[u8]) -> Handled {
         if phase == Phase::Create {
             handler.take_over(&cx, state)?;
         }
-        handler.phase(&cx, phase).await?;
+        handler.tell(&cx, Notice::Phase(phase)).await?;
         runner.entered(phase);
     }
     Ok(())

@@ -139,14 +139,14 @@ async fn make_ready(
     state: Vec<u8>,
     accepted: &[Message],
 ) -> Result<(Tid, Vec<Option<UnderWay>>), String> {
-    let limit = cx.app().phase_timeout.saturating_mul(2);
+    let deadline = cx.app().phase_timeout.saturating_mul(2);
     let request = MoveIn {
         name: cx.name().to_owned(),
         from: cx.tid(),
         processor: to.processor,
         state,
     };
-    let new = cx.call(agent, request).deadline(limit).await;
+    let new = cx.call(agent, request).deadline(deadline).await;
     let new = new.map_err(|error| error.reason())?;
     let place = Place {
         cx,
@@ -169,7 +169,7 @@ async fn make_ready(
         to: new,
         what: Load::Sync,
     };
-    let arrived = cx.call(agent, sync).deadline(limit).await;
+    let arrived = cx.call(agent, sync).deadline(deadline).await;
     arrived
         .map_err(|error| error.reason())?
         .map_err(|fault| fault.to_string())?;

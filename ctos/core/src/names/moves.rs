@@ -11,15 +11,15 @@ use tokio::sync::oneshot;
 use super::{Move, TidServer};
 use crate::{
     context::{Context, TaskRef},
-    moving::{find_place, place_text, turn_for},
+    moving::{find_place, place_text, redirect_for},
     system::{
         self, CommitMove, MoveOut, MoveTask, Place, Rebound, Settle, Settled, TaskMoved, TaskName,
     },
 };
 use ctos_message::Tid;
 
-/// How long a chassis may take to turn to a task's new place.
-const TURN_LIMIT: Duration = Duration::from_secs(180);
+/// How long a chassis may take to redirect to a task's new place.
+const REDIRECT_DEADLINE: Duration = Duration::from_secs(180);
 
 impl TidServer {
     pub(super) async fn move_task(
@@ -57,9 +57,9 @@ impl TidServer {
     }
 
     async fn carry_out(&self, cx: &Context, name: &str, old: Tid, to: Place) -> Result<(), String> {
-        let limit = cx.app().phase_timeout.saturating_mul(4) + TURN_LIMIT;
+        let deadline = cx.app().phase_timeout.saturating_mul(4) + REDIRECT_DEADLINE;
         let task = TaskRef::new(name, old);
-        let left = cx.call(&task, MoveOut { to }).deadline(limit).await;
+        let left = cx.call(&task, MoveOut { to }).deadline(deadline).await;
         // What counts is whether the name has its new place, also when its old one died just then.
         let turned = {
             let mut state = self.state.borrow_mut();
@@ -139,22 +139,22 @@ impl TidServer {
         Ok(())
     }
 
-    /// Turns every chassis to the new place of a task, and then gives up the old one.
+    /// Redirects every chassis to the new place of a task, and then gives up the old one.
     async fn turn_all(&self, cx: &Context, rebound: &Rebound, new: Tid, chassis: &[u8]) {
         let turning = chassis.iter().map(|index| async move {
             let agent = TaskRef::new("agent", system::agent_tid(*index));
-            let turned = cx.call(&agent, rebound.clone()).deadline(TURN_LIMIT).await;
+            let turned = cx.call(&agent, rebound.clone()).deadline(REDIRECT_DEADLINE).await;
             let through = match turned {
                 Ok(()) => true,
                 Err(error) if error.is_gone() => true,
                 Err(error) => {
                     tracing::debug!(task = %rebound.name, error = %error, "turned by others");
-                    turn_for(cx, rebound, new, *index).await
+                    redirect_for(cx, rebound, new, *index).await
                 }
             };
             if !through {
                 let chassis = cx.chassis().name_of(*index);
-                tracing::error!(task = %rebound.name, chassis, "did not turn to the task's new place");
+                tracing::error!(task = %rebound.name, chassis, "was not redirected to the new place of the task");
             }
             if let Some((_, slow)) = self.state.borrow_mut().turning.get_mut(&rebound.name) {
                 slow.remove(index);

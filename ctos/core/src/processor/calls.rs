@@ -14,7 +14,7 @@ use crate::{
 use ctos_time::Instant;
 
 /// After this time a call that still waits has a timer, and is shown; earlier where the processor has nothing to do.
-const YOUNG: Duration = Duration::from_millis(1);
+const SETTLE_AFTER: Duration = Duration::from_millis(1);
 
 impl Processor {
     /// Begins a call that a future of this processor makes at `now`.
@@ -26,20 +26,20 @@ impl Processor {
     /// A call of at most `deadline` had no answer in the poll that made it; `wait` is shown if it takes a while.
     pub(crate) fn await_call(&self, key: CallKey, deadline: Duration, wait: Wait) {
         self.calls.borrow_mut().wait(key, wait);
-        let mut young = self.young.borrow_mut();
-        if young.is_empty() || deadline < YOUNG {
-            let settle_at = self.recent() + deadline.min(YOUNG);
+        let mut unsettled = self.unsettled.borrow_mut();
+        if unsettled.is_empty() || deadline < SETTLE_AFTER {
+            let settle_at = self.recent() + deadline.min(SETTLE_AFTER);
             self.settle_at.set(settle_at.min(self.settle_at.get()));
         }
-        young.push(key);
+        unsettled.push(key);
     }
 
-    /// Sets timers for the young calls that still wait, and shows what they wait for. Most have ended by then and
+    /// Sets timers for the unsettled calls that still wait, and shows what they wait for. Most have ended by then and
     /// never need either.
     pub fn settle_calls(&self) {
-        let mut young = self.young.borrow_mut();
+        let mut unsettled = self.unsettled.borrow_mut();
         let mut calls = self.calls.borrow_mut();
-        for key in young.drain(..) {
+        for key in unsettled.drain(..) {
             if let Some(look_at) = calls.settle(key) {
                 let timer = self.timers.borrow_mut().insert(look_at, Timed::Call(key));
                 calls.set_timer(key, timer);

@@ -62,7 +62,7 @@ pub struct Processor {
     pub(super) timers: RefCell<Timers<Timed>>,
     pub(super) calls: RefCell<Calls>,
     /// Calls that were made lately, and when they are looked after.
-    pub(super) young: RefCell<Vec<CallKey>>,
+    pub(super) unsettled: RefCell<Vec<CallKey>>,
     pub(super) settle_at: Cell<Instant>,
     /// The queues of its tasks, by slot.
     pub(super) queues: RefCell<Vec<Option<Rc<dyn Inlet>>>>,
@@ -100,7 +100,7 @@ impl Processor {
             depth: Cell::new(0),
             timers: RefCell::default(),
             calls: RefCell::default(),
-            young: RefCell::default(),
+            unsettled: RefCell::default(),
             settle_at: Cell::new(Instant::LAST),
             queues: RefCell::default(),
             schedule,

@@ -20,7 +20,7 @@ use crate::contain::{drop_contained, panic_text};
 /// so that a task which calls without end keeps nobody from its processor.
 const HAND_OVERS: u32 = 32;
 
-/// Calls within calls that run at once: each takes room on the stack.
+/// Calls within calls that run at once: each takes stack.
 const DEEPEST: u32 = 8;
 
 impl Processor {

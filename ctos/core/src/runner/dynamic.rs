@@ -1,7 +1,5 @@
 //! Event handlers behind a pointer, as the loop of a task calls them.
 
-use std::{future::Future, pin::Pin};
-
 use futures_util::future::LocalBoxFuture;
 
 use super::serving::{Served, Serving};
@@ -13,208 +11,108 @@ use crate::{
     phase::{Phase, StopReason},
 };
 
-/// [`EventHandler`] behind a pointer; implemented for every event handler.
+/// What the runtime tells a handler; each goes to the method of [`EventHandler`] of that name.
+pub enum Notice<'a> {
+    Phase(Phase),
+    Quiesce(&'a StopReason),
+    Stop(&'a StopReason),
+    ChassisDown(&'a str),
+    ChassisUp(&'a str),
+    TaskDown(&'a str, &'a str),
+    TaskUp(&'a TaskRef),
+}
+
+/// An event handler behind a pointer.
 pub trait DynHandler {
     /// Handles `first` and the messages after it, until there is one that is not for the handler.
     fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served>;
     fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled>;
-    fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled>;
-    fn quiesce<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        reason: &'a StopReason,
-    ) -> LocalBoxFuture<'a, Handled>;
-    fn stop<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        reason: &'a StopReason,
-    ) -> LocalBoxFuture<'a, Handled>;
-    fn chassis_down<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        chassis: &'a str,
-    ) -> LocalBoxFuture<'a, Handled>;
-    fn chassis_up<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        chassis: &'a str,
-    ) -> LocalBoxFuture<'a, Handled>;
-    fn task_down<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        task: &'a str,
-        reason: &'a str,
-    ) -> LocalBoxFuture<'a, Handled>;
-    fn task_up<'a>(&'a mut self, cx: &'a Context, task: &'a TaskRef)
-    -> LocalBoxFuture<'a, Handled>;
-
+    fn tell<'a>(&'a mut self, cx: &'a Context, notice: Notice<'a>) -> LocalBoxFuture<'a, Handled>;
     /// The state in postcard; `None` when the handler passes none on.
-    fn hand_over(&mut self) -> Option<Result<Vec<u8>, HandlerError>> {
-        None
-    }
-
+    fn hand_over(&mut self) -> Option<Result<Vec<u8>, HandlerError>>;
     /// Whether [`Self::hand_over`] may be asked after a panic.
-    fn survives_panic(&self) -> bool {
-        false
-    }
-
-    fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled {
-        let _ = (cx, state);
-        Err(HandlerError::new("the handler takes no state over"))
-    }
+    fn survives_panic(&self) -> bool;
+    fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled;
 }
 
-fn boxed<'a, T>(future: impl Future<Output = T> + 'a) -> Pin<Box<dyn Future<Output = T> + 'a>> {
-    Box::pin(future)
+/// An event handler, with what passes its state on, if it does so.
+struct Erased<H: 'static> {
+    handler: H,
+    passing: Option<&'static Passing<H>>,
 }
 
-impl<H: EventHandler> DynHandler for H {
+/// How the state of a handler is passed on.
+struct Passing<H> {
+    after_panic: bool,
+    give: fn(&mut H) -> Result<Vec<u8>, HandlerError>,
+    take: fn(&mut H, &Context, &[u8]) -> Handled,
+}
+
+impl<H: Handover> Erased<H> {
+    const PASSING: Passing<H> = Passing {
+        after_panic: H::AFTER_PANIC,
+        give: |handler| Ok(postcard::to_stdvec(&handler.hand_over()?)?),
+        take: |handler, cx, state| match postcard::take_from_bytes::<H::State>(state) {
+            Ok((state, [])) => handler.take_over(cx, state),
+            Ok((_, rest)) => {
+                let why = format!("its state has {} bytes too many", rest.len());
+                Err(HandlerError::new(why))
+            }
+            Err(error) => {
+                let why = format!("its state cannot be read: {error}");
+                Err(HandlerError::new(why))
+            }
+        },
+    };
+}
+
+/// A handler that passes nothing on.
+pub fn plain<H: EventHandler>(handler: H) -> Box<dyn DynHandler> {
+    let passing = None;
+    Box::new(Erased { handler, passing })
+}
+
+/// A handler whose [`Handover`] is used.
+pub fn passing<H: Handover>(handler: H) -> Box<dyn DynHandler> {
+    let passing = Some(&Erased::<H>::PASSING);
+    Box::new(Erased { handler, passing })
+}
+
+impl<H: EventHandler> DynHandler for Erased<H> {
     fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served> {
-        boxed(serving.serve(self, first))
+        Box::pin(serving.serve(&mut self.handler, first))
     }
 
     fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::handle(self, cx, message))
+        Box::pin(self.handler.handle(cx, message))
     }
 
-    fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::phase(self, cx, phase))
-    }
-
-    fn quiesce<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        reason: &'a StopReason,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::quiesce(self, cx, reason))
-    }
-
-    fn stop<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        reason: &'a StopReason,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::stop(self, cx, reason))
-    }
-
-    fn chassis_down<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        chassis: &'a str,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::chassis_down(self, cx, chassis))
-    }
-
-    fn chassis_up<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        chassis: &'a str,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::chassis_up(self, cx, chassis))
-    }
-
-    fn task_down<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        task: &'a str,
-        reason: &'a str,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::task_down(self, cx, task, reason))
-    }
-
-    fn task_up<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        task: &'a TaskRef,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::task_up(self, cx, task))
-    }
-}
-
-/// An event handler whose [`Handover`] is used.
-pub(crate) struct WithHandover<H>(pub(crate) H);
-
-impl<H: Handover> DynHandler for WithHandover<H> {
-    fn serve<'a>(&'a mut self, serving: &'a Serving, first: Message) -> LocalBoxFuture<'a, Served> {
-        boxed(serving.serve(&mut self.0, first))
-    }
-
-    fn handle<'a>(&'a mut self, cx: &'a Context, message: Message) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::handle(&mut self.0, cx, message))
-    }
-
-    fn phase<'a>(&'a mut self, cx: &'a Context, phase: Phase) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::phase(&mut self.0, cx, phase))
-    }
-
-    fn quiesce<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        reason: &'a StopReason,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::quiesce(&mut self.0, cx, reason))
-    }
-
-    fn stop<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        reason: &'a StopReason,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::stop(&mut self.0, cx, reason))
-    }
-
-    fn chassis_down<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        chassis: &'a str,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::chassis_down(&mut self.0, cx, chassis))
-    }
-
-    fn chassis_up<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        chassis: &'a str,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::chassis_up(&mut self.0, cx, chassis))
-    }
-
-    fn task_down<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        task: &'a str,
-        reason: &'a str,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::task_down(&mut self.0, cx, task, reason))
-    }
-
-    fn task_up<'a>(
-        &'a mut self,
-        cx: &'a Context,
-        task: &'a TaskRef,
-    ) -> LocalBoxFuture<'a, Handled> {
-        boxed(EventHandler::task_up(&mut self.0, cx, task))
+    fn tell<'a>(&'a mut self, cx: &'a Context, notice: Notice<'a>) -> LocalBoxFuture<'a, Handled> {
+        let handler = &mut self.handler;
+        match notice {
+            Notice::Phase(phase) => Box::pin(handler.phase(cx, phase)),
+            Notice::Quiesce(reason) => Box::pin(handler.quiesce(cx, reason)),
+            Notice::Stop(reason) => Box::pin(handler.stop(cx, reason)),
+            Notice::ChassisDown(chassis) => Box::pin(handler.chassis_down(cx, chassis)),
+            Notice::ChassisUp(chassis) => Box::pin(handler.chassis_up(cx, chassis)),
+            Notice::TaskDown(task, reason) => Box::pin(handler.task_down(cx, task, reason)),
+            Notice::TaskUp(task) => Box::pin(handler.task_up(cx, task)),
+        }
     }
 
     fn hand_over(&mut self) -> Option<Result<Vec<u8>, HandlerError>> {
-        let state = Handover::hand_over(&mut self.0);
-        Some(state.and_then(|state| Ok(postcard::to_stdvec(&state)?)))
+        self.passing
+            .map(|passing| (passing.give)(&mut self.handler))
     }
 
     fn survives_panic(&self) -> bool {
-        H::AFTER_PANIC
+        self.passing.is_some_and(|passing| passing.after_panic)
     }
 
     fn take_over(&mut self, cx: &Context, state: &[u8]) -> Handled {
-        match postcard::take_from_bytes::<H::State>(state) {
-            Ok((state, [])) => Handover::take_over(&mut self.0, cx, state),
-            Ok((_, rest)) => Err(HandlerError::new(format!(
-                "its state has {} bytes too many",
-                rest.len()
-            ))),
-            Err(error) => Err(HandlerError::new(format!(
-                "its state cannot be read: {error}"
-            ))),
+        match self.passing {
+            Some(passing) => (passing.take)(&mut self.handler, cx, state),
+            None => Err(HandlerError::new("the handler takes no state over")),
         }
     }
 }

@@ -7,7 +7,7 @@ use futures_util::{
     future::{Either, select},
 };
 
-use super::{Next, Runner, build_contained, drop_handler};
+use super::{Next, Runner, build_contained, drop_handler, dynamic::Notice};
 use crate::{
     contain::panic_text,
     context::Context,
@@ -76,12 +76,12 @@ impl Runner {
         let Ok((Shutdown {}, reply)) = message.open::<Shutdown>() else {
             return Next::Take;
         };
-        let limit = self.cx.app().stop_timeout;
+        let deadline = self.cx.app().stop_timeout;
         let cx = self.cx.clone();
         let mut why = "it was told to shut down".to_owned();
         if let Some(handler) = &mut self.handler {
-            let stopping = AssertUnwindSafe(handler.stop(&cx, &StopReason::Shutdown));
-            match cx.timeout(limit, stopping.catch_unwind()).await {
+            let stopping = AssertUnwindSafe(handler.tell(&cx, Notice::Stop(&StopReason::Shutdown)));
+            match cx.timeout(deadline, stopping.catch_unwind()).await {
                 Ok(Ok(Ok(()))) => {}
                 Ok(Ok(Err(error))) => why = format!("it was told to shut down and said: {error}"),
                 Ok(Err(panic)) => {
@@ -150,8 +150,8 @@ impl Runner {
 
     async fn rebuild_or_stop(&mut self) -> Rebuilt {
         let (cx, queue) = (self.cx.clone(), self.queue.clone());
-        let limit = cx.app().phase_timeout;
-        let rebuilt = AssertUnwindSafe(cx.timeout(limit, self.rebuild())).catch_unwind();
+        let deadline = cx.app().phase_timeout;
+        let rebuilt = AssertUnwindSafe(cx.timeout(deadline, self.rebuild())).catch_unwind();
         match select(pin!(rebuilt), pin!(queue.stop_waits())).await {
             Either::Left((Ok(Ok(Ok(()))), _)) => Rebuilt::Yes,
             Either::Left((Ok(Ok(Err(error))), _)) => Rebuilt::No(error.to_string()),
@@ -250,7 +250,7 @@ impl Runner {
         let reached = self.phase;
         for phase in Phase::ALL {
             if reached.is_some_and(|reached| phase <= reached) {
-                handler.phase(&self.cx, phase).await?;
+                handler.tell(&self.cx, Notice::Phase(phase)).await?;
             }
         }
         self.kept = None;

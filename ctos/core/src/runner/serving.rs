@@ -16,7 +16,7 @@ use crate::{
     tap::Asked,
     task_record::TaskRecord,
 };
-use ctos_message::{Command, SYSTEM_COMMANDS, fault::Fault};
+use ctos_message::{Command, SYSTEM_COMMANDS, Tid, fault::Fault};
 use ctos_time::Instant;
 use std::{
     cell::Cell,
@@ -65,7 +65,7 @@ pub(super) struct AtHand {
     pub(super) serial: u64,
     began: Instant,
     /// To whom the answer is owed.
-    owed: Option<ReplyKey>,
+    owed: Option<(Tid, ReplyKey)>,
     /// The message, for the record, if there is one.
     noted: Option<tap::AtHand>,
 }
@@ -122,9 +122,10 @@ impl Serving {
         let chassis = self.cx.chassis();
         let (began, command) = (processor.recent(), message.command());
         let serial = reply::next_serial();
+        let from = message.from();
         let owed = message.envelope.reply.as_mut().and_then(|slot| {
             slot.set_serial(serial);
-            slot.key()
+            Some((from, slot.key()?))
         });
         chassis.delivered(&self.record, message);
         self.activity.begin(command, began);
@@ -189,7 +190,7 @@ impl Serving {
         &self,
         command: u16,
         serial: u64,
-        owed: Option<ReplyKey>,
+        owed: Option<(Tid, ReplyKey)>,
         bad: Bad,
     ) -> Option<String> {
         let _processor = self.cx.processor();
@@ -212,7 +213,12 @@ impl Serving {
         };
         match (reply::take_orphan(serial), owed) {
             (Some(slot), _) => slot.answer(Err(fault)),
-            (None, Some(key)) => key.answer(Err(fault)),
+            (None, Some((caller, key))) => {
+                let processors = &self.cx.chassis().processors;
+                if let Some((_, home)) = processors.get(usize::from(caller.processor())) {
+                    key.answer(&**home, Err(fault));
+                }
+            }
             (None, None) => {}
         }
         panic

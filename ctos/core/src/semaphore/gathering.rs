@@ -11,7 +11,6 @@ pub(super) struct Gathering<W> {
     generation: u64,
 }
 
-#[doc(hidden)]
 impl<W> Gathering<W> {
     pub(super) fn new(parties: u32) -> Self {
         Self {

@@ -206,7 +206,6 @@ impl LocalSemaphore {
 #[derive(Debug)]
 pub(super) struct LocalBarrier(Mutex<Gathering<oneshot::Sender<Passage>>>);
 
-#[doc(hidden)]
 impl LocalBarrier {
     pub(super) fn parties(&self) -> u32 {
         lock(&self.0).parties()

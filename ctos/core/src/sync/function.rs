@@ -95,10 +95,7 @@ impl Synchronous {
         self.on_failure = Some(Rc::new(hook));
         self
     }
-}
 
-#[doc(hidden)]
-impl Synchronous {
     /// The function called `name`, which runs at every base tick of its processor and exchanges nothing.
     pub fn new(name: impl Into<String>, function: impl Cyclic + 'static) -> Self {
         Self {
@@ -198,7 +195,7 @@ pub(super) struct Function {
     pub(super) wanted: Arc<AtomicBool>,
     pub(super) statistics: Arc<CyclicStatistics>,
     pub(super) on_failure: Option<FailureHook>,
-    pub(super) turns: Turns,
+    pub(super) releases: Releases,
     /// How long it took when it ran last.
     pub(super) last: Duration,
 }
@@ -208,7 +205,7 @@ impl Function {
         self.wanted.load(Ordering::Acquire)
     }
 
-    /// Runs it, now, if base tick `due` is its turn. Returns the moment after it.
+    /// Runs it, now, if base tick `due` releases it. Returns the moment after it.
     pub(super) fn run(
         &mut self,
         due: &Due,
@@ -216,9 +213,9 @@ impl Function {
         now: Instant,
         clock: &Clock,
     ) -> Instant {
-        let turn = self.turns.at(due.tick, overrun);
-        self.statistics.count_missed(turn.missed);
-        let Some(run) = turn.run else {
+        let release = self.releases.at(due.tick, overrun);
+        self.statistics.count_missed(release.missed);
+        let Some(run) = release.run else {
             return now;
         };
         let tick = Tick {
@@ -239,37 +236,37 @@ impl Function {
     }
 }
 
-/// Counts the turns of a function in base ticks.
+/// Counts the releases of a function in base ticks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Turns {
+pub(super) struct Releases {
     every: u64,
-    /// The base tick of the next turn.
+    /// The base tick of the next release.
     next: u64,
-    /// Turns up to now, skipped ones included.
+    /// Releases up to now, skipped ones included.
     count: u64,
-    /// Turns skipped since the function ran last.
+    /// Releases skipped since the function ran last.
     skipped: u64,
 }
 
 /// What a base tick means to a function.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Turn {
-    /// Turns that were skipped at this tick.
+pub(super) struct Release {
+    /// Releases that were skipped at this tick.
     pub(super) missed: u64,
     pub(super) run: Option<Run>,
 }
 
-/// A turn that is taken.
+/// A release at which the function runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Run {
-    /// The base tick at which the turn was due.
+    /// The base tick at which the release was due.
     pub(super) tick: u64,
     pub(super) count: u64,
     pub(super) missed: u64,
 }
 
-impl Turns {
-    /// Turns at every `every`-th tick from `first` on.
+impl Releases {
+    /// Those at every `every`-th tick from `first` on.
     pub(super) fn new(first: u64, every: u64) -> Self {
         Self {
             every: every.max(1),
@@ -280,9 +277,9 @@ impl Turns {
     }
 
     /// At base tick `tick`, all earlier ones being over.
-    pub(super) fn at(&mut self, tick: u64, overrun: Overrun) -> Turn {
+    pub(super) fn at(&mut self, tick: u64, overrun: Overrun) -> Release {
         if tick < self.next {
-            return Turn {
+            return Release {
                 missed: 0,
                 run: None,
             };
@@ -291,16 +288,16 @@ impl Turns {
         let latest = self.next + passed * self.every;
         self.next = latest + self.every;
         self.count += passed + 1;
-        // A turn whose own tick was skipped is lost, unless it may be late.
+        // A release whose own tick was skipped is lost, unless it may be late.
         if latest < tick && overrun != Overrun::RunLateOnce {
             self.skipped += passed + 1;
-            return Turn {
+            return Release {
                 missed: passed + 1,
                 run: None,
             };
         }
         let missed = std::mem::take(&mut self.skipped) + passed;
-        Turn {
+        Release {
             missed: passed,
             run: Some(Run {
                 tick: latest,

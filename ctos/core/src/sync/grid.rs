@@ -111,7 +111,7 @@ impl Grid {
     }
 
     /// The first tick to come at which a function of this rate runs.
-    pub(super) fn first_turn(&self, every: u64, phase: u64) -> u64 {
+    pub(super) fn first_release(&self, every: u64, phase: u64) -> u64 {
         let over = self.next % every;
         let wait = if over <= phase {
             phase - over

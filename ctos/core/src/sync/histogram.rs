@@ -108,10 +108,7 @@ impl Histogram {
             (count > 0).then(|| (Duration::from_nanos(upper_ns(index)), count))
         })
     }
-}
 
-#[doc(hidden)]
-impl Histogram {
     /// Counts one value. Allocates nothing and takes no lock.
     pub fn record(&self, value: Duration) {
         let nanos = u64::try_from(value.as_nanos()).unwrap_or(u64::MAX);

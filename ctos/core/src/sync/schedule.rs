@@ -17,7 +17,7 @@ use ctos_config::{Lead, Overrun};
 use super::{
     CyclicError, CyclicHandle, CyclicStatistics, Directory, ScheduleView, Synchronous, TickSource,
     TickSourceHandle, flow,
-    function::{FailureHook, Function, Rate, Turns},
+    function::{FailureHook, Function, Rate, Releases},
     grid::{Begun, Due, Grid, Node},
     lead::Leading,
     source::{self, Pacemaker},
@@ -91,7 +91,7 @@ impl Schedule {
         let period = Duration::from_nanos(period_ns.saturating_mul(every));
         let statistics = Arc::new(CyclicStatistics::new(period));
         if let Some(grid) = grids.get_mut(index) {
-            let first = grid.first_turn(every, what.phase);
+            let first = grid.first_release(every, what.phase);
             let node = Node {
                 number,
                 flow: what.flow,
@@ -106,7 +106,7 @@ impl Schedule {
                 wanted: wanted.clone(),
                 statistics: statistics.clone(),
                 on_failure: what.on_failure,
-                turns: Turns::new(first, every),
+                releases: Releases::new(first, every),
                 last: Duration::ZERO,
             };
             grid.add(node, function);
@@ -392,10 +392,7 @@ impl Schedule {
         }
         any
     }
-}
 
-#[doc(hidden)]
-impl Schedule {
     /// Without functions.
     #[must_use]
     pub fn new(settings: ScheduleSettings, clock: Clock) -> Self {
@@ -410,7 +407,7 @@ impl Schedule {
         }
     }
 
-    /// Puts a function on the schedule: it runs first at the next tick that is its turn.
+    /// Puts a function on the schedule: it runs first at the next tick that releases it.
     ///
     /// # Errors
     /// [`CyclicError`]; the schedule is then as it was.
@@ -429,7 +426,7 @@ impl Schedule {
         added
     }
 
-    /// Runs the functions whose turn it is, if a base tick is due. True when one was.
+    /// Runs the functions that are released, if a base tick is due. True when one was.
     ///
     /// Allocates nothing, takes no lock and logs nothing, unless the schedule changes or a function fails.
     pub fn run(&self) -> bool {

@@ -41,10 +41,7 @@ impl Signal {
         })
         .await;
     }
-}
 
-#[doc(hidden)]
-impl Signal {
     /// A signal that is not raised.
     #[must_use]
     pub fn new() -> Self {

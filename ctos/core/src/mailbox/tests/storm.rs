@@ -25,9 +25,9 @@ type Label = (u32, bool, u32);
 /// How a message was sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Way {
-    /// Only if there is room.
+    /// Only if there is a credit.
     Try,
-    /// Its sender waits for room.
+    /// Its sender waits for a credit.
     Send,
     /// Its sender waits for the reply.
     Call,
@@ -109,7 +109,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
         if way == Way::Try {
             let result = match task.mailbox.offer(message) {
                 Offered::Taken => Ok(()),
-                Offered::NoRoom(_) => Err(task.mailbox.full()),
+                Offered::Full(_) => Err(task.mailbox.full()),
                 Offered::Closed(_) => Err(Fault::Stopping),
             };
             outcomes.insert(label, (way, result));
@@ -141,7 +141,7 @@ async fn send_all(here: Rc<Processor>, task: Arc<TaskRecord>, sender: u32, seed:
 /// `dies_after`, or when all is sent.
 fn storm(seed: u64, capacity: usize, dies_after: Option<usize>) -> (Vec<Label>, Outcomes) {
     let home = Arc::new(ProcessorHandle::new());
-    let task = TaskRecord::with_room(capacity, home.clone(), 0);
+    let task = TaskRecord::with_capacity(capacity, home.clone(), 0);
     let taken: Arc<Mutex<Vec<Label>>> = Arc::default();
     let outcomes: Arc<Mutex<Outcomes>> = Arc::default();
     let (at_work, log, its) = (home.clone(), taken.clone(), task.clone());

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::sync::{
     Tick,
-    function::{Run, Turn},
+    function::{Release, Run},
 };
 
 const BASE: Duration = Duration::from_nanos(1_000);
@@ -88,8 +88,8 @@ proptest! {
         }
     }
 
-    /// However late base ticks come: every turn of a function is either taken or counted as missed, a tick
-    /// takes one turn at most, and only `run-late-once` takes one late.
+    /// However late base ticks come: every release of a function is either taken or counted as missed, a tick
+    /// takes one release at most, and only `run-late-once` takes one late.
     #[test]
     fn no_turn_is_lost_without_being_counted(
         every in 1_u64..6,
@@ -98,12 +98,12 @@ proptest! {
         late in any::<bool>(),
     ) {
         let overrun = if late { Overrun::RunLateOnce } else { Overrun::Skip };
-        let mut turns = Turns::new(first, every);
+        let mut releases = Releases::new(first, every);
         let (mut tick, mut taken, mut missed, mut told) = (0, 0, 0, 0);
         let mut pending = 0;
         for gap in gaps {
             tick += gap;
-            let Turn { missed: now_missed, run } = turns.at(tick, overrun);
+            let Release { missed: now_missed, run } = releases.at(tick, overrun);
             missed += now_missed;
             pending += now_missed;
             if let Some(Run { tick: due, count, missed: run_missed }) = run {
@@ -195,7 +195,7 @@ fn a_skipped_turn_waits_for_the_next_one_or_runs_late_once() {
         let log = Log::default();
         let fast = schedule.add(noting("fast", &log)).unwrap();
         let _slow = schedule.add(noting("slow", &log).every(4)).unwrap();
-        // Nothing runs from tick 3 to tick 9, in which the turns 4 and 8 of the slow one are.
+        // Nothing runs from tick 3 to tick 9, in which the releases 4 and 8 of the slow one are.
         run_at(
             &schedule,
             &clock,
