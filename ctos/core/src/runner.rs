@@ -1,7 +1,7 @@
 //! The loop of a task: takes messages from its queue, calls its handler, contains its panics, and
 //! builds the handler anew as `supervise.rs` rules.
 
-pub(crate) mod dynamic;
+pub mod dynamic;
 mod incarnation;
 pub(crate) mod serving;
 
