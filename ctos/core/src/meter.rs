@@ -130,6 +130,19 @@ impl TaskMeter {
         result
     }
 
+    /// Runs code of others within a poll of the handler, which waits for it.
+    pub(crate) fn while_it_waits<T>(&self, code: impl FnOnce() -> T) -> T {
+        let in_poll = self.poll().is_some();
+        if in_poll {
+            self.step();
+        }
+        let result = code();
+        if in_poll {
+            self.step();
+        }
+        result
+    }
+
     #[inline]
     fn step(&self) {
         let before = self.polls.load(Ordering::Relaxed);
@@ -170,6 +183,9 @@ mod tests {
         let meter = TaskMeter::default();
         assert_eq!(meter.poll(), None);
         assert!(meter.in_poll(|| meter.poll()).is_some());
+        let waiting = meter.in_poll(|| (meter.while_it_waits(|| meter.poll()), meter.poll()));
+        assert!(waiting.0.is_none() && waiting.1.is_some());
+        assert_eq!(meter.while_it_waits(|| meter.poll()), None);
         assert_eq!(meter.poll(), None);
     }
 }

@@ -242,7 +242,8 @@ impl Ask {
         let ready = processor.ready_count();
         let delivered = chassis.deliver(message, self.wait, &mut slot);
         if self.wait == WaitFor::Reply {
-            processor.hand_over(ready);
+            let meter = &self.asker.record.statistics.activity().meter;
+            meter.while_it_waits(|| processor.hand_over(ready));
         }
         let (outbound, answer) = match delivered.outcome {
             Outcome::Taken => (None, Some(Ok(Data::NOTHING))),
