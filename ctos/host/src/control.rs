@@ -7,13 +7,13 @@
 pub mod client;
 pub mod protocol;
 
-mod desk;
 mod gate;
 mod logs;
 mod moves;
 mod place;
 mod recording;
 mod server;
+mod service;
 mod view;
 
 pub use logs::{Level, LogLine};

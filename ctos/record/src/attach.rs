@@ -1,6 +1,6 @@
 //! Records of a chassis that runs already: begun and ended by message, any number side by side.
 //!
-//! Each writes a file of its own beside those that the configuration asks for, through the same recorder.
+//! Each writes a file of its own next to those that the configuration asks for, through the same recorder.
 
 use ctos_config::RecordConfig;
 use ctos_core::{
@@ -20,7 +20,7 @@ use super::{
 use crate::names::Names;
 
 /// How long the end of a record waits for the disk.
-const CLOSE_LIMIT: Duration = Duration::from_secs(5);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
 command! {
     /// Lets an agent record its chassis into a folder; answers with the file. The names are those of the
@@ -68,7 +68,7 @@ impl Attached {
         self.0.get(&key).map(|guest| guest.recorder.report())
     }
 
-    /// Ends a record and answers when its file is closed: beside the agent, since a disk may take its
+    /// Ends a record and answers when its file is closed: on a thread of its own, since a disk may take its
     /// time.
     pub fn end(&mut self, cx: &Context, key: u64, reply: Replier<EndRecord>) {
         let Some(guest) = self.0.remove(&key) else {
@@ -150,6 +150,6 @@ impl Drop for Guest {
     fn drop(&mut self) {
         Recorders::dismiss(&self.chassis, &self.recorder);
         log::dismiss(&self.recorder);
-        self.recorder.finish(CLOSE_LIMIT);
+        self.recorder.finish(CLOSE_TIMEOUT);
     }
 }

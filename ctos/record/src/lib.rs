@@ -3,7 +3,7 @@
 //!
 //! Each process writes a file of its own, so that the end of one takes nothing from another; a simulated
 //! app, which is one process, writes one. What is noted costs its processor a lock that nobody else
-//! takes and some bytes in a buffer, which a writer beside it puts into the file as they are; lines that
+//! takes and some bytes in a buffer, which a writer next to it puts into the file as they are; lines that
 //! people and viewers read are made of them when the file is read. The page `docs/recording.md` shows how
 //! it is used.
 
@@ -51,7 +51,7 @@ use recorder::Recorder;
 use writer::Writer;
 
 /// How long the end of an app waits for the disk of its record.
-const CLOSE_LIMIT: Duration = Duration::from_secs(5);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The record of this process, while it is written.
 pub struct Recording(Arc<Recorder>);
@@ -64,7 +64,7 @@ impl Recording {
 
     /// Writes what is left and closes the file.
     pub fn finish(self) {
-        self.0.finish(CLOSE_LIMIT);
+        self.0.finish(CLOSE_TIMEOUT);
     }
 }
 

@@ -8,7 +8,7 @@ use std::sync::{
 use super::{
     event::{Key, Side, Step, Told, Traffic, What},
     recorder::Recorder,
-    replay::Desk,
+    replay::Others,
 };
 use ctos_core::{
     chassis::{Chassis, Extension},
@@ -23,7 +23,7 @@ use ctos_time::Instant;
 
 enum Target {
     Record(Arc<Recorder>),
-    Replay(Arc<Desk>),
+    Replay(Arc<Others>),
 }
 
 /// What looks on.
@@ -93,15 +93,15 @@ impl Recorders {
     }
 
     /// From now on everything goes to a replay. The first call counts.
-    pub(crate) fn replay_at(chassis: &Chassis, desk: Arc<Desk>) {
-        let _ = Self::of(chassis).first.set(Target::Replay(desk));
+    pub(crate) fn replay_at(chassis: &Chassis, others: Arc<Others>) {
+        let _ = Self::of(chassis).first.set(Target::Replay(others));
         chassis.tap.watch(true);
     }
 
     /// The replay that answers in place of the other tasks, if there is one.
-    fn desk(&self) -> Option<&Arc<Desk>> {
+    fn others(&self) -> Option<&Arc<Others>> {
         match self.first.get()? {
-            Target::Replay(desk) => Some(desk),
+            Target::Replay(others) => Some(others),
             Target::Record(_) => None,
         }
     }
@@ -252,12 +252,12 @@ impl Observer for Recorders {
     }
 
     fn replays(&self) -> bool {
-        self.desk().is_some()
+        self.others().is_some()
     }
 
     fn replay(&self, message: &Message, wait: WaitFor, now: Instant, slot: ReplySlot) {
-        if let Some(desk) = self.desk() {
-            desk.dispatch(message, wait, now, slot);
+        if let Some(others) = self.others() {
+            others.dispatch(message, wait, now, slot);
         }
     }
 
@@ -298,8 +298,8 @@ impl Observer for Recorders {
 
     fn ended(&self, at_hand: &AtHand, now: Instant, ending: Ending) {
         let AtHand { id, asked, began } = at_hand;
-        if let Some(desk) = self.desk() {
-            return desk.ended(asked.command, ending);
+        if let Some(others) = self.others() {
+            return others.ended(asked.command, ending);
         }
         let began = began.as_nanos();
         let step = Step::Ended { began, ending };
@@ -338,8 +338,8 @@ impl Observer for Recorders {
     }
 
     fn used(&self, what: &str) {
-        if let Some(desk) = self.desk() {
-            desk.used(what.to_owned());
+        if let Some(others) = self.others() {
+            others.used(what.to_owned());
         }
     }
 

@@ -45,7 +45,7 @@ struct Last {
     key: Key,
     flags: u16,
     /// From the moment to the deadline, ns.
-    limit: u64,
+    timeout: u64,
     /// Whether its data was long.
     long: bool,
 }
@@ -70,7 +70,7 @@ impl Default for Coder {
                 trace: 0,
             },
             flags: 0,
-            limit: 0,
+            timeout: 0,
             long: false,
         };
         Self {
@@ -93,7 +93,7 @@ struct Head {
 impl Head {
     #[inline]
     fn push(&mut self, byte: u8) {
-        // There is room for all that an event can begin with.
+        // There is space for all that an event can begin with.
         if let Some(place) = self.bytes.get_mut(self.length) {
             *place = byte;
             self.length += 1;
@@ -164,9 +164,9 @@ impl Coder {
                     last.flags = *flags;
                 }
                 if let Some(deadline) = deadline {
-                    let limit = deadline.wrapping_sub(event.at);
-                    head.change(last.limit, limit);
-                    last.limit = limit;
+                    let timeout = deadline.wrapping_sub(event.at);
+                    head.change(last.timeout, timeout);
+                    last.timeout = timeout;
                 }
             }
             Step::Ended { began, .. } => head.change(*began, event.at),
@@ -330,8 +330,8 @@ impl<'a> Events<'a> {
                 }
                 let mut deadline = None;
                 if first & DEADLINE != 0 {
-                    last.limit = bytes.changed(last.limit)?;
-                    deadline = Some(at.wrapping_add(last.limit));
+                    last.timeout = bytes.changed(last.timeout)?;
+                    deadline = Some(at.wrapping_add(last.timeout));
                 }
                 data = bytes.sized()?;
                 Step::Sent {

@@ -9,7 +9,7 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    mishap::Mishap,
+    fault::Fault,
     profile::{Faults, Rate},
     reader::nanos,
 };
@@ -72,7 +72,7 @@ impl Stream {
         });
     }
 
-    fn pop(&mut self) -> Option<Mishap> {
+    fn pop(&mut self) -> Option<Fault> {
         let at = self.next?;
         let lasts = drawn(&mut self.rng, self.rate.lasts_s);
         let extent = drawn(&mut self.rng, self.rate.extent);
@@ -83,27 +83,27 @@ impl Stream {
             Where::Link(kind, one, other) => {
                 let (one, other) = (one.clone(), other.clone());
                 match kind {
-                    OnLink::Loss => Mishap::Loss {
+                    OnLink::Loss => Fault::Loss {
                         one,
                         other,
                         at,
                         until,
                         share_ppm: (extent * 1e6).round() as u32,
                     },
-                    OnLink::Delay => Mishap::Delay {
+                    OnLink::Delay => Fault::Delay {
                         one,
                         other,
                         at,
                         until,
                         extra: nanos(extent),
                     },
-                    OnLink::Stall => Mishap::Stall {
+                    OnLink::Stall => Fault::Stall {
                         one,
                         other,
                         at,
                         until,
                     },
-                    OnLink::Break => Mishap::Break {
+                    OnLink::Break => Fault::Break {
                         one,
                         other,
                         at,
@@ -114,14 +114,14 @@ impl Stream {
             Where::Chassis(kind, name) => {
                 let chassis = name.clone();
                 match kind {
-                    OnChassis::Freeze => Mishap::Freeze { chassis, at, until },
-                    OnChassis::Slow => Mishap::Slow {
+                    OnChassis::Freeze => Fault::Freeze { chassis, at, until },
+                    OnChassis::Slow => Fault::Slow {
                         chassis,
                         at,
                         until,
                         per_step: nanos(extent),
                     },
-                    OnChassis::Kill => Mishap::Kill { chassis, at },
+                    OnChassis::Kill => Fault::Kill { chassis, at },
                 }
             }
         })
@@ -136,7 +136,7 @@ fn drawn(rng: &mut ChaCha8Rng, (least, most): (f64, f64)) -> f64 {
 /// The faults of a profile for one app and one seed.
 pub(crate) struct Drawn {
     streams: Vec<Stream>,
-    /// The stream whose turn is next, and when.
+    /// The stream that comes next, and when.
     first: Option<(Instant, usize)>,
 }
 
@@ -179,7 +179,7 @@ impl Drawn {
     }
 
     /// How wrong each clock is.
-    pub(crate) fn drifts(faults: &Faults, app: &App, names: &[String]) -> Vec<Mishap> {
+    pub(crate) fn drifts(faults: &Faults, app: &App, names: &[String]) -> Vec<Fault> {
         if faults.drift_ppm <= 0.0 && faults.ahead_s <= 0.0 {
             return Vec::new();
         }
@@ -188,7 +188,7 @@ impl Drawn {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let ahead: Duration = nanos(drawn(&mut rng, (0.0, faults.ahead_s)));
             let ppm = drawn(&mut rng, (-faults.drift_ppm, faults.drift_ppm));
-            Mishap::Drift {
+            Fault::Drift {
                 chassis: name.clone(),
                 ahead,
                 rate_ppb: (ppm * 1e3).round() as i32,
@@ -210,13 +210,13 @@ impl Drawn {
     }
 
     /// The next one that happens until `now`.
-    pub(crate) fn pop(&mut self, now: Instant) -> Option<Mishap> {
+    pub(crate) fn pop(&mut self, now: Instant) -> Option<Fault> {
         let (moment, index) = self.first?;
         if moment > now {
             return None;
         }
-        let mishap = self.streams.get_mut(index).and_then(Stream::pop);
+        let fault = self.streams.get_mut(index).and_then(Stream::pop);
         self.find_first();
-        mishap
+        fault
     }
 }

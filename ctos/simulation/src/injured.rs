@@ -1,7 +1,7 @@
-//! The injuries of an app's configuration as mishaps of a simulated run: a packet that is lost is sent
+//! The injuries of an app's configuration as faults of a simulated run: a packet that is lost is sent
 //! again and comes late, a link that is cut breaks and heals.
 
-use crate::mishap::Mishap;
+use crate::fault::Fault;
 use ctos_config::InjuryConfig;
 use ctos_time::Instant;
 
@@ -10,7 +10,7 @@ const FOR_GOOD: Instant = Instant::from_nanos(u64::MAX);
 
 /// What `config` does to the links between the chassis of these names, from the start and later.
 /// Streams have no bytes here after which they could break; that they do and are had anew is time only.
-pub(super) fn mishaps(config: &InjuryConfig, names: &[String]) -> Vec<Mishap> {
+pub(super) fn faults(config: &InjuryConfig, names: &[String]) -> Vec<Fault> {
     let mut all = Vec::new();
     let pairs = || {
         let firsts = names.iter().enumerate();
@@ -21,7 +21,7 @@ pub(super) fn mishaps(config: &InjuryConfig, names: &[String]) -> Vec<Mishap> {
         all.extend(lasting(config, &one, &other));
     }
     for cut in &config.cuts {
-        all.push(Mishap::Break {
+        all.push(Fault::Break {
             one: cut.one.clone(),
             other: cut.other.clone(),
             at: Instant::START + cut.at,
@@ -32,12 +32,12 @@ pub(super) fn mishaps(config: &InjuryConfig, names: &[String]) -> Vec<Mishap> {
 }
 
 /// What it does to one link from its beginning to its end.
-pub(super) fn lasting(config: &InjuryConfig, one: &str, other: &str) -> Vec<Mishap> {
+pub(super) fn lasting(config: &InjuryConfig, one: &str, other: &str) -> Vec<Fault> {
     let mut all = Vec::new();
     // At most 0.9, so the product fits.
     let share_ppm = (config.drop * 1e6).round() as u32;
     if share_ppm > 0 {
-        all.push(Mishap::Loss {
+        all.push(Fault::Loss {
             one: one.to_owned(),
             other: other.to_owned(),
             at: Instant::START,
@@ -47,7 +47,7 @@ pub(super) fn lasting(config: &InjuryConfig, one: &str, other: &str) -> Vec<Mish
     }
     let (_, extra) = config.delay;
     if !extra.is_zero() {
-        all.push(Mishap::Delay {
+        all.push(Fault::Delay {
             one: one.to_owned(),
             other: other.to_owned(),
             at: Instant::START,

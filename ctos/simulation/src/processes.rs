@@ -57,9 +57,9 @@ impl Simulation {
         for other in boot.others() {
             self.network.hang_up(0, other);
         }
-        let limit = self.clock.now() + boot.app.stop_timeout;
+        let deadline = self.clock.now() + boot.app.stop_timeout;
         let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
-        while !ended(&self.machines) && self.step(Some(limit)) {}
+        while !ended(&self.machines) && self.step(Some(deadline)) {}
         for index in boot.others() {
             let left = self.machines.get(usize::from(index));
             if left.is_some_and(|machine| !machine.gone) {
@@ -166,8 +166,8 @@ impl Simulation {
             new.link_up(peer.index(), self.network.link(index, peer.index()));
             let ends = (usize::from(index), usize::from(peer.index()));
             let injury = &peer.app.links.injury;
-            for mishap in injured::lasting(injury, new.name(), peer.name()) {
-                self.happen_between(ends.0, ends.1, &mishap);
+            for fault in injured::lasting(injury, new.name(), peer.name()) {
+                self.happen_between(ends.0, ends.1, &fault);
             }
         }
         watch_exit(&new, incarnation, &self.exits);

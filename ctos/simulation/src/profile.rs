@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use crate::{mishap::Mishap, reader::Reader};
+use crate::{fault::Fault, reader::Reader};
 use ctos_config::{
     Node,
     diagnostic::{Findings, Source},
@@ -36,7 +36,7 @@ pub struct Faults {
     pub(crate) slow: Option<Rate>,
     pub(crate) kill: Option<Rate>,
     /// What happens at a given moment.
-    pub script: Vec<Mishap>,
+    pub script: Vec<Fault>,
 }
 
 const TABLES: [&str; 9] = [
@@ -79,7 +79,7 @@ impl Faults {
 
     /// Only what happens at given moments.
     #[must_use]
-    pub fn of_script(name: &str, script: Vec<Mishap>) -> Self {
+    pub fn of_script(name: &str, script: Vec<Fault>) -> Self {
         Self {
             name: name.to_owned(),
             script,

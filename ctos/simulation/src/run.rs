@@ -27,10 +27,10 @@ use crate::{
     draw::Drawn,
     events::EventLog,
     events::EventSink,
+    fault::Fault,
     happen::{drift_of, schedule},
     injured,
     machine::Machine,
-    mishap::Mishap,
     network::Breach,
     network::{Arrival, InFlight, Network, below},
     processes::{Exits, Orders, watch_exit},
@@ -81,7 +81,7 @@ pub struct Run {
     /// How the app ended.
     pub outcome: Outcome,
     /// What went wrong, in order. [`Faults::of_script`] of it makes the same run again.
-    pub faults: Vec<Mishap>,
+    pub faults: Vec<Fault>,
 }
 
 /// Runs `app` to its end on the virtual clock of `setup`, whatever its `time.mode` is.
@@ -123,13 +123,13 @@ pub(super) struct Simulation {
     pub(super) rng: ChaCha8Rng,
     pub(super) end: EndSlot,
     /// What is given, by moment.
-    pub(super) script: BTreeMap<Instant, Vec<Mishap>>,
+    pub(super) script: BTreeMap<Instant, Vec<Fault>>,
     pub(super) drawn: Drawn,
     /// When it is stopped as by Ctrl-C.
     pub(super) stops: BTreeSet<Instant>,
-    pub(super) happened: Vec<Mishap>,
+    pub(super) happened: Vec<Fault>,
     /// What of the script the app's own configuration asks for.
-    pub(super) injuries: Vec<Mishap>,
+    pub(super) injuries: Vec<Fault>,
     /// Processes that would have ended by themselves now.
     pub(super) exits: Exits,
     /// How the last process of a chassis ended, if otherwise than it should have.
@@ -143,7 +143,7 @@ pub(super) struct Simulation {
     pub(super) recording: Option<record::Recording>,
     pub(super) observer: Observer,
     pub(super) steps_at_once: u64,
-    /// Kept between steps for its room.
+    /// Kept between steps for its space.
     pub(super) counts: Vec<usize>,
 }
 
@@ -169,7 +169,7 @@ impl Simulation {
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
         let mut script = schedule(&names, faults.script, &mut happened)?;
-        let injuries = injured::mishaps(&app.links.injury, &names);
+        let injuries = injured::faults(&app.links.injury, &names);
         for injury in &injuries {
             let at = script.entry(injury.at()).or_default();
             at.push(injury.clone());
@@ -291,9 +291,9 @@ impl Simulation {
         }
     }
 
-    /// Runs what is ready, or moves the clock to what happens next, but not beyond `limit`. False when
+    /// Runs what is ready, or moves the clock to what happens next, but not beyond `deadline`. False when
     /// nothing can happen any more, or nothing until then.
-    pub fn step(&mut self, limit: Option<Instant>) -> bool {
+    pub fn step(&mut self, deadline: Option<Instant>) -> bool {
         if self.run_jobs() || self.run_exits() || self.run_orders() || self.poll_one() {
             self.steps_at_once += 1;
             if self.steps_at_once > STEPS_AT_ONCE {
@@ -304,7 +304,7 @@ impl Simulation {
             return true;
         }
         match self.next_event() {
-            Some(moment) if limit.is_none_or(|limit| moment <= limit) => {
+            Some(moment) if deadline.is_none_or(|deadline| moment <= deadline) => {
                 self.advance(moment);
                 true
             }
@@ -373,8 +373,8 @@ impl Simulation {
             if *entry.key() > moment {
                 break;
             }
-            for mishap in entry.remove() {
-                self.happen(mishap);
+            for fault in entry.remove() {
+                self.happen(fault);
             }
         }
         while let Some(entry) = self.starts.first_entry() {
@@ -385,8 +385,8 @@ impl Simulation {
             let incarnation = entry.remove();
             self.start_chassis(index, incarnation);
         }
-        while let Some(mishap) = self.drawn.pop(moment) {
-            self.happen(mishap);
+        while let Some(fault) = self.drawn.pop(moment) {
+            self.happen(fault);
         }
         if self.stops.first().is_some_and(|at| *at <= moment) {
             self.stops.pop_first();

@@ -3,7 +3,7 @@
 use std::{fmt::Write as _, time::Duration};
 
 use crate::{
-    mishap::{Mishap, Site},
+    fault::{Fault, Site},
     reader::Reader,
 };
 use ctos_config::{Node, diagnostic::Finding};
@@ -29,7 +29,7 @@ fn keys(kind: &str) -> &'static [&'static str] {
 }
 
 /// Reads all `[[fault]]` tables.
-pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Mishap> {
+pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
     let tables = reader.tables("fault");
     tables
         .iter()
@@ -37,7 +37,7 @@ pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Mishap> {
         .collect()
 }
 
-fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> {
+fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
     let all = [
         "kind", "chassis", "between", "at_s", "lasts_s", "share", "extra_s", "step_s", "ahead_s",
         "rate_ppm",
@@ -61,7 +61,7 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> 
         let chassis = one.text("chassis", "the name of a chassis");
         let ahead = one.time("ahead_s", MOST);
         let rate = one.needed("rate_ppm", -100_000.0..=100_000.0);
-        return Some(Mishap::Drift {
+        return Some(Fault::Drift {
             chassis: chassis?,
             ahead: ahead?,
             rate_ppb: (rate? * 1e3).round() as i32,
@@ -93,37 +93,37 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> 
         (None, None) => return None,
     };
     Some(match kind.as_str() {
-        "kill" => Mishap::Kill { chassis, at },
-        "restart" => Mishap::Restart { chassis, at },
-        "refuse" => Mishap::Cut { one, other, at },
-        "cut" => Mishap::Break {
+        "kill" => Fault::Kill { chassis, at },
+        "restart" => Fault::Restart { chassis, at },
+        "refuse" => Fault::Cut { one, other, at },
+        "cut" => Fault::Break {
             one,
             other,
             at,
             until,
         },
-        "stall" => Mishap::Stall {
+        "stall" => Fault::Stall {
             one,
             other,
             at,
             until,
         },
-        "loss" => Mishap::Loss {
+        "loss" => Fault::Loss {
             one,
             other,
             at,
             until,
             share_ppm: (extent * 1e6).round() as u32,
         },
-        "delay" => Mishap::Delay {
+        "delay" => Fault::Delay {
             one,
             other,
             at,
             until,
             extra: super::reader::nanos(extent),
         },
-        "freeze" => Mishap::Freeze { chassis, at, until },
-        _ => Mishap::Slow {
+        "freeze" => Fault::Freeze { chassis, at, until },
+        _ => Fault::Slow {
             chassis,
             at,
             until,
@@ -132,40 +132,40 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> 
     })
 }
 
-/// The `[[fault]]` tables of `mishaps`; reading them gives the same mishaps.
+/// The `[[fault]]` tables of `faults`; reading them gives the same faults.
 #[must_use]
-pub fn write_script(mishaps: &[Mishap]) -> String {
+pub fn write_script(faults: &[Fault]) -> String {
     let mut text = String::new();
-    for mishap in mishaps {
+    for fault in faults {
         // Writing to a string does not fail.
-        let _ = write_one(&mut text, mishap);
+        let _ = write_one(&mut text, fault);
     }
     text
 }
 
-fn write_one(text: &mut String, mishap: &Mishap) -> std::fmt::Result {
-    writeln!(text, "[[fault]]\nkind = \"{}\"", mishap.kind())?;
-    match mishap.site() {
+fn write_one(text: &mut String, fault: &Fault) -> std::fmt::Result {
+    writeln!(text, "[[fault]]\nkind = \"{}\"", fault.kind())?;
+    match fault.site() {
         Site::Chassis(chassis) => writeln!(text, "chassis = \"{chassis}\"")?,
         Site::Link(one, other) => writeln!(text, "between = [\"{one}\", \"{other}\"]")?,
     }
-    if let Mishap::Drift {
+    if let Fault::Drift {
         ahead, rate_ppb, ..
-    } = mishap
+    } = fault
     {
         let ppm = f64::from(*rate_ppb) / 1e3;
         return writeln!(text, "ahead_s = {}\nrate_ppm = {ppm:.3}\n", exact(*ahead));
     }
-    writeln!(text, "at_s = {}", exact(mishap.at().since_start()))?;
-    if let Some(until) = mishap.until() {
-        writeln!(text, "lasts_s = {}", exact(until.since(mishap.at())))?;
+    writeln!(text, "at_s = {}", exact(fault.at().since_start()))?;
+    if let Some(until) = fault.until() {
+        writeln!(text, "lasts_s = {}", exact(until.since(fault.at())))?;
     }
-    match mishap {
-        Mishap::Loss { share_ppm, .. } => {
+    match fault {
+        Fault::Loss { share_ppm, .. } => {
             writeln!(text, "share = {:.6}", f64::from(*share_ppm) / 1e6)?;
         }
-        Mishap::Delay { extra, .. } => writeln!(text, "extra_s = {}", exact(*extra))?,
-        Mishap::Slow { per_step, .. } => writeln!(text, "step_s = {}", exact(*per_step))?,
+        Fault::Delay { extra, .. } => writeln!(text, "extra_s = {}", exact(*extra))?,
+        Fault::Slow { per_step, .. } => writeln!(text, "step_s = {}", exact(*per_step))?,
         _ => {}
     }
     writeln!(text)
@@ -185,7 +185,7 @@ mod tests {
     use ctos_config::diagnostic::Source;
     use ctos_time::Instant;
 
-    fn mishap() -> impl Strategy<Value = Mishap> {
+    fn fault() -> impl Strategy<Value = Fault> {
         let nanos = || 0_u64..1_000_000_000_000_000;
         (
             0..10_u8,
@@ -200,43 +200,43 @@ mod tests {
                 let until = at + Duration::from_nanos(lasts / 2);
                 let short = Duration::from_nanos(lasts % 1_000_000_000);
                 match kind {
-                    0 => Mishap::Kill { chassis, at },
-                    1 => Mishap::Cut { one, other, at },
-                    2 => Mishap::Break {
+                    0 => Fault::Kill { chassis, at },
+                    1 => Fault::Cut { one, other, at },
+                    2 => Fault::Break {
                         one,
                         other,
                         at,
                         until,
                     },
-                    3 => Mishap::Stall {
+                    3 => Fault::Stall {
                         one,
                         other,
                         at,
                         until,
                     },
-                    4 => Mishap::Loss {
+                    4 => Fault::Loss {
                         one,
                         other,
                         at,
                         until,
                         share_ppm,
                     },
-                    5 => Mishap::Delay {
+                    5 => Fault::Delay {
                         one,
                         other,
                         at,
                         until,
                         extra: short,
                     },
-                    6 => Mishap::Freeze { chassis, at, until },
-                    8 => Mishap::Restart { chassis, at },
-                    7 => Mishap::Slow {
+                    6 => Fault::Freeze { chassis, at, until },
+                    8 => Fault::Restart { chassis, at },
+                    7 => Fault::Slow {
                         chassis,
                         at,
                         until,
                         per_step: short,
                     },
-                    _ => Mishap::Drift {
+                    _ => Fault::Drift {
                         chassis,
                         ahead: short,
                         rate_ppb,
@@ -248,11 +248,11 @@ mod tests {
     proptest! {
         #[test]
         fn what_is_written_reads_back_to_the_nanosecond(
-            mishaps in proptest::collection::vec(mishap(), 0..20)
+            faults in proptest::collection::vec(fault(), 0..20)
         ) {
-            let text = write_script(&mishaps);
+            let text = write_script(&faults);
             let read = Faults::parse(&Source::new("faults.toml", text));
-            prop_assert_eq!(read.unwrap().script, mishaps);
+            prop_assert_eq!(read.unwrap().script, faults);
         }
     }
 }

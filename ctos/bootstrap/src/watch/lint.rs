@@ -20,12 +20,12 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 /// How long a handler may keep its processor, unless the configuration says otherwise.
-const TURN_LIMIT: Duration = Duration::from_secs(1);
+const POLL_TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a handler may wait for others, unless the configuration says otherwise: longer than any call
 /// does by itself.
-const WAIT_LIMIT: Duration = Duration::from_secs(30);
+const WAIT_TIMEOUT: Duration = Duration::from_secs(30);
 /// How long a permit may be held while others wait for one.
-const PERMIT_LIMIT: Duration = Duration::from_secs(10);
+const PERMIT_TIMEOUT: Duration = Duration::from_secs(10);
 /// A synchronous function that has kept its schedule for so long keeps it again.
 const KEPT_AGAIN: Duration = Duration::from_secs(5);
 /// A queue that has grown at so many looks in a row, and is more than half full, is growing.
@@ -222,7 +222,7 @@ fn handler(
     let name = &task.name;
     let command = command_name(chassis, config, counters.command);
     if let Some((_, since)) = seen.poll
-        && now.since(since) >= config.handler_limit.unwrap_or(TURN_LIMIT)
+        && now.since(since) >= config.handler_limit.unwrap_or(POLL_TIMEOUT)
     {
         let processor = format!("{}/{}", config.chassis, config.processor);
         let text = format!(
@@ -230,7 +230,7 @@ fn handler(
         );
         return Some((LintCode::HandlerBlocks, began, text));
     }
-    if now.since(began) >= config.handler_limit.unwrap_or(WAIT_LIMIT) {
+    if now.since(began) >= config.handler_limit.unwrap_or(WAIT_TIMEOUT) {
         let text = format!(
             "`{name}` has been at `{command}` for {at_it_s:.1} s, waiting for others; what comes to it meanwhile waits too"
         );
@@ -275,7 +275,7 @@ fn semaphores(chassis: &Chassis, now: Instant, found: &mut Lints) {
         };
         for holder in &view.holders {
             let held = now.since(holder.since);
-            if held < PERMIT_LIMIT {
+            if held < PERMIT_TIMEOUT {
                 continue;
             }
             let (name, task) = (&view.name, &holder.task);

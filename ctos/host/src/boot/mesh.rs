@@ -43,7 +43,7 @@ use ctos_message::fault::Fault;
 use ctos_time::lock::lock;
 
 /// How long the last frames may take when a process ends.
-pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
+pub(crate) const FLUSH_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// What the mesh of one chassis tells that of another.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -298,7 +298,7 @@ impl Mesh {
         });
         let down = futures_util::future::join_all(down);
         // What cannot be written within the limit belongs to a peer that no longer reads.
-        let _ = tokio::time::timeout(FLUSH_LIMIT, down).await;
+        let _ = tokio::time::timeout(FLUSH_TIMEOUT, down).await;
         if let Some(fabric) = &self.inner.fabric {
             fabric.close().await;
         }

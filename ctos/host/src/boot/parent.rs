@@ -16,7 +16,7 @@ use tokio::{
 use crate::{
     boot::{
         launcher::Launcher,
-        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+        mesh::{FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent},
         processes::{Keeper, Process, Starter},
     },
     control::{Gate, LogStore, Server, Ticker},
@@ -167,13 +167,13 @@ async fn run_processes(
     for index in chassis.others() {
         processes.push(starter.start(index, 1)?);
     }
-    let limit = chassis.app.phase_timeout;
+    let timeout = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
     tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &mut mesh, processes, &mut missing)) => {
+        connected = tokio::time::timeout(timeout, connect(chassis, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
-                Err(_) => return Err(late(chassis, &missing, limit)),
+                Err(_) => return Err(late(chassis, &missing, timeout)),
             }
         }
         _ = interrupt.recv() => return Ok(interrupted(chassis)),
@@ -245,13 +245,13 @@ fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
     }
 }
 
-fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> BootError {
+fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, timeout: Duration) -> BootError {
     let missing = missing
         .iter()
         .map(|index| format!("`{}`", chassis.name_of(*index)));
     BootError::Late {
         chassis: missing.collect(),
-        limit_s: limit.as_secs_f64(),
+        timeout_s: timeout.as_secs_f64(),
     }
 }
 
@@ -331,7 +331,7 @@ async fn connect(
         if matches!(&event, Some(MeshEvent::Unable { .. })) {
             return Err(error);
         }
-        let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+        let ended = tokio::time::timeout(FLUSH_TIMEOUT, first_exit(processes)).await;
         return Err(ended.unwrap_or(error));
     }
     Ok(())

@@ -298,11 +298,11 @@ impl Keeper {
 
     /// Waits for all processes: those that do not end by themselves get SIGTERM, then SIGKILL.
     /// Names those that ended otherwise than they should have.
-    pub(super) async fn end(self, limit: Duration, end: &End) -> Vec<(String, String)> {
+    pub(super) async fn end(self, timeout: Duration, end: &End) -> Vec<(String, String)> {
         let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
         let mut casualties = Vec::new();
         for mut process in self.processes.into_values() {
-            let mut ended = tokio::time::timeout(limit, process.ended()).await;
+            let mut ended = tokio::time::timeout(timeout, process.ended()).await;
             for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
                 if ended.is_ok() {
                     break;
@@ -312,7 +312,7 @@ impl Keeper {
                     signal: name.to_owned(),
                 });
                 process.signal(number);
-                ended = tokio::time::timeout(limit, process.ended()).await;
+                ended = tokio::time::timeout(timeout, process.ended()).await;
             }
             match ended {
                 Ok(ending) if ending.code == Some(expected) => {}

@@ -73,14 +73,14 @@ pub enum ClientError {
         error: io::Error,
     },
     /// It took too long.
-    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .limit.as_secs_f64())]
+    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .timeout.as_secs_f64())]
     TimedOut {
         /// The app.
         app: String,
         /// Its process; 0 for one on another host.
         pid: u32,
-        /// The limit.
-        limit: Duration,
+        /// The timeout.
+        timeout: Duration,
     },
     /// It answered what this version cannot read.
     #[error("cannot read what app `{app}` answers: {reason}; is it of another version?")]
@@ -177,22 +177,22 @@ fn choose(apps: Vec<Socket>, name: Option<&str>) -> Result<Socket, ClientError> 
 /// What an app is spoken to over.
 trait Wire: Read + Write + Send {
     /// How long each reading may take.
-    fn read_within(&self, limit: Option<Duration>) -> io::Result<()>;
+    fn read_within(&self, timeout: Option<Duration>) -> io::Result<()>;
     /// How long each writing may take.
-    fn write_within(&self, limit: Option<Duration>) -> io::Result<()>;
+    fn write_within(&self, timeout: Option<Duration>) -> io::Result<()>;
 }
 
 macro_rules! wire {
     ($stream:ty, $socket:ident => $of:expr) => {
         impl Wire for $stream {
-            fn read_within(&self, limit: Option<Duration>) -> io::Result<()> {
+            fn read_within(&self, timeout: Option<Duration>) -> io::Result<()> {
                 let $socket = self;
-                $of.set_read_timeout(limit)
+                $of.set_read_timeout(timeout)
             }
 
-            fn write_within(&self, limit: Option<Duration>) -> io::Result<()> {
+            fn write_within(&self, timeout: Option<Duration>) -> io::Result<()> {
                 let $socket = self;
-                $of.set_write_timeout(limit)
+                $of.set_write_timeout(timeout)
             }
         }
     };
@@ -224,7 +224,7 @@ fn own_secret(stream: &TcpStream) -> io::Result<Secret> {
 /// A connection to an app.
 pub struct Client {
     app: Socket,
-    limit: Duration,
+    timeout: Duration,
     stream: BufReader<Box<dyn Wire>>,
     /// What has come of the next answer.
     begun: Vec<u8>,
@@ -241,13 +241,13 @@ impl fmt::Debug for Client {
 }
 
 impl Client {
-    /// Connects to an app whose answers are waited for `limit` long.
+    /// Connects to an app whose answers are waited for `timeout` long.
     ///
     /// # Errors
     /// [`ClientError::Unreachable`].
-    pub fn connect(app: Socket, limit: Duration) -> Result<Self, ClientError> {
+    pub fn connect(app: Socket, timeout: Duration) -> Result<Self, ClientError> {
         match UnixStream::connect(&app.path) {
-            Ok(stream) => Self::over(Box::new(stream), app, limit, None),
+            Ok(stream) => Self::over(Box::new(stream), app, timeout, None),
             Err(error) => Err(ClientError::Unreachable {
                 app: app.app,
                 pid: app.pid,
@@ -257,12 +257,12 @@ impl Client {
     }
 
     /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
-    /// `pass` there. Its answers are waited for `limit` long.
+    /// `pass` there. Its answers are waited for `timeout` long.
     ///
     /// # Errors
     /// [`ClientError::Unreachable`], also when nobody knows the secret of the port, and [`ClientError::Key`]
     /// when the app does not prove who it is.
-    pub fn connect_at(at: &str, pass: &Pass, limit: Duration) -> Result<Self, ClientError> {
+    pub fn connect_at(at: &str, pass: &Pass, timeout: Duration) -> Result<Self, ClientError> {
         let app = Socket {
             app: at.to_owned(),
             pid: 0,
@@ -273,7 +273,7 @@ impl Client {
             pid: 0,
             error,
         };
-        let mut stream = called(at, limit).map_err(unreachable)?;
+        let mut stream = called(at, timeout).map_err(unreachable)?;
         let keys = match pass {
             Pass::Key(keys) => keys,
             Pass::Secret(_) | Pass::OwnPort => {
@@ -286,7 +286,7 @@ impl Client {
                 let told = stream.write_all(format!("{shown}\n").as_bytes());
                 told.map_err(unreachable)?;
                 let hint = "it hung up; does it want a key (--key), or belong to another user?";
-                return Self::over(Box::new(stream), app, limit, Some(hint));
+                return Self::over(Box::new(stream), app, timeout, Some(hint));
             }
         };
         let key = |error| ClientError::Key {
@@ -301,22 +301,22 @@ impl Client {
             });
         }
         let hint = "it hung up; is this key of its authority?";
-        Self::over(Box::new(stream), app, limit, Some(hint))
+        Self::over(Box::new(stream), app, timeout, Some(hint))
     }
 
     fn over(
         stream: Box<dyn Wire>,
         app: Socket,
-        limit: Duration,
+        timeout: Duration,
         hung_up: Option<&'static str>,
     ) -> Result<Self, ClientError> {
-        let limited = stream
-            .read_within(Some(limit))
-            .and_then(|()| stream.write_within(Some(limit)));
-        match limited {
+        let timed = stream
+            .read_within(Some(timeout))
+            .and_then(|()| stream.write_within(Some(timeout)));
+        match timed {
             Ok(()) => Ok(Self {
                 app,
-                limit,
+                timeout,
                 stream: BufReader::new(stream),
                 begun: Vec::new(),
                 hung_up,
@@ -385,16 +385,16 @@ impl Client {
         self.whole()
     }
 
-    /// The next answer if it comes within `limit`. What has come of it by then is kept, so that one may ask
+    /// The next answer if it comes within `timeout`. What has come of it by then is kept, so that one may ask
     /// again.
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub fn read_within(&mut self, limit: Duration) -> Result<Within, ClientError> {
-        let set = self.stream.get_ref().read_within(Some(limit));
+    pub fn read_within(&mut self, timeout: Duration) -> Result<Within, ClientError> {
+        let set = self.stream.get_ref().read_within(Some(timeout));
         set.map_err(|error| self.failed(error))?;
         let read = self.stream.read_until(b'\n', &mut self.begun);
-        let usual = self.stream.get_ref().read_within(Some(self.limit));
+        let usual = self.stream.get_ref().read_within(Some(self.timeout));
         usual.map_err(|error| self.failed(error))?;
         match read {
             Ok(_) => Ok(match self.whole()? {
@@ -484,7 +484,7 @@ impl Client {
             _ if is_late(&error) => ClientError::TimedOut {
                 app,
                 pid,
-                limit: self.limit,
+                timeout: self.timeout,
             },
             // What a refusal looks like from here.
             io::ErrorKind::UnexpectedEof
@@ -502,7 +502,7 @@ impl Client {
     }
 }
 
-/// What came within a time limit.
+/// What came within a time timeout.
 #[derive(Debug)]
 pub enum Within {
     /// An answer.
@@ -522,15 +522,15 @@ fn is_late(error: &io::Error) -> bool {
 }
 
 /// Calls the first address of `at` that answers.
-fn called(at: &str, limit: Duration) -> io::Result<TcpStream> {
+fn called(at: &str, timeout: Duration) -> io::Result<TcpStream> {
     let addresses: Vec<SocketAddr> = at.to_socket_addrs()?.collect();
     let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name leads to no address");
     for address in addresses {
-        match TcpStream::connect_timeout(&address, limit) {
+        match TcpStream::connect_timeout(&address, timeout) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
-                stream.set_read_timeout(Some(limit))?;
-                stream.set_write_timeout(Some(limit))?;
+                stream.set_read_timeout(Some(timeout))?;
+                stream.set_write_timeout(Some(timeout))?;
                 return Ok(stream);
             }
             Err(error) => failed = error,

@@ -118,17 +118,17 @@ impl<'d> Moving<'d> {
                 processor: old.processor(),
             },
         );
-        let (chassis, limit) = (self.chassis.clone(), self.limit());
+        let (chassis, timeout) = (self.chassis.clone(), self.timeout());
         let order = MoveTask {
             task: self.task.clone(),
             to: self.to.clone(),
         };
         Ok(Box::pin(async move {
-            view::ask(&chassis, system::TID_SERVER, order, limit).await
+            view::ask(&chassis, system::TID_SERVER, order, timeout).await
         }))
     }
 
-    fn limit(&self) -> Duration {
+    fn timeout(&self) -> Duration {
         PATIENCE + self.chassis.app.phase_timeout.saturating_mul(4)
     }
 

@@ -336,7 +336,7 @@ pub struct TaskView {
     pub urgent: u64,
     /// Messages of normal priority in its queue.
     pub queued: u64,
-    /// Senders that wait for room in its queue.
+    /// Senders that wait for space in its queue.
     pub senders_waiting: u64,
     /// How many messages of each priority its queue holds.
     pub capacity: u64,

@@ -30,9 +30,9 @@ use ctos_time::{Instant, lock::lock};
 /// How often a client is told how its record is.
 const TELL: Duration = Duration::from_secs(1);
 /// How long a chassis may take to begin, or to tell.
-const LIMIT: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 /// How long one may take to bring a record to the disk.
-const CLOSE_LIMIT: Duration = Duration::from_secs(8);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(8);
 
 /// The records that clients have asked for, by their keys.
 #[derive(Default)]
@@ -118,7 +118,7 @@ impl Recording {
                 let chassis = self.chassis.clone();
                 async move {
                     let agent = system::agent_tid(*index);
-                    (*index, view::ask(&chassis, agent, order, LIMIT).await)
+                    (*index, view::ask(&chassis, agent, order, TIMEOUT).await)
                 }
             });
         for (index, begun) in join_all(orders).await {
@@ -186,9 +186,9 @@ impl Recording {
 
     /// How long it still lasts, if that was said.
     fn left(&self) -> Option<Duration> {
-        let limit = self.request.for_s?;
-        let limit = Duration::try_from_secs_f64(limit).unwrap_or(Duration::MAX);
-        Some(limit.saturating_sub(self.chassis.clock.now().since(self.began)))
+        let timeout = self.request.for_s?;
+        let timeout = Duration::try_from_secs_f64(timeout).unwrap_or(Duration::MAX);
+        Some(timeout.saturating_sub(self.chassis.clock.now().since(self.began)))
     }
 
     pub(super) fn view(&self) -> RecordView {
@@ -210,7 +210,7 @@ impl Recording {
             let (chassis, key) = (self.chassis.clone(), self.key);
             async move {
                 let agent = system::agent_tid(*index);
-                let told = view::ask(&chassis, agent, ReadRecord { key }, LIMIT).await;
+                let told = view::ask(&chassis, agent, ReadRecord { key }, TIMEOUT).await;
                 (*index, told)
             }
         });
@@ -257,7 +257,7 @@ async fn end_all(
 ) -> Vec<(u8, Result<Option<RecordReport>, Fault>)> {
     let ends = members.map(|index| async move {
         let agent = system::agent_tid(index);
-        let told = view::ask(chassis, agent, EndRecord { key }, CLOSE_LIMIT).await;
+        let told = view::ask(chassis, agent, EndRecord { key }, CLOSE_TIMEOUT).await;
         (index, told)
     });
     join_all(ends).await

@@ -11,10 +11,10 @@ use tokio::{
 use crate::{
     control::{
         LogStore,
-        desk::{Client, Desk, Writer, busy, tell},
         gate::{self, Gate},
         place,
         protocol::EndView,
+        service::{Client, Service, Writer, busy, tell},
     },
     doors::ACCEPT_PAUSE,
 };
@@ -79,15 +79,15 @@ impl Server {
         gate: Option<Gate>,
     ) -> Self {
         let clients = Arc::new(Semaphore::new(CLIENTS));
-        let desk = Arc::new(Desk::new(chassis, logs, &ticker));
+        let service = Arc::new(Service::new(chassis, logs, &ticker));
         let mut serving = Vec::new();
         if let Some(gate) = gate {
-            let served = gate::serve(gate, desk.clone(), clients.clone());
+            let served = gate::serve(gate, service.clone(), clients.clone());
             serving.push(tokio::spawn(served));
         }
         let path = match Self::socket(chassis) {
             Ok((listener, path)) => {
-                serving.push(tokio::spawn(serve(listener, desk, clients.clone())));
+                serving.push(tokio::spawn(serve(listener, service, clients.clone())));
                 Some(path)
             }
             Err(error) => {
@@ -146,7 +146,7 @@ impl Drop for Server {
     }
 }
 
-async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>) {
+async fn serve(listener: UnixListener, service: Arc<Service>, clients: Arc<Semaphore>) {
     let mut serving = JoinSet::new();
     loop {
         tokio::select! {
@@ -156,11 +156,11 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
                         peer.uid() == place::uid() || peer.uid() == 0
                     });
                     if !own {
-                        desk.refuse("a client of another user", "the socket is its user's own");
+                        service.refuse("a client of another user", "the socket is its user's own");
                         continue;
                     }
                     let place = clients.clone().try_acquire_owned();
-                    let desk = desk.clone();
+                    let service = service.clone();
                     serving.spawn(async move {
                         let (reader, writer) = stream.into_split();
                         let mut writer: Writer = Box::new(writer);
@@ -168,14 +168,14 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
                             Ok(_place) => {
                                 // The user may do what he likes with what is his.
                                 let client = Client { who: "its user".to_owned(), role: Role::Boot };
-                                desk.client(&client, Box::new(reader), writer).await
+                                service.client(&client, Box::new(reader), writer).await
                             }
                             Err(_) => tell(&mut writer, &busy()).await,
                         }
                     });
                 }
                 Err(error) => {
-                    desk.refuse("a client", &format!("it was lost: {error}"));
+                    service.refuse("a client", &format!("it was lost: {error}"));
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             },

@@ -22,23 +22,23 @@ use ctos_message::{Command, Data, Flags, fault::Fault};
 use ctos_time::Instant;
 
 /// How long a chassis may take to tell about its tasks.
-const LIMIT: Duration = Duration::from_millis(500);
+const TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Sends a task bytes from outside of any task; the bytes that it answers.
 pub(super) async fn ask_raw(
     chassis: &Arc<Chassis>,
     to: ctos_message::Tid,
     (command, data): (u16, Vec<u8>),
-    limit: Duration,
+    timeout: Duration,
 ) -> Result<Vec<u8>, Fault> {
     let from = system::agent_tid(chassis.index());
     let message = Message::with_data(to, from, command, Data::Bytes(data))
         .flagged(Flags::HIGH_PRIORITY)
         .in_trace(chassis.fresh_trace())
-        .until(Some(chassis.clock.now() + limit));
+        .until(Some(chassis.clock.now() + timeout));
     let waiting = chassis.dispatch(message, WaitFor::Reply);
-    let answer = tokio::time::timeout(limit, waiting).await;
-    let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
+    let answer = tokio::time::timeout(timeout, waiting).await;
+    let data = answer.map_err(|_| Fault::Deadline { after: timeout })??;
     data.into_bytes().map_err(|error| Fault::BadPayload {
         text: error.to_string(),
     })
@@ -49,15 +49,15 @@ pub(crate) async fn ask<C: Command>(
     chassis: &Arc<Chassis>,
     to: ctos_message::Tid,
     request: C,
-    limit: Duration,
+    timeout: Duration,
 ) -> Result<C::Reply, Fault> {
     let from = system::agent_tid(chassis.index());
     let message = Message::request(to, from, C::CODE, request)
         .flagged(Flags::HIGH_PRIORITY)
-        .until(Some(chassis.clock.now() + limit));
+        .until(Some(chassis.clock.now() + timeout));
     let waiting = chassis.dispatch(message, WaitFor::Reply);
-    let answer = tokio::time::timeout(limit, waiting).await;
-    let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
+    let answer = tokio::time::timeout(timeout, waiting).await;
+    let data = answer.map_err(|_| Fault::Deadline { after: timeout })??;
     data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
         text: error.to_string(),
     })
@@ -65,7 +65,7 @@ pub(crate) async fn ask<C: Command>(
 
 /// The app as it is now.
 pub(crate) async fn app(chassis: &Arc<Chassis>, logs: &LogStore) -> Result<AppView, Fault> {
-    let overview = ask(chassis, system::BOOTSTRAP, Overview {}, LIMIT).await?;
+    let overview = ask(chassis, system::BOOTSTRAP, Overview {}, TIMEOUT).await?;
     let surveys = surveys(chassis).await;
     Ok(put_together(chassis, logs, &overview, &surveys))
 }
@@ -76,7 +76,7 @@ pub(super) async fn surveys(chassis: &Arc<Chassis>) -> Vec<Option<ChassisReport>
         .zip(&chassis.app.chassis)
         .map(|(index, _)| async move {
             let agent = system::agent_tid(index);
-            ask(chassis, agent, Survey {}, LIMIT).await.ok()
+            ask(chassis, agent, Survey {}, TIMEOUT).await.ok()
         });
     join_all(surveys).await
 }

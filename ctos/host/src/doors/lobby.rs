@@ -103,20 +103,20 @@ impl Guest {
         self.seat.clone()
     }
 
-    /// Does `what` with the caller, unless it is turned out or `limit` has passed.
+    /// Does `what` with the caller, unless it is turned out or `timeout` has passed.
     ///
     /// # Errors
     /// [`Turned`].
     pub(crate) async fn hear<T>(
         self,
-        limit: Duration,
+        timeout: Duration,
         what: impl Future<Output = T>,
     ) -> Result<T, Turned> {
-        let heard = tokio::time::timeout(limit, self.stay(what)).await;
+        let heard = tokio::time::timeout(timeout, self.stay(what)).await;
         heard.unwrap_or(Err(Turned::Late))
     }
 
-    /// As [`Self::hear`], without a limit.
+    /// As [`Self::hear`], without a timeout.
     ///
     /// # Errors
     /// [`Turned::Crowded`].
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn who_says_nothing_is_heard_no_longer_than_the_limit() {
+    fn who_says_nothing_is_heard_no_longer_than_the_timeout() {
         run(async {
             let guest = Lobby::new(1).enter().await.unwrap();
             let silent = std::future::pending::<()>();

@@ -21,7 +21,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::{net::TcpListener, task::JoinSet};
 
 use super::{
-    ACCEPT_PAUSE, STRANGER_LIMIT,
+    ACCEPT_PAUSE, STRANGER_TIMEOUT,
     lobby::{Guest, Lobby, Seat},
 };
 use ctos_bootstrap::refusals::Refusals;
@@ -166,7 +166,7 @@ impl Pages {
                 };
                 let site = caller.site.clone();
                 let met = async {
-                    let met = tokio::time::timeout(STRANGER_LIMIT, tls.accept(stream)).await;
+                    let met = tokio::time::timeout(STRANGER_TIMEOUT, tls.accept(stream)).await;
                     met.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
                 };
                 match met.await {
@@ -402,7 +402,7 @@ mod tests {
             let mut browser = TcpStream::connect(address).unwrap();
             assert!(get(&mut browser, "localhost").ends_with("yes"));
         }
-        // Without waiting for any time limit.
+        // Without waiting for any time-out.
         let closed = silent[0].read(&mut [0; 16]);
         assert!(matches!(closed, Ok(0) | Err(_)), "{closed:?}");
     }

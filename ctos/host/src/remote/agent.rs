@@ -23,7 +23,7 @@ use super::{
     is_same_user,
     run::{About, Common, Return, Run},
     wire::{
-        BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_LIMIT, Hello, HelloAnswer, Outbox,
+        BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_TIMEOUT, Hello, HelloAnswer, Outbox,
         PROTOCOL, ToBoot, say_last,
     },
 };
@@ -338,7 +338,7 @@ impl HostAgent {
             };
             let agent = agent.clone();
             serving.spawn(async move {
-                let heard = guest.hear(HELLO_LIMIT, agent.hear(call)).await;
+                let heard = guest.hear(HELLO_TIMEOUT, agent.hear(call)).await;
                 let heard = heard.unwrap_or_else(|turned| Err(turned.into()));
                 match heard {
                     Ok(heard) => agent.admit(heard, from).await,
@@ -424,7 +424,7 @@ impl HostAgent {
             known: known.is_some(),
             process: Process::this(),
         };
-        let told = tokio::time::timeout(HELLO_LIMIT, handshake::say(&mut stream, &answer)).await;
+        let told = tokio::time::timeout(HELLO_TIMEOUT, handshake::say(&mut stream, &answer)).await;
         if !matches!(told, Ok(Ok(()))) {
             return self.refuse(from, "it did not hear the answer");
         }

@@ -16,8 +16,8 @@ use tokio::sync::{mpsc, oneshot};
 use super::{
     call::{Compared, files},
     wire::{
-        AppFiles, Asked, Connection, HELLO_LIMIT, Hello, Outbox, PROTOCOL, Pulse, ToAgent, ToBoot,
-        ticks,
+        AppFiles, Asked, Connection, HELLO_TIMEOUT, Hello, Outbox, PROTOCOL, Pulse, ToAgent,
+        ToBoot, ticks,
     },
 };
 use crate::boot::{processes::Witness, spawn::Ending};
@@ -474,7 +474,7 @@ impl Link {
                 }
             }
         };
-        if tokio::time::timeout(self.silence.max(HELLO_LIMIT), over)
+        if tokio::time::timeout(self.silence.max(HELLO_TIMEOUT), over)
             .await
             .is_err()
         {

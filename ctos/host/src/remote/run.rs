@@ -428,12 +428,12 @@ impl Run {
                     }
                 }
             };
-            let limit = match signal {
+            let timeout = match signal {
                 // Its end is seen when its log is read, for which it has some time.
                 Some(Signal::KILL) => rung.max(2 * LAST_WORDS),
                 _ => rung,
             };
-            if tokio::time::timeout(limit, all).await.is_ok() {
+            if tokio::time::timeout(timeout, all).await.is_ok() {
                 return;
             }
         }

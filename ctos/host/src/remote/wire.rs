@@ -44,7 +44,7 @@ pub(crate) const BUNDLE_LIMIT: usize = 64 << 20;
 pub(crate) const FRAME_LIMIT: usize = 4 * LINE_LIMIT;
 
 /// How long a caller may take to say who it is, and an agent to answer.
-pub(crate) const HELLO_LIMIT: Duration = Duration::from_secs(5);
+pub(crate) const HELLO_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How many lines of logs may wait for a slow connection; further ones are lost, and counted.
 pub(crate) const LINES_WAITING: usize = 2048;
@@ -206,7 +206,7 @@ impl<T: Said> Outbox<T> {
         })
     }
 
-    /// Adds `item`; one that may be dropped only while there is room for it.
+    /// Adds `item`; one that may be dropped only while there is space for it.
     pub(crate) fn say(&self, item: T) {
         {
             let mut waiting = lock(&self.waiting);
@@ -323,11 +323,11 @@ async fn write<T: Said>(
         };
         // The files of an app may take longer than one sign of life on a slow line; they are watched by
         // who sends them.
-        let limit = silence + Duration::from_secs(frame.len() as u64 >> 20);
-        match tokio::time::timeout(limit, written).await {
+        let timeout = silence + Duration::from_secs(frame.len() as u64 >> 20);
+        match tokio::time::timeout(timeout, written).await {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return error.into(),
-            Err(_) => return WireError::Silence(limit),
+            Err(_) => return WireError::Silence(timeout),
         }
     }
 }
@@ -349,14 +349,14 @@ pub(crate) async fn say_last(mut stream: Stream, answer: &HelloAnswer) {
         while stream.read(&mut rest).await.ok()? > 0 {}
         Some(())
     };
-    let _ = tokio::time::timeout(HELLO_LIMIT, told).await;
+    let _ = tokio::time::timeout(HELLO_TIMEOUT, told).await;
 }
 
 /// Tells a peer that is silent from one that was not listened to: a process that was frozen must not
 /// blame others.
 pub(crate) struct Pulse {
     clock: Clock,
-    limit: Duration,
+    timeout: Duration,
     heard: Instant,
     due: Instant,
 }
@@ -365,20 +365,20 @@ pub(crate) struct Pulse {
 const PULSES: u32 = 4;
 
 impl Pulse {
-    pub(crate) fn new(limit: Duration) -> Self {
+    pub(crate) fn new(timeout: Duration) -> Self {
         let clock = Clock::real();
         let now = clock.now();
         Self {
-            due: now + limit / PULSES,
+            due: now + timeout / PULSES,
             heard: now,
             clock,
-            limit,
+            timeout,
         }
     }
 
     /// How often to look.
     pub(crate) fn every(&self) -> Duration {
-        (self.limit / PULSES).max(Duration::from_millis(1))
+        (self.timeout / PULSES).max(Duration::from_millis(1))
     }
 
     /// Something was heard.
@@ -394,12 +394,12 @@ impl Pulse {
         let now = self.clock.now();
         let late = now.since(self.due);
         self.due = now + self.every();
-        if late > self.limit / 2 {
+        if late > self.timeout / 2 {
             // This process itself did not run.
             self.heard = now;
         }
-        if now.since(self.heard) > self.limit {
-            return Err(WireError::Silence(self.limit));
+        if now.since(self.heard) > self.timeout {
+            return Err(WireError::Silence(self.timeout));
         }
         Ok(())
     }

@@ -21,7 +21,7 @@ use ctos_link::{
 use ctos_time::{lock::lock, seed::mix};
 
 /// How long the other end may take to answer.
-const ANSWER_LIMIT: Duration = Duration::from_secs(5);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The pause before the first new attempt; each further one is twice as long, up to the longest. The
 /// seed draws between half and all of it, so that those who lost the same peer do not call at once.
@@ -117,7 +117,7 @@ impl Inner {
         member: &Member,
     ) -> Result<(), CallError> {
         let address = self.nearest(member);
-        let called = tokio::time::timeout(ANSWER_LIMIT, self.shake_hands(session, address)).await;
+        let called = tokio::time::timeout(ANSWER_TIMEOUT, self.shake_hands(session, address)).await;
         let (stream, welcome) = called.map_err(|_| CallError::Late)??;
         let Answer::Welcome {
             chassis,
@@ -216,5 +216,5 @@ pub(super) async fn unable(
         while stream.read(&mut rest).await.ok()? > 0 {}
         Some(())
     };
-    let _ = tokio::time::timeout(ANSWER_LIMIT, tell).await;
+    let _ = tokio::time::timeout(ANSWER_TIMEOUT, tell).await;
 }

@@ -7,7 +7,7 @@ use ctos_time::Instant;
 /// Something that goes wrong in a simulated app, and when, in true time. `boot` is the name of the
 /// chassis that boots.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Mishap {
+pub enum Fault {
     /// The process of a chassis ends at once, as by `kill -9`.
     Kill {
         /// Its name.
@@ -114,7 +114,7 @@ pub enum Mishap {
     },
 }
 
-/// Where a mishap happens.
+/// Where a fault happens.
 pub(crate) enum Site<'a> {
     /// On a chassis.
     Chassis(&'a str),
@@ -122,7 +122,7 @@ pub(crate) enum Site<'a> {
     Link(&'a str, &'a str),
 }
 
-impl Mishap {
+impl Fault {
     /// When it happens.
     #[must_use]
     pub fn at(&self) -> Instant {
@@ -204,7 +204,7 @@ impl Mishap {
     }
 }
 
-impl fmt::Display for Mishap {
+impl fmt::Display for Fault {
     /// `cut    desk - cage  at 1.250000 s for 0.3 s`
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:<7}", self.kind())?;

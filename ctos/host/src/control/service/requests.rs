@@ -5,7 +5,7 @@ use std::{io, time::Duration};
 use base64::{Engine, engine::general_purpose::STANDARD};
 use tokio::sync::broadcast;
 
-use super::{Desk, Speaker, Writer, ended, error, failed, tell};
+use super::{Service, Speaker, Writer, ended, error, failed, tell};
 use crate::{
     control::{
         logs::LogLine,
@@ -24,15 +24,15 @@ use ctos_core::system::{self, Interrupt, RestartChassis, RestartTask};
 use ctos_message::fault::Fault;
 
 /// The longest that a client may wait for a task.
-const CALL_LIMIT: Duration = Duration::from_secs(3600);
+const CALL_TIMEOUT: Duration = Duration::from_secs(3600);
 /// How long the answer to a line of text is waited for, unless the request says otherwise.
-const SAY_LIMIT: Duration = Duration::from_secs(600);
+const SAY_TIMEOUT: Duration = Duration::from_secs(600);
 /// The longest that a request may have its answer waited for, s.
-const MOST_SAY_LIMIT_S: f64 = 86_400.0;
+const LONGEST_SAY_S: f64 = 86_400.0;
 /// How many of its last lines the status of a chassis shows of each process.
 const STATUS_LINES: usize = 10;
 
-impl Desk {
+impl Service {
     /// Sends a task one of its commands.
     pub(super) async fn call(
         &self,
@@ -53,14 +53,14 @@ impl Desk {
         let Ok(data) = STANDARD.decode(data) else {
             return error(ErrorCode::BadRequest, "the data is not base64");
         };
-        // Whoever asks has a limit of its own; what is absurd is bounded here.
-        let limit = Duration::try_from_secs_f64(within_s).unwrap_or(CALL_LIMIT);
-        let limit = limit.min(CALL_LIMIT);
+        // Whoever asks has a timeout of its own; what is absurd is bounded here.
+        let timeout = Duration::try_from_secs_f64(within_s).unwrap_or(CALL_TIMEOUT);
+        let timeout = timeout.min(CALL_TIMEOUT);
         let query = system::QueryTid {
             name: task.to_owned(),
         };
-        let answered = match view::ask(chassis, system::TID_SERVER, query, limit).await {
-            Ok(Ok(tid)) => view::ask_raw(chassis, tid, (info.code, data), limit).await,
+        let answered = match view::ask(chassis, system::TID_SERVER, query, timeout).await {
+            Ok(Ok(tid)) => view::ask_raw(chassis, tid, (info.code, data), timeout).await,
             Ok(Err(_)) => return error(ErrorCode::Failed, format!("task `{task}` is not there")),
             Err(fault) => Err(fault),
         };
@@ -198,20 +198,20 @@ impl Desk {
 
     /// Says a line to a task, in the name of a client.
     pub(super) async fn say(&self, request: SayRequest, speaker: &mut Speaker) -> Answer {
-        let limit = match request.limit_s {
-            None => SAY_LIMIT,
-            Some(limit) if (0.0..=MOST_SAY_LIMIT_S).contains(&limit) => {
-                Duration::from_secs_f64(limit)
+        let timeout = match request.limit_s {
+            None => SAY_TIMEOUT,
+            Some(timeout) if (0.0..=LONGEST_SAY_S).contains(&timeout) => {
+                Duration::from_secs_f64(timeout)
             }
-            Some(limit) => {
-                let text = format!("`limit_s` is 0 to {MOST_SAY_LIMIT_S} s, not {limit}");
+            Some(timeout) => {
+                let text = format!("`limit_s` is 0 to {LONGEST_SAY_S} s, not {timeout}");
                 return error(ErrorCode::BadRequest, text);
             }
         };
         let query = system::QueryTid {
             name: request.task.clone(),
         };
-        let found = view::ask(&self.chassis, system::TID_SERVER, query, SAY_LIMIT).await;
+        let found = view::ask(&self.chassis, system::TID_SERVER, query, SAY_TIMEOUT).await;
         let task = match found {
             Ok(Ok(task)) => task,
             Ok(Err(_)) if self.chassis.app.task(&request.task).is_some() => {
@@ -230,7 +230,7 @@ impl Desk {
             from: speaker.name.clone(),
             trace: request.trace,
         };
-        match view::ask(&self.chassis, task, say, limit).await {
+        match view::ask(&self.chassis, task, say, timeout).await {
             Ok(line) => Answer::Said { line },
             Err(Fault::UnknownCommand { takes }) => {
                 let text = format!(
@@ -289,14 +289,14 @@ impl Desk {
     pub(super) async fn restart(&self, name: &str) -> Answer {
         let app = &self.chassis.app;
         // Every phase and every rung of the ladder may take its time.
-        let limit = app.phase_timeout.saturating_mul(4) + app.stop_timeout.saturating_mul(4);
+        let timeout = app.phase_timeout.saturating_mul(4) + app.stop_timeout.saturating_mul(4);
         let chassis = (1..).zip(&app.chassis).find(|(_, one)| one.name == name);
         let restarted = if let Some((chassis, _)) = chassis {
             view::ask(
                 &self.chassis,
                 system::BOOTSTRAP,
                 RestartChassis { chassis },
-                limit,
+                timeout,
             )
             .await
         } else {
@@ -307,8 +307,8 @@ impl Desk {
             let query = system::QueryTid {
                 name: name.to_owned(),
             };
-            match view::ask(&self.chassis, system::TID_SERVER, query, limit).await {
-                Ok(Ok(tid)) => view::ask(&self.chassis, tid, RestartTask {}, limit).await,
+            match view::ask(&self.chassis, system::TID_SERVER, query, timeout).await {
+                Ok(Ok(tid)) => view::ask(&self.chassis, tid, RestartTask {}, timeout).await,
                 Ok(Err(_)) => return self.no_such_name(name),
                 Err(fault) => Err(fault),
             }

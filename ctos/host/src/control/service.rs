@@ -79,7 +79,7 @@ pub(super) async fn tell(writer: &mut Writer, answer: &Answer) -> io::Result<()>
 }
 
 /// What clients are served from.
-pub(super) struct Desk {
+pub(super) struct Service {
     chassis: Arc<Chassis>,
     logs: Arc<LogStore>,
     ticker: Ticker,
@@ -95,7 +95,7 @@ struct Speaker {
     heard: BTreeSet<Tid>,
 }
 
-impl Desk {
+impl Service {
     /// Serves the clients of the app whose boot is `chassis`.
     pub(super) fn new(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Self {
         Self {
@@ -337,7 +337,7 @@ async fn ended(news: &mut broadcast::Receiver<News>) {
 async fn closed(reader: &mut BufReader<Reader>) {
     match reader.fill_buf().await {
         Ok([]) | Err(_) => {}
-        // Its next request, which is read in its turn.
+        // Its next request, which is read after this one.
         Ok(_) => std::future::pending().await,
     }
 }

@@ -45,19 +45,19 @@ struct State {
 }
 
 /// The other tasks, as a record knows them.
-pub(crate) struct Desk {
+pub(crate) struct Others {
     task: Tid,
     outputs: Vec<Output>,
     /// Messages whose sender does not wait, and that were not taken.
     refused: BTreeMap<Number, Fault>,
-    /// What whoever sent it was told in the same turn, and when.
+    /// What whoever sent it was told in the same poll, and when.
     at_once: BTreeMap<Number, (Instant, Recorded)>,
     clock: Clock,
     names: Arc<Names>,
     state: Mutex<State>,
 }
 
-impl Desk {
+impl Others {
     /// In place of the tasks that `script` knows besides its own.
     pub(super) fn new(clock: Clock, names: Arc<Names>, script: &mut Script) -> Self {
         let outputs = std::mem::take(&mut script.outputs);
@@ -90,7 +90,7 @@ impl Desk {
         }
         match found {
             Some(id) => match self.at_once.get(&id) {
-                // Before whatever else the task does in this turn, as it was.
+                // Before whatever else the task does in this poll, as it was.
                 Some((at, answer)) => {
                     self.clock.advance_to(*at);
                     slot.answer(answer.clone().into_answer());
