@@ -10,53 +10,30 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     fault::Fault,
-    profile::{Faults, Rate},
+    profile::{Faults, KINDS, Kind, Rate},
     reader::nanos,
 };
 use ctos_config::App;
 use ctos_time::{Instant, seed::mix};
 
-/// Kinds of fault between two chassis.
-#[derive(Debug, Clone, Copy)]
-enum OnLink {
-    Loss,
-    Delay,
-    Stall,
-    Break,
-}
-
-/// Kinds of fault of a chassis.
-#[derive(Debug, Clone, Copy)]
-enum OnChassis {
-    Freeze,
-    Slow,
-    Kill,
-}
-
-enum Where {
-    Link(OnLink, String, String),
-    Chassis(OnChassis, String),
-}
-
 /// One kind of fault at one place.
 struct Stream {
-    place: Where,
+    kind: &'static str,
+    /// On the one chassis, or between both.
+    place: (String, String),
     rate: Rate,
     rng: ChaCha8Rng,
     next: Option<Instant>,
 }
 
 impl Stream {
-    fn new(place: Where, rate: Rate, seed: u64) -> Self {
-        let words = match &place {
-            Where::Link(kind, one, other) => [format!("{kind:?}"), one.clone(), other.clone()],
-            Where::Chassis(kind, name) => [format!("{kind:?}"), name.clone(), String::new()],
-        };
-        let words = ["fault", &words[0], &words[1], &words[2]];
+    fn new(kind: &Kind, place: (String, String), rate: Rate, seed: u64) -> Self {
+        let words = ["fault", kind.seed, &place.0, &place.1];
         let mut stream = Self {
+            kind: kind.word,
+            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
             place,
             rate,
-            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
             next: None,
         };
         stream.step(Instant::START);
@@ -79,52 +56,7 @@ impl Stream {
         let until = at + nanos(lasts);
         // The next one begins after the present one is over.
         self.step(until);
-        Some(match &self.place {
-            Where::Link(kind, one, other) => {
-                let (one, other) = (one.clone(), other.clone());
-                match kind {
-                    OnLink::Loss => Fault::Loss {
-                        one,
-                        other,
-                        at,
-                        until,
-                        share_ppm: (extent * 1e6).round() as u32,
-                    },
-                    OnLink::Delay => Fault::Delay {
-                        one,
-                        other,
-                        at,
-                        until,
-                        extra: nanos(extent),
-                    },
-                    OnLink::Stall => Fault::Stall {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                    OnLink::Break => Fault::Break {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                }
-            }
-            Where::Chassis(kind, name) => {
-                let chassis = name.clone();
-                match kind {
-                    OnChassis::Freeze => Fault::Freeze { chassis, at, until },
-                    OnChassis::Slow => Fault::Slow {
-                        chassis,
-                        at,
-                        until,
-                        per_step: nanos(extent),
-                    },
-                    OnChassis::Kill => Fault::Kill { chassis, at },
-                }
-            }
-        })
+        Fault::new(self.kind, self.place.clone(), at, until, extent)
     }
 }
 
@@ -143,32 +75,20 @@ pub(crate) struct Drawn {
 impl Drawn {
     pub(crate) fn new(faults: &Faults, app: &App, names: &[String]) -> Self {
         let mut streams = Vec::new();
-        let on_links = [
-            (OnLink::Loss, faults.loss),
-            (OnLink::Delay, faults.delay),
-            (OnLink::Stall, faults.stall),
-            (OnLink::Break, faults.cut),
-        ];
-        let on_chassis = [
-            (OnChassis::Freeze, faults.freeze),
-            (OnChassis::Slow, faults.slow),
-            (OnChassis::Kill, faults.kill),
-        ];
+        let mut add = |on_link: bool, place: (&String, &String), boots: bool| {
+            // The chassis that boots is the one that tells how it ended: it is not killed.
+            let fits = |kind: &Kind| kind.on_link == on_link && !(boots && kind.word == "kill");
+            for kind in KINDS.into_iter().filter(fits) {
+                let rate = faults.rates.get(kind.word);
+                let place = (place.0.clone(), place.1.clone());
+                streams.extend(rate.map(|rate| Stream::new(&kind, place, *rate, app.seed)));
+            }
+        };
         for (index, one) in names.iter().enumerate() {
             for other in names.iter().skip(index + 1) {
-                for (kind, rate) in on_links {
-                    let place = Where::Link(kind, one.clone(), other.clone());
-                    streams.extend(rate.map(|rate| Stream::new(place, rate, app.seed)));
-                }
+                add(true, (one, other), false);
             }
-            for (kind, rate) in on_chassis {
-                // The chassis that boots is the one that tells how it ended: it is not killed.
-                if index == 0 && matches!(kind, OnChassis::Kill) {
-                    continue;
-                }
-                let place = Where::Chassis(kind, one.clone());
-                streams.extend(rate.map(|rate| Stream::new(place, rate, app.seed)));
-            }
+            add(false, (one, &String::new()), index == 0);
         }
         let mut drawn = Self {
             streams,

@@ -7,26 +7,24 @@ use crate::{
     reader::Reader,
 };
 use ctos_config::{Node, diagnostic::Finding};
+use ctos_time::Instant;
 
 /// The latest moment and the longest time, s: the nanosecond still counts in a float.
 const MOST: f64 = 1e6;
 
-const KINDS: [&str; 10] = [
-    "kill", "restart", "refuse", "cut", "stall", "loss", "delay", "freeze", "slow", "drift",
+/// The kinds of faults, each with its keys.
+const KINDS: [(&str, &[&str]); 10] = [
+    ("kill", &["kind", "chassis", "at_s"]),
+    ("restart", &["kind", "chassis", "at_s"]),
+    ("refuse", &["kind", "between", "at_s"]),
+    ("cut", &["kind", "between", "at_s", "lasts_s"]),
+    ("stall", &["kind", "between", "at_s", "lasts_s"]),
+    ("loss", &["kind", "between", "at_s", "lasts_s", "share"]),
+    ("delay", &["kind", "between", "at_s", "lasts_s", "extra_s"]),
+    ("freeze", &["kind", "chassis", "at_s", "lasts_s"]),
+    ("slow", &["kind", "chassis", "at_s", "lasts_s", "step_s"]),
+    ("drift", &["kind", "chassis", "ahead_s", "rate_ppm"]),
 ];
-
-fn keys(kind: &str) -> &'static [&'static str] {
-    match kind {
-        "kill" | "restart" => &["kind", "chassis", "at_s"],
-        "refuse" => &["kind", "between", "at_s"],
-        "cut" | "stall" => &["kind", "between", "at_s", "lasts_s"],
-        "loss" => &["kind", "between", "at_s", "lasts_s", "share"],
-        "delay" => &["kind", "between", "at_s", "lasts_s", "extra_s"],
-        "freeze" => &["kind", "chassis", "at_s", "lasts_s"],
-        "slow" => &["kind", "chassis", "at_s", "lasts_s", "step_s"],
-        _ => &["kind", "chassis", "ahead_s", "rate_ppm"],
-    }
-}
 
 /// Reads all `[[fault]]` tables.
 pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
@@ -38,25 +36,20 @@ pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
 }
 
 fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
-    let all = [
-        "kind", "chassis", "between", "at_s", "lasts_s", "share", "extra_s", "step_s", "ahead_s",
-        "rate_ppm",
-    ];
-    let kind = {
-        let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
-        let kind = any.text("kind", &format!("one of {}", KINDS.join(", ")))?;
-        if !KINDS.contains(&kind.as_str()) {
-            let finding = Finding::error(
-                "ctos::faults::unknown_fault",
-                format!("there is no fault `{kind}`"),
-            );
-            let place = any.place_of("kind");
-            any.push(finding.suggest(&kind, KINDS), place.as_ref());
-            return None;
-        }
-        kind
+    let all = KINDS.map(|(_, keys)| keys).concat();
+    let words = KINDS.map(|(kind, _)| kind);
+    let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
+    let kind = any.text("kind", &format!("one of {}", words.join(", ")))?;
+    let Some((_, keys)) = KINDS.iter().find(|(known, _)| *known == kind) else {
+        let finding = Finding::error(
+            "ctos::faults::unknown_fault",
+            format!("there is no fault `{kind}`"),
+        );
+        let place = any.place_of("kind");
+        any.push(finding.suggest(&kind, words), place.as_ref());
+        return None;
     };
-    let mut one = reader.element(table, format!("[[fault]] `{kind}`"), keys(&kind));
+    let mut one = reader.element(table, format!("[[fault]] `{kind}`"), keys);
     if kind == "drift" {
         let chassis = one.text("chassis", "the name of a chassis");
         let ahead = one.time("ahead_s", MOST);
@@ -67,69 +60,24 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
             rate_ppb: (rate? * 1e3).round() as i32,
         });
     }
-    let at = one.moment("at_s", MOST);
-    let on_chassis = keys(&kind).contains(&"chassis");
-    let (mut chassis, mut ends) = (None, None);
-    if on_chassis {
-        chassis = one.text("chassis", "the name of a chassis");
+    let at = one.time("at_s", MOST);
+    let place = if keys.contains(&"chassis") {
+        let chassis = one.text("chassis", "the name of a chassis");
+        chassis.map(|chassis| (chassis, String::new()))
     } else {
-        ends = one.pair("between");
-    }
-    let lasts = keys(&kind)
-        .contains(&"lasts_s")
-        .then(|| one.time("lasts_s", MOST));
-    let extent = match kind.as_str() {
-        "loss" => Some(one.needed("share", 0.0..=1.0)),
-        "delay" => Some(one.needed("extra_s", 0.0..=MOST)),
-        "slow" => Some(one.needed("step_s", 0.0..=1.0)),
-        _ => None,
+        one.pair("between")
     };
-    let at = at?;
-    let until = at + lasts.unwrap_or(Some(Duration::ZERO))?;
-    let extent = extent.unwrap_or(Some(0.0))?;
-    let (chassis, (one, other)) = match (chassis, ends) {
-        (Some(chassis), _) => (chassis, Default::default()),
-        (None, Some(ends)) => (String::new(), ends),
-        (None, None) => return None,
+    let lasts = match keys.get(3) {
+        Some(_) => one.time("lasts_s", MOST),
+        None => Some(Duration::ZERO),
     };
-    Some(match kind.as_str() {
-        "kill" => Fault::Kill { chassis, at },
-        "restart" => Fault::Restart { chassis, at },
-        "refuse" => Fault::Cut { one, other, at },
-        "cut" => Fault::Break {
-            one,
-            other,
-            at,
-            until,
-        },
-        "stall" => Fault::Stall {
-            one,
-            other,
-            at,
-            until,
-        },
-        "loss" => Fault::Loss {
-            one,
-            other,
-            at,
-            until,
-            share_ppm: (extent * 1e6).round() as u32,
-        },
-        "delay" => Fault::Delay {
-            one,
-            other,
-            at,
-            until,
-            extra: super::reader::nanos(extent),
-        },
-        "freeze" => Fault::Freeze { chassis, at, until },
-        _ => Fault::Slow {
-            chassis,
-            at,
-            until,
-            per_step: super::reader::nanos(extent),
-        },
-    })
+    let extent = match keys.get(4) {
+        Some(&"extra_s") => one.needed("extra_s", 0.0..=MOST),
+        Some(key) => one.needed(key, 0.0..=1.0),
+        None => Some(0.0),
+    };
+    let at = Instant::START + at?;
+    Fault::new(&kind, place?, at, at + lasts?, extent?)
 }
 
 /// The `[[fault]]` tables of `faults`; reading them gives the same faults.
@@ -183,7 +131,6 @@ mod tests {
     use super::*;
     use crate::Faults;
     use ctos_config::diagnostic::Source;
-    use ctos_time::Instant;
 
     fn fault() -> impl Strategy<Value = Fault> {
         let nanos = || 0_u64..1_000_000_000_000_000;
@@ -199,49 +146,26 @@ mod tests {
                 let at = Instant::from_nanos(at / 2);
                 let until = at + Duration::from_nanos(lasts / 2);
                 let short = Duration::from_nanos(lasts % 1_000_000_000);
-                match kind {
-                    0 => Fault::Kill { chassis, at },
-                    1 => Fault::Cut { one, other, at },
-                    2 => Fault::Break {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                    3 => Fault::Stall {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                    4 => Fault::Loss {
-                        one,
-                        other,
-                        at,
-                        until,
-                        share_ppm,
-                    },
-                    5 => Fault::Delay {
-                        one,
-                        other,
-                        at,
-                        until,
-                        extra: short,
-                    },
-                    6 => Fault::Freeze { chassis, at, until },
-                    8 => Fault::Restart { chassis, at },
-                    7 => Fault::Slow {
+                if kind == 9 {
+                    let ahead = short;
+                    return Fault::Drift {
                         chassis,
-                        at,
-                        until,
-                        per_step: short,
-                    },
-                    _ => Fault::Drift {
-                        chassis,
-                        ahead: short,
+                        ahead,
                         rate_ppb,
-                    },
+                    };
                 }
+                let (word, keys) = KINDS[usize::from(kind)];
+                let link = keys.contains(&"between");
+                let place = if link {
+                    (one, other)
+                } else {
+                    (chassis, String::new())
+                };
+                let extent = match word {
+                    "loss" => f64::from(share_ppm) / 1e6,
+                    _ => short.as_secs_f64(),
+                };
+                Fault::new(word, place, at, until, extent).unwrap()
             })
     }
 

@@ -360,11 +360,9 @@ impl Client {
             reason: error.to_string(),
         })?;
         if line.len() >= REQUEST_LIMIT {
-            return Err(ClientError::Refused(ErrorView {
-                code: ErrorCode::BadRequest,
-                message: too_long(Some(line.len() + 1)),
-                known: Vec::new(),
-            }));
+            let why = too_long(Some(line.len() + 1));
+            let wrong = ErrorView::new(ErrorCode::BadRequest, why);
+            return Err(ClientError::Refused(wrong));
         }
         let stream = self.stream.get_mut();
         let written = stream

@@ -4,7 +4,7 @@ use std::{io, path::PathBuf, sync::Arc, time::Duration};
 
 use tokio::{
     net::UnixListener,
-    sync::{Semaphore, broadcast},
+    sync::Semaphore,
     task::{JoinHandle, JoinSet},
 };
 
@@ -12,55 +12,21 @@ use crate::{
     control::{
         LogStore,
         gate::{self, Gate},
+        news::{News, Ticker},
         place,
         protocol::EndView,
         service::{Client, Service, Writer, busy, tell},
     },
     doors::ACCEPT_PAUSE,
 };
-use ctos_bootstrap::bootstrap::{BootEvent, End, Observer, Outcome};
+use ctos_bootstrap::bootstrap::{End, Outcome};
 use ctos_core::chassis::Chassis;
 use ctos_link::{security::Role, transport::listen_at};
 
 /// How many clients are served at a time.
 const CLIENTS: usize = 64;
-/// How many events a client may be behind before it loses some.
-const BEHIND: usize = 1024;
 /// How long clients may take to hear how the app ended.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// What happens to an app, for its clients.
-#[derive(Debug, Clone)]
-pub(super) enum News {
-    Event(BootEvent),
-    Ended(EndView),
-}
-
-/// What happens to an app, for whoever subscribes.
-#[derive(Debug, Clone)]
-pub(crate) struct Ticker(broadcast::Sender<News>);
-
-impl Ticker {
-    /// An observer that tells `observer` and the clients.
-    pub(crate) fn observe(observer: &Observer) -> (Self, Observer) {
-        let ticker = Self(broadcast::channel(BEHIND).0);
-        let (news, observer) = (ticker.0.clone(), observer.clone());
-        let both: Observer = Arc::new(move |event: &BootEvent| {
-            // Progress and log lines are asked for in other ways.
-            if !matches!(event, BootEvent::Log { .. } | BootEvent::Progress { .. }) {
-                // Nobody may be listening.
-                let _ = news.send(News::Event(event.clone()));
-            }
-            observer(event);
-        });
-        (ticker, both)
-    }
-
-    /// What happens from now on.
-    pub(super) fn subscribe(&self) -> broadcast::Receiver<News> {
-        self.0.subscribe()
-    }
-}
-
 /// Serves clients until it is told how the app ended. Dropped without that, it takes its socket away.
 pub(crate) struct Server {
     path: Option<PathBuf>,

@@ -5,23 +5,19 @@ use std::{io, time::Duration};
 use base64::{Engine, engine::general_purpose::STANDARD};
 use tokio::sync::broadcast;
 
-use super::{Service, Speaker, Writer, ended, error, failed, tell};
+use super::{Service, Speaker, Writer, tell};
 use crate::{
     control::{
         logs::LogLine,
-        protocol::{
-            Answer, ErrorCode, ErrorView, LogRequest, ProcessLog, RecordRequest, SayRequest,
-            StatusView,
-        },
-        recording::Recording,
-        server::News,
+        news::{News, ended},
+        protocol::{Answer, AppView, ErrorCode, ErrorView, LogRequest, SayRequest, StatusView},
         view,
     },
     text::Say,
 };
 use ctos_bootstrap::bootstrap::{BootEvent, StopStep};
-use ctos_core::system::{self, Interrupt, RestartChassis, RestartTask};
-use ctos_message::fault::Fault;
+use ctos_core::system::{self, Interrupt, QueryTid, RestartChassis, RestartTask};
+use ctos_message::{Tid, fault::Fault};
 
 /// The longest that a client may wait for a task.
 const CALL_TIMEOUT: Duration = Duration::from_secs(3600);
@@ -29,10 +25,36 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(3600);
 const SAY_TIMEOUT: Duration = Duration::from_secs(600);
 /// The longest that a request may have its answer waited for, s.
 const LONGEST_SAY_S: f64 = 86_400.0;
-/// How many of its last lines the status of a chassis shows of each process.
-const STATUS_LINES: usize = 10;
+/// An answer of one line, or why there is none.
+type Answered = Result<Answer, ErrorView>;
 
 impl Service {
+    /// The app as it is now.
+    pub(in crate::control) async fn app(&self) -> Result<AppView, ErrorView> {
+        Ok(view::app(&self.chassis, &self.logs).await?)
+    }
+
+    /// Where a task is.
+    pub(in crate::control) async fn find(
+        &self,
+        name: &str,
+        timeout: Duration,
+    ) -> Result<Tid, ErrorView> {
+        let query = QueryTid {
+            name: name.to_owned(),
+        };
+        let found = view::ask(&self.chassis, system::TID_SERVER, query, timeout).await?;
+        found.map_err(|_| match self.chassis.app.task(name) {
+            Some(_) => ErrorView::new(
+                ErrorCode::Failed,
+                format!(
+                    "task `{name}` is not there just now: its chassis is being started again, or it has ended"
+                ),
+            ),
+            None => self.no_such_name(name),
+        })
+    }
+
     /// Sends a task one of its commands.
     pub(super) async fn call(
         &self,
@@ -40,105 +62,56 @@ impl Service {
         command: &str,
         data: &str,
         within_s: f64,
-    ) -> Answer {
+    ) -> Answered {
         let chassis = &self.chassis;
         if chassis.app.task(task).is_none() {
-            return self.no_such_name(task);
+            return Err(self.no_such_name(task));
         }
-        let found = chassis.registry().command_of(&chassis.app, task, command);
-        let info = match found {
-            Ok(info) => info,
-            Err(finding) => return error(ErrorCode::NoSuchName, finding.to_string()),
-        };
-        let Ok(data) = STANDARD.decode(data) else {
-            return error(ErrorCode::BadRequest, "the data is not base64");
-        };
-        // Whoever asks has a timeout of its own; what is absurd is bounded here.
+        let info = chassis.registry().command_of(&chassis.app, task, command);
+        let info =
+            info.map_err(|finding| ErrorView::new(ErrorCode::NoSuchName, finding.to_string()))?;
+        let data = STANDARD
+            .decode(data)
+            .map_err(|_| ErrorView::new(ErrorCode::BadRequest, "the data is not base64"))?;
+        // Whoever asks has a time-out of its own; what is absurd is bounded here.
         let timeout = Duration::try_from_secs_f64(within_s).unwrap_or(CALL_TIMEOUT);
         let timeout = timeout.min(CALL_TIMEOUT);
-        let query = system::QueryTid {
-            name: task.to_owned(),
-        };
-        let answered = match view::ask(chassis, system::TID_SERVER, query, timeout).await {
-            Ok(Ok(tid)) => view::ask_raw(chassis, tid, (info.code, data), timeout).await,
-            Ok(Err(_)) => return error(ErrorCode::Failed, format!("task `{task}` is not there")),
-            Err(fault) => Err(fault),
-        };
-        match answered {
-            Ok(data) => Answer::Reply {
-                data: STANDARD.encode(data),
-            },
-            Err(fault) => failed(&fault),
-        }
-    }
-
-    fn no_such_name(&self, name: &str) -> Answer {
-        let app = &self.chassis.app;
-        let tasks = app.tasks.iter().map(|task| task.name.clone());
-        let chassis = app.chassis.iter().map(|chassis| chassis.name.clone());
-        Answer::Error(ErrorView {
-            code: ErrorCode::NoSuchName,
-            message: format!("no task or chassis of `{}` is called `{name}`", app.name),
-            known: tasks.chain(chassis).collect(),
+        let tid = self.find(task, timeout).await?;
+        let data = view::ask_raw(chassis, tid, (info.code, data), timeout).await?;
+        Ok(Answer::Reply {
+            data: STANDARD.encode(data),
         })
     }
 
-    pub(super) async fn status(&self, name: &str) -> Answer {
-        let app = match view::app(&self.chassis, &self.logs).await {
-            Ok(app) => app,
-            Err(fault) => return failed(&fault),
-        };
+    fn no_such_name(&self, name: &str) -> ErrorView {
+        let app = &self.chassis.app;
+        let tasks = app.tasks.iter().map(|task| task.name.clone());
+        let chassis = app.chassis.iter().map(|chassis| chassis.name.clone());
+        ErrorView {
+            code: ErrorCode::NoSuchName,
+            message: format!("no task or chassis of `{}` is called `{name}`", app.name),
+            known: tasks.chain(chassis).collect(),
+        }
+    }
+
+    pub(super) async fn status(&self, name: &str) -> Answered {
+        let app = self.app().await?;
         let task = app.tasks.iter().find(|task| task.name == name).cloned();
         let home = task.as_ref().map_or(name, |task| task.chassis.as_str());
-        let Some(chassis) = app.chassis.iter().find(|one| one.name == home).cloned() else {
-            return self.no_such_name(name);
-        };
+        let mut members = app.chassis.into_iter();
+        let chassis = members.find(|one| one.name == home);
+        let chassis = chassis.ok_or_else(|| self.no_such_name(name))?;
         let is_task = task.is_some();
-        let tasks = match task {
-            Some(task) => vec![task],
-            None => app
-                .tasks
-                .into_iter()
-                .filter(|task| task.chassis == chassis.name)
-                .collect(),
-        };
-        Answer::Status(Box::new(StatusView {
+        let mut tasks = task.map_or(app.tasks, |task| vec![task]);
+        tasks.retain(|task| task.chassis == chassis.name);
+        Ok(Answer::Status(Box::new(StatusView {
             app: app.app,
             up_s: app.up_s,
-            logs: self.process_logs(&chassis.name, is_task.then_some(name)),
+            logs: self.logs.processes(&chassis.name, is_task.then_some(name)),
             chassis,
             tasks,
             is_task,
-        }))
-    }
-
-    /// The last lines of a chassis's processes; of the present one those about `task`, if one is named.
-    fn process_logs(&self, chassis: &str, task: Option<&str>) -> Vec<ProcessLog> {
-        let mut logs: Vec<ProcessLog> = self
-            .logs
-            .processes(chassis)
-            .into_iter()
-            .map(|(incarnation, pid)| ProcessLog {
-                incarnation,
-                pid,
-                lines: Vec::new(),
-            })
-            .collect();
-        let present = logs.last().map_or(0, |log| log.incarnation);
-        for line in self.logs.lines() {
-            let wanted = line.chassis == chassis
-                && (line.incarnation != present || task.is_none_or(|task| line.is_about(task)));
-            let log = logs
-                .iter_mut()
-                .find(|log| log.incarnation == line.incarnation);
-            if let Some(log) = log.filter(|_| wanted) {
-                if log.lines.len() == STATUS_LINES {
-                    log.lines.remove(0);
-                }
-                log.lines.push(line);
-            }
-        }
-        logs
+        })))
     }
 
     pub(super) async fn logs(&self, request: &LogRequest, writer: &mut Writer) -> io::Result<()> {
@@ -146,7 +119,8 @@ impl Service {
         if let Some(name) = &request.name {
             let chassis = app.chassis.iter().any(|chassis| chassis.name == *name);
             if !chassis && app.task(name).is_none() {
-                return tell(writer, &self.no_such_name(name)).await;
+                let wrong = Answer::Error(self.no_such_name(name));
+                return tell(writer, &wrong).await;
             }
         }
         let mut news = self.ticker.subscribe();
@@ -197,7 +171,7 @@ impl Service {
     }
 
     /// Says a line to a task, in the name of a client.
-    pub(super) async fn say(&self, request: SayRequest, speaker: &mut Speaker) -> Answer {
+    pub(super) async fn say(&self, request: SayRequest, speaker: &mut Speaker) -> Answered {
         let timeout = match request.limit_s {
             None => SAY_TIMEOUT,
             Some(timeout) if (0.0..=LONGEST_SAY_S).contains(&timeout) => {
@@ -205,25 +179,10 @@ impl Service {
             }
             Some(timeout) => {
                 let text = format!("`limit_s` is 0 to {LONGEST_SAY_S} s, not {timeout}");
-                return error(ErrorCode::BadRequest, text);
+                return Err(ErrorView::new(ErrorCode::BadRequest, text));
             }
         };
-        let query = system::QueryTid {
-            name: request.task.clone(),
-        };
-        let found = view::ask(&self.chassis, system::TID_SERVER, query, SAY_TIMEOUT).await;
-        let task = match found {
-            Ok(Ok(task)) => task,
-            Ok(Err(_)) if self.chassis.app.task(&request.task).is_some() => {
-                let text = format!(
-                    "task `{}` is not there just now: its chassis is being started again, or it has ended",
-                    request.task
-                );
-                return error(ErrorCode::Failed, text);
-            }
-            Ok(Err(_)) => return self.no_such_name(&request.task),
-            Err(fault) => return failed(&fault),
-        };
+        let task = self.find(&request.task, SAY_TIMEOUT).await?;
         speaker.heard.insert(task);
         let say = Say {
             line: request.line,
@@ -231,16 +190,16 @@ impl Service {
             trace: request.trace,
         };
         match view::ask(&self.chassis, task, say, timeout).await {
-            Ok(line) => Answer::Said { line },
+            Ok(line) => Ok(Answer::Said { line }),
             Err(Fault::UnknownCommand { takes }) => {
                 let text = format!(
                     "task `{}` takes no lines of text; it takes {}",
                     request.task,
                     takes.join(", ")
                 );
-                error(ErrorCode::Failed, text)
+                Err(ErrorView::new(ErrorCode::Failed, text))
             }
-            Err(fault) => failed(&fault),
+            Err(fault) => Err(fault.into()),
         }
     }
 
@@ -268,69 +227,26 @@ impl Service {
         }
     }
 
-    pub(super) async fn record(
-        &self,
-        request: RecordRequest,
-        writer: &mut Writer,
-    ) -> io::Result<()> {
-        let mut news = self.ticker.subscribe();
-        let begun = Recording::begin(&self.chassis, &self.recordings, request).await;
-        let mut recording = match begun {
-            Ok(recording) => recording,
-            Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
-        };
-        tell(writer, &Answer::Recording(recording.view())).await?;
-        while let Some(answer) = recording.next(restarted(&mut news)).await {
-            tell(writer, &answer).await?;
-        }
-        Ok(())
-    }
-
-    pub(super) async fn restart(&self, name: &str) -> Answer {
+    pub(super) async fn restart(&self, name: &str) -> Answered {
         let app = &self.chassis.app;
         // Every phase and every rung of the ladder may take its time.
         let timeout = app.phase_timeout.saturating_mul(4) + app.stop_timeout.saturating_mul(4);
         let chassis = (1..).zip(&app.chassis).find(|(_, one)| one.name == name);
         let restarted = if let Some((chassis, _)) = chassis {
-            view::ask(
-                &self.chassis,
-                system::BOOTSTRAP,
-                RestartChassis { chassis },
-                timeout,
-            )
-            .await
+            let order = RestartChassis { chassis };
+            view::ask(&self.chassis, system::BOOTSTRAP, order, timeout).await
         } else {
-            let overview = view::app(&self.chassis, &self.logs).await;
-            if let Err(fault) = overview {
-                return failed(&fault);
-            }
-            let query = system::QueryTid {
-                name: name.to_owned(),
-            };
-            match view::ask(&self.chassis, system::TID_SERVER, query, timeout).await {
-                Ok(Ok(tid)) => view::ask(&self.chassis, tid, RestartTask {}, timeout).await,
-                Ok(Err(_)) => return self.no_such_name(name),
-                Err(fault) => Err(fault),
-            }
+            self.app().await?;
+            let task = self.find(name, timeout).await?;
+            view::ask(&self.chassis, task, RestartTask {}, timeout).await
         };
         match restarted {
-            Ok(()) => Answer::Done {},
-            Err(Fault::NoReply) => error(
-                ErrorCode::Failed,
-                format!("the app ended while `{name}` was being restarted"),
-            ),
-            Err(fault) => failed(&fault),
-        }
-    }
-}
-
-/// The next chassis that is started again; `None` when the app has ended.
-async fn restarted(news: &mut broadcast::Receiver<News>) -> Option<String> {
-    loop {
-        match news.recv().await {
-            Ok(News::Event(BootEvent::Restarted { chassis, .. })) => return Some(chassis),
-            Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return None,
-            Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
+            Ok(()) => Ok(Answer::Done {}),
+            Err(Fault::NoReply) => {
+                let text = format!("the app ended while `{name}` was being restarted");
+                Err(ErrorView::new(ErrorCode::Failed, text))
+            }
+            Err(fault) => Err(fault.into()),
         }
     }
 }
