@@ -15,7 +15,7 @@ use tokio::{
 
 use crate::{
     boot::{
-        launcher::Launcher,
+        launcher::{Launcher, ProcessId},
         mesh::{FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent},
         processes::{Keeper, Process, Starter},
     },
@@ -165,7 +165,11 @@ async fn run_processes(
         hosts: started.hosts.clone(),
     };
     for index in chassis.others() {
-        processes.push(starter.start(index, 1)?);
+        let id = ProcessId {
+            chassis: index,
+            incarnation: 1,
+        };
+        processes.push(starter.start(id)?);
     }
     let timeout = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
@@ -211,7 +215,7 @@ async fn run_processes(
                 observer(&BootEvent::Terminated);
                 chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
             }
-            (index, incarnation) = keeper.serve() => mesh.expect(index, incarnation),
+            started = keeper.serve() => mesh.expect(started.chassis, started.incarnation),
             // What a chassis that is gone means is decided by the tasks, which have been told.
             Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
         }

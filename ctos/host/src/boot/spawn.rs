@@ -33,16 +33,21 @@ pub(crate) struct Ending {
 }
 
 impl Ending {
+    /// One that nobody saw.
+    pub(crate) fn unseen(how: impl Into<String>) -> Self {
+        Self {
+            how: how.into(),
+            code: None,
+        }
+    }
+
     fn of(status: std::io::Result<ExitStatus>) -> Self {
         match status {
             Ok(status) => Self {
                 how: describe(&status),
                 code: status.code(),
             },
-            Err(error) => Self {
-                how: format!("ended, and nobody can tell how: {error}"),
-                code: None,
-            },
+            Err(error) => Self::unseen(format!("ended, and nobody can tell how: {error}")),
         }
     }
 }

@@ -178,8 +178,6 @@ fn choose(apps: Vec<Socket>, name: Option<&str>) -> Result<Socket, ClientError> 
 trait Wire: Read + Write + Send {
     /// How long each reading may take.
     fn read_within(&self, timeout: Option<Duration>) -> io::Result<()>;
-    /// How long each writing may take.
-    fn write_within(&self, timeout: Option<Duration>) -> io::Result<()>;
 }
 
 macro_rules! wire {
@@ -188,11 +186,6 @@ macro_rules! wire {
             fn read_within(&self, timeout: Option<Duration>) -> io::Result<()> {
                 let $socket = self;
                 $of.set_read_timeout(timeout)
-            }
-
-            fn write_within(&self, timeout: Option<Duration>) -> io::Result<()> {
-                let $socket = self;
-                $of.set_write_timeout(timeout)
             }
         }
     };
@@ -246,14 +239,13 @@ impl Client {
     /// # Errors
     /// [`ClientError::Unreachable`].
     pub fn connect(app: Socket, timeout: Duration) -> Result<Self, ClientError> {
-        match UnixStream::connect(&app.path) {
-            Ok(stream) => Self::over(Box::new(stream), app, timeout, None),
-            Err(error) => Err(ClientError::Unreachable {
-                app: app.app,
-                pid: app.pid,
-                error,
-            }),
-        }
+        let connected = UnixStream::connect(&app.path).and_then(|stream| {
+            stream.set_write_timeout(Some(timeout))?;
+            stream.set_read_timeout(Some(timeout))?;
+            Ok(stream)
+        });
+        let stream = connected.map_err(|error| out_of_reach(&app, error))?;
+        Ok(Self::over(Box::new(stream), app, timeout, None))
     }
 
     /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
@@ -268,11 +260,7 @@ impl Client {
             pid: 0,
             path: PathBuf::new(),
         };
-        let unreachable = |error| ClientError::Unreachable {
-            app: at.to_owned(),
-            pid: 0,
-            error,
-        };
+        let unreachable = |error| out_of_reach(&app, error);
         let mut stream = called(at, timeout).map_err(unreachable)?;
         let keys = match pass {
             Pass::Key(keys) => keys,
@@ -286,7 +274,7 @@ impl Client {
                 let told = stream.write_all(format!("{shown}\n").as_bytes());
                 told.map_err(unreachable)?;
                 let hint = "it hung up; does it want a key (--key), or belong to another user?";
-                return Self::over(Box::new(stream), app, timeout, Some(hint));
+                return Ok(Self::over(Box::new(stream), app, timeout, Some(hint)));
             }
         };
         let key = |error| ClientError::Key {
@@ -301,7 +289,7 @@ impl Client {
             });
         }
         let hint = "it hung up; is this key of its authority?";
-        Self::over(Box::new(stream), app, timeout, Some(hint))
+        Ok(Self::over(Box::new(stream), app, timeout, Some(hint)))
     }
 
     fn over(
@@ -309,24 +297,14 @@ impl Client {
         app: Socket,
         timeout: Duration,
         hung_up: Option<&'static str>,
-    ) -> Result<Self, ClientError> {
-        let timed = stream
-            .read_within(Some(timeout))
-            .and_then(|()| stream.write_within(Some(timeout)));
-        match timed {
-            Ok(()) => Ok(Self {
-                app,
-                timeout,
-                stream: BufReader::new(stream),
-                begun: Vec::new(),
-                hung_up,
-                heard: false,
-            }),
-            Err(error) => Err(ClientError::Unreachable {
-                app: app.app,
-                pid: app.pid,
-                error,
-            }),
+    ) -> Self {
+        Self {
+            app,
+            timeout,
+            stream: BufReader::new(stream),
+            begun: Vec::new(),
+            hung_up,
+            heard: false,
         }
     }
 
@@ -355,10 +333,7 @@ impl Client {
             version: VERSION,
             request,
         };
-        let line = serde_json::to_string(&ask).map_err(|error| ClientError::Garbled {
-            app: self.app.app.clone(),
-            reason: error.to_string(),
-        })?;
+        let line = serde_json::to_string(&ask).map_err(|error| self.garbled(error))?;
         if line.len() >= REQUEST_LIMIT {
             let why = too_long(Some(line.len() + 1));
             let wrong = ErrorView::new(ErrorCode::BadRequest, why);
@@ -376,10 +351,8 @@ impl Client {
     /// # Errors
     /// [`ClientError`], also [`ClientError::Refused`] when the answer is an error.
     pub fn read(&mut self) -> Result<Option<Answer>, ClientError> {
-        match self.stream.read_until(b'\n', &mut self.begun) {
-            Ok(_) => {}
-            Err(error) => return Err(self.failed(error)),
-        }
+        let read = self.stream.read_until(b'\n', &mut self.begun);
+        read.map_err(|error| self.failed(error))?;
         self.whole()
     }
 
@@ -424,10 +397,14 @@ impl Client {
             Err(_) if !is_line && self.hung_up.is_some() => {
                 Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
             }
-            Err(error) => Err(ClientError::Garbled {
-                app: self.app.app.clone(),
-                reason: error.to_string(),
-            }),
+            Err(error) => Err(self.garbled(error)),
+        }
+    }
+
+    fn garbled(&self, reason: impl ToString) -> ClientError {
+        ClientError::Garbled {
+            app: self.app.app.clone(),
+            reason: reason.to_string(),
         }
     }
 
@@ -442,12 +419,8 @@ impl Client {
         request: C,
         within: Duration,
     ) -> Result<C::Reply, ClientError> {
-        let garbled = |client: &Self, reason: String| ClientError::Garbled {
-            app: client.app.app.clone(),
-            reason,
-        };
         let encoded = Data::of(request).into_bytes();
-        let encoded = encoded.map_err(|error| garbled(self, error.to_string()))?;
+        let encoded = encoded.map_err(|error| self.garbled(error))?;
         self.wait_for_ever()?;
         let answer = self.get(Request::Call {
             task: task.to_owned(),
@@ -456,12 +429,12 @@ impl Client {
             within_s: within.as_secs_f64(),
         })?;
         let Answer::Reply { data } = answer else {
-            return Err(garbled(self, "it is not the answer to a call".to_owned()));
+            return Err(self.garbled("it is not the answer to a call"));
         };
         let bytes = STANDARD.decode(data);
-        let bytes = bytes.map_err(|error| garbled(self, error.to_string()))?;
+        let bytes = bytes.map_err(|error| self.garbled(error))?;
         let reply = Data::Bytes(bytes).take::<C::Reply>();
-        reply.map_err(|error| garbled(self, error.to_string()))
+        reply.map_err(|error| self.garbled(error))
     }
 
     /// Asks for what is answered in one line.
@@ -477,11 +450,10 @@ impl Client {
     }
 
     fn failed(&self, error: io::Error) -> ClientError {
-        let (app, pid) = (self.app.app.clone(), self.app.pid);
         match error.kind() {
             _ if is_late(&error) => ClientError::TimedOut {
-                app,
-                pid,
+                app: self.app.app.clone(),
+                pid: self.app.pid,
                 timeout: self.timeout,
             },
             // What a refusal looks like from here.
@@ -493,14 +465,22 @@ impl Client {
             {
                 let hint = self.hung_up.unwrap_or_default();
                 let error = io::Error::new(error.kind(), format!("{hint} ({error})"));
-                ClientError::Unreachable { app, pid, error }
+                out_of_reach(&self.app, error)
             }
-            _ => ClientError::Unreachable { app, pid, error },
+            _ => out_of_reach(&self.app, error),
         }
     }
 }
 
-/// What came within a time timeout.
+fn out_of_reach(app: &Socket, error: io::Error) -> ClientError {
+    ClientError::Unreachable {
+        app: app.app.clone(),
+        pid: app.pid,
+        error,
+    }
+}
+
+/// What came within a time-out.
 #[derive(Debug)]
 pub enum Within {
     /// An answer.

@@ -17,7 +17,7 @@ use super::{
     service::{Client, Reader, Service, Writer, busy, error, tell},
 };
 use crate::{
-    doors::{ACCEPT_PAUSE, Lobby, PortSecret, STRANGER_TIMEOUT, STRANGERS, Secret, Turned},
+    doors::{Lobby, PortSecret, STRANGER_TIMEOUT, STRANGERS, Secret, Turned},
     remote::is_same_user,
 };
 use ctos_link::{
@@ -64,25 +64,12 @@ pub(super) async fn serve(gate: Gate, service: Arc<Service>, clients: Arc<Semaph
     let places = Arc::new(Semaphore::new(PLACES));
     let mut serving = JoinSet::new();
     loop {
-        let call = tokio::select! {
-            call = listener.accept() => call,
-            Some(_) = serving.join_next() => continue,
-        };
-        let call = match call {
-            Ok(call) => call,
-            Err(error) => {
-                service.refuse("a caller", &format!("it was lost: {error}"));
-                lobby.turn_out();
-                tokio::time::sleep(ACCEPT_PAUSE).await;
-                continue;
-            }
-        };
+        let refuse = |_: Option<&Call>, why: &str| service.refuse("a caller", why);
+        let (call, guest) = lobby.next(|| listener.accept(), refuse).await;
+        while serving.try_join_next().is_some() {}
         call.keep_alive();
         let ends = call.ends();
         let from = ends.map_or_else(|| "a caller".to_owned(), |(peer, _)| peer.to_string());
-        let Some(guest) = lobby.enter().await else {
-            continue;
-        };
         let (service, clients, places) = (service.clone(), clients.clone(), places.clone());
         let secret = secret.clone();
         serving.spawn(async move {

@@ -27,7 +27,7 @@ use super::{
         PROTOCOL, ToBoot, say_last,
     },
 };
-use crate::doors::{ACCEPT_PAUSE, Lobby, PortSecret, STRANGERS, Turned};
+use crate::doors::{Lobby, PortSecret, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_core::registry::Registry;
 use ctos_link::{
@@ -318,24 +318,13 @@ impl HostAgent {
         let lobby = Lobby::new(STRANGERS);
         let mut serving = JoinSet::new();
         loop {
-            let call = tokio::select! {
-                call = agent.listener.accept() => call,
-                Some(_) = serving.join_next() => continue,
+            let refuse = |_: Option<&Call>, why: &str| agent.refuse(None, why);
+            let (call, guest) = tokio::select! {
+                next = lobby.next(|| agent.listener.accept(), refuse) => next,
                 () = &mut stop => break,
             };
-            let call = match call {
-                Ok(call) => call,
-                Err(error) => {
-                    agent.refuse(None, &format!("it was lost: {error}"));
-                    lobby.turn_out();
-                    tokio::time::sleep(ACCEPT_PAUSE).await;
-                    continue;
-                }
-            };
+            while serving.try_join_next().is_some() {}
             let from = call.ends().map(|(peer, _)| peer);
-            let Some(guest) = lobby.enter().await else {
-                continue;
-            };
             let agent = agent.clone();
             serving.spawn(async move {
                 let heard = guest.hear(HELLO_TIMEOUT, agent.hear(call)).await;

@@ -21,13 +21,16 @@ use tokio::{
 use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
 
 use crate::{
-    boot::spawn::{Ending, LINE_LIMIT},
+    boot::{
+        launcher::{Briefing, ProcessId},
+        spawn::{Ending, LINE_LIMIT},
+    },
     doors::Secret,
 };
 use ctos_config::Bundle;
 use ctos_link::{
     handshake::{Process, Token},
-    transport::{Address, Stream},
+    transport::Stream,
 };
 use ctos_time::{Clock, Instant, lock::lock};
 
@@ -103,23 +106,10 @@ pub(crate) struct AppFiles {
 pub(crate) enum ToAgent {
     /// First, in a new run.
     App(Box<AppFiles>),
-    /// Start a process; nothing happens if it was started.
-    Start {
-        chassis: u8,
-        name: String,
-        incarnation: u32,
-        /// The start of the app on the agent's monotonic clock, ns.
-        origin_ns: u64,
-        /// Where the boot listens.
-        boot: Address,
-        token: Token,
-    },
+    /// Start the process of a chassis; nothing happens if it was started.
+    Start(u8, Briefing),
     /// Send a process a signal.
-    Signal {
-        chassis: u8,
-        incarnation: u32,
-        signal: Asked,
-    },
+    Signal(ProcessId, Asked),
     /// Say that you live.
     Ping { number: u64 },
     /// The run is over: nothing of it may be left.
@@ -140,26 +130,12 @@ pub(crate) enum ToBoot {
     Unpacked,
     /// The app cannot run here.
     Refused { reason: String },
-    /// A process runs.
-    Started {
-        chassis: u8,
-        incarnation: u32,
-        pid: Option<u32>,
-    },
+    /// A process runs, with this number in its system.
+    Started(ProcessId, Option<u32>),
     /// A line of its log; they are numbered from 1.
-    Line {
-        chassis: u8,
-        incarnation: u32,
-        number: u64,
-        text: String,
-    },
+    Line(ProcessId, u64, String),
     /// A process has ended, or could not be started, after so many lines.
-    Ended {
-        chassis: u8,
-        incarnation: u32,
-        ending: Ending,
-        lines: u64,
-    },
+    Ended(ProcessId, Ending, u64),
     /// It lives. What its monotonic clock shows, ns.
     Pong { number: u64, monotonic_ns: u64 },
     /// Nothing of the run is left.
@@ -174,7 +150,7 @@ pub(crate) trait Said: Serialize + Send + 'static {
 
 impl Said for ToBoot {
     fn may_be_dropped(&self) -> bool {
-        matches!(self, Self::Line { .. })
+        matches!(self, Self::Line(..))
     }
 }
 

@@ -112,15 +112,14 @@ impl Others {
     /// that before it sends on, so what stands side by side here was sent by children side by side, in
     /// an order that the scheduler drew.
     fn output(&self, message: &Message, now: Instant) -> Option<Number> {
-        let mut data = Vec::new();
         // What cannot be encoded is like nothing in the record.
-        let encoded = message.envelope.data.append_to(&mut data).is_ok();
+        let data = bytes_of(&message.envelope.data).ok();
         let mut state = lock(&self.state);
         let expected = |index: &usize| state.fates.get(*index) == Some(&Fate::Expected);
         let first = (0..self.outputs.len()).find(expected);
         let front = first.and_then(|index| self.outputs.get(index));
         let mut found = None;
-        if encoded && let Some(front) = front {
+        if let (Some(data), Some(front)) = (&data, front) {
             let candidates = self.outputs.iter().enumerate().skip(first.unwrap_or(0));
             for (index, output) in candidates {
                 if output.segment != front.segment {
@@ -129,7 +128,7 @@ impl Others {
                 if state.fates.get(index) != Some(&Fate::Expected) {
                     continue;
                 }
-                if is_like(output, message, &data) {
+                if is_like(output, message, data) {
                     found = Some((index, output.id));
                     break;
                 }
@@ -150,7 +149,7 @@ impl Others {
             message.header().to,
             message.header().command,
             message.header().flags,
-            &data,
+            &data.unwrap_or_default(),
         );
         let shown =
             |output: &Output| self.shown(output.to, output.command, output.flags, &output.data);
@@ -170,8 +169,7 @@ impl Others {
         if message.header().to != system::TID_SERVER || message.header().command != FindTid::CODE {
             return None;
         }
-        let mut data = Vec::new();
-        message.envelope.data.append_to(&mut data).ok()?;
+        let data = bytes_of(&message.envelope.data).ok()?;
         let FindTid { name, .. } = postcard::from_bytes(&data).ok()?;
         let answer: Result<Tid, Missing> = Ok(self.names.tid(&name)?);
         Some(Ok(Data::of(answer)))

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::{Inner, Member, MeshEvent};
-use crate::doors::{ACCEPT_PAUSE, Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
+use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
     handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
@@ -43,18 +43,8 @@ impl RefusedError {
 pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
     let lobby = Lobby::new(STRANGERS);
     loop {
-        let call = match listener.accept().await {
-            Ok(call) => call,
-            Err(error) => {
-                mesh.refuse(&format!("it was lost: {error}"));
-                lobby.turn_out();
-                tokio::time::sleep(ACCEPT_PAUSE).await;
-                continue;
-            }
-        };
-        let Some(guest) = lobby.enter().await else {
-            continue;
-        };
+        let accept = || listener.accept();
+        let (call, guest) = lobby.next(accept, |_, why| mesh.refuse(why)).await;
         let mesh = mesh.clone();
         tokio::spawn(async move {
             let heard = guest.hear(STRANGER_TIMEOUT, hear(&mesh, call)).await;
