@@ -9,7 +9,7 @@ use std::{
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use ctos_bootstrap::{
-    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, Seat},
+    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, ProcessOrders, Seat},
     watch,
 };
 use ctos_config::App;
@@ -33,7 +33,7 @@ use crate::{
     machine::Machine,
     network::Breach,
     network::{Arrival, InFlight, Network, below},
-    processes::{Exits, Orders, watch_exit},
+    processes::{Exits, watch_exit},
     profile::Faults,
 };
 
@@ -136,7 +136,7 @@ pub(super) struct Simulation {
     pub(super) casualties: BTreeMap<u8, String>,
     /// Which process of each chassis is the last that was wanted, from 1.
     pub(super) incarnations: BTreeMap<u8, u32>,
-    pub(super) orders: Arc<Orders>,
+    pub(super) orders: ProcessOrders,
     /// Processes on their way up, by the moment at which they are there.
     pub(super) starts: BTreeMap<(Instant, u8), u32>,
     pub(super) events: EventLog,
@@ -208,12 +208,7 @@ impl Simulation {
             events.note(|| format!("fault {fault}"));
         }
         let machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
-        let orders = Arc::new(Orders::default());
-        let seat = Seat {
-            observer: observer.clone(),
-            end: EndSlot::default(),
-            processes: orders.clone(),
-        };
+        let (seat, orders) = Seat::new(observer);
         for machine in &machines {
             let boots = machine.chassis.index() == 0;
             ctos_bootstrap::bootstrap::start_system_tasks(&machine.chassis, boots.then_some(&seat));

@@ -181,7 +181,7 @@ async fn connect(
             };
             // Without keys that can be used it cannot be told; the boot sees the process end.
             let keys = mesh::keys_of(&chassis.app).ok().flatten();
-            Mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
+            mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
             return Err(error);
         }
     };

@@ -12,11 +12,13 @@ mod door;
 mod members;
 mod peer;
 
+pub(crate) use call::unable;
+
 use std::{
     collections::BTreeMap,
     io,
     path::Path,
-    sync::{Arc, Mutex, OnceLock},
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -112,8 +114,6 @@ struct Peer {
     session: Option<Arc<Session>>,
     /// What the boot, or the peer itself, said of it.
     member: Option<Member>,
-    /// At the boot: the last round for which it is connected to all.
-    ready: u32,
     /// Somebody is calling it.
     called: bool,
 }
@@ -139,7 +139,7 @@ struct Inner {
     reactor: Arc<Reactor>,
     /// Whether chassis of this host are joined through shared memory.
     shares_memory: bool,
-    listen: OnceLock<Vec<Address>>,
+    listen: Vec<Address>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
     live: Mutex<BTreeMap<u8, u32>>,
@@ -202,7 +202,7 @@ impl Mesh {
             runtime: Handle::current(),
             reactor,
             shares_memory: shares_memory(app.links.same_host),
-            listen: OnceLock::from(addresses),
+            listen: addresses,
             state: Mutex::default(),
             live: Mutex::default(),
             events: sender,
@@ -225,7 +225,7 @@ impl Mesh {
 
     /// Where this chassis can be called, the nearest first.
     pub(crate) fn addresses(&self) -> &[Address] {
-        self.inner.addresses()
+        &self.inner.listen
     }
 
     /// At the boot: from now on only this incarnation of `chassis`, or a later one, may call; the link
@@ -262,17 +262,6 @@ impl Mesh {
             listen: vec![boot.clone()],
         };
         self.inner.call(member);
-    }
-
-    /// Tells the boot at `boot` why `chassis` cannot start.
-    pub(crate) async fn unable(
-        boot: &Address,
-        chassis: &Chassis,
-        keys: Option<&Arc<Keys>>,
-        token: &Token,
-        reason: &str,
-    ) {
-        call::unable(boot, chassis, keys, token, reason).await;
     }
 
     /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
@@ -366,10 +355,6 @@ async fn listeners(
 }
 
 impl Inner {
-    fn addresses(&self) -> &[Address] {
-        self.listen.get().map_or(&[], Vec::as_slice)
-    }
-
     #[cfg(test)]
     fn session(&self, chassis: u8) -> Option<Arc<Session>> {
         lock(&self.state).peers.get(&chassis)?.session.clone()

@@ -24,7 +24,7 @@ use crate::{
     remote::{Hosts, HostsSetup},
 };
 use ctos_bootstrap::{
-    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, Seat, io_error as io},
+    bootstrap::{BootError, BootEvent, End, Observer, Outcome, Seat, io_error as io},
     watch,
 };
 use ctos_config::App;
@@ -186,12 +186,8 @@ async fn run_processes(
             return Ok(interrupted(chassis));
         }
     };
-    let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
-    let seat = Seat {
-        observer: observer.clone(),
-        end: EndSlot::default(),
-        processes: orders,
-    };
+    let (seat, orders) = Seat::new(observer);
+    let mut keeper = Keeper::new(starter, orders, std::mem::take(processes));
     let (sender, mut exited) = oneshot::channel();
     chassis.set_on_exit(move |code| {
         // The receiver lives until the service has exited.

@@ -21,7 +21,7 @@ use crate::{
     control::LogStore,
     remote::{HostLink, Hosts},
 };
-use ctos_bootstrap::bootstrap::{BootError, BootEvent, End, Observer, Processes};
+use ctos_bootstrap::bootstrap::{BootError, BootEvent, End, Observer, ProcessOrder, ProcessOrders};
 use ctos_core::{chassis::Chassis, system};
 use ctos_link::{handshake::Token, transport::Address};
 use ctos_time::lock::lock;
@@ -215,53 +215,32 @@ fn tell_ended(chassis: &Arc<Chassis>, id: ProcessId, ending: &Ending) {
     chassis.post_system(system::BOOTSTRAP, ended);
 }
 
-enum Order {
-    Start(ProcessId),
-    Kill(u8),
-}
-
-/// Takes the orders of the bootstrap service, which runs on another thread.
-pub(super) struct Orders(mpsc::UnboundedSender<Order>);
-
-impl Processes for Orders {
-    fn start(&self, chassis: u8, incarnation: u32) {
-        let id = ProcessId {
-            chassis,
-            incarnation,
-        };
-        // The receiver lives until the service has ended.
-        let _ = self.0.send(Order::Start(id));
-    }
-
-    fn kill(&self, index: u8) {
-        let _ = self.0.send(Order::Kill(index));
-    }
-}
-
 /// The processes of an app that is up, by chassis.
 pub(super) struct Keeper {
     starter: Starter,
-    orders: mpsc::UnboundedReceiver<Order>,
+    orders: ProcessOrders,
     processes: BTreeMap<u8, Process>,
 }
 
 impl Keeper {
     /// Keeps `processes`, which are those of chassis 1, 2, ...
-    pub(super) fn new(starter: Starter, processes: Vec<Process>) -> (Self, Arc<Orders>) {
-        let (sender, orders) = mpsc::unbounded_channel();
-        let keeper = Self {
+    pub(super) fn new(starter: Starter, orders: ProcessOrders, processes: Vec<Process>) -> Self {
+        Self {
             starter,
             orders,
             processes: (1..).zip(processes).collect(),
-        };
-        (keeper, Arc::new(Orders(sender)))
+        }
     }
 
     /// Carries out orders until a process was started: which one.
     pub(super) async fn serve(&mut self) -> ProcessId {
         loop {
             match self.orders.recv().await {
-                Some(Order::Start(id)) => {
+                Some(ProcessOrder::Start(chassis, incarnation)) => {
+                    let id = ProcessId {
+                        chassis,
+                        incarnation,
+                    };
                     match self.starter.start(id) {
                         Ok(process) => drop(self.processes.insert(id.chassis, process)),
                         Err(error) => {
@@ -271,7 +250,7 @@ impl Keeper {
                     }
                     return id;
                 }
-                Some(Order::Kill(index)) => {
+                Some(ProcessOrder::Kill(index)) => {
                     if let Some(process) = self.processes.get(&index) {
                         process.kill();
                     }

@@ -167,7 +167,7 @@ impl Inner {
                 chassis: self.chassis.index(),
                 incarnation: self.who.incarnation,
                 process: self.process.clone(),
-                listen: self.addresses().to_vec(),
+                listen: self.listen.clone(),
                 received: session.received(),
                 shared,
             },
@@ -193,8 +193,8 @@ impl Inner {
     }
 }
 
-/// Tells the boot why a chassis cannot start. If that does not succeed, the boot sees the process end.
-pub(super) async fn unable(
+/// Tells the boot at `boot` why `chassis` cannot start. If that does not succeed, the boot sees the process end.
+pub(crate) async fn unable(
     boot: &Address,
     chassis: &Chassis,
     keys: Option<&Arc<Keys>>,
