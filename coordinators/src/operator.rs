@@ -157,7 +157,7 @@ mod tests {
     use ctos::{
         boot::End,
         diagnostic::Source,
-        simulation::{self, Faults, Mishap, Setup},
+        simulation::{self, Fault, Faults, Setup},
         time::Instant,
     };
     use pnt::{
@@ -335,7 +335,7 @@ transition answer
                 json: String::new(),
             })
         });
-        let kills = kills.iter().map(|(chassis, ms)| Mishap::Kill {
+        let kills = kills.iter().map(|(chassis, ms)| Fault::Kill {
             chassis: (*chassis).to_owned(),
             at: Instant::from_nanos(ms * 1_000_000),
         });

@@ -15,7 +15,7 @@ pub use ctos_bootstrap::bootstrap::{
 pub use ctos_host::boot::{ChildError, Launcher, run_chassis};
 pub use ctos_link::transport::{Address, AddressError};
 pub use ctos_message::frame::Counts;
-pub use ctos_simulation::Mishap;
+pub use ctos_simulation::Fault;
 
 /// The clock that an app of this mode runs on, at its start.
 #[must_use]
@@ -86,18 +86,18 @@ pub fn boot_with(
 }
 
 /// Runs `app` to its end in one thread on the virtual clock, whatever its `time.mode` is, and lets
-/// `mishaps` happen to it.
+/// `faults` happen to it.
 ///
 /// # Errors
-/// [`BootError::NoChassis`] when a mishap names a chassis that the app has not.
+/// [`BootError::NoChassis`] when a fault names a chassis that the app has not.
 pub fn simulate(
     app: App,
     registry: Registry,
-    mishaps: &[Mishap],
+    faults: &[Fault],
     observer: &Observer,
 ) -> Result<Outcome, BootError> {
     let setup = Setup {
-        faults: Faults::of_script("mishaps", mishaps.to_vec()),
+        faults: Faults::of_script("faults", faults.to_vec()),
         ..Setup::default()
     };
     simulation::run(app, registry, setup, observer).map(|run| run.outcome)

@@ -15,11 +15,12 @@ use std::{
 };
 
 use ctos::{
-    boot::{BootError, BootEvent, End, Mishap, Observer, Outcome, simulate},
+    boot::{BootError, BootEvent, End, Observer, Outcome, simulate},
     call::Fault,
     config::{App, load_texts},
     message::{Command, CommandInfo, Message, Replier},
     registry::Registry,
+    simulation,
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase, StopReason},
     time::Instant,
@@ -219,14 +220,14 @@ fn registry(trace: &Trace) -> Registry {
     registry
 }
 
-fn try_run(text: &str, sets: &[&str], mishaps: &[Mishap]) -> Result<Run, BootError> {
+fn try_run(text: &str, sets: &[&str], faults: &[simulation::Fault]) -> Result<Run, BootError> {
     let trace = Trace::default();
     let events: Arc<Mutex<Vec<String>>> = Arc::default();
     let seen = events.clone();
     let observer: Observer = Arc::new(move |event: &BootEvent| {
         seen.lock().unwrap().push(format!("{event:?}"));
     });
-    let outcome = simulate(app(text, sets), registry(&trace), mishaps, &observer)?;
+    let outcome = simulate(app(text, sets), registry(&trace), faults, &observer)?;
     let trace = trace.lock().unwrap().clone();
     let events = events.lock().unwrap().clone();
     Ok(Run {
@@ -236,8 +237,8 @@ fn try_run(text: &str, sets: &[&str], mishaps: &[Mishap]) -> Result<Run, BootErr
     })
 }
 
-fn run(text: &str, sets: &[&str], mishaps: &[Mishap]) -> Run {
-    try_run(text, sets, mishaps).unwrap()
+fn run(text: &str, sets: &[&str], faults: &[simulation::Fault]) -> Run {
+    try_run(text, sets, faults).unwrap()
 }
 
 /// Three tasks on two chassis; `caller` calls `arm` and ends the app after its rounds.
@@ -528,7 +529,7 @@ fn a_chassis_that_is_killed_ends_the_calls_to_it_and_everybody_left_is_told() {
     ];
     for seed in 0..20 {
         let seed = format!("app.seed={seed}");
-        let kill = Mishap::Kill {
+        let kill = simulation::Fault::Kill {
             chassis: "cage".to_owned(),
             at: millis(60),
         };
@@ -561,7 +562,7 @@ fn a_chassis_that_is_killed_ends_the_calls_to_it_and_everybody_left_is_told() {
 fn a_kill_at_any_moment_ends_the_app_in_bounded_time() {
     for at in (0..120).step_by(3) {
         for chassis in ["desk", "cage"] {
-            let kill = Mishap::Kill {
+            let kill = simulation::Fault::Kill {
                 chassis: chassis.to_owned(),
                 at: millis(at),
             };
@@ -577,7 +578,7 @@ fn a_kill_at_any_moment_ends_the_app_in_bounded_time() {
 
 #[test]
 fn a_link_that_is_cut_makes_each_end_gone_for_the_other() {
-    let cut = Mishap::Cut {
+    let cut = simulation::Fault::Cut {
         one: "desk".to_owned(),
         other: "cage".to_owned(),
         at: millis(60),
@@ -596,7 +597,7 @@ fn a_link_that_is_cut_makes_each_end_gone_for_the_other() {
 
 #[test]
 fn a_chassis_that_loses_the_boot_stops_its_tasks_by_itself() {
-    let cut = Mishap::Cut {
+    let cut = simulation::Fault::Cut {
         one: "boot".to_owned(),
         other: "cage".to_owned(),
         at: millis(60),
@@ -621,7 +622,7 @@ fn a_chassis_that_loses_the_boot_stops_its_tasks_by_itself() {
 
 #[test]
 fn a_link_that_stalls_delays_and_loses_nothing() {
-    let stall = Mishap::Stall {
+    let stall = simulation::Fault::Stall {
         one: "desk".to_owned(),
         other: "cage".to_owned(),
         at: millis(1),
@@ -633,8 +634,8 @@ fn a_link_that_stalls_delays_and_loses_nothing() {
 }
 
 #[test]
-fn a_mishap_of_an_unknown_chassis_is_refused() {
-    let kill = |chassis: &str| Mishap::Kill {
+fn a_fault_of_an_unknown_chassis_is_refused() {
+    let kill = |chassis: &str| simulation::Fault::Kill {
         chassis: chassis.to_owned(),
         at: millis(1),
     };

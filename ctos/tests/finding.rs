@@ -10,7 +10,7 @@
 use std::{sync::Arc, time::Duration};
 
 use ctos::{
-    boot::{BootEvent, End, Mishap, Observer, simulate},
+    boot::{BootEvent, End, Fault, Observer, simulate},
     config::load_texts,
     registry::Registry,
     system::{AppResult, Shutdown},
@@ -106,7 +106,7 @@ const APP: &str = r#"
     on = "desk"
 "#;
 
-fn run(play: Play, sets: &[&str], seed: u64, mishaps: &[Mishap]) -> (End, Vec<String>) {
+fn run(play: Play, sets: &[&str], seed: u64, faults: &[Fault]) -> (End, Vec<String>) {
     let mut sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
     sets.push(format!("app.seed={seed}"));
     let app = load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
@@ -118,22 +118,22 @@ fn run(play: Play, sets: &[&str], seed: u64, mishaps: &[Mishap]) -> (End, Vec<St
     let observer: Observer = Arc::new(move |event: &BootEvent| {
         seen.lock().unwrap().push(format!("{event:?}"));
     });
-    let end = simulate(app, registry, mishaps, &observer).unwrap().end;
+    let end = simulate(app, registry, faults, &observer).unwrap().end;
     let events = events.lock().unwrap().clone();
     (end, events)
 }
 
-fn text(play: Play, sets: &[&str], seed: u64, mishaps: &[Mishap]) -> String {
-    match run(play, sets, seed, mishaps) {
+fn text(play: Play, sets: &[&str], seed: u64, faults: &[Fault]) -> String {
+    match run(play, sets, seed, faults) {
         (End::Finished(result), _) if result.ok => result.text,
         (end, events) => panic!("{end:?}: {events:#?}"),
     }
 }
 
-fn kill(chassis: &str, millis: u64) -> Mishap {
+fn kill(chassis: &str, millis: u64) -> Fault {
     let chassis = chassis.to_owned();
     let at = Instant::START + Duration::from_millis(millis);
-    Mishap::Kill { chassis, at }
+    Fault::Kill { chassis, at }
 }
 
 /// Looks the counter up again and again, for three seconds, and asks it whether it runs. A call may be lost in

@@ -19,11 +19,12 @@ use std::{
 };
 
 use ctos::{
-    boot::{BootEvent, End, Mishap, Observer, Outcome, simulate},
+    boot::{BootEvent, End, Observer, Outcome, simulate},
     call::{CallError, Fault},
     config::load_texts,
     message::{Command, CommandInfo, Message, Replier},
     registry::Registry,
+    simulation,
     system::{AppResult, Shutdown},
     task::{Context, EventHandler, Handled, HandlerError, Handover, Phase, StopReason, TaskRef},
     time::Instant,
@@ -310,7 +311,7 @@ fn registry(trace: &Trace, scene: Scene) -> Registry {
     registry
 }
 
-fn run<F, Fut>(seed: u64, mishaps: &[Mishap], scene: F) -> (Outcome, Vec<String>)
+fn run<F, Fut>(seed: u64, faults: &[simulation::Fault], scene: F) -> (Outcome, Vec<String>)
 where
     F: Fn(Context) -> Fut + Send + Sync + 'static,
     Fut: Future<Output = Result<String, HandlerError>> + 'static,
@@ -319,7 +320,7 @@ where
     let app = load_texts(&[("moving.toml", &text(seed))], &[], &[]).unwrap();
     let observer: Observer = Arc::new(|_: &BootEvent| ());
     let scene: Scene = Arc::new(move |cx| Box::pin(scene(cx)));
-    let outcome = simulate(app, registry(&trace, scene), mishaps, &observer).unwrap();
+    let outcome = simulate(app, registry(&trace, scene), faults, &observer).unwrap();
     let trace = trace.lock().unwrap().clone();
     (outcome, trace)
 }
@@ -401,7 +402,7 @@ fn micros(micros: u64) -> Instant {
 }
 
 /// Links that stand still for a while, so that one way is much slower than another.
-fn stalls(seed: u64) -> Vec<Mishap> {
+fn stalls(seed: u64) -> Vec<simulation::Fault> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut draw = || {
         let at = rng.random_range(0..30_000);
@@ -413,7 +414,7 @@ fn stalls(seed: u64) -> Vec<Mishap> {
             ("boot", "b"),
         ];
         let (one, other) = ends[rng.random_range(0..ends.len())];
-        Mishap::Stall {
+        simulation::Fault::Stall {
             one: one.to_owned(),
             other: other.to_owned(),
             at: micros(at),
@@ -442,7 +443,7 @@ fn a_link_that_breaks_during_a_move_leaves_one_task_that_has_all_it_accepted() {
     let mut failed = 0;
     for seed in seeds(60) {
         // The sender, the mover and the boot still reach both ends.
-        let cut = Mishap::Cut {
+        let cut = simulation::Fault::Cut {
             one: "a".to_owned(),
             other: "c".to_owned(),
             at: micros(1_000 + seed * 61 % 9_000),
@@ -460,7 +461,7 @@ fn a_link_that_breaks_during_a_move_leaves_one_task_that_has_all_it_accepted() {
 fn a_chassis_that_dies_during_a_move_takes_the_task_with_it_only_if_it_had_it() {
     let (mut stayed, mut went) = (0, 0);
     for at in (2_000..4_000).step_by(50) {
-        let kill = Mishap::Kill {
+        let kill = simulation::Fault::Kill {
             chassis: "c".to_owned(),
             at: micros(at),
         };

@@ -17,7 +17,7 @@ use std::{
 };
 
 use ctos::{
-    boot::{End, Mishap, Observer, Outcome, simulate},
+    boot::{End, Fault, Observer, Outcome, simulate},
     config::load_texts,
     message::Message,
     registry::Registry,
@@ -90,7 +90,7 @@ fn silent() -> Observer {
 fn run(
     config: &str,
     seed: u64,
-    mishaps: &[Mishap],
+    faults: &[Fault],
     tasks: &[(&str, &str, Script)],
 ) -> (Outcome, Vec<String>) {
     let log = Log::default();
@@ -114,7 +114,7 @@ fn run(
     }
     let app = load_texts(&[("app.toml", &text)], &[], &[])
         .unwrap_or_else(|findings| panic!("{findings}"));
-    let outcome = simulate(app, registry, mishaps, &silent()).unwrap();
+    let outcome = simulate(app, registry, faults, &silent()).unwrap();
     let log = log.lock().unwrap().clone();
     (outcome, log)
 }
@@ -252,7 +252,7 @@ fn hog(semaphore: &'static str) -> Script {
 #[test]
 fn a_permit_is_released_when_the_chassis_of_its_holder_dies() {
     for seed in 0..20 {
-        let kill = Mishap::Kill {
+        let kill = Fault::Kill {
             chassis: "a".to_owned(),
             at: at_millis(1_000),
         };
@@ -482,7 +482,7 @@ fn who_waits_at_a_barrier_for_the_dead_hears_who_is_there() {
         let barrier = cx.barrier("app/start", 3).unwrap().deadline(millis(500));
         note(&log, barrier.wait().await.unwrap_err().to_string());
     });
-    let kill = Mishap::Kill {
+    let kill = Fault::Kill {
         chassis: "c".to_owned(),
         at: at_millis(1_500),
     };
@@ -553,7 +553,7 @@ fn tasks_that_do_not_agree_on_the_number_are_told() {
 
 #[test]
 fn waiting_for_a_semaphore_of_the_app_ends_when_the_link_to_it_is_cut() {
-    let cut = Mishap::Cut {
+    let cut = Fault::Cut {
         one: "boot".to_owned(),
         other: "a".to_owned(),
         at: at_millis(500),

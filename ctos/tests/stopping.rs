@@ -17,7 +17,7 @@ use ctos::{
     config::load_texts,
     message::{Command, Message},
     registry::Registry,
-    simulation::{self, Faults, Mishap, Setup},
+    simulation::{self, Fault, Faults, Setup},
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase, StopReason},
     time::Instant,
@@ -202,7 +202,7 @@ fn run(rests: Rests, ends: Ends, again: Option<Duration>, seed: u64) -> Ran {
     match ends {
         Ends::Interrupt => setup.stop_after = Some(Duration::from_secs(2)),
         Ends::Death => {
-            let kill = Mishap::Kill {
+            let kill = Fault::Kill {
                 chassis: "shed".to_owned(),
                 at: at(2),
             };

@@ -14,7 +14,7 @@ use std::{
 };
 
 use ctos::{
-    boot::{BootEvent, End, Mishap, Observer, Outcome, simulate},
+    boot::{BootEvent, End, Fault, Observer, Outcome, simulate},
     config::{App, load_texts},
     message::{Command, CommandInfo, Message, Tid},
     registry::Registry,
@@ -213,7 +213,7 @@ const APP: &str = r#"
     on = "desk"
 "#;
 
-fn run(sets: &[&str], mishaps: &[Mishap]) -> Run {
+fn run(sets: &[&str], faults: &[Fault]) -> Run {
     let sets: Vec<String> = sets.iter().map(|set| (*set).to_owned()).collect();
     let app: App = load_texts(&[("app.toml", APP)], &sets, &[]).unwrap();
     let trace = Trace::default();
@@ -237,7 +237,7 @@ fn run(sets: &[&str], mishaps: &[Mishap]) -> Run {
     let observer: Observer = Arc::new(move |event: &BootEvent| {
         seen.lock().unwrap().push(event.clone());
     });
-    let outcome = simulate(app, registry, mishaps, &observer).unwrap();
+    let outcome = simulate(app, registry, faults, &observer).unwrap();
     let trace = trace.lock().unwrap().clone();
     let events = events.lock().unwrap().clone();
     Run {
@@ -247,8 +247,8 @@ fn run(sets: &[&str], mishaps: &[Mishap]) -> Run {
     }
 }
 
-fn kill(chassis: &str, millis: u64) -> Mishap {
-    Mishap::Kill {
+fn kill(chassis: &str, millis: u64) -> Fault {
+    Fault::Kill {
         chassis: chassis.to_owned(),
         at: Instant::START + Duration::from_millis(millis),
     }
@@ -369,7 +369,7 @@ fn restarts_that_are_far_apart_do_not_add_up() {
         "chassis.cage.restart_window_s=1",
         "task.caller.args.enough=300",
     ];
-    let kills: Vec<Mishap> = (1..6).map(|number| kill("cage", number * 1_500)).collect();
+    let kills: Vec<Fault> = (1..6).map(|number| kill("cage", number * 1_500)).collect();
     let run = run(&sets, &kills);
     run.must_finish();
     assert_eq!(run.restarts(), 5);
@@ -443,9 +443,9 @@ fn breaks_at(count: u32) -> Vec<String> {
     ]
 }
 
-fn run_breaking(sets: &[String], mishaps: &[Mishap]) -> Run {
+fn run_breaking(sets: &[String], faults: &[Fault]) -> Run {
     let sets: Vec<&str> = sets.iter().map(String::as_str).collect();
-    run(&sets, mishaps)
+    run(&sets, faults)
 }
 
 #[test]
@@ -455,7 +455,7 @@ fn a_chassis_that_dies_while_one_of_its_tasks_fails_is_restarted_all_the_same() 
     let broke = calm.trace.iter().find(|entry| entry.3 == "breaks");
     let broke = broke.expect("it breaks").0;
     for late_us in (0..400).step_by(10) {
-        let kill = Mishap::Kill {
+        let kill = Fault::Kill {
             chassis: "cage".to_owned(),
             at: Instant::from_nanos(broke) + Duration::from_micros(late_us),
         };
@@ -514,7 +514,7 @@ fn a_task_that_fails_ends_the_app_where_the_configuration_does_not_say_otherwise
 
 #[test]
 fn a_chassis_that_lost_only_the_boot_is_seen_dead_before_the_next_one_starts() {
-    let cut = Mishap::Cut {
+    let cut = Fault::Cut {
         one: "boot".to_owned(),
         other: "cage".to_owned(),
         at: Instant::START + Duration::from_millis(120),

@@ -15,7 +15,7 @@ use ctos::{
     config::{App, RecordConfig, Selection},
     diagnostic::{Finding, Findings},
     registry::Registry,
-    simulation::{self, EventSink, Faults, Mishap, Run, Setup},
+    simulation::{self, EventSink, Fault, Faults, Run, Setup},
     time::Clock,
 };
 
@@ -458,7 +458,7 @@ impl Lab<'_> {
         let wanted = kind_of(&run.outcome.end);
         let observer: Observer = Arc::new(|_: &BootEvent| ());
         let mut wrong = None;
-        let again = |script: &[Mishap], wrong: &mut Option<u8>| {
+        let again = |script: &[Fault], wrong: &mut Option<u8>| {
             let faults = Faults::of_script("shrunk", script.to_vec());
             let clock = Clock::virtual_clock();
             match self.simulate(seed, faults, clock, None, None, &observer) {

@@ -224,7 +224,7 @@ impl Agent {
 
     /// Stops the tasks of this chassis when nobody else is left to order it.
     async fn stop_all(&self, cx: &Context) {
-        let limit = cx.app().stop_timeout;
+        let timeout = cx.app().stop_timeout;
         for task in self.tasks.iter().rev() {
             let here = cx.chassis();
             if here.directory.current(task.tid).chassis() != here.index() {
@@ -237,7 +237,7 @@ impl Agent {
                 },
                 on: Some(here.index()),
             };
-            let stopped = cx.call(&reference, order).deadline(limit);
+            let stopped = cx.call(&reference, order).deadline(timeout);
             if let Err(error) = stopped.await
                 && !error.is_gone()
             {
@@ -345,8 +345,8 @@ async fn create_one(
         // Nobody listens any more when the processor was busy for too long.
         let _ = built.send(start_task(&home, processor, spec).map_err(|error| error.to_string()));
     });
-    let limit = cx.app().phase_timeout.max(Duration::from_millis(1));
-    match cx.timeout(limit, building).await {
+    let timeout = cx.app().phase_timeout.max(Duration::from_millis(1));
+    match cx.timeout(timeout, building).await {
         Ok(Ok(started)) => started.map(|()| tid),
         Ok(Err(_)) => Err("its processor has stopped".to_owned()),
         Err(elapsed) => Err(format!("its processor is busy: {elapsed}")),

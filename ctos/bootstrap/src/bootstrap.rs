@@ -35,9 +35,9 @@ use ctos_core::{
 use ctos_message::{Command, CommandInfo};
 
 use serde::{Deserialize, Serialize};
+use tokio::sync::mpsc;
 
 use board::{Board, Event};
-use sequence::Sequence;
 
 pub use outcome::{BootError, HostError, Outcome};
 pub use outcome::{contained, io_error};
@@ -308,24 +308,40 @@ impl End {
 /// What the service found out, left where the process that boots picks it up.
 pub type EndSlot = Arc<Mutex<Option<End>>>;
 
-/// Who starts and ends the processes of chassis. What becomes of them is told to the service with
+/// What the service wants of the processes of chassis. What becomes of them is told to it with
 /// [`ChassisLinked`] and [`ProcessEnded`].
-pub trait Processes: Send + Sync {
-    /// Starts a process for chassis `index`. The one before it is dead.
-    fn start(&self, index: u8, incarnation: u32);
-    /// Ends the process of chassis `index` at once.
-    fn kill(&self, index: u8);
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ProcessOrder {
+    /// Start the process of chassis `index` with this incarnation. The one before it is dead.
+    Start(u8, u32),
+    /// End the process of chassis `index` at once.
+    Kill(u8),
 }
+
+/// What the service wants, for who carries it out.
+pub type ProcessOrders = mpsc::UnboundedReceiver<ProcessOrder>;
 
 /// What the service is started with.
 #[derive(Clone)]
 pub struct Seat {
-    /// Who is told what happens.
-    pub observer: Observer,
+    observer: Observer,
     /// Where the end of the app is put.
     pub end: EndSlot,
-    /// Starts and ends the processes of chassis.
-    pub processes: Arc<dyn Processes>,
+    orders: mpsc::UnboundedSender<ProcessOrder>,
+}
+
+impl Seat {
+    /// A seat whose service tells `observer` what happens, and what it wants of the processes.
+    #[must_use]
+    pub fn new(observer: &Observer) -> (Self, ProcessOrders) {
+        let (sender, orders) = mpsc::unbounded_channel();
+        let seat = Self {
+            observer: observer.clone(),
+            end: EndSlot::default(),
+            orders: sender,
+        };
+        (seat, orders)
+    }
 }
 
 /// The service's state.
@@ -353,7 +369,7 @@ impl EventHandler for Bootstrap {
             AllLinked::CODE => {
                 watch::start(cx);
                 board.all_linked();
-                cx.spawn(Sequence::new(board.clone()).run());
+                cx.spawn(sequence::run(board.clone()));
                 for index in board.indices() {
                     cx.spawn(supervisor::supervise(board.clone(), index));
                 }

@@ -7,13 +7,14 @@
 pub mod client;
 pub mod protocol;
 
-mod desk;
 mod gate;
 mod logs;
 mod moves;
+mod news;
 mod place;
 mod recording;
 mod server;
+mod service;
 mod view;
 
 pub use logs::{Level, LogLine};
@@ -21,4 +22,5 @@ pub use place::{Socket, folder, prepared_folder};
 
 pub(crate) use gate::Gate;
 pub(crate) use logs::LogStore;
-pub(crate) use server::{Server, Ticker};
+pub(crate) use news::Ticker;
+pub(crate) use server::Server;

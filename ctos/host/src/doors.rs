@@ -17,7 +17,7 @@ pub use secret::{PortSecret, Secret, SecretError, private_file};
 pub(crate) const STRANGERS: usize = 64;
 
 /// How long a caller may take to show who it is.
-pub(crate) const STRANGER_LIMIT: std::time::Duration = std::time::Duration::from_secs(5);
+pub(crate) const STRANGER_TIMEOUT: std::time::Duration = std::time::Duration::from_secs(5);
 
 /// How long to wait after an `accept` that failed: no file descriptors for the moment, perhaps.
 pub(crate) const ACCEPT_PAUSE: std::time::Duration = std::time::Duration::from_millis(20);

@@ -1,26 +1,18 @@
 //! Records of a chassis that runs already: begun and ended by message, any number side by side.
 //!
-//! Each writes a file of its own beside those that the configuration asks for, through the same recorder.
+//! Each writes a file of its own next to those that the configuration asks for, through the same recorder.
 
 use ctos_config::RecordConfig;
 use ctos_core::{
     chassis::Chassis, context::Context, envelope::Replier, report::RecordReport, system::TaskName,
 };
 use ctos_message::{CommandInfo, command};
-use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use super::{
-    file_name, file_named, log,
-    parts::{Parts, Place},
-    recorder::Recorder,
-    recorders::Recorders,
-    run_of,
-    writer::Writer,
+    CLOSE_TIMEOUT, file_name, file_named, log, recorder::Recorder, recorders::Recorders, run_of,
+    threaded, writer,
 };
-use crate::names::Names;
-
-/// How long the end of a record waits for the disk.
-const CLOSE_LIMIT: Duration = Duration::from_secs(5);
 
 command! {
     /// Lets an agent record its chassis into a folder; answers with the file. The names are those of the
@@ -68,7 +60,7 @@ impl Attached {
         self.0.get(&key).map(|guest| guest.recorder.report())
     }
 
-    /// Ends a record and answers when its file is closed: beside the agent, since a disk may take its
+    /// Ends a record and answers when its file is closed: on a thread of its own, since a disk may take its
     /// time.
     pub fn end(&mut self, cx: &Context, key: u64, reply: Replier<EndRecord>) {
         let Some(guest) = self.0.remove(&key) else {
@@ -116,29 +108,25 @@ impl Guest {
             None => RecordConfig::new(file),
         };
         let path = file_named(&config.file, chassis.name());
-        let names = Arc::new(Names::new(app, &chassis.registry(), runtime));
-        for task in &request.names {
-            names.name(task.tid, &task.name.as_str().into());
-        }
         let mut run = run_of(chassis);
         let now = chassis.clock.now().as_nanos();
         run.insert("attached_ns".to_owned(), now.to_string());
         // Each process has its own disk, where a tool on another host cannot make anything.
         std::fs::create_dir_all(&request.folder)
             .map_err(|error| format!("{}: {error}", request.folder))?;
-        let place = Place::new(path, config.max_bytes, config.keep);
-        let parts = Parts::open(place, run).map_err(|error| error.to_string())?;
-        let writer = Writer::new(names, parts).choosing(request.channels.clone());
-        let lanes = chassis.processors.len();
-        let clock = chassis.clock.clone();
-        let recorder = Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)
-            .map_err(|error| error.to_string())?;
+        let writer = writer(chassis, &config, path, run, runtime);
+        let writer = writer.map_err(|error| error.to_string())?;
+        for task in &request.names {
+            writer.names().name(task.tid, &task.name.as_str().into());
+        }
+        let writer = writer.choosing(request.channels.clone());
+        let recorder = threaded(chassis, &config, writer).map_err(|error| error.to_string())?;
         for task in chassis.tasks() {
             let commands = task.statistics.commands();
             recorder.named(task.tid, &task.name, commands);
         }
         Recorders::admit(chassis, recorder.clone());
-        log::admit(&recorder, chassis.index());
+        log::attach(&recorder, chassis.index());
         Ok(Self {
             chassis: chassis.clone(),
             recorder,
@@ -149,7 +137,7 @@ impl Guest {
 impl Drop for Guest {
     fn drop(&mut self) {
         Recorders::dismiss(&self.chassis, &self.recorder);
-        log::dismiss(&self.recorder);
-        self.recorder.finish(CLOSE_LIMIT);
+        log::detach(&self.recorder);
+        self.recorder.finish(CLOSE_TIMEOUT);
     }
 }

@@ -9,7 +9,7 @@ use ctos_message::append;
 
 /// A stretch of events ends at this size, bytes: a file that breaks off lacks no more than is in one chunk.
 const STRETCH: usize = 64 * 1024;
-/// Room that is kept for the next time, bytes; what a burst took besides is given back.
+/// Space that is kept for the next time, bytes; what a burst took beyond it is given back.
 const KEPT: usize = 1024 * 1024;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -133,7 +133,7 @@ impl Batch {
         })
     }
 
-    /// Empties it, and keeps its room.
+    /// Empties it, and keeps its space.
     pub(crate) fn clear(&mut self) {
         self.bytes.clear();
         self.bytes.shrink_to(KEPT);

@@ -58,7 +58,7 @@ pub(crate) enum Step {
     /// message, or a fault.
     Answered {
         side: Side,
-        /// Whether its sender had it in the turn in which it sent, and did not wait.
+        /// Whether its sender had it in the poll in which it sent, and did not wait.
         at_once: bool,
         fault: Option<Fault>,
     },

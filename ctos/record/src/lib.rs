@@ -3,7 +3,7 @@
 //!
 //! Each process writes a file of its own, so that the end of one takes nothing from another; a simulated
 //! app, which is one process, writes one. What is noted costs its processor a lock that nobody else
-//! takes and some bytes in a buffer, which a writer beside it puts into the file as they are; lines that
+//! takes and some bytes in a buffer, which a writer next to it puts into the file as they are; lines that
 //! people and viewers read are made of them when the file is read. The page `docs/recording.md` shows how
 //! it is used.
 
@@ -25,7 +25,7 @@ mod replay;
 mod traffic;
 mod writer;
 
-use ctos_config::{App, RecordConfig};
+use ctos_config::RecordConfig;
 use ctos_core::chassis::Chassis;
 use ctos_message::CommandInfo;
 use std::{
@@ -50,8 +50,8 @@ use parts::{Parts, Place};
 use recorder::Recorder;
 use writer::Writer;
 
-/// How long the end of an app waits for the disk of its record.
-const CLOSE_LIMIT: Duration = Duration::from_secs(5);
+/// How long the end of a record waits for its disk.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The record of this process, while it is written.
 pub struct Recording(Arc<Recorder>);
@@ -64,7 +64,8 @@ impl Recording {
 
     /// Writes what is left and closes the file.
     pub fn finish(self) {
-        self.0.finish(CLOSE_LIMIT);
+        log::detach(&self.0);
+        self.0.finish(CLOSE_TIMEOUT);
     }
 }
 
@@ -85,27 +86,44 @@ pub fn start(
         return Ok(None);
     };
     let real = first.clock.origin_ns();
-    let path = match real {
-        Some(_) => file_of(app, config, Some(first.name())),
-        None => file_of(app, config, None),
-    };
-    let names = Arc::new(Names::new(app, &first.registry(), runtime));
-    let place = Place::new(path, config.max_bytes, config.keep);
-    let parts = Parts::open(place, run_of(first)).map_err(std::io::Error::other)?;
-    let writer = Writer::new(names, parts);
-    let clock = first.clock.clone();
+    let mut path = app.folder.join(&config.file);
+    if real.is_some() {
+        path = file_named(&path, first.name());
+    }
+    let writer = writer(first, config, path, run_of(first), runtime)?;
     let recorder = match real {
-        Some(_) => {
-            let lanes = first.processors.len();
-            Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)?
-        }
-        None => Recorder::inline(clock, writer, config.buffer_bytes),
+        Some(_) => threaded(first, config, writer)?,
+        None => Recorder::inline(first.clock.clone(), writer, config.buffer_bytes),
     };
     for one in chassis {
         Recorders::record(one, recorder.clone());
     }
     log::attach(&recorder, first.index());
     Ok(Some(Recording(recorder)))
+}
+
+/// Begins a file at `path` for what happens at `chassis`.
+fn writer(
+    chassis: &Chassis,
+    config: &RecordConfig,
+    path: PathBuf,
+    run: BTreeMap<String, String>,
+    runtime: &[CommandInfo],
+) -> std::io::Result<Writer> {
+    let names = Arc::new(Names::new(&chassis.app, &chassis.registry(), runtime));
+    let place = Place::new(path, config.max_bytes, config.keep);
+    let parts = Parts::open(place, run).map_err(std::io::Error::other)?;
+    Ok(Writer::new(names, parts))
+}
+
+/// A recorder of one chassis in real time.
+fn threaded(
+    chassis: &Chassis,
+    config: &RecordConfig,
+    writer: Writer,
+) -> std::io::Result<Arc<Recorder>> {
+    let (clock, lanes) = (chassis.clock.clone(), chassis.processors.len());
+    Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)
 }
 
 /// The file of a record of app `name` in a folder where no configuration says it: `NAME.mcap`.
@@ -123,14 +141,6 @@ pub fn file_name(name: &str) -> String {
 }
 
 /// The file of one process: `run.mcap` becomes `run.CHASSIS.mcap`.
-fn file_of(app: &App, config: &RecordConfig, chassis: Option<&str>) -> PathBuf {
-    let path = app.folder.join(&config.file);
-    match chassis {
-        Some(chassis) => file_named(&path, chassis),
-        None => path,
-    }
-}
-
 fn file_named(path: &Path, chassis: &str) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push(".");

@@ -183,7 +183,7 @@ pub(crate) struct ReplyLine {
     pub(crate) trace: Number,
     /// Where it was noted: `here`, or between chassis at the `sender` or the `receiver` of the request.
     pub(crate) noted: String,
-    /// Whether its sender had it in the turn in which it sent. Not told by older records.
+    /// Whether its sender had it in the poll in which it sent. Not told by older records.
     #[serde(default)]
     pub(crate) at_once: bool,
     /// `ok` or what went wrong.

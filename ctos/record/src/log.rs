@@ -4,7 +4,7 @@
 use std::{
     fmt,
     sync::{
-        Arc, Mutex, OnceLock,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
 };
@@ -32,10 +32,9 @@ struct Attached {
 /// Puts log lines into the records of this process, while there are any. Filter it like any other layer.
 #[derive(Default)]
 pub struct RecordLayer {
-    attached: OnceLock<Attached>,
-    /// Those that came later, and go again.
-    guests: Mutex<Vec<Attached>>,
-    visited: AtomicBool,
+    attached: Mutex<Vec<Attached>>,
+    /// Whether there are any.
+    records: AtomicBool,
 }
 
 impl RecordLayer {
@@ -48,55 +47,42 @@ impl RecordLayer {
 
 impl fmt::Debug for RecordLayer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let attached = self.attached.get().is_some();
+        let attached = self.records.load(Ordering::Acquire);
         write!(f, "RecordLayer {{ attached: {attached} }}")
     }
 }
 
-/// Lets the log of this thread's subscriber go to `recorder` too, if it has a [`RecordLayer`].
+/// Lets the log of this thread's subscriber go to `recorder` too, if it has a [`RecordLayer`], until it is
+/// detached.
 pub(crate) fn attach(recorder: &Arc<Recorder>, chassis: u8) {
-    tracing::dispatcher::get_default(|dispatch| {
-        if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
-            let recorder = recorder.clone();
-            // A second record of one process has no log lines of its own.
-            let _ = layer.attached.set(Attached { recorder, chassis });
-        }
-    });
-}
-
-/// Lets the log go to `recorder` too, until it is dismissed.
-pub(super) fn admit(recorder: &Arc<Recorder>, chassis: u8) {
-    with_guests(|guests| {
+    change(|attached| {
         let recorder = recorder.clone();
-        guests.push(Attached { recorder, chassis });
+        attached.push(Attached { recorder, chassis });
     });
 }
 
-/// Ends what [`admit`] began.
-pub(super) fn dismiss(recorder: &Arc<Recorder>) {
-    with_guests(|guests| guests.retain(|guest| !Arc::ptr_eq(&guest.recorder, recorder)));
+/// Ends what [`attach`] began.
+pub(crate) fn detach(recorder: &Arc<Recorder>) {
+    change(|attached| attached.retain(|one| !Arc::ptr_eq(&one.recorder, recorder)));
 }
 
-fn with_guests(mut change: impl FnMut(&mut Vec<Attached>)) {
+fn change(mut change: impl FnMut(&mut Vec<Attached>)) {
     tracing::dispatcher::get_default(|dispatch| {
         if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
-            let mut guests = lock(&layer.guests);
-            change(&mut guests);
-            layer.visited.store(!guests.is_empty(), Ordering::Release);
+            let mut attached = lock(&layer.attached);
+            change(&mut attached);
+            layer.records.store(!attached.is_empty(), Ordering::Release);
         }
     });
 }
 
 impl<S: Subscriber> Layer<S> for RecordLayer {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        if let Some(attached) = self.attached.get() {
-            note(attached, event);
-        }
-        if self.visited.load(Ordering::Acquire) {
+        if self.records.load(Ordering::Acquire) {
             // Not under the lock: a recorder may have something to log itself.
-            let guests = lock(&self.guests).clone();
-            for guest in &guests {
-                note(guest, event);
+            let attached = lock(&self.attached).clone();
+            for one in &attached {
+                note(one, event);
             }
         }
     }

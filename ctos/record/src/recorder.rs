@@ -34,7 +34,7 @@ struct Lane {
     dropped: u64,
 }
 
-/// The writer, and the buffers that it has emptied: they go back to the lanes in turn.
+/// The writer, and the buffers that it has emptied: they go back to the lanes.
 struct Emptying {
     writer: Writer,
     batches: Vec<Batch>,
@@ -54,7 +54,7 @@ pub(crate) struct Recorder {
     lanes: Vec<Mutex<Lane>>,
     limit: usize,
     next_id: AtomicU64,
-    /// Events that found no room in the buffers.
+    /// Events that found no space in the buffers.
     dropped: AtomicU64,
     /// Events that found none on the disk.
     unwritten: AtomicU64,
@@ -132,7 +132,7 @@ impl Recorder {
         self.next_id.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Events that found no room, here or on the disk.
+    /// Events that found no space, here or on the disk.
     pub(crate) fn dropped(&self) -> u64 {
         let unwritten = self.unwritten.load(Ordering::Relaxed);
         self.dropped.load(Ordering::Relaxed) + unwritten
@@ -278,8 +278,8 @@ impl Recorder {
     }
 
     /// Writes what is left and closes the file; what is noted afterwards is lost. A disk that does not
-    /// answer within `limit` is left to itself.
-    pub(crate) fn finish(&self, limit: Duration) {
+    /// answer within `timeout` is left to itself.
+    pub(crate) fn finish(&self, timeout: Duration) {
         if self.ended.swap(true, Ordering::AcqRel) {
             return;
         }
@@ -292,12 +292,12 @@ impl Recorder {
         self.alarmed.notify_all();
         let waited = self
             .alarmed
-            .wait_timeout_while(alarm, limit, |alarm| !alarm.ended);
+            .wait_timeout_while(alarm, timeout, |alarm| !alarm.ended);
         let (alarm, _) = waited.unwrap_or_else(PoisonError::into_inner);
         if !alarm.ended {
-            let limit_s = limit.as_secs_f64();
+            let timeout_s = timeout.as_secs_f64();
             tracing::error!(
-                limit_s,
+                timeout_s,
                 "the record was not closed in time: its disk does not answer"
             );
         }

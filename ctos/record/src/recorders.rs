@@ -8,7 +8,7 @@ use std::sync::{
 use super::{
     event::{Key, Side, Step, Told, Traffic, What},
     recorder::Recorder,
-    replay::Desk,
+    replay::Others,
 };
 use ctos_core::{
     chassis::{Chassis, Extension},
@@ -21,18 +21,15 @@ use ctos_core::{
 use ctos_message::{CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
 use ctos_time::Instant;
 
-enum Target {
-    Record(Arc<Recorder>),
-    Replay(Arc<Desk>),
-}
-
 /// What looks on.
 #[derive(Default)]
 pub struct Recorders {
     /// The chassis.
     index: u8,
-    /// What was there when the chassis began. Set once.
-    first: OnceLock<Target>,
+    /// The recorder that was there when the chassis began. Set once.
+    first: OnceLock<Arc<Recorder>>,
+    /// The replay that answers in place of the other tasks. Set once.
+    others: OnceLock<Arc<Others>>,
     /// Whether there are guests.
     visited: AtomicBool,
     /// Recorders that came while the chassis ran, and may go before it does.
@@ -64,7 +61,7 @@ impl Recorders {
     pub(crate) fn record(chassis: &Chassis, recorder: Arc<Recorder>) {
         let all = Self::of(chassis);
         all.came.fetch_add(1, Ordering::AcqRel);
-        let _ = all.first.set(Target::Record(recorder));
+        let _ = all.first.set(recorder);
         chassis.tap.watch(true);
     }
 
@@ -93,24 +90,9 @@ impl Recorders {
     }
 
     /// From now on everything goes to a replay. The first call counts.
-    pub(crate) fn replay_at(chassis: &Chassis, desk: Arc<Desk>) {
-        let _ = Self::of(chassis).first.set(Target::Replay(desk));
+    pub(crate) fn replay_at(chassis: &Chassis, others: Arc<Others>) {
+        let _ = Self::of(chassis).others.set(others);
         chassis.tap.watch(true);
-    }
-
-    /// The replay that answers in place of the other tasks, if there is one.
-    fn desk(&self) -> Option<&Arc<Desk>> {
-        match self.first.get()? {
-            Target::Replay(desk) => Some(desk),
-            Target::Record(_) => None,
-        }
-    }
-
-    fn first(&self) -> Option<&Arc<Recorder>> {
-        match self.first.get()? {
-            Target::Record(recorder) => Some(recorder),
-            Target::Replay(_) => None,
-        }
     }
 
     fn guests(&self) -> Vec<Arc<Recorder>> {
@@ -123,7 +105,7 @@ impl Recorders {
 
     /// All who record.
     pub(crate) fn recorders(&self) -> Vec<Arc<Recorder>> {
-        let mut all: Vec<_> = self.first().cloned().into_iter().collect();
+        let mut all: Vec<_> = self.first.get().cloned().into_iter().collect();
         all.extend(self.guests());
         all
     }
@@ -142,7 +124,7 @@ impl Recorders {
     }
 
     fn fresh_id(&self) -> u64 {
-        match self.first() {
+        match self.first.get() {
             Some(recorder) => recorder.fresh_id(),
             None => self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
         }
@@ -158,7 +140,7 @@ impl Recorders {
         step: Step,
         data: impl Fn(&mut Vec<u8>) -> bool,
     ) -> bool {
-        let first = self.first();
+        let first = self.first.get();
         let event = |recorder: &Recorder| Traffic {
             at: at.map_or_else(|| recorder.now(), Instant::as_nanos),
             chassis: self.index,
@@ -248,16 +230,16 @@ fn key_of(id: u64, asked: &Asked) -> Key {
 
 impl Observer for Recorders {
     fn is_recording(&self) -> bool {
-        self.first().is_some() || self.visited.load(Ordering::Relaxed)
+        self.first.get().is_some() || self.visited.load(Ordering::Relaxed)
     }
 
     fn replays(&self) -> bool {
-        self.desk().is_some()
+        self.others.get().is_some()
     }
 
     fn replay(&self, message: &Message, wait: WaitFor, now: Instant, slot: ReplySlot) {
-        if let Some(desk) = self.desk() {
-            desk.dispatch(message, wait, now, slot);
+        if let Some(others) = self.others.get() {
+            others.dispatch(message, wait, now, slot);
         }
     }
 
@@ -298,8 +280,8 @@ impl Observer for Recorders {
 
     fn ended(&self, at_hand: &AtHand, now: Instant, ending: Ending) {
         let AtHand { id, asked, began } = at_hand;
-        if let Some(desk) = self.desk() {
-            return desk.ended(asked.command, ending);
+        if let Some(others) = self.others.get() {
+            return others.ended(asked.command, ending);
         }
         let began = began.as_nanos();
         let step = Step::Ended { began, ending };
@@ -338,8 +320,8 @@ impl Observer for Recorders {
     }
 
     fn used(&self, what: &str) {
-        if let Some(desk) = self.desk() {
-            desk.used(what.to_owned());
+        if let Some(others) = self.others.get() {
+            others.used(what.to_owned());
         }
     }
 

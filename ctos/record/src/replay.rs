@@ -6,7 +6,7 @@
 //! it takes from elsewhere (shared memory, synchronous functions, devices) is in no record; the report
 //! names what was used.
 
-mod desk;
+mod others;
 mod script;
 
 use crate::recorders::Recorders;
@@ -32,7 +32,7 @@ use super::{
 };
 use crate::names::Names;
 
-pub(crate) use desk::Desk;
+pub(crate) use others::Others;
 use script::{Begun, Recorded, Script, Step, What};
 
 /// Why a task could not be replayed.
@@ -204,8 +204,8 @@ pub fn replay(
         Arc::new(registry),
         clock.clone(),
     );
-    let desk = Arc::new(Desk::new(clock.clone(), names, &mut script));
-    Recorders::replay_at(&chassis, desk.clone());
+    let others = Arc::new(Others::new(clock.clone(), names, &mut script));
+    Recorders::replay_at(&chassis, others.clone());
     // The configuration may have fewer processors now than it had then.
     let last = chassis.processors.len().saturating_sub(1);
     let index = usize::from(script.tid.processor()).min(last);
@@ -232,7 +232,7 @@ pub fn replay(
         chassis,
         processor,
         clock,
-        desk,
+        others,
         waiting: BTreeMap::new(),
         messages: 0,
     };
@@ -250,7 +250,7 @@ struct Stage {
     chassis: Arc<Chassis>,
     processor: Rc<Processor>,
     clock: Clock,
-    desk: Arc<Desk>,
+    others: Arc<Others>,
     /// The answers that the task owes, by the number of the message.
     waiting: BTreeMap<Number, (u16, Waiting)>,
     messages: u64,
@@ -268,12 +268,12 @@ impl Stage {
             match what {
                 What::Built => {}
                 What::Begin(message) => self.begin(message),
-                What::Answer { id, answer } => self.desk.answer(id, answer.into_answer()),
+                What::Answer { id, answer } => self.others.answer(id, answer.into_answer()),
                 What::Output(index) => {
-                    if !self.desk.is_done(index) {
+                    if !self.others.is_done(index) {
                         self.run_due();
                     }
-                    self.desk.must_be_done(index, at);
+                    self.others.must_be_done(index, at);
                 }
                 What::Ended { command, ending } => self.ended(at, trace, command, &ending),
                 What::Replied { id, answer } => self.replied(at, trace, id, &answer),
@@ -283,7 +283,7 @@ impl Stage {
         self.run_due();
         self.processor.clear();
         self.chassis.close();
-        let mut report = self.desk.report(&self.config.name);
+        let mut report = self.others.report(&self.config.name);
         report.messages = self.messages;
         Ok(report)
     }
@@ -364,11 +364,11 @@ impl Stage {
         if expected.0 == "stopped" {
             return;
         }
-        if self.desk.next_end(false).is_none() {
+        if self.others.next_end(false).is_none() {
             self.run_due();
         }
-        let got = self.desk.next_end(true);
-        self.desk.compare_end(at, trace, command, expected, got);
+        let got = self.others.next_end(true);
+        self.others.compare_end(at, trace, command, expected, got);
     }
 
     /// Compares what the task answered.
@@ -381,7 +381,7 @@ impl Stage {
             self.run_due();
             got = (&mut waiting).now_or_never();
         }
-        self.desk.compare_reply(at, trace, command, expected, got);
+        self.others.compare_reply(at, trace, command, expected, got);
     }
 }
 

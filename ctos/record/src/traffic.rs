@@ -45,7 +45,7 @@ struct Last {
     key: Key,
     flags: u16,
     /// From the moment to the deadline, ns.
-    limit: u64,
+    timeout: u64,
     /// Whether its data was long.
     long: bool,
 }
@@ -70,7 +70,7 @@ impl Default for Coder {
                 trace: 0,
             },
             flags: 0,
-            limit: 0,
+            timeout: 0,
             long: false,
         };
         Self {
@@ -81,49 +81,21 @@ impl Default for Coder {
     }
 }
 
-/// The longest beginning of an event: two bytes, five numbers of ten, chassis, tasks, command and flags.
-const HEAD: usize = 2 + 5 * 10 + 1 + 2 * 4 + 2 * 2;
-
-/// The beginning of an event, put together where the processor has it at hand.
-struct Head {
-    bytes: [u8; HEAD],
-    length: usize,
+/// Seven bits in each byte, the lowest first; the highest bit says that more follow.
+#[inline]
+fn put_number(buffer: &mut Vec<u8>, mut number: u64) {
+    while number >= 0x80 {
+        buffer.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    buffer.push(number as u8);
 }
 
-impl Head {
-    #[inline]
-    fn push(&mut self, byte: u8) {
-        // There is room for all that an event can begin with.
-        if let Some(place) = self.bytes.get_mut(self.length) {
-            *place = byte;
-            self.length += 1;
-        }
-    }
-
-    #[inline]
-    fn extend(&mut self, bytes: &[u8]) {
-        if let Some(place) = self.bytes.get_mut(self.length..self.length + bytes.len()) {
-            place.copy_from_slice(bytes);
-            self.length += bytes.len();
-        }
-    }
-
-    /// Seven bits in each byte, the lowest first; the highest bit says that more follow.
-    #[inline]
-    fn number(&mut self, mut number: u64) {
-        while number >= 0x80 {
-            self.push(number as u8 | 0x80);
-            number >>= 7;
-        }
-        self.push(number as u8);
-    }
-
-    /// By how much `new` is more than `old`, or less.
-    #[inline]
-    fn change(&mut self, old: u64, new: u64) {
-        let change = new.wrapping_sub(old) as i64;
-        self.number(((change << 1) ^ (change >> 63)) as u64);
-    }
+/// By how much `new` is more than `old`, or less.
+#[inline]
+fn put_change(buffer: &mut Vec<u8>, old: u64, new: u64) {
+    let change = new.wrapping_sub(old) as i64;
+    put_number(buffer, ((change << 1) ^ (change >> 63)) as u64);
 }
 
 impl Coder {
@@ -140,19 +112,18 @@ impl Coder {
         let Some(last) = self.last.get_mut(kind) else {
             return;
         };
-        let mut head = Head {
-            bytes: [0; HEAD],
-            length: 2,
-        };
+        let start = buffer.len();
+        // The second byte is known when all else is.
+        buffer.extend([bits, 0]);
         let mut changed = 0;
         if event.chassis != self.chassis {
             changed |= CHASSIS;
-            head.push(event.chassis);
+            buffer.push(event.chassis);
             self.chassis = event.chassis;
         }
-        head.change(self.at, event.at);
+        put_change(buffer, self.at, event.at);
         self.at = event.at;
-        changed |= put_key(&mut head, &last.key, &event.key);
+        changed |= put_key(buffer, &last.key, &event.key);
         last.key = event.key;
         match &event.step {
             Step::Sent {
@@ -160,22 +131,21 @@ impl Coder {
             } => {
                 if *flags != last.flags {
                     changed |= FLAGS;
-                    head.extend(&flags.to_le_bytes());
+                    buffer.extend(flags.to_le_bytes());
                     last.flags = *flags;
                 }
                 if let Some(deadline) = deadline {
-                    let limit = deadline.wrapping_sub(event.at);
-                    head.change(last.limit, limit);
-                    last.limit = limit;
+                    let timeout = deadline.wrapping_sub(event.at);
+                    put_change(buffer, last.timeout, timeout);
+                    last.timeout = timeout;
                 }
             }
-            Step::Ended { began, .. } => head.change(*began, event.at),
+            Step::Ended { began, .. } => put_change(buffer, *began, event.at),
             Step::Began | Step::Answered { .. } => {}
         }
-        let [first, second, ..] = &mut head.bytes;
-        *first = bits;
-        *second = changed;
-        buffer.extend_from_slice(head.bytes.get(..head.length).unwrap_or(&[]));
+        if let Some(second) = buffer.get_mut(start + 1) {
+            *second = changed;
+        }
         match &event.step {
             Step::Ended { ending, .. } if *ending != Ending::Done => {
                 put_sized(buffer, false, |buffer| append(ending, buffer).is_ok());
@@ -224,29 +194,29 @@ const fn side_bits(side: Side) -> u8 {
 }
 
 #[inline]
-fn put_key(head: &mut Head, last: &Key, key: &Key) -> u8 {
+fn put_key(buffer: &mut Vec<u8>, last: &Key, key: &Key) -> u8 {
     let mut changed = 0;
     if key.id != last.id.wrapping_add(1) {
         changed |= ID;
-        head.change(last.id, key.id);
+        put_change(buffer, last.id, key.id);
     }
     if key.task != last.task {
         changed |= TASK;
-        head.extend(&key.task.bits().to_le_bytes());
+        buffer.extend(key.task.bits().to_le_bytes());
     }
     if key.peer != last.peer {
         changed |= PEER;
-        head.extend(&key.peer.bits().to_le_bytes());
+        buffer.extend(key.peer.bits().to_le_bytes());
     }
     if key.command != last.command {
         changed |= COMMAND;
-        head.extend(&key.command.to_le_bytes());
+        buffer.extend(key.command.to_le_bytes());
     }
     if key.trace == last.trace.wrapping_add(1) {
         changed |= NEXT_TRACE;
     } else if key.trace != last.trace {
         changed |= TRACE;
-        head.change(last.trace, key.trace);
+        put_change(buffer, last.trace, key.trace);
     }
     changed
 }
@@ -330,8 +300,8 @@ impl<'a> Events<'a> {
                 }
                 let mut deadline = None;
                 if first & DEADLINE != 0 {
-                    last.limit = bytes.changed(last.limit)?;
-                    deadline = Some(at.wrapping_add(last.limit));
+                    last.timeout = bytes.changed(last.timeout)?;
+                    deadline = Some(at.wrapping_add(last.timeout));
                 }
                 data = bytes.sized()?;
                 Step::Sent {

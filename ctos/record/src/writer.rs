@@ -24,7 +24,7 @@ pub(crate) struct Writer {
     /// Which channels are written; none: all.
     channels: Vec<String>,
     json: Vec<u8>,
-    /// Events that found no room in the buffers.
+    /// Events that found no space in the buffers.
     dropped: u64,
 }
 
@@ -50,7 +50,7 @@ impl Writer {
         self.channels.is_empty() || channels.any(|pattern| matches(pattern, topic))
     }
 
-    /// Events that found no room on the disk.
+    /// Events that found no space on the disk.
     pub(crate) fn unwritten(&self) -> u64 {
         self.parts.lost_in_all().saturating_sub(self.dropped)
     }

@@ -9,54 +9,31 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    mishap::Mishap,
-    profile::{Faults, Rate},
+    fault::Fault,
+    profile::{Faults, KINDS, Kind, Rate},
     reader::nanos,
 };
 use ctos_config::App;
 use ctos_time::{Instant, seed::mix};
 
-/// Kinds of fault between two chassis.
-#[derive(Debug, Clone, Copy)]
-enum OnLink {
-    Loss,
-    Delay,
-    Stall,
-    Break,
-}
-
-/// Kinds of fault of a chassis.
-#[derive(Debug, Clone, Copy)]
-enum OnChassis {
-    Freeze,
-    Slow,
-    Kill,
-}
-
-enum Where {
-    Link(OnLink, String, String),
-    Chassis(OnChassis, String),
-}
-
 /// One kind of fault at one place.
 struct Stream {
-    place: Where,
+    kind: &'static str,
+    /// On the one chassis, or between both.
+    place: (String, String),
     rate: Rate,
     rng: ChaCha8Rng,
     next: Option<Instant>,
 }
 
 impl Stream {
-    fn new(place: Where, rate: Rate, seed: u64) -> Self {
-        let words = match &place {
-            Where::Link(kind, one, other) => [format!("{kind:?}"), one.clone(), other.clone()],
-            Where::Chassis(kind, name) => [format!("{kind:?}"), name.clone(), String::new()],
-        };
-        let words = ["fault", &words[0], &words[1], &words[2]];
+    fn new(kind: &Kind, place: (String, String), rate: Rate, seed: u64) -> Self {
+        let words = ["fault", kind.seed, &place.0, &place.1];
         let mut stream = Self {
+            kind: kind.word,
+            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
             place,
             rate,
-            rng: ChaCha8Rng::seed_from_u64(mix(seed, &words)),
             next: None,
         };
         stream.step(Instant::START);
@@ -72,59 +49,14 @@ impl Stream {
         });
     }
 
-    fn pop(&mut self) -> Option<Mishap> {
+    fn pop(&mut self) -> Option<Fault> {
         let at = self.next?;
         let lasts = drawn(&mut self.rng, self.rate.lasts_s);
         let extent = drawn(&mut self.rng, self.rate.extent);
         let until = at + nanos(lasts);
         // The next one begins after the present one is over.
         self.step(until);
-        Some(match &self.place {
-            Where::Link(kind, one, other) => {
-                let (one, other) = (one.clone(), other.clone());
-                match kind {
-                    OnLink::Loss => Mishap::Loss {
-                        one,
-                        other,
-                        at,
-                        until,
-                        share_ppm: (extent * 1e6).round() as u32,
-                    },
-                    OnLink::Delay => Mishap::Delay {
-                        one,
-                        other,
-                        at,
-                        until,
-                        extra: nanos(extent),
-                    },
-                    OnLink::Stall => Mishap::Stall {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                    OnLink::Break => Mishap::Break {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                }
-            }
-            Where::Chassis(kind, name) => {
-                let chassis = name.clone();
-                match kind {
-                    OnChassis::Freeze => Mishap::Freeze { chassis, at, until },
-                    OnChassis::Slow => Mishap::Slow {
-                        chassis,
-                        at,
-                        until,
-                        per_step: nanos(extent),
-                    },
-                    OnChassis::Kill => Mishap::Kill { chassis, at },
-                }
-            }
-        })
+        Fault::new(self.kind, self.place.clone(), at, until, extent)
     }
 }
 
@@ -136,39 +68,27 @@ fn drawn(rng: &mut ChaCha8Rng, (least, most): (f64, f64)) -> f64 {
 /// The faults of a profile for one app and one seed.
 pub(crate) struct Drawn {
     streams: Vec<Stream>,
-    /// The stream whose turn is next, and when.
+    /// The stream that comes next, and when.
     first: Option<(Instant, usize)>,
 }
 
 impl Drawn {
     pub(crate) fn new(faults: &Faults, app: &App, names: &[String]) -> Self {
         let mut streams = Vec::new();
-        let on_links = [
-            (OnLink::Loss, faults.loss),
-            (OnLink::Delay, faults.delay),
-            (OnLink::Stall, faults.stall),
-            (OnLink::Break, faults.cut),
-        ];
-        let on_chassis = [
-            (OnChassis::Freeze, faults.freeze),
-            (OnChassis::Slow, faults.slow),
-            (OnChassis::Kill, faults.kill),
-        ];
+        let mut add = |on_link: bool, place: (&String, &String), boots: bool| {
+            // The chassis that boots is the one that tells how it ended: it is not killed.
+            let fits = |kind: &Kind| kind.on_link == on_link && !(boots && kind.word == "kill");
+            for kind in KINDS.into_iter().filter(fits) {
+                let rate = faults.rates.get(kind.word);
+                let place = (place.0.clone(), place.1.clone());
+                streams.extend(rate.map(|rate| Stream::new(&kind, place, *rate, app.seed)));
+            }
+        };
         for (index, one) in names.iter().enumerate() {
             for other in names.iter().skip(index + 1) {
-                for (kind, rate) in on_links {
-                    let place = Where::Link(kind, one.clone(), other.clone());
-                    streams.extend(rate.map(|rate| Stream::new(place, rate, app.seed)));
-                }
+                add(true, (one, other), false);
             }
-            for (kind, rate) in on_chassis {
-                // The chassis that boots is the one that tells how it ended: it is not killed.
-                if index == 0 && matches!(kind, OnChassis::Kill) {
-                    continue;
-                }
-                let place = Where::Chassis(kind, one.clone());
-                streams.extend(rate.map(|rate| Stream::new(place, rate, app.seed)));
-            }
+            add(false, (one, &String::new()), index == 0);
         }
         let mut drawn = Self {
             streams,
@@ -179,7 +99,7 @@ impl Drawn {
     }
 
     /// How wrong each clock is.
-    pub(crate) fn drifts(faults: &Faults, app: &App, names: &[String]) -> Vec<Mishap> {
+    pub(crate) fn drifts(faults: &Faults, app: &App, names: &[String]) -> Vec<Fault> {
         if faults.drift_ppm <= 0.0 && faults.ahead_s <= 0.0 {
             return Vec::new();
         }
@@ -188,7 +108,7 @@ impl Drawn {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let ahead: Duration = nanos(drawn(&mut rng, (0.0, faults.ahead_s)));
             let ppm = drawn(&mut rng, (-faults.drift_ppm, faults.drift_ppm));
-            Mishap::Drift {
+            Fault::Drift {
                 chassis: name.clone(),
                 ahead,
                 rate_ppb: (ppm * 1e3).round() as i32,
@@ -210,13 +130,13 @@ impl Drawn {
     }
 
     /// The next one that happens until `now`.
-    pub(crate) fn pop(&mut self, now: Instant) -> Option<Mishap> {
+    pub(crate) fn pop(&mut self, now: Instant) -> Option<Fault> {
         let (moment, index) = self.first?;
         if moment > now {
             return None;
         }
-        let mishap = self.streams.get_mut(index).and_then(Stream::pop);
+        let fault = self.streams.get_mut(index).and_then(Stream::pop);
         self.find_first();
-        mishap
+        fault
     }
 }

@@ -1,9 +1,9 @@
-//! What a mishap does to the machines and links of a simulated app, and when the given ones happen.
+//! What a fault does to the machines and links of a simulated app, and when the given ones happen.
 
 use std::collections::BTreeMap;
 
 use crate::{
-    mishap::{Mishap, Site},
+    fault::{Fault, Site},
     run::Simulation,
 };
 use ctos_bootstrap::bootstrap::BootError;
@@ -16,40 +16,40 @@ impl Simulation {
         machines.position(|machine| machine.chassis.name() == name)
     }
 
-    pub(super) fn happen(&mut self, mishap: Mishap) {
-        self.events.note(|| format!("fault {mishap}"));
-        match mishap.site() {
+    pub(super) fn happen(&mut self, fault: Fault) {
+        self.events.note(|| format!("fault {fault}"));
+        match fault.site() {
             Site::Chassis(name) => {
                 if let Some(index) = self.index(name) {
-                    self.happen_to(index, &mishap);
+                    self.happen_to(index, &fault);
                 }
             }
             Site::Link(one, other) => {
                 if let (Some(one), Some(other)) = (self.index(one), self.index(other)) {
-                    self.happen_between(one, other, &mishap);
+                    self.happen_between(one, other, &fault);
                 }
             }
         }
         // Whoever makes the run again has the configuration anyway.
-        if !self.injuries.contains(&mishap) {
-            self.happened.push(mishap);
+        if !self.injuries.contains(&fault) {
+            self.happened.push(fault);
         }
     }
 
-    fn happen_to(&mut self, index: usize, mishap: &Mishap) {
+    fn happen_to(&mut self, index: usize, fault: &Fault) {
         let Some(machine) = self.machines.get_mut(index) else {
             return;
         };
         let number = machine.chassis.index();
-        match mishap {
-            Mishap::Kill { .. } => self.kill(number),
-            Mishap::Restart { .. } => {
+        match fault {
+            Fault::Kill { .. } => self.kill(number),
+            Fault::Restart { .. } => {
                 if let Some(boot) = self.machines.first() {
                     let restart = system::RestartChassis { chassis: number };
                     boot.chassis.post_system(system::BOOTSTRAP, restart);
                 }
             }
-            Mishap::Freeze { until, .. } if !machine.gone => {
+            Fault::Freeze { until, .. } if !machine.gone => {
                 machine.freeze(*until);
                 for other in self.machines.iter().filter(|other| !other.gone) {
                     let peer = other.chassis.index();
@@ -58,37 +58,37 @@ impl Simulation {
                     }
                 }
             }
-            Mishap::Slow {
+            Fault::Slow {
                 until, per_step, ..
             } => machine.slow(*until, *per_step),
             _ => {}
         }
     }
 
-    pub(super) fn happen_between(&self, one: usize, other: usize, mishap: &Mishap) {
+    pub(super) fn happen_between(&self, one: usize, other: usize, fault: &Fault) {
         let (Some(first), Some(second)) = (self.machines.get(one), self.machines.get(other)) else {
             return;
         };
         let ends = (first.chassis.index(), second.chassis.index());
         let clocks = || ((ends.0, first.clock()), (ends.1, second.clock()));
-        match mishap {
-            Mishap::Cut { .. } => {
+        match fault {
+            Fault::Cut { .. } => {
                 self.network.cut(ends.0, ends.1);
                 first.chassis.link_down(ends.1);
                 second.chassis.link_down(ends.0);
             }
-            Mishap::Break { until, .. } => {
+            Fault::Break { until, .. } => {
                 let (one, other) = clocks();
                 self.network.silence(one, other, *until, true);
             }
-            Mishap::Stall { until, .. } => {
+            Fault::Stall { until, .. } => {
                 let (one, other) = clocks();
                 self.network.silence(one, other, *until, false);
             }
-            Mishap::Loss {
+            Fault::Loss {
                 until, share_ppm, ..
             } => self.network.lose(ends.0, ends.1, *until, *share_ppm),
-            Mishap::Delay { until, extra, .. } => {
+            Fault::Delay { until, extra, .. } => {
                 self.network.delay(ends.0, ends.1, *until, *extra);
             }
             _ => {}
@@ -100,41 +100,41 @@ impl Simulation {
 /// place of those that were drawn.
 pub(super) fn schedule(
     names: &[String],
-    given: Vec<Mishap>,
-    drifts: &mut Vec<Mishap>,
-) -> Result<BTreeMap<Instant, Vec<Mishap>>, BootError> {
-    let check = |name: &str, mishap: &Mishap| {
-        let ended = matches!(mishap, Mishap::Kill { .. } | Mishap::Restart { .. });
+    given: Vec<Fault>,
+    drifts: &mut Vec<Fault>,
+) -> Result<BTreeMap<Instant, Vec<Fault>>, BootError> {
+    let check = |name: &str, fault: &Fault| {
+        let ended = matches!(fault, Fault::Kill { .. } | Fault::Restart { .. });
         if names.iter().any(|known| known == name) && !(ended && name == BOOT_CHASSIS) {
             return Ok(());
         }
         Err(BootError::NoChassis {
             chassis: name.to_owned(),
-            what: mishap.called(),
+            what: fault.called(),
         })
     };
-    let mut script: BTreeMap<Instant, Vec<Mishap>> = BTreeMap::new();
-    for mishap in given {
-        match mishap.site() {
-            Site::Chassis(chassis) => check(chassis, &mishap)?,
+    let mut script: BTreeMap<Instant, Vec<Fault>> = BTreeMap::new();
+    for fault in given {
+        match fault.site() {
+            Site::Chassis(chassis) => check(chassis, &fault)?,
             Site::Link(one, other) => {
-                check(one, &mishap)?;
-                check(other, &mishap)?;
+                check(one, &fault)?;
+                check(other, &fault)?;
             }
         }
-        if let Mishap::Drift { chassis, .. } = &mishap {
+        if let Fault::Drift { chassis, .. } = &fault {
             drifts.retain(|other| !matches!(other.site(), Site::Chassis(name) if name == chassis));
-            drifts.push(mishap);
+            drifts.push(fault);
         } else {
-            script.entry(mishap.at()).or_default().push(mishap);
+            script.entry(fault.at()).or_default().push(fault);
         }
     }
     Ok(script)
 }
 
-pub(super) fn drift_of(name: &str, drifts: &[Mishap]) -> Drift {
-    let found = drifts.iter().find_map(|mishap| match mishap {
-        Mishap::Drift {
+pub(super) fn drift_of(name: &str, drifts: &[Fault]) -> Drift {
+    let found = drifts.iter().find_map(|fault| match fault {
+        Fault::Drift {
             chassis,
             ahead,
             rate_ppb,

@@ -9,10 +9,10 @@ extern crate ctos_core as ctos;
 
 mod draw;
 mod events;
+mod fault;
 mod happen;
 mod injured;
 mod machine;
-mod mishap;
 mod network;
 mod processes;
 mod profile;
@@ -23,7 +23,7 @@ mod shrink;
 
 pub use self::{
     events::EventSink,
-    mishap::Mishap,
+    fault::Fault,
     network::Breach,
     profile::Faults,
     run::{Run, Setup, run, run_shared},

@@ -170,8 +170,7 @@ impl Network {
         let wanted = direction.clear_from.max(now) + DELAY_MIN + spread + late;
         direction.last = direction.last.max(wanted);
         let moment = direction.last;
-        let flight = InFlight { from, to, arrival };
-        state.insert(moment, flight);
+        state.insert(moment, from, to, arrival);
     }
 
     fn direction_rng(&self, from: u8, to: u8) -> ChaCha8Rng {
@@ -235,8 +234,7 @@ impl Network {
         let direction = state.directions.entry((from, to)).or_default();
         direction.given_up = direction.quiet.is_some_and(|(_, end)| end > until);
         if direction.given_up {
-            let arrival = Arrival::Silence;
-            state.insert(until, InFlight { from, to, arrival });
+            state.insert(until, from, to, Arrival::Silence);
         }
     }
 
@@ -249,15 +247,7 @@ impl Network {
         let told = back.clear_from.max(now) + DELAY_MIN;
         state.close(from, to);
         state.close(to, from);
-        let arrival = Arrival::Closed;
-        state.insert(
-            told,
-            InFlight {
-                from: to,
-                to: from,
-                arrival,
-            },
-        );
+        state.insert(told, to, from, Arrival::Closed);
     }
 
     /// A share of what is sent from now until `until` is lost and sent again.
@@ -305,9 +295,10 @@ impl Direction {
 }
 
 impl State {
-    fn insert(&mut self, moment: Instant, flight: InFlight) {
+    fn insert(&mut self, moment: Instant, from: u8, to: u8, arrival: Arrival) {
         let number = self.next;
         self.next += 1;
+        let flight = InFlight { from, to, arrival };
         self.flights.insert((moment, number), flight);
         if self.breaches.is_some() {
             self.breach((moment, number));
@@ -352,8 +343,7 @@ impl State {
         let moment = gives_up_at(since);
         if moment < until && !direction.given_up && !direction.closed {
             direction.given_up = true;
-            let arrival = Arrival::Silence;
-            self.insert(moment, InFlight { from, to, arrival });
+            self.insert(moment, from, to, Arrival::Silence);
         }
     }
 

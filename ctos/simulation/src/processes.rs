@@ -10,31 +10,12 @@ use std::{
 use rand::RngExt;
 
 use crate::{injured, machine::Machine, run::Simulation};
-use ctos_bootstrap::bootstrap::{BootEvent, Processes};
+use ctos_bootstrap::bootstrap::{BootEvent, ProcessOrder};
 use ctos_core::{chassis::Chassis, system};
 use ctos_time::lock::lock;
 
 /// How long the process of a chassis takes to start, ns.
 const START_NS: std::ops::Range<u64> = 1_000_000..20_000_000;
-
-/// What the bootstrap service wants of the simulated machines.
-#[derive(Default)]
-pub(super) struct Orders(Mutex<VecDeque<Order>>);
-
-enum Order {
-    Start(u8, u32),
-    Kill(u8),
-}
-
-impl Processes for Orders {
-    fn start(&self, index: u8, incarnation: u32) {
-        lock(&self.0).push_back(Order::Start(index, incarnation));
-    }
-
-    fn kill(&self, index: u8) {
-        lock(&self.0).push_back(Order::Kill(index));
-    }
-}
 
 /// The exits that chassis asked for: number, incarnation and exit code.
 pub(super) type Exits = Arc<Mutex<VecDeque<(u8, u32, i32)>>>;
@@ -57,9 +38,9 @@ impl Simulation {
         for other in boot.others() {
             self.network.hang_up(0, other);
         }
-        let limit = self.clock.now() + boot.app.stop_timeout;
+        let deadline = self.clock.now() + boot.app.stop_timeout;
         let ended = |machines: &[Machine]| machines.iter().skip(1).all(|machine| machine.gone);
-        while !ended(&self.machines) && self.step(Some(limit)) {}
+        while !ended(&self.machines) && self.step(Some(deadline)) {}
         for index in boot.others() {
             let left = self.machines.get(usize::from(index));
             if left.is_some_and(|machine| !machine.gone) {
@@ -87,16 +68,15 @@ impl Simulation {
 
     /// Does what the bootstrap service wants.
     pub(super) fn run_orders(&mut self) -> bool {
-        let order = lock(&self.orders.0).pop_front();
-        match order {
-            Some(Order::Start(index, incarnation)) => {
+        match self.orders.try_recv() {
+            Ok(ProcessOrder::Start(index, incarnation)) => {
                 let delay = Duration::from_nanos(self.rng.random_range(START_NS));
                 self.starts
                     .insert((self.clock.now() + delay, index), incarnation);
                 self.incarnations.insert(index, incarnation);
             }
-            Some(Order::Kill(index)) => self.kill(index),
-            None => return false,
+            Ok(ProcessOrder::Kill(index)) => self.kill(index),
+            Err(_) => return false,
         }
         true
     }
@@ -166,8 +146,8 @@ impl Simulation {
             new.link_up(peer.index(), self.network.link(index, peer.index()));
             let ends = (usize::from(index), usize::from(peer.index()));
             let injury = &peer.app.links.injury;
-            for mishap in injured::lasting(injury, new.name(), peer.name()) {
-                self.happen_between(ends.0, ends.1, &mishap);
+            for fault in injured::lasting(injury, new.name(), peer.name()) {
+                self.happen_between(ends.0, ends.1, &fault);
             }
         }
         watch_exit(&new, incarnation, &self.exits);

@@ -3,9 +3,9 @@
 //! Four profiles are built in. A file of one's own has the same form; whatever is wrong in it is
 //! reported at once, with places. Knows no app: whether a chassis exists is found out when it is used.
 
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
-use crate::{mishap::Mishap, reader::Reader};
+use crate::{fault::Fault, reader::Reader};
 use ctos_config::{
     Node,
     diagnostic::{Findings, Source},
@@ -28,19 +28,45 @@ pub struct Faults {
     name: String,
     pub(crate) drift_ppm: f64,
     pub(crate) ahead_s: f64,
-    pub(crate) loss: Option<Rate>,
-    pub(crate) delay: Option<Rate>,
-    pub(crate) stall: Option<Rate>,
-    pub(crate) cut: Option<Rate>,
-    pub(crate) freeze: Option<Rate>,
-    pub(crate) slow: Option<Rate>,
-    pub(crate) kill: Option<Rate>,
+    /// By the kind of the fault.
+    pub(crate) rates: BTreeMap<&'static str, Rate>,
     /// What happens at a given moment.
-    pub script: Vec<Mishap>,
+    pub script: Vec<Fault>,
 }
 
-const TABLES: [&str; 9] = [
-    "clocks", "loss", "delay", "stall", "cut", "freeze", "slow", "kill", "fault",
+/// A kind of fault that a profile draws.
+pub(crate) struct Kind {
+    pub(crate) word: &'static str,
+    /// Its word in the seed of its generator.
+    pub(crate) seed: &'static str,
+    /// Between two chassis, or on one.
+    pub(crate) on_link: bool,
+    /// The key that says how bad it is, and its largest value.
+    extent: Option<(&'static str, f64)>,
+}
+
+const fn kind(
+    word: &'static str,
+    seed: &'static str,
+    on_link: bool,
+    extent: Option<(&'static str, f64)>,
+) -> Kind {
+    Kind {
+        word,
+        seed,
+        on_link,
+        extent,
+    }
+}
+
+pub(crate) const KINDS: [Kind; 7] = [
+    kind("loss", "Loss", true, Some(("share", 1.0))),
+    kind("delay", "Delay", true, Some(("extra_s", TIME_MOST))),
+    kind("stall", "Stall", true, None),
+    kind("cut", "Break", true, None),
+    kind("freeze", "Freeze", false, None),
+    kind("slow", "Slow", false, Some(("step_s", 1.0))),
+    kind("kill", "Kill", false, None),
 ];
 
 /// The longest that a fault may last, and the largest time in a profile, s.
@@ -79,7 +105,7 @@ impl Faults {
 
     /// Only what happens at given moments.
     #[must_use]
-    pub fn of_script(name: &str, script: Vec<Mishap>) -> Self {
+    pub fn of_script(name: &str, script: Vec<Fault>) -> Self {
         Self {
             name: name.to_owned(),
             script,
@@ -106,23 +132,16 @@ impl Faults {
             name: source.name().to_owned(),
             ..Self::default()
         };
-        let mut reader = Reader::new(&root, "a file of faults", &TABLES, &mut findings);
+        let mut tables = KINDS.map(|kind| kind.word).to_vec();
+        tables.extend(["clocks", "fault"]);
+        let mut reader = Reader::new(&root, "a file of faults", &tables, &mut findings);
         if let Some(mut clocks) = reader.table("clocks", &["drift_ppm", "ahead_s"]) {
             faults.drift_ppm = clocks.number("drift_ppm", 0.0..=100_000.0).unwrap_or(0.0);
             faults.ahead_s = clocks.number("ahead_s", 0.0..=TIME_MOST).unwrap_or(0.0);
         }
-        faults.loss = rate(&mut reader, "loss", Some(("share", 1.0)));
-        faults.delay = rate(&mut reader, "delay", Some(("extra_s", TIME_MOST)));
-        faults.stall = rate(&mut reader, "stall", None);
-        faults.cut = rate(&mut reader, "cut", None);
-        faults.freeze = rate(&mut reader, "freeze", None);
-        faults.slow = rate(&mut reader, "slow", Some(("step_s", 1.0)));
-        if let Some(mut kill) = reader.table("kill", &["per_s"]) {
-            faults.kill = kill.needed("per_s", 0.0..=1000.0).map(|per_s| Rate {
-                per_s,
-                lasts_s: (0.0, 0.0),
-                extent: (0.0, 0.0),
-            });
+        for kind in KINDS {
+            let rate = rate(&mut reader, &kind);
+            faults.rates.extend(rate.map(|rate| (kind.word, rate)));
         }
         faults.script = super::script::read(&mut reader);
         if findings.has_errors() {
@@ -139,17 +158,17 @@ impl Faults {
 }
 
 /// `[KIND]` with `per_s`, `lasts_s` and what says how bad it is.
-fn rate(reader: &mut Reader<'_, '_>, kind: &str, extent: Option<(&str, f64)>) -> Option<Rate> {
-    let known: Vec<&str> = ["per_s", "lasts_s"]
-        .into_iter()
-        .chain(extent.map(|(key, _)| key))
-        .collect();
-    let mut table = reader.table(kind, &known)?;
+fn rate(reader: &mut Reader<'_, '_>, kind: &Kind) -> Option<Rate> {
+    let lasts = (kind.word != "kill").then_some("lasts_s");
+    let extent = kind.extent.map(|(key, _)| key);
+    let known: Vec<&str> = ["per_s"].into_iter().chain(lasts).chain(extent).collect();
+    let mut table = reader.table(kind.word, &known)?;
+    let nothing = Some((0.0, 0.0));
     let per_s = table.needed("per_s", 0.0..=1000.0);
-    let lasts_s = table.range("lasts_s", 0.0..=TIME_MOST);
-    let extent = match extent {
+    let lasts_s = lasts.map_or(nothing, |key| table.range(key, 0.0..=TIME_MOST));
+    let extent = match kind.extent {
         Some((key, most)) => table.range(key, 0.0..=most),
-        None => Some((0.0, 0.0)),
+        None => nothing,
     };
     Some(Rate {
         per_s: per_s?,
@@ -172,7 +191,7 @@ mod tests {
             let faults = Faults::built_in(name).unwrap();
             assert_eq!(faults.name(), name);
             assert_eq!(faults == Faults::none(), name == "none");
-            assert_eq!(faults.kill.is_some(), name == "hostile");
+            assert_eq!(faults.rates.contains_key("kill"), name == "hostile");
         }
         assert_eq!(Faults::built_in("nice"), None);
     }

@@ -6,7 +6,6 @@ use ctos_config::{
     Node, Value,
     diagnostic::{Finding, Findings, Place},
 };
-use ctos_time::Instant;
 
 /// A table, with a name for messages. A getter returns `None` for a key that is absent, and, with a
 /// finding, for one that is wrong.
@@ -126,11 +125,6 @@ impl<'n, 'f> Reader<'n, 'f> {
     /// A time in s that must be there, to the nanosecond.
     pub(crate) fn time(&mut self, key: &str, most: f64) -> Option<Duration> {
         self.needed(key, 0.0..=most).map(nanos)
-    }
-
-    /// A moment in s that must be there, to the nanosecond.
-    pub(crate) fn moment(&mut self, key: &str, most: f64) -> Option<Instant> {
-        self.time(key, most).map(|time| Instant::START + time)
     }
 
     /// Two numbers in order, `[least, most]`, that must be there.

@@ -9,7 +9,7 @@ use std::{
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use ctos_bootstrap::{
-    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, Seat},
+    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, ProcessOrders, Seat},
     watch,
 };
 use ctos_config::App;
@@ -27,13 +27,13 @@ use crate::{
     draw::Drawn,
     events::EventLog,
     events::EventSink,
+    fault::Fault,
     happen::{drift_of, schedule},
     injured,
     machine::Machine,
-    mishap::Mishap,
     network::Breach,
     network::{Arrival, InFlight, Network, below},
-    processes::{Exits, Orders, watch_exit},
+    processes::{Exits, watch_exit},
     profile::Faults,
 };
 
@@ -81,7 +81,7 @@ pub struct Run {
     /// How the app ended.
     pub outcome: Outcome,
     /// What went wrong, in order. [`Faults::of_script`] of it makes the same run again.
-    pub faults: Vec<Mishap>,
+    pub faults: Vec<Fault>,
 }
 
 /// Runs `app` to its end on the virtual clock of `setup`, whatever its `time.mode` is.
@@ -123,27 +123,27 @@ pub(super) struct Simulation {
     pub(super) rng: ChaCha8Rng,
     pub(super) end: EndSlot,
     /// What is given, by moment.
-    pub(super) script: BTreeMap<Instant, Vec<Mishap>>,
+    pub(super) script: BTreeMap<Instant, Vec<Fault>>,
     pub(super) drawn: Drawn,
     /// When it is stopped as by Ctrl-C.
     pub(super) stops: BTreeSet<Instant>,
-    pub(super) happened: Vec<Mishap>,
+    pub(super) happened: Vec<Fault>,
     /// What of the script the app's own configuration asks for.
-    pub(super) injuries: Vec<Mishap>,
+    pub(super) injuries: Vec<Fault>,
     /// Processes that would have ended by themselves now.
     pub(super) exits: Exits,
     /// How the last process of a chassis ended, if otherwise than it should have.
     pub(super) casualties: BTreeMap<u8, String>,
     /// Which process of each chassis is the last that was wanted, from 1.
     pub(super) incarnations: BTreeMap<u8, u32>,
-    pub(super) orders: Arc<Orders>,
+    pub(super) orders: ProcessOrders,
     /// Processes on their way up, by the moment at which they are there.
     pub(super) starts: BTreeMap<(Instant, u8), u32>,
     pub(super) events: EventLog,
     pub(super) recording: Option<record::Recording>,
     pub(super) observer: Observer,
     pub(super) steps_at_once: u64,
-    /// Kept between steps for its room.
+    /// Kept between steps for its space.
     pub(super) counts: Vec<usize>,
 }
 
@@ -169,7 +169,7 @@ impl Simulation {
         let mut happened = Drawn::drifts(&faults, &app, &names);
         let drawn = Drawn::new(&faults, &app, &names);
         let mut script = schedule(&names, faults.script, &mut happened)?;
-        let injuries = injured::mishaps(&app.links.injury, &names);
+        let injuries = injured::faults(&app.links.injury, &names);
         for injury in &injuries {
             let at = script.entry(injury.at()).or_default();
             at.push(injury.clone());
@@ -208,12 +208,7 @@ impl Simulation {
             events.note(|| format!("fault {fault}"));
         }
         let machines: Vec<Machine> = chassis.into_iter().map(Machine::new).collect();
-        let orders = Arc::new(Orders::default());
-        let seat = Seat {
-            observer: observer.clone(),
-            end: EndSlot::default(),
-            processes: orders.clone(),
-        };
+        let (seat, orders) = Seat::new(observer);
         for machine in &machines {
             let boots = machine.chassis.index() == 0;
             ctos_bootstrap::bootstrap::start_system_tasks(&machine.chassis, boots.then_some(&seat));
@@ -291,9 +286,9 @@ impl Simulation {
         }
     }
 
-    /// Runs what is ready, or moves the clock to what happens next, but not beyond `limit`. False when
+    /// Runs what is ready, or moves the clock to what happens next, but not beyond `deadline`. False when
     /// nothing can happen any more, or nothing until then.
-    pub fn step(&mut self, limit: Option<Instant>) -> bool {
+    pub fn step(&mut self, deadline: Option<Instant>) -> bool {
         if self.run_jobs() || self.run_exits() || self.run_orders() || self.poll_one() {
             self.steps_at_once += 1;
             if self.steps_at_once > STEPS_AT_ONCE {
@@ -304,7 +299,7 @@ impl Simulation {
             return true;
         }
         match self.next_event() {
-            Some(moment) if limit.is_none_or(|limit| moment <= limit) => {
+            Some(moment) if deadline.is_none_or(|deadline| moment <= deadline) => {
                 self.advance(moment);
                 true
             }
@@ -373,8 +368,8 @@ impl Simulation {
             if *entry.key() > moment {
                 break;
             }
-            for mishap in entry.remove() {
-                self.happen(mishap);
+            for fault in entry.remove() {
+                self.happen(fault);
             }
         }
         while let Some(entry) = self.starts.first_entry() {
@@ -385,8 +380,8 @@ impl Simulation {
             let incarnation = entry.remove();
             self.start_chassis(index, incarnation);
         }
-        while let Some(mishap) = self.drawn.pop(moment) {
-            self.happen(mishap);
+        while let Some(fault) = self.drawn.pop(moment) {
+            self.happen(fault);
         }
         if self.stops.first().is_some_and(|at| *at <= moment) {
             self.stops.pop_first();

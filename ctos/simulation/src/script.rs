@@ -3,33 +3,31 @@
 use std::{fmt::Write as _, time::Duration};
 
 use crate::{
-    mishap::{Mishap, Site},
+    fault::{Fault, Site},
     reader::Reader,
 };
 use ctos_config::{Node, diagnostic::Finding};
+use ctos_time::Instant;
 
 /// The latest moment and the longest time, s: the nanosecond still counts in a float.
 const MOST: f64 = 1e6;
 
-const KINDS: [&str; 10] = [
-    "kill", "restart", "refuse", "cut", "stall", "loss", "delay", "freeze", "slow", "drift",
+/// The kinds of faults, each with its keys.
+const KINDS: [(&str, &[&str]); 10] = [
+    ("kill", &["kind", "chassis", "at_s"]),
+    ("restart", &["kind", "chassis", "at_s"]),
+    ("refuse", &["kind", "between", "at_s"]),
+    ("cut", &["kind", "between", "at_s", "lasts_s"]),
+    ("stall", &["kind", "between", "at_s", "lasts_s"]),
+    ("loss", &["kind", "between", "at_s", "lasts_s", "share"]),
+    ("delay", &["kind", "between", "at_s", "lasts_s", "extra_s"]),
+    ("freeze", &["kind", "chassis", "at_s", "lasts_s"]),
+    ("slow", &["kind", "chassis", "at_s", "lasts_s", "step_s"]),
+    ("drift", &["kind", "chassis", "ahead_s", "rate_ppm"]),
 ];
 
-fn keys(kind: &str) -> &'static [&'static str] {
-    match kind {
-        "kill" | "restart" => &["kind", "chassis", "at_s"],
-        "refuse" => &["kind", "between", "at_s"],
-        "cut" | "stall" => &["kind", "between", "at_s", "lasts_s"],
-        "loss" => &["kind", "between", "at_s", "lasts_s", "share"],
-        "delay" => &["kind", "between", "at_s", "lasts_s", "extra_s"],
-        "freeze" => &["kind", "chassis", "at_s", "lasts_s"],
-        "slow" => &["kind", "chassis", "at_s", "lasts_s", "step_s"],
-        _ => &["kind", "chassis", "ahead_s", "rate_ppm"],
-    }
-}
-
 /// Reads all `[[fault]]` tables.
-pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Mishap> {
+pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
     let tables = reader.tables("fault");
     tables
         .iter()
@@ -37,135 +35,85 @@ pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Mishap> {
         .collect()
 }
 
-fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Mishap> {
-    let all = [
-        "kind", "chassis", "between", "at_s", "lasts_s", "share", "extra_s", "step_s", "ahead_s",
-        "rate_ppm",
-    ];
-    let kind = {
-        let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
-        let kind = any.text("kind", &format!("one of {}", KINDS.join(", ")))?;
-        if !KINDS.contains(&kind.as_str()) {
-            let finding = Finding::error(
-                "ctos::faults::unknown_fault",
-                format!("there is no fault `{kind}`"),
-            );
-            let place = any.place_of("kind");
-            any.push(finding.suggest(&kind, KINDS), place.as_ref());
-            return None;
-        }
-        kind
+fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
+    let all = KINDS.map(|(_, keys)| keys).concat();
+    let words = KINDS.map(|(kind, _)| kind);
+    let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
+    let kind = any.text("kind", &format!("one of {}", words.join(", ")))?;
+    let Some((_, keys)) = KINDS.iter().find(|(known, _)| *known == kind) else {
+        let finding = Finding::error(
+            "ctos::faults::unknown_fault",
+            format!("there is no fault `{kind}`"),
+        );
+        let place = any.place_of("kind");
+        any.push(finding.suggest(&kind, words), place.as_ref());
+        return None;
     };
-    let mut one = reader.element(table, format!("[[fault]] `{kind}`"), keys(&kind));
+    let mut one = reader.element(table, format!("[[fault]] `{kind}`"), keys);
     if kind == "drift" {
         let chassis = one.text("chassis", "the name of a chassis");
         let ahead = one.time("ahead_s", MOST);
         let rate = one.needed("rate_ppm", -100_000.0..=100_000.0);
-        return Some(Mishap::Drift {
+        return Some(Fault::Drift {
             chassis: chassis?,
             ahead: ahead?,
             rate_ppb: (rate? * 1e3).round() as i32,
         });
     }
-    let at = one.moment("at_s", MOST);
-    let on_chassis = keys(&kind).contains(&"chassis");
-    let (mut chassis, mut ends) = (None, None);
-    if on_chassis {
-        chassis = one.text("chassis", "the name of a chassis");
+    let at = one.time("at_s", MOST);
+    let place = if keys.contains(&"chassis") {
+        let chassis = one.text("chassis", "the name of a chassis");
+        chassis.map(|chassis| (chassis, String::new()))
     } else {
-        ends = one.pair("between");
-    }
-    let lasts = keys(&kind)
-        .contains(&"lasts_s")
-        .then(|| one.time("lasts_s", MOST));
-    let extent = match kind.as_str() {
-        "loss" => Some(one.needed("share", 0.0..=1.0)),
-        "delay" => Some(one.needed("extra_s", 0.0..=MOST)),
-        "slow" => Some(one.needed("step_s", 0.0..=1.0)),
-        _ => None,
+        one.pair("between")
     };
-    let at = at?;
-    let until = at + lasts.unwrap_or(Some(Duration::ZERO))?;
-    let extent = extent.unwrap_or(Some(0.0))?;
-    let (chassis, (one, other)) = match (chassis, ends) {
-        (Some(chassis), _) => (chassis, Default::default()),
-        (None, Some(ends)) => (String::new(), ends),
-        (None, None) => return None,
+    let lasts = match keys.get(3) {
+        Some(_) => one.time("lasts_s", MOST),
+        None => Some(Duration::ZERO),
     };
-    Some(match kind.as_str() {
-        "kill" => Mishap::Kill { chassis, at },
-        "restart" => Mishap::Restart { chassis, at },
-        "refuse" => Mishap::Cut { one, other, at },
-        "cut" => Mishap::Break {
-            one,
-            other,
-            at,
-            until,
-        },
-        "stall" => Mishap::Stall {
-            one,
-            other,
-            at,
-            until,
-        },
-        "loss" => Mishap::Loss {
-            one,
-            other,
-            at,
-            until,
-            share_ppm: (extent * 1e6).round() as u32,
-        },
-        "delay" => Mishap::Delay {
-            one,
-            other,
-            at,
-            until,
-            extra: super::reader::nanos(extent),
-        },
-        "freeze" => Mishap::Freeze { chassis, at, until },
-        _ => Mishap::Slow {
-            chassis,
-            at,
-            until,
-            per_step: super::reader::nanos(extent),
-        },
-    })
+    let extent = match keys.get(4) {
+        Some(&"extra_s") => one.needed("extra_s", 0.0..=MOST),
+        Some(key) => one.needed(key, 0.0..=1.0),
+        None => Some(0.0),
+    };
+    let at = Instant::START + at?;
+    Fault::new(&kind, place?, at, at + lasts?, extent?)
 }
 
-/// The `[[fault]]` tables of `mishaps`; reading them gives the same mishaps.
+/// The `[[fault]]` tables of `faults`; reading them gives the same faults.
 #[must_use]
-pub fn write_script(mishaps: &[Mishap]) -> String {
+pub fn write_script(faults: &[Fault]) -> String {
     let mut text = String::new();
-    for mishap in mishaps {
+    for fault in faults {
         // Writing to a string does not fail.
-        let _ = write_one(&mut text, mishap);
+        let _ = write_one(&mut text, fault);
     }
     text
 }
 
-fn write_one(text: &mut String, mishap: &Mishap) -> std::fmt::Result {
-    writeln!(text, "[[fault]]\nkind = \"{}\"", mishap.kind())?;
-    match mishap.site() {
+fn write_one(text: &mut String, fault: &Fault) -> std::fmt::Result {
+    writeln!(text, "[[fault]]\nkind = \"{}\"", fault.kind())?;
+    match fault.site() {
         Site::Chassis(chassis) => writeln!(text, "chassis = \"{chassis}\"")?,
         Site::Link(one, other) => writeln!(text, "between = [\"{one}\", \"{other}\"]")?,
     }
-    if let Mishap::Drift {
+    if let Fault::Drift {
         ahead, rate_ppb, ..
-    } = mishap
+    } = fault
     {
         let ppm = f64::from(*rate_ppb) / 1e3;
         return writeln!(text, "ahead_s = {}\nrate_ppm = {ppm:.3}\n", exact(*ahead));
     }
-    writeln!(text, "at_s = {}", exact(mishap.at().since_start()))?;
-    if let Some(until) = mishap.until() {
-        writeln!(text, "lasts_s = {}", exact(until.since(mishap.at())))?;
+    writeln!(text, "at_s = {}", exact(fault.at().since_start()))?;
+    if let Some(until) = fault.until() {
+        writeln!(text, "lasts_s = {}", exact(until.since(fault.at())))?;
     }
-    match mishap {
-        Mishap::Loss { share_ppm, .. } => {
+    match fault {
+        Fault::Loss { share_ppm, .. } => {
             writeln!(text, "share = {:.6}", f64::from(*share_ppm) / 1e6)?;
         }
-        Mishap::Delay { extra, .. } => writeln!(text, "extra_s = {}", exact(*extra))?,
-        Mishap::Slow { per_step, .. } => writeln!(text, "step_s = {}", exact(*per_step))?,
+        Fault::Delay { extra, .. } => writeln!(text, "extra_s = {}", exact(*extra))?,
+        Fault::Slow { per_step, .. } => writeln!(text, "step_s = {}", exact(*per_step))?,
         _ => {}
     }
     writeln!(text)
@@ -183,9 +131,8 @@ mod tests {
     use super::*;
     use crate::Faults;
     use ctos_config::diagnostic::Source;
-    use ctos_time::Instant;
 
-    fn mishap() -> impl Strategy<Value = Mishap> {
+    fn fault() -> impl Strategy<Value = Fault> {
         let nanos = || 0_u64..1_000_000_000_000_000;
         (
             0..10_u8,
@@ -199,60 +146,37 @@ mod tests {
                 let at = Instant::from_nanos(at / 2);
                 let until = at + Duration::from_nanos(lasts / 2);
                 let short = Duration::from_nanos(lasts % 1_000_000_000);
-                match kind {
-                    0 => Mishap::Kill { chassis, at },
-                    1 => Mishap::Cut { one, other, at },
-                    2 => Mishap::Break {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                    3 => Mishap::Stall {
-                        one,
-                        other,
-                        at,
-                        until,
-                    },
-                    4 => Mishap::Loss {
-                        one,
-                        other,
-                        at,
-                        until,
-                        share_ppm,
-                    },
-                    5 => Mishap::Delay {
-                        one,
-                        other,
-                        at,
-                        until,
-                        extra: short,
-                    },
-                    6 => Mishap::Freeze { chassis, at, until },
-                    8 => Mishap::Restart { chassis, at },
-                    7 => Mishap::Slow {
+                if kind == 9 {
+                    let ahead = short;
+                    return Fault::Drift {
                         chassis,
-                        at,
-                        until,
-                        per_step: short,
-                    },
-                    _ => Mishap::Drift {
-                        chassis,
-                        ahead: short,
+                        ahead,
                         rate_ppb,
-                    },
+                    };
                 }
+                let (word, keys) = KINDS[usize::from(kind)];
+                let link = keys.contains(&"between");
+                let place = if link {
+                    (one, other)
+                } else {
+                    (chassis, String::new())
+                };
+                let extent = match word {
+                    "loss" => f64::from(share_ppm) / 1e6,
+                    _ => short.as_secs_f64(),
+                };
+                Fault::new(word, place, at, until, extent).unwrap()
             })
     }
 
     proptest! {
         #[test]
         fn what_is_written_reads_back_to_the_nanosecond(
-            mishaps in proptest::collection::vec(mishap(), 0..20)
+            faults in proptest::collection::vec(fault(), 0..20)
         ) {
-            let text = write_script(&mishaps);
+            let text = write_script(&faults);
             let read = Faults::parse(&Source::new("faults.toml", text));
-            prop_assert_eq!(read.unwrap().script, mishaps);
+            prop_assert_eq!(read.unwrap().script, faults);
         }
     }
 }

@@ -4,16 +4,16 @@
 //! Transactions on Software Engineering 28(2), 2002): leave out ever smaller parts of the list while the
 //! run still fails. The result is 1-minimal: without any one of its faults the run does not fail.
 
-use crate::mishap::Mishap;
+use crate::fault::Fault;
 
 /// Leaves faults out as long as `fails` says that the run with the rest still fails, and returns what
 /// is left. `fails` is asked at most `limit` times; when that is not enough, what is left may hold
 /// faults that do not matter.
 pub fn shrink(
-    faults: &[Mishap],
+    faults: &[Fault],
     limit: usize,
-    mut fails: impl FnMut(&[Mishap]) -> bool,
-) -> Vec<Mishap> {
+    mut fails: impl FnMut(&[Fault]) -> bool,
+) -> Vec<Fault> {
     let mut left = faults.to_vec();
     let mut parts = 2;
     let mut asked = 0;
@@ -29,11 +29,11 @@ pub fn shrink(
                 return left;
             }
             asked += 1;
-            let rest: Vec<Mishap> = left
+            let rest: Vec<Fault> = left
                 .iter()
                 .enumerate()
                 .filter(|(index, _)| !(start..start + size).contains(index))
-                .map(|(_, mishap)| mishap.clone())
+                .map(|(_, fault)| fault.clone())
                 .collect();
             if fails(&rest) {
                 smaller = Some(rest);
@@ -61,8 +61,8 @@ mod tests {
     use super::*;
     use ctos_time::Instant;
 
-    fn kill(number: usize) -> Mishap {
-        Mishap::Kill {
+    fn kill(number: usize) -> Fault {
+        Fault::Kill {
             chassis: number.to_string(),
             at: Instant::START,
         }
@@ -74,18 +74,18 @@ mod tests {
             count in 1_usize..60,
             needed in proptest::collection::btree_set(0_usize..60, 0..5),
         ) {
-            let all: Vec<Mishap> = (0..count).map(kill).collect();
+            let all: Vec<Fault> = (0..count).map(kill).collect();
             let needed: BTreeSet<usize> = needed.into_iter().map(|one| one % count).collect();
-            let expected: Vec<Mishap> = needed.iter().map(|one| kill(*one)).collect();
-            let fails = |some: &[Mishap]| expected.iter().all(|one| some.contains(one));
+            let expected: Vec<Fault> = needed.iter().map(|one| kill(*one)).collect();
+            let fails = |some: &[Fault]| expected.iter().all(|one| some.contains(one));
             prop_assert_eq!(shrink(&all, 100_000, fails), expected);
         }
 
         #[test]
         fn it_stops_asking_at_its_limit_and_what_is_left_still_fails(limit in 0_usize..20) {
-            let all: Vec<Mishap> = (0..50).map(kill).collect();
+            let all: Vec<Fault> = (0..50).map(kill).collect();
             let mut asked = 0;
-            let fails = |some: &[Mishap]| some.contains(&kill(3)) && some.contains(&kill(40));
+            let fails = |some: &[Fault]| some.contains(&kill(3)) && some.contains(&kill(40));
             let left = shrink(&all, limit, |some| {
                 asked += 1;
                 fails(some)

@@ -6,7 +6,7 @@ use ctos::{
     boot::End,
     call::Fault,
     config::App,
-    simulation::{Mishap, Run},
+    simulation::{self, Run},
     task::Phase,
     time::Instant,
 };
@@ -69,14 +69,14 @@ impl Check<'_> {
     /// For how long at most the faults of its own chassis kept a task from running.
     fn held_up(&self, chassis: &str) -> Duration {
         let mut held = Duration::ZERO;
-        for mishap in &self.run.faults {
-            match mishap {
-                Mishap::Freeze {
+        for fault in &self.run.faults {
+            match fault {
+                simulation::Fault::Freeze {
                     chassis: name,
                     at,
                     until,
                 } if name == chassis => held += until.since(*at),
-                Mishap::Slow {
+                simulation::Fault::Slow {
                     chassis: name,
                     at,
                     until,
@@ -248,14 +248,13 @@ impl Check<'_> {
 
     /// Whether faults may have kept the order to stop from a chassis.
     fn is_cut_off(&self, chassis: &str) -> bool {
-        self.run.faults.iter().any(|mishap| match mishap {
-            Mishap::Freeze { chassis: name, .. } | Mishap::Slow { chassis: name, .. } => {
-                name == chassis || name == "boot"
-            }
-            Mishap::Break { one, other, .. }
-            | Mishap::Stall { one, other, .. }
-            | Mishap::Loss { one, other, .. }
-            | Mishap::Delay { one, other, .. } => {
+        self.run.faults.iter().any(|fault| match fault {
+            simulation::Fault::Freeze { chassis: name, .. }
+            | simulation::Fault::Slow { chassis: name, .. } => name == chassis || name == "boot",
+            simulation::Fault::Break { one, other, .. }
+            | simulation::Fault::Stall { one, other, .. }
+            | simulation::Fault::Loss { one, other, .. }
+            | simulation::Fault::Delay { one, other, .. } => {
                 (one == "boot" && other == chassis) || (other == "boot" && one == chassis)
             }
             _ => false,
@@ -285,13 +284,13 @@ impl Check<'_> {
 
     /// An app ends because it is done, because it did not start, or because something was lost.
     fn the_end_has_a_reason(&self, broken: bool, wrong: &mut Vec<String>) {
-        let can_lose = |mishap: &Mishap| {
-            let silent = mishap.until().map(|until| until.since(mishap.at()));
-            match mishap {
-                Mishap::Kill { .. } => true,
-                Mishap::Break { .. } | Mishap::Stall { .. } | Mishap::Freeze { .. } => {
-                    silent > Some(Duration::from_millis(500))
-                }
+        let can_lose = |fault: &simulation::Fault| {
+            let silent = fault.until().map(|until| until.since(fault.at()));
+            match fault {
+                simulation::Fault::Kill { .. } => true,
+                simulation::Fault::Break { .. }
+                | simulation::Fault::Stall { .. }
+                | simulation::Fault::Freeze { .. } => silent > Some(Duration::from_millis(500)),
                 _ => false,
             }
         };

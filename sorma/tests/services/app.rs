@@ -1,7 +1,7 @@
 //! An app of a client and a few daemons, each on a chassis of its own, in virtual time; and the classes that
 //! its processes know.
 
-use ctos::boot::{BootEvent, End, Mishap, Observer, simulate};
+use ctos::boot::{BootEvent, End, Fault, Observer, simulate};
 use ctos::config::load_texts;
 use ctos::registry::Registry;
 use ctos::system::AppResult;
@@ -214,7 +214,7 @@ pub struct App {
     pub here: &'static str,
     /// Tasks with their chassis and further lines of their configuration.
     pub daemons: Vec<(&'static str, &'static str, &'static str)>,
-    pub mishaps: Vec<Mishap>,
+    pub faults: Vec<Fault>,
     /// Further handlers.
     pub handlers: fn(&mut Registry),
     pub seed: u64,
@@ -227,7 +227,7 @@ impl App {
             scenario,
             here: "",
             daemons: vec![("d1", "cage", "")],
-            mishaps: Vec::new(),
+            faults: Vec::new(),
             handlers: |_| {},
             seed: 1,
         }
@@ -272,7 +272,7 @@ impl App {
             Ok(Client { scenario, sorm })
         });
         let observer: Observer = Arc::new(|_: &BootEvent| ());
-        let outcome = simulate(app, registry, &self.mishaps, &observer).unwrap();
+        let outcome = simulate(app, registry, &self.faults, &observer).unwrap();
         match outcome.end {
             End::Finished(result) if result.ok => Ok(result.text),
             End::Finished(result) => Err(result.text),
@@ -295,8 +295,8 @@ pub fn seconds(seconds: f64) -> Duration {
 }
 
 /// The process of a chassis ends.
-pub fn kill(chassis: &str, at_s: f64) -> Mishap {
-    Mishap::Kill {
+pub fn kill(chassis: &str, at_s: f64) -> Fault {
+    Fault::Kill {
         chassis: chassis.to_owned(),
         at: Instant::START + seconds(at_s),
     }

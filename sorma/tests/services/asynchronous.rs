@@ -2,7 +2,7 @@
 //! code and in text, in virtual time.
 
 use crate::app::{App, Scenario, ask, kill, request, seconds};
-use ctos::boot::Mishap;
+use ctos::boot::Fault;
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;
 use sorma::daemon::Tasks;
@@ -332,7 +332,7 @@ fn a_daemon_that_dies_ends_its_streams_unless_they_are_to_resume() {
         })
     };
     let app = App {
-        mishaps: vec![kill("cage", 2.0)],
+        faults: vec![kill("cage", 2.0)],
         ..App::new(scenario)
     };
     assert_eq!(app.run(), Ok(String::new()));
@@ -367,15 +367,15 @@ fn a_link_that_breaks_and_heals_loses_no_result_and_brings_none_twice() {
     let at = |s: f64| Instant::START + seconds(s);
     let (one, other) = ("desk".to_owned(), "cage".to_owned());
     for seed in 0..8 {
-        let mishaps = vec![
-            Mishap::Loss {
+        let faults = vec![
+            Fault::Loss {
                 one: one.clone(),
                 other: other.clone(),
                 at: at(0.2),
                 until: at(2.0),
                 share_ppm: 200_000,
             },
-            Mishap::Break {
+            Fault::Break {
                 one: one.clone(),
                 other: other.clone(),
                 at: at(0.5),
@@ -383,7 +383,7 @@ fn a_link_that_breaks_and_heals_loses_no_result_and_brings_none_twice() {
             },
         ];
         let app = App {
-            mishaps,
+            faults,
             seed,
             ..App::new(scenario)
         };
@@ -407,7 +407,7 @@ fn a_subscriber_whose_chassis_dies_is_forgotten_at_once() {
     };
     let app = App {
         daemons: vec![("d1", "cage", ""), ("d2", "other", "")],
-        mishaps: vec![kill("other", 2.0)],
+        faults: vec![kill("other", 2.0)],
         ..App::new(scenario)
     };
     assert_eq!(app.run(), Ok(String::new()));

@@ -2,7 +2,7 @@
 //! virtual time. What the stamps are turned into is held against what must be true: a record was written after it was
 //! asked to be and before that was confirmed.
 
-use ctos::boot::{BootEvent, End, Mishap, Observer, simulate};
+use ctos::boot::{BootEvent, End, Fault, Observer, simulate};
 use ctos::config::load_texts;
 use ctos::registry::Registry;
 use ctos::system::AppResult;
@@ -116,7 +116,7 @@ fn host(cx: &TaskContext, root: &Path) -> Host {
 }
 
 /// Clock sets, least bound (ns), records outside of their bounds, stamp there minus time here (ns), estimated drift.
-fn run(mishaps: &[Mishap]) -> Vec<f64> {
+fn run(faults: &[Fault]) -> Vec<f64> {
     let folder = tempfile::tempdir().unwrap();
     // Made by whoever needs it, for this user alone.
     let root = folder.path().join("segments");
@@ -133,7 +133,7 @@ fn run(mishaps: &[Mishap]) -> Vec<f64> {
         Ok(Client { sorm })
     });
     let observer: Observer = Arc::new(|_: &BootEvent| ());
-    let outcome = simulate(app, registry, mishaps, &observer).unwrap();
+    let outcome = simulate(app, registry, faults, &observer).unwrap();
     match outcome.end {
         End::Finished(result) if result.ok => {
             let words = result.text.split(' ');
@@ -143,16 +143,16 @@ fn run(mishaps: &[Mishap]) -> Vec<f64> {
     }
 }
 
-fn drift(ahead: Duration, rate_ppb: i32) -> Mishap {
-    Mishap::Drift {
+fn drift(ahead: Duration, rate_ppb: i32) -> Fault {
+    Fault::Drift {
         chassis: "cage".to_owned(),
         ahead,
         rate_ppb,
     }
 }
 
-fn delay(extra: Duration) -> Mishap {
-    Mishap::Delay {
+fn delay(extra: Duration) -> Fault {
+    Fault::Delay {
         one: "desk".to_owned(),
         other: "cage".to_owned(),
         at: Instant::START,

@@ -2,7 +2,7 @@
 //! seeds. Besides: what is done with data that no program of ours sends.
 
 use crate::app::{App, Scenario, ask, request, seconds};
-use ctos::boot::Mishap;
+use ctos::boot::Fault;
 use ctos::message::{Command, Replier};
 use ctos::registry::Registry;
 use ctos::task::{Context as TaskContext, Handled};
@@ -46,8 +46,8 @@ fn ledgers(registry: &mut Registry) {
     });
 }
 
-/// A storm of mishaps on the two daemons, the same for the same seed.
-fn storm(seed: u64) -> Vec<Mishap> {
+/// A storm of faults on the two daemons, the same for the same seed.
+fn storm(seed: u64) -> Vec<Fault> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut storm = Vec::new();
     for _ in 0..rng.random_range(1..6) {
@@ -56,34 +56,34 @@ fn storm(seed: u64) -> Vec<Mishap> {
         let at = Instant::START + seconds(rng.random_range(0.5..6.0));
         let until = at + seconds(rng.random_range(0.01..1.5));
         storm.push(match rng.random_range(0..6) {
-            0 => Mishap::Kill { chassis, at },
-            1 => Mishap::Break {
+            0 => Fault::Kill { chassis, at },
+            1 => Fault::Break {
                 one,
                 other,
                 at,
                 until,
             },
-            2 => Mishap::Stall {
+            2 => Fault::Stall {
                 one,
                 other,
                 at,
                 until,
             },
-            3 => Mishap::Loss {
+            3 => Fault::Loss {
                 one,
                 other,
                 at,
                 until,
                 share_ppm: 300_000,
             },
-            4 => Mishap::Delay {
+            4 => Fault::Delay {
                 one,
                 other,
                 at,
                 until,
                 extra: seconds(0.3),
             },
-            _ => Mishap::Freeze { chassis, at, until },
+            _ => Fault::Freeze { chassis, at, until },
         });
     }
     storm
@@ -128,7 +128,7 @@ fn nothing_is_executed_twice_and_what_is_answered_was_executed_in_any_storm() {
                 ("d1", "cage", "args.offers.ledger = {}"),
                 ("d2", "other", "args.offers.ledger = {}"),
             ],
-            mishaps: storm(seed),
+            faults: storm(seed),
             handlers: ledgers,
             seed,
             ..App::new(BUSY)

@@ -2,7 +2,7 @@
 //! becomes of them when the daemon dies. In virtual time, over simulated links.
 
 use crate::app::{App, Scenario, ask, kill};
-use ctos::boot::Mishap;
+use ctos::boot::Fault;
 use sorma::daemon::Tasks;
 use sorma::report::code;
 use sorma::{Request, Transport};
@@ -10,10 +10,10 @@ use std::rc::Rc;
 use std::time::Duration;
 
 /// Runs a scenario; `here` is what the client's dictionary has besides the cookbook.
-fn run(scenario: Scenario, here: &'static str, mishaps: &[Mishap]) -> Result<String, String> {
+fn run(scenario: Scenario, here: &'static str, faults: &[Fault]) -> Result<String, String> {
     let app = App {
         here,
-        mishaps: mishaps.to_vec(),
+        faults: faults.to_vec(),
         ..App::new(scenario)
     };
     app.run()
@@ -186,7 +186,7 @@ fn locks_of_a_caller_end_with_its_chassis_and_hold_until_then() {
     assert!(text.contains("locked by `client@desk`"), "{text}");
 }
 
-fn kill_at(seconds: f64) -> [Mishap; 1] {
+fn kill_at(seconds: f64) -> [Fault; 1] {
     [kill("cage", seconds)]
 }
 

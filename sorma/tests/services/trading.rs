@@ -2,7 +2,7 @@
 //! moves when one dies or slows. In virtual time.
 
 use crate::app::{App, Scenario, ask, kill, request, seconds};
-use ctos::boot::Mishap;
+use ctos::boot::Fault;
 use ctos::task::Context as TaskContext;
 use ctos::time::Instant;
 use sorma::daemon::Tasks;
@@ -10,7 +10,7 @@ use sorma::report::code;
 use sorma::{Keep, Sorm};
 
 /// Three that offer the class, one of them with the other arm, and one that does not.
-fn market(scenario: Scenario, here: &'static str, mishaps: Vec<Mishap>) -> Result<String, String> {
+fn market(scenario: Scenario, here: &'static str, faults: Vec<Fault>) -> Result<String, String> {
     let app = App {
         here,
         daemons: vec![
@@ -31,7 +31,7 @@ fn market(scenario: Scenario, here: &'static str, mishaps: Vec<Mishap>) -> Resul
             ),
             ("d4", "four", ""),
         ],
-        mishaps,
+        faults,
         ..App::new(scenario)
     };
     app.run()
@@ -248,13 +248,13 @@ fn the_load_moves_away_from_a_daemon_that_slows_or_stands_still() {
         Instant::START + seconds(60.0),
     );
     let chassis = "two".to_owned();
-    let slow = Mishap::Slow {
+    let slow = Fault::Slow {
         chassis: chassis.clone(),
         at,
         until,
         per_step: seconds(0.5),
     };
     assert_eq!(market(scenario, here, vec![slow]), Ok(String::new()));
-    let freeze = Mishap::Freeze { chassis, at, until };
+    let freeze = Fault::Freeze { chassis, at, until };
     assert_eq!(market(scenario, here, vec![freeze]), Ok(String::new()));
 }

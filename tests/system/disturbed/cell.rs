@@ -11,7 +11,7 @@ use ctos::{
     boot::{End, Observer},
     config::{Node, Selection},
     registry::Registry,
-    simulation::{self, EventSink, Faults, Mishap, Setup},
+    simulation::{self, EventSink, Fault, Faults, Setup},
     task::{Context, EventHandler, Handled, HandlerError, Phase},
     time::{Clock, Instant},
 };
@@ -450,22 +450,22 @@ pub fn run(job: &Job, disturbance: &Disturbance) -> Ended {
     let mut camera_lost_s = None;
     match disturbance {
         Disturbance::None => {}
-        Disturbance::Kill(chassis, at) => script.push(Mishap::Kill {
+        Disturbance::Kill(chassis, at) => script.push(Fault::Kill {
             chassis: (*chassis).to_owned(),
             at: instant(*at),
         }),
         Disturbance::KillAndStart(chassis, at) => {
             sets.push(format!("chassis.{chassis}.restart=\"on-failure\""));
-            script.push(Mishap::Kill {
+            script.push(Fault::Kill {
                 chassis: (*chassis).to_owned(),
                 at: instant(*at),
             });
         }
-        Disturbance::Restart(chassis, at) => script.push(Mishap::Restart {
+        Disturbance::Restart(chassis, at) => script.push(Fault::Restart {
             chassis: (*chassis).to_owned(),
             at: instant(*at),
         }),
-        Disturbance::Freeze(chassis, at, lasts) => script.push(Mishap::Freeze {
+        Disturbance::Freeze(chassis, at, lasts) => script.push(Fault::Freeze {
             chassis: (*chassis).to_owned(),
             at: instant(*at),
             until: instant(at + lasts),

@@ -8,7 +8,7 @@ use std::{
 
 use crate::bootstrap::{AppReport, BootState, ChassisState, MemberReport};
 use crate::bootstrap::{
-    BootEvent, End, Seat,
+    BootEvent, End, ProcessOrder, Seat,
     intensity::Intensity,
     states::{BootStep, ChassisStep, Table},
 };
@@ -380,10 +380,15 @@ impl Board {
     }
 
     pub(super) fn start_process(&self, index: u8, incarnation: u32) {
-        self.seat.processes.start(index, incarnation);
+        self.order(ProcessOrder::Start(index, incarnation));
     }
 
     pub(super) fn kill_process(&self, index: u8) {
-        self.seat.processes.kill(index);
+        self.order(ProcessOrder::Kill(index));
+    }
+
+    fn order(&self, order: ProcessOrder) {
+        // Who carries it out lives until the service has ended.
+        let _ = self.seat.orders.send(order);
     }
 }

@@ -12,7 +12,7 @@ use ctos_message::fault::{CallError, Fault};
 use ctos_time::Instant;
 
 /// How long the agent of a chassis may take to tell.
-pub(super) const LIMIT: Duration = Duration::from_secs(1);
+pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Why `task` did not do what it was `asked`, in words.
 pub(super) async fn explained(
@@ -30,7 +30,7 @@ pub(super) async fn explained(
         after.as_secs_f64()
     );
     let agent = TaskRef::new("agent", system::agent_tid(task.tid.chassis()));
-    let Ok(report) = cx.call(&agent, Survey {}).deadline(LIMIT).await else {
+    let Ok(report) = cx.call(&agent, Survey {}).deadline(TIMEOUT).await else {
         let chassis = cx.chassis().name_of(task.tid.chassis());
         return format!("{late}; its chassis `{chassis}` does not answer either");
     };

@@ -27,7 +27,7 @@ pub enum BootError {
         /// What the system said.
         error: std::io::Error,
     },
-    /// A mishap names a chassis that the app has not, or the one that boots where that cannot be.
+    /// A fault names a chassis that the app has not, or the one that boots where that cannot be.
     #[error("there is no chassis `{chassis}` to which {what} could happen")]
     NoChassis {
         /// The name.
@@ -50,12 +50,12 @@ pub enum BootError {
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Hosts(Vec<HostError>),
     /// A chassis was not connected in time.
-    #[error("chassis {} did not connect within {limit_s} s; give them more time with `app.phase_timeout_s`", .chassis.join(", "))]
+    #[error("chassis {} did not connect within {timeout_s} s; give them more time with `app.phase_timeout_s`", .chassis.join(", "))]
     Late {
         /// Their names.
         chassis: Vec<String>,
-        /// The limit, s.
-        limit_s: f64,
+        /// The timeout, s.
+        timeout_s: f64,
     },
 }
 

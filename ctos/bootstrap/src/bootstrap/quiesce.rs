@@ -8,7 +8,7 @@ use futures_util::future::{Either, join_all, pending, select};
 use crate::bootstrap::{
     BootEvent, End, StopStep,
     board::Board,
-    explain::{LIMIT, explained},
+    explain::{TIMEOUT, explained},
 };
 use ctos_core::{
     context::TaskRef,
@@ -90,8 +90,11 @@ impl Board {
     async fn is_quiet(&self, task: &TaskName, reason: &StopReason) -> Result<(), String> {
         let reference = TaskRef::new(task.name.as_str(), task.tid);
         let reason = reason.clone();
-        let limit = self.cx.app().stop_timeout;
-        let asked = self.cx.call(&reference, Quiesce { reason }).deadline(limit);
+        let timeout = self.cx.app().stop_timeout;
+        let asked = self
+            .cx
+            .call(&reference, Quiesce { reason })
+            .deadline(timeout);
         let error = match asked.await {
             Ok(()) => return Ok(()),
             // A task that is not there was shut down before.
@@ -101,7 +104,12 @@ impl Board {
         let Fault::Deadline { after } = error.fault else {
             return Err(error.reason());
         };
-        match self.cx.call(&reference, NotQuiet {}).deadline(LIMIT).await {
+        match self
+            .cx
+            .call(&reference, NotQuiet {})
+            .deadline(TIMEOUT)
+            .await
+        {
             Ok(Some(waits)) => Err(format!("not within {:.3} s: {waits}", after.as_secs_f64())),
             Ok(None) => Ok(()),
             Err(_) => Err(explained(&self.cx, task, "come to rest", error).await),

@@ -12,102 +12,92 @@ use crate::bootstrap::{
 };
 use ctos_core::{phase::Phase, system::News};
 
-pub(super) struct Sequence {
-    board: Rc<Board>,
+/// Boots the app, waits for its end and takes it down.
+pub(super) async fn run(board: Rc<Board>) {
+    let end = {
+        let phases = std::pin::pin!(phases(&board));
+        let ended = std::pin::pin!(board.next_end());
+        match select(phases, ended).await {
+            Either::Left((Err(end), _)) => end,
+            Either::Left((Ok(()), ended)) => ended.await,
+            Either::Right((end, _)) => end,
+        }
+    };
+    stop(&board, &end).await;
+    board.step(BootStep::AtRest);
+    board.leave(end);
+    board.cx.chassis().exit(0);
 }
 
-impl Sequence {
-    pub(super) fn new(board: Rc<Board>) -> Self {
-        Self { board }
-    }
-
-    pub(super) async fn run(self) {
-        let end = {
-            let phases = std::pin::pin!(self.phases());
-            let ended = std::pin::pin!(self.board.next_end());
-            match select(phases, ended).await {
-                Either::Left((Err(end), _)) => end,
-                Either::Left((Ok(()), ended)) => ended.await,
-                Either::Right((end, _)) => end,
-            }
-        };
-        self.stop(&end).await;
-        self.board.step(BootStep::AtRest);
-        self.board.leave(end);
-        self.board.cx.chassis().exit(0);
-    }
-
-    async fn phases(&self) -> Result<(), End> {
-        for phase in Phase::ALL {
-            let began = self.board.cx.now();
-            self.board.aim_at(phase);
-            let reached = self.board.all_reach(phase).await;
-            reached.map_err(|failures| End::PhaseFailed { phase, failures })?;
-            if self.board.has_failed() {
-                // That ends the app, and it came before the last acknowledgement was seen.
-                return pending().await;
-            }
-            self.board.step(BootStep::Acknowledged);
-            if self.board.is_up() {
-                self.board.tell_names(News::AppUp);
-            }
-            self.board.event(&BootEvent::PhaseDone {
-                phase,
-                tasks: self.board.tasks().len(),
-                took: self.board.cx.now().since(began),
-            });
+async fn phases(board: &Board) -> Result<(), End> {
+    for phase in Phase::ALL {
+        let began = board.cx.now();
+        board.aim_at(phase);
+        let reached = board.all_reach(phase).await;
+        reached.map_err(|failures| End::PhaseFailed { phase, failures })?;
+        if board.has_failed() {
+            // That ends the app, and it came before the last acknowledgement was seen.
+            return pending().await;
         }
-        Ok(())
-    }
-
-    /// Lets all tasks come to rest. Then stops them, those of chassis with `stop_first` before the others, each group
-    /// in the reverse of the order in which it was created; then ends the processes.
-    async fn stop(&self, end: &End) {
-        let board = &self.board;
-        board.step(BootStep::End);
-        let reason = end.reason();
-        board.tell_names(News::Stopping);
-        for index in board.indices() {
-            let state = board.with(index, |member| member.state);
-            board.step_chassis(index, ChassisStep::Stop);
-            board.tell(index, Event::Stop);
-            // One that is just being started has no tasks yet, and nobody can ask it to end.
-            if state == Some(ChassisState::Starting) && !board.cx.chassis().is_linked(index) {
-                board.kill_process(index);
-            }
+        board.step(BootStep::Acknowledged);
+        if board.is_up() {
+            board.tell_names(News::AppUp);
         }
-        board.event(&BootEvent::Stopping {
-            reason: reason.to_string(),
+        board.event(&BootEvent::PhaseDone {
+            phase,
+            tasks: board.tasks().len(),
+            took: board.cx.now().since(began),
         });
-        // An app that is to end at a breakpoint ends there: nothing more is fired.
-        if !matches!(end, End::Breakpoint { .. }) {
-            board.quiesce(&reason).await;
+    }
+    Ok(())
+}
+
+/// Lets all tasks come to rest. Then stops them, those of chassis with `stop_first` before the others, each group
+/// in the reverse of the order in which it was created; then ends the processes.
+async fn stop(board: &Board, end: &End) {
+    board.step(BootStep::End);
+    let reason = end.reason();
+    board.tell_names(News::Stopping);
+    for index in board.indices() {
+        let state = board.with(index, |member| member.state);
+        board.step_chassis(index, ChassisStep::Stop);
+        board.tell(index, Event::Stop);
+        // One that is just being started has no tasks yet, and nobody can ask it to end.
+        if state == Some(ChassisState::Starting) && !board.cx.chassis().is_linked(index) {
+            board.kill_process(index);
         }
-        let tasks = board.tasks();
-        if !tasks.is_empty() {
-            let step = StopStep::Tasks;
-            board.event(&BootEvent::StopStep { step });
-        }
-        let (first, rest): (Vec<_>, Vec<_>) =
-            tasks.iter().rev().partition(|task| board.stops_first(task));
-        let mut at_rest = BTreeMap::new();
-        for task in first {
-            let chassis = board.place_of(task);
-            let stopped = board.stop_task_or_skip(task, &reason).await;
-            *at_rest.entry(chassis).or_insert(true) &= stopped;
-        }
-        for (chassis, _) in at_rest.into_iter().filter(|(_, stopped)| *stopped) {
-            let chassis = board.cx.chassis().name_of(chassis).to_owned();
-            board.event(&BootEvent::AtRest { chassis });
-        }
-        for task in rest {
-            board.stop_task_or_skip(task, &reason).await;
-        }
-        let step = StopStep::Processes;
+    }
+    board.event(&BootEvent::Stopping {
+        reason: reason.to_string(),
+    });
+    // An app that is to end at a breakpoint ends there: nothing more is fired.
+    if !matches!(end, End::Breakpoint { .. }) {
+        board.quiesce(&reason).await;
+    }
+    let tasks = board.tasks();
+    if !tasks.is_empty() {
+        let step = StopStep::Tasks;
         board.event(&BootEvent::StopStep { step });
-        let code = i32::from(!matches!(end, End::Finished(result) if result.ok));
-        for index in board.indices() {
-            board.exit_chassis(index, code).await;
-        }
+    }
+    let (first, rest): (Vec<_>, Vec<_>) =
+        tasks.iter().rev().partition(|task| board.stops_first(task));
+    let mut at_rest = BTreeMap::new();
+    for task in first {
+        let chassis = board.place_of(task);
+        let stopped = board.stop_task_or_skip(task, &reason).await;
+        *at_rest.entry(chassis).or_insert(true) &= stopped;
+    }
+    for (chassis, _) in at_rest.into_iter().filter(|(_, stopped)| *stopped) {
+        let chassis = board.cx.chassis().name_of(chassis).to_owned();
+        board.event(&BootEvent::AtRest { chassis });
+    }
+    for task in rest {
+        board.stop_task_or_skip(task, &reason).await;
+    }
+    let step = StopStep::Processes;
+    board.event(&BootEvent::StopStep { step });
+    let code = i32::from(!matches!(end, End::Finished(result) if result.ok));
+    for index in board.indices() {
+        board.exit_chassis(index, code).await;
     }
 }

@@ -34,8 +34,8 @@ impl Board {
             reason: reason.clone(),
             on,
         };
-        let limit = self.cx.app().stop_timeout;
-        let stopped = self.cx.call(&reference, request).deadline(limit).await;
+        let timeout = self.cx.app().stop_timeout;
+        let stopped = self.cx.call(&reference, request).deadline(timeout).await;
         // A task that is not there was shut down before.
         let failed = stopped
             .err()
@@ -69,8 +69,8 @@ impl Board {
     pub(super) async fn exit_chassis(&self, index: u8, code: i32) {
         if self.cx.chassis().is_linked(index) {
             let agent = TaskRef::new("agent", system::agent_tid(index));
-            let limit = self.cx.app().stop_timeout;
-            let _ = self.cx.call(&agent, Exit { code }).deadline(limit).await;
+            let timeout = self.cx.app().stop_timeout;
+            let _ = self.cx.call(&agent, Exit { code }).deadline(timeout).await;
         }
     }
 

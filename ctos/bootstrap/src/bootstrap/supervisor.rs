@@ -21,7 +21,7 @@ use ctos_core::{
 use ctos_message::fault::Fault;
 
 /// How long the links of a dead process may take to close.
-const LINK_LIMIT: Duration = Duration::from_secs(1);
+const LINK_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Why an incarnation of a chassis is over.
 enum Over {
@@ -105,8 +105,8 @@ impl Supervisor {
 
     /// One incarnation, from the start of its process until it is over.
     async fn live(&self) -> Over {
-        let limit = self.board.cx.app().phase_timeout;
-        let joined = self.board.cx.timeout(limit, self.joined()).await;
+        let timeout = self.board.cx.app().phase_timeout;
+        let joined = self.board.cx.timeout(timeout, self.joined()).await;
         match joined {
             Ok(Ok(())) => self.step(ChassisStep::Joined),
             Ok(Err(over)) => return over,
@@ -224,18 +224,18 @@ impl Supervisor {
     /// Lets the agent create the tasks.
     async fn create(&self) -> Result<(), Vec<(String, String)>> {
         let cx = &self.board.cx;
-        let limit = cx.app().phase_timeout;
+        let timeout = cx.app().phase_timeout;
         let name = format!("agent of {}", self.name());
         let agent = TaskRef::new(name.as_str(), system::agent_tid(self.index));
         let asked = FirstSlots {
             chassis: self.index,
         };
-        let first_slots = match cx.call(&Context::server(), asked).deadline(limit).await {
+        let first_slots = match cx.call(&Context::server(), asked).deadline(timeout).await {
             Ok(first_slots) => first_slots,
             Err(error) => return Err(vec![(name, error.to_string())]),
         };
         let call = cx.call(&agent, CreateTasks { first_slots });
-        match call.deadline(limit).await {
+        match call.deadline(timeout).await {
             Ok(created) => {
                 self.board
                     .with(self.index, |member| member.tasks = created.tasks);
@@ -254,12 +254,12 @@ impl Supervisor {
     /// Tells every task to enter `phase` and waits for all of them: the failures.
     async fn enter(&self, phase: Phase) -> Vec<(String, String)> {
         let cx = &self.board.cx;
-        let limit = cx.app().phase_timeout;
+        let timeout = cx.app().phase_timeout;
         let tasks = self.board.with(self.index, |member| member.tasks.clone());
         let tasks = tasks.unwrap_or_default();
         let calls = tasks.iter().map(|task| {
             let reference = TaskRef::new(task.name.as_str(), task.tid);
-            let call = cx.call(&reference, EnterPhase { phase }).deadline(limit);
+            let call = cx.call(&reference, EnterPhase { phase }).deadline(timeout);
             async move {
                 match call.await {
                     Ok(()) => None,
@@ -369,7 +369,7 @@ impl Supervisor {
     /// does not help: the app is ended then.
     async fn dead_or_killed(&self) -> Result<Option<(String, Option<i32>)>, Stopped> {
         let cx = &self.board.cx;
-        let limit = cx.app().stop_timeout;
+        let timeout = cx.app().stop_timeout;
         for kill in [false, true] {
             if kill {
                 self.board.event(&BootEvent::Signalled {
@@ -378,7 +378,7 @@ impl Supervisor {
                 });
                 self.board.kill_process(self.index);
             }
-            if let Ok(gone) = cx.timeout(limit, self.gone_or_stopped()).await {
+            if let Ok(gone) = cx.timeout(timeout, self.gone_or_stopped()).await {
                 return gone;
             }
         }
@@ -399,7 +399,7 @@ impl Supervisor {
             }
             Ok(())
         };
-        let closed = cx.timeout(LINK_LIMIT, closed).await;
+        let closed = cx.timeout(LINK_TIMEOUT, closed).await;
         cx.chassis().link_down(self.index);
         closed.unwrap_or(Ok(()))
     }

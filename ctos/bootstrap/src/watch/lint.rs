@@ -1,6 +1,7 @@
 //! Lints on a running chassis: what is probably not meant, told once when it begins and once when it
 //! is over.
 
+use crate::survey::command_name;
 use ctos_config::TaskConfig;
 use ctos_core::{
     chassis::{Chassis, Extension},
@@ -20,12 +21,12 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 /// How long a handler may keep its processor, unless the configuration says otherwise.
-const TURN_LIMIT: Duration = Duration::from_secs(1);
+const POLL_TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a handler may wait for others, unless the configuration says otherwise: longer than any call
 /// does by itself.
-const WAIT_LIMIT: Duration = Duration::from_secs(30);
+const WAIT_TIMEOUT: Duration = Duration::from_secs(30);
 /// How long a permit may be held while others wait for one.
-const PERMIT_LIMIT: Duration = Duration::from_secs(10);
+const PERMIT_TIMEOUT: Duration = Duration::from_secs(10);
 /// A synchronous function that has kept its schedule for so long keeps it again.
 const KEPT_AGAIN: Duration = Duration::from_secs(5);
 /// A queue that has grown at so many looks in a row, and is more than half full, is growing.
@@ -73,6 +74,18 @@ pub struct Lint {
     pub since: Instant,
     /// The same in words.
     pub text: String,
+}
+
+impl Lint {
+    fn new(chassis: &Chassis, code: LintCode, task: &str, since: Instant, text: String) -> Self {
+        Self {
+            code,
+            task: task.to_owned(),
+            chassis: chassis.name().to_owned(),
+            since,
+            text,
+        }
+    }
 }
 
 /// What was seen of a task at earlier looks.
@@ -156,13 +169,7 @@ impl Watch {
                 queue(seen, task, now),
             ];
             for (code, since, text) in lints.into_iter().flatten() {
-                let lint = Lint {
-                    code,
-                    task: task.name.to_string(),
-                    chassis: chassis.name().to_owned(),
-                    since,
-                    text,
-                };
+                let lint = Lint::new(chassis, code, &task.name, since, text);
                 found.insert((code, lint.task.clone()), lint);
             }
         }
@@ -220,9 +227,9 @@ fn handler(
     let began = counters.began?;
     let at_it_s = now.since(began).as_secs_f64();
     let name = &task.name;
-    let command = command_name(chassis, config, counters.command);
+    let command = command_name(chassis, &config.handler, counters.command);
     if let Some((_, since)) = seen.poll
-        && now.since(since) >= config.handler_limit.unwrap_or(TURN_LIMIT)
+        && now.since(since) >= config.handler_limit.unwrap_or(POLL_TIMEOUT)
     {
         let processor = format!("{}/{}", config.chassis, config.processor);
         let text = format!(
@@ -230,7 +237,7 @@ fn handler(
         );
         return Some((LintCode::HandlerBlocks, began, text));
     }
-    if now.since(began) >= config.handler_limit.unwrap_or(WAIT_LIMIT) {
+    if now.since(began) >= config.handler_limit.unwrap_or(WAIT_TIMEOUT) {
         let text = format!(
             "`{name}` has been at `{command}` for {at_it_s:.1} s, waiting for others; what comes to it meanwhile waits too"
         );
@@ -275,7 +282,7 @@ fn semaphores(chassis: &Chassis, now: Instant, found: &mut Lints) {
         };
         for holder in &view.holders {
             let held = now.since(holder.since);
-            if held < PERMIT_LIMIT {
+            if held < PERMIT_TIMEOUT {
                 continue;
             }
             let (name, task) = (&view.name, &holder.task);
@@ -283,13 +290,7 @@ fn semaphores(chassis: &Chassis, now: Instant, found: &mut Lints) {
                 "`{task}` has held semaphore `{name}` for {:.1} s, and `{next}` waits for it",
                 held.as_secs_f64()
             );
-            let lint = Lint {
-                code: LintCode::SemaphoreHeld,
-                task: task.clone(),
-                chassis: chassis.name().to_owned(),
-                since: holder.since,
-                text,
-            };
+            let lint = Lint::new(chassis, LintCode::SemaphoreHeld, task, holder.since, text);
             found.insert((lint.code, format!("{task} {name}")), lint);
         }
     }
@@ -323,24 +324,8 @@ fn cyclics(
             statistics.missed(),
             statistics.overruns()
         );
-        let lint = Lint {
-            code: LintCode::CyclicOverruns,
-            task: name.split('.').next().unwrap_or_default().to_owned(),
-            chassis: chassis.name().to_owned(),
-            since,
-            text,
-        };
+        let task = name.split('.').next().unwrap_or_default();
+        let lint = Lint::new(chassis, LintCode::CyclicOverruns, task, since, text);
         found.insert((lint.code, name), lint);
-    }
-}
-
-fn command_name(chassis: &Chassis, config: &TaskConfig, code: u16) -> String {
-    let registry = chassis.registry();
-    let kind = registry.kind(&config.handler);
-    let commands = kind.map_or(&[][..], |kind| kind.commands());
-    let known = commands.iter().find(|command| command.code == code);
-    match known {
-        Some(command) => command.name.to_owned(),
-        None => system::command_name(code),
     }
 }

@@ -70,7 +70,7 @@ fn a_handler_that_never_returns_is_named_with_the_processor_that_it_keeps() {
         crate::watch::lints(&chassis)
     };
     assert_eq!(look(0), []);
-    assert_eq!(look(999), [], "not yet over its limit");
+    assert_eq!(look(999), [], "not yet over its time-out");
     let lints = look(1000);
     assert_eq!(lints.len(), 1, "{lints:?}");
     assert_eq!(lints[0].code, LintCode::HandlerBlocks);

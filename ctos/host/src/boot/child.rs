@@ -5,7 +5,7 @@ use std::{os::fd::AsFd, sync::Arc};
 
 use tokio::{io::AsyncReadExt, net::unix::pipe, sync::oneshot};
 
-use crate::boot::mesh::{self, FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent};
+use crate::boot::mesh::{self, FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent};
 use ctos_bootstrap::watch;
 use ctos_config::App;
 use ctos_core::{chassis::Chassis, registry::Registry};
@@ -92,10 +92,10 @@ async fn serve(
         let _ = sender.send(code);
     });
     ctos_bootstrap::bootstrap::start_system_tasks(chassis, None);
-    let limit = chassis.app.phase_timeout;
+    let timeout = chassis.app.phase_timeout;
     let mut tether = Tether::taken()?;
     let connected = tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, boot, who)) => connected,
+        connected = tokio::time::timeout(timeout, connect(chassis, boot, who)) => connected,
         () = tether.cut() => return Err(ChildError::Connect {
             what: "the app".to_owned(),
             reason: "the agent that started this chassis is gone, or has ended its run".to_owned(),
@@ -103,7 +103,7 @@ async fn serve(
     };
     let mut mesh = connected.map_err(|_| ChildError::Connect {
         what: "the other chassis".to_owned(),
-        reason: format!("not done within {:.3} s", limit.as_secs_f64()),
+        reason: format!("not done within {:.3} s", timeout.as_secs_f64()),
     })??;
     let threads = ctos_core::threads::start_processors(chassis)?;
     let code = loop {
@@ -123,7 +123,7 @@ async fn serve(
     chassis.stop_processors();
     // A processor that is stuck in a handler must not keep the process; it ends with it.
     let ended = futures_util::future::join_all(threads.into_iter().map(|thread| thread.ended));
-    let _ = tokio::time::timeout(FLUSH_LIMIT, ended).await;
+    let _ = tokio::time::timeout(FLUSH_TIMEOUT, ended).await;
     Ok(code)
 }
 
@@ -181,7 +181,7 @@ async fn connect(
             };
             // Without keys that can be used it cannot be told; the boot sees the process end.
             let keys = mesh::keys_of(&chassis.app).ok().flatten();
-            Mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
+            mesh::unable(boot, chassis, keys.as_ref(), &token, &error.to_string()).await;
             return Err(error);
         }
     };

@@ -12,11 +12,13 @@ mod door;
 mod members;
 mod peer;
 
+pub(crate) use call::unable;
+
 use std::{
     collections::BTreeMap,
     io,
     path::Path,
-    sync::{Arc, Mutex, OnceLock},
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -43,7 +45,7 @@ use ctos_message::fault::Fault;
 use ctos_time::lock::lock;
 
 /// How long the last frames may take when a process ends.
-pub(crate) const FLUSH_LIMIT: Duration = Duration::from_secs(1);
+pub(crate) const FLUSH_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// What the mesh of one chassis tells that of another.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,8 +114,6 @@ struct Peer {
     session: Option<Arc<Session>>,
     /// What the boot, or the peer itself, said of it.
     member: Option<Member>,
-    /// At the boot: the last round for which it is connected to all.
-    ready: u32,
     /// Somebody is calling it.
     called: bool,
 }
@@ -139,7 +139,7 @@ struct Inner {
     reactor: Arc<Reactor>,
     /// Whether chassis of this host are joined through shared memory.
     shares_memory: bool,
-    listen: OnceLock<Vec<Address>>,
+    listen: Vec<Address>,
     state: Mutex<Roll>,
     /// Whose link the chassis has: number and incarnation. Held while that changes.
     live: Mutex<BTreeMap<u8, u32>>,
@@ -202,7 +202,7 @@ impl Mesh {
             runtime: Handle::current(),
             reactor,
             shares_memory: shares_memory(app.links.same_host),
-            listen: OnceLock::from(addresses),
+            listen: addresses,
             state: Mutex::default(),
             live: Mutex::default(),
             events: sender,
@@ -225,7 +225,7 @@ impl Mesh {
 
     /// Where this chassis can be called, the nearest first.
     pub(crate) fn addresses(&self) -> &[Address] {
-        self.inner.addresses()
+        &self.inner.listen
     }
 
     /// At the boot: from now on only this incarnation of `chassis`, or a later one, may call; the link
@@ -264,17 +264,6 @@ impl Mesh {
         self.inner.call(member);
     }
 
-    /// Tells the boot at `boot` why `chassis` cannot start.
-    pub(crate) async fn unable(
-        boot: &Address,
-        chassis: &Chassis,
-        keys: Option<&Arc<Keys>>,
-        token: &Token,
-        reason: &str,
-    ) {
-        call::unable(boot, chassis, keys, token, reason).await;
-    }
-
     /// Says goodbye on all links, once everything posted has gone out; nobody is let in any more.
     pub(crate) async fn close(&mut self) {
         tracing::debug!(refused = self.refused(), "the mesh closes");
@@ -298,7 +287,7 @@ impl Mesh {
         });
         let down = futures_util::future::join_all(down);
         // What cannot be written within the limit belongs to a peer that no longer reads.
-        let _ = tokio::time::timeout(FLUSH_LIMIT, down).await;
+        let _ = tokio::time::timeout(FLUSH_TIMEOUT, down).await;
         if let Some(fabric) = &self.inner.fabric {
             fabric.close().await;
         }
@@ -366,10 +355,6 @@ async fn listeners(
 }
 
 impl Inner {
-    fn addresses(&self) -> &[Address] {
-        self.listen.get().map_or(&[], Vec::as_slice)
-    }
-
     #[cfg(test)]
     fn session(&self, chassis: u8) -> Option<Arc<Session>> {
         lock(&self.state).peers.get(&chassis)?.session.clone()

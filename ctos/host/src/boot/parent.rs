@@ -15,8 +15,8 @@ use tokio::{
 
 use crate::{
     boot::{
-        launcher::Launcher,
-        mesh::{FLUSH_LIMIT, Identification, Mesh, MeshError, MeshEvent},
+        launcher::{Launcher, ProcessId},
+        mesh::{FLUSH_TIMEOUT, Identification, Mesh, MeshError, MeshEvent},
         processes::{Keeper, Process, Starter},
     },
     control::{Gate, LogStore, Server, Ticker},
@@ -24,7 +24,7 @@ use crate::{
     remote::{Hosts, HostsSetup},
 };
 use ctos_bootstrap::{
-    bootstrap::{BootError, BootEvent, End, EndSlot, Observer, Outcome, Seat, io_error as io},
+    bootstrap::{BootError, BootEvent, End, Observer, Outcome, Seat, io_error as io},
     watch,
 };
 use ctos_config::App;
@@ -165,15 +165,19 @@ async fn run_processes(
         hosts: started.hosts.clone(),
     };
     for index in chassis.others() {
-        processes.push(starter.start(index, 1)?);
+        let id = ProcessId {
+            chassis: index,
+            incarnation: 1,
+        };
+        processes.push(starter.start(id)?);
     }
-    let limit = chassis.app.phase_timeout;
+    let timeout = chassis.app.phase_timeout;
     let mut missing: BTreeSet<u8> = chassis.others().collect();
     tokio::select! {
-        connected = tokio::time::timeout(limit, connect(chassis, &mut mesh, processes, &mut missing)) => {
+        connected = tokio::time::timeout(timeout, connect(chassis, &mut mesh, processes, &mut missing)) => {
             match connected {
                 Ok(connected) => connected?,
-                Err(_) => return Err(late(chassis, &missing, limit)),
+                Err(_) => return Err(late(chassis, &missing, timeout)),
             }
         }
         _ = interrupt.recv() => return Ok(interrupted(chassis)),
@@ -182,12 +186,8 @@ async fn run_processes(
             return Ok(interrupted(chassis));
         }
     };
-    let (mut keeper, orders) = Keeper::new(starter, std::mem::take(processes));
-    let seat = Seat {
-        observer: observer.clone(),
-        end: EndSlot::default(),
-        processes: orders,
-    };
+    let (seat, orders) = Seat::new(observer);
+    let mut keeper = Keeper::new(starter, orders, std::mem::take(processes));
     let (sender, mut exited) = oneshot::channel();
     chassis.set_on_exit(move |code| {
         // The receiver lives until the service has exited.
@@ -211,7 +211,7 @@ async fn run_processes(
                 observer(&BootEvent::Terminated);
                 chassis.post_system(system::BOOTSTRAP, system::Interrupt {});
             }
-            (index, incarnation) = keeper.serve() => mesh.expect(index, incarnation),
+            started = keeper.serve() => mesh.expect(started.chassis, started.incarnation),
             // What a chassis that is gone means is decided by the tasks, which have been told.
             Some(event) = mesh.next() => newcomers.welcome(chassis, &event),
         }
@@ -245,13 +245,13 @@ fn interrupted(chassis: &Arc<Chassis>) -> Outcome {
     }
 }
 
-fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, limit: Duration) -> BootError {
+fn late(chassis: &Arc<Chassis>, missing: &BTreeSet<u8>, timeout: Duration) -> BootError {
     let missing = missing
         .iter()
         .map(|index| format!("`{}`", chassis.name_of(*index)));
     BootError::Late {
         chassis: missing.collect(),
-        limit_s: limit.as_secs_f64(),
+        timeout_s: timeout.as_secs_f64(),
     }
 }
 
@@ -331,7 +331,7 @@ async fn connect(
         if matches!(&event, Some(MeshEvent::Unable { .. })) {
             return Err(error);
         }
-        let ended = tokio::time::timeout(FLUSH_LIMIT, first_exit(processes)).await;
+        let ended = tokio::time::timeout(FLUSH_TIMEOUT, first_exit(processes)).await;
         return Err(ended.unwrap_or(error));
     }
     Ok(())

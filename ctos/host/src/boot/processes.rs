@@ -15,13 +15,13 @@ use tokio::{
 
 use crate::{
     boot::{
-        launcher::{INCARNATION_VARIABLE, Launcher, TOKEN_VARIABLE},
+        launcher::{Briefing, Launcher, ProcessId},
         spawn::{self, Ending, LastLines, Tether},
     },
     control::LogStore,
     remote::{HostLink, Hosts},
 };
-use ctos_bootstrap::bootstrap::{BootError, BootEvent, End, Observer, Processes};
+use ctos_bootstrap::bootstrap::{BootError, BootEvent, End, Observer, ProcessOrder, ProcessOrders};
 use ctos_core::{chassis::Chassis, system};
 use ctos_link::{handshake::Token, transport::Address};
 use ctos_time::lock::lock;
@@ -29,7 +29,7 @@ use ctos_time::lock::lock;
 /// A chassis's process.
 pub(super) struct Process {
     pub(super) name: String,
-    incarnation: u32,
+    id: ProcessId,
     pub(super) last_lines: Arc<Mutex<LastLines>>,
     home: Home,
     ended: watch::Receiver<Option<Ending>>,
@@ -40,16 +40,13 @@ enum Home {
     /// A child of this process.
     Here(mpsc::UnboundedSender<Signal>),
     /// A child of the agent of that host.
-    There { link: HostLink, index: u8 },
+    There(HostLink),
 }
 
 impl Process {
     /// Waits until it has ended and its last words are known.
     pub(super) async fn ended(&mut self) -> Ending {
-        let gone = || Ending {
-            how: "ended unseen".to_owned(),
-            code: None,
-        };
+        let gone = || Ending::unseen("ended unseen");
         // Whoever watches it goes only when the boot does.
         let ended = self.ended.wait_for(Option::is_some).await;
         ended.map_or_else(|_| gone(), |ending| ending.clone().unwrap_or_else(gone))
@@ -66,7 +63,7 @@ impl Process {
                 // One that has ended needs no signal.
                 let _ = signals.send(signal);
             }
-            Home::There { link, index } => link.signal(*index, self.incarnation, signal),
+            Home::There(link) => link.signal(self.id, signal),
         }
     }
 }
@@ -74,8 +71,7 @@ impl Process {
 /// Hears everything of one process, wherever it lives.
 pub(crate) struct Witness {
     chassis: Arc<Chassis>,
-    pub(crate) index: u8,
-    pub(crate) incarnation: u32,
+    pub(crate) id: ProcessId,
     pub(crate) name: String,
     host: Option<String>,
     observer: Observer,
@@ -87,17 +83,11 @@ pub(crate) struct Witness {
 impl Witness {
     /// One whose process nobody starts.
     #[cfg(test)]
-    pub(crate) fn of_test(
-        chassis: &Arc<Chassis>,
-        index: u8,
-        incarnation: u32,
-        observer: Observer,
-    ) -> Self {
+    pub(crate) fn of_test(chassis: &Arc<Chassis>, id: ProcessId, observer: Observer) -> Self {
         Self {
             chassis: chassis.clone(),
-            index,
-            incarnation,
-            name: chassis.name_of(index).to_owned(),
+            id,
+            name: chassis.name_of(id.chassis).to_owned(),
             host: None,
             observer,
             logs: Arc::new(LogStore::new(chassis.clock.clone())),
@@ -108,7 +98,7 @@ impl Witness {
 
     /// It runs.
     pub(crate) fn started(&self, pid: Option<u32>) {
-        self.logs.begin(&self.name, self.incarnation, pid);
+        self.logs.begin(&self.name, self.id.incarnation, pid);
         (self.observer)(&BootEvent::Started {
             chassis: self.name.clone(),
             pid,
@@ -118,13 +108,13 @@ impl Witness {
 
     /// Whether it, or one before it, can be talked to.
     pub(crate) fn is_linked(&self) -> bool {
-        self.chassis.is_linked(self.index)
+        self.chassis.is_linked(self.id.chassis)
     }
 
     /// It has written a line to its log.
     pub(crate) fn line(&self, line: String) {
         lock(&self.last_lines).push(line.clone());
-        self.logs.add(&self.name, self.incarnation, &line);
+        self.logs.add(&self.name, self.id.incarnation, &line);
         let chassis = self.name.clone();
         (self.observer)(&BootEvent::Log { chassis, line });
     }
@@ -135,15 +125,7 @@ impl Witness {
             return;
         };
         // The service is told of the end of every process; of that of the app it has no use.
-        self.chassis.post_system(
-            system::BOOTSTRAP,
-            system::ProcessEnded {
-                chassis: self.index,
-                incarnation: self.incarnation,
-                how: ending.how.clone(),
-                code: ending.code,
-            },
-        );
+        tell_ended(&self.chassis, self.id, &ending);
         // Nobody may be left to see it.
         let _ = ended.send(Some(ending));
     }
@@ -163,15 +145,14 @@ pub(super) struct Starter {
 impl Starter {
     /// Starts the process of chassis `index`; its log is shown line by line. One on another host may
     /// turn out later not to have started: it ends then.
-    pub(super) fn start(&self, index: u8, incarnation: u32) -> Result<Process, BootError> {
-        let name = self.chassis.name_of(index).to_owned();
+    pub(super) fn start(&self, id: ProcessId) -> Result<Process, BootError> {
+        let name = self.chassis.name_of(id.chassis).to_owned();
         let host = self.chassis.app.host_of(&name);
         let last_lines = Arc::new(Mutex::new(LastLines::default()));
         let (ending, ended) = watch::channel(None);
         let witness = Arc::new(Witness {
             chassis: self.chassis.clone(),
-            index,
-            incarnation,
+            id,
             name: name.clone(),
             host: host.map(|host| host.name.clone()),
             observer: self.observer.clone(),
@@ -182,13 +163,13 @@ impl Starter {
         let home = match host.and_then(|host| self.hosts.link(&host.name)) {
             Some(link) => {
                 link.start(witness);
-                Home::There { link, index }
+                Home::There(link)
             }
             None => self.start_here(witness)?,
         };
         Ok(Process {
             name,
-            incarnation,
+            id,
             last_lines,
             home,
             ended,
@@ -196,14 +177,16 @@ impl Starter {
     }
 
     fn start_here(&self, witness: Arc<Witness>) -> Result<Home, BootError> {
-        let origin = self.chassis.clock.origin_ns().unwrap_or(0);
+        let briefing = Briefing {
+            name: witness.name.clone(),
+            incarnation: witness.id.incarnation,
+            origin_ns: self.chassis.clock.origin_ns().unwrap_or(0),
+            boot: self.boot.clone(),
+            token: self.token.clone(),
+        };
         let mut command = Command::new(&self.launcher.program);
-        command
-            .args(&self.launcher.arguments)
-            .args(["--chassis", &witness.name, "--boot", &self.boot.to_string()])
-            .args(["--origin", &origin.to_string()])
-            .env(TOKEN_VARIABLE, &self.token.0)
-            .env(INCARNATION_VARIABLE, witness.incarnation.to_string());
+        command.args(&self.launcher.arguments);
+        briefing.put_into(&mut command);
         // Its lines are read by this thread, which has then told that it runs.
         let (heard, at_end) = (witness.clone(), witness.clone());
         let spawned = spawn::spawn(
@@ -221,53 +204,53 @@ impl Starter {
     }
 }
 
-enum Order {
-    Start(u8, u32),
-    Kill(u8),
-}
-
-/// Takes the orders of the bootstrap service, which runs on another thread.
-pub(super) struct Orders(mpsc::UnboundedSender<Order>);
-
-impl Processes for Orders {
-    fn start(&self, index: u8, incarnation: u32) {
-        // The receiver lives until the service has ended.
-        let _ = self.0.send(Order::Start(index, incarnation));
-    }
-
-    fn kill(&self, index: u8) {
-        let _ = self.0.send(Order::Kill(index));
-    }
+/// Tells the bootstrap service of the end of a process.
+fn tell_ended(chassis: &Arc<Chassis>, id: ProcessId, ending: &Ending) {
+    let ended = system::ProcessEnded {
+        chassis: id.chassis,
+        incarnation: id.incarnation,
+        how: ending.how.clone(),
+        code: ending.code,
+    };
+    chassis.post_system(system::BOOTSTRAP, ended);
 }
 
 /// The processes of an app that is up, by chassis.
 pub(super) struct Keeper {
     starter: Starter,
-    orders: mpsc::UnboundedReceiver<Order>,
+    orders: ProcessOrders,
     processes: BTreeMap<u8, Process>,
 }
 
 impl Keeper {
     /// Keeps `processes`, which are those of chassis 1, 2, ...
-    pub(super) fn new(starter: Starter, processes: Vec<Process>) -> (Self, Arc<Orders>) {
-        let (sender, orders) = mpsc::unbounded_channel();
-        let keeper = Self {
+    pub(super) fn new(starter: Starter, orders: ProcessOrders, processes: Vec<Process>) -> Self {
+        Self {
             starter,
             orders,
             processes: (1..).zip(processes).collect(),
-        };
-        (keeper, Arc::new(Orders(sender)))
+        }
     }
 
-    /// Carries out orders until a process was started: that of which chassis, and which incarnation.
-    pub(super) async fn serve(&mut self) -> (u8, u32) {
+    /// Carries out orders until a process was started: which one.
+    pub(super) async fn serve(&mut self) -> ProcessId {
         loop {
             match self.orders.recv().await {
-                Some(Order::Start(index, incarnation)) => {
-                    self.start(index, incarnation);
-                    return (index, incarnation);
+                Some(ProcessOrder::Start(chassis, incarnation)) => {
+                    let id = ProcessId {
+                        chassis,
+                        incarnation,
+                    };
+                    match self.starter.start(id) {
+                        Ok(process) => drop(self.processes.insert(id.chassis, process)),
+                        Err(error) => {
+                            let how = format!("could not be started again: {error}");
+                            tell_ended(&self.starter.chassis, id, &Ending::unseen(how));
+                        }
+                    }
+                    return id;
                 }
-                Some(Order::Kill(index)) => {
+                Some(ProcessOrder::Kill(index)) => {
                     if let Some(process) = self.processes.get(&index) {
                         process.kill();
                     }
@@ -277,32 +260,13 @@ impl Keeper {
         }
     }
 
-    fn start(&mut self, index: u8, incarnation: u32) {
-        match self.starter.start(index, incarnation) {
-            Ok(process) => {
-                self.processes.insert(index, process);
-            }
-            Err(error) => {
-                let how = format!("could not be started again: {error}");
-                let chassis = &self.starter.chassis;
-                let ended = system::ProcessEnded {
-                    chassis: index,
-                    incarnation,
-                    how,
-                    code: None,
-                };
-                chassis.post_system(system::BOOTSTRAP, ended);
-            }
-        }
-    }
-
     /// Waits for all processes: those that do not end by themselves get SIGTERM, then SIGKILL.
     /// Names those that ended otherwise than they should have.
-    pub(super) async fn end(self, limit: Duration, end: &End) -> Vec<(String, String)> {
+    pub(super) async fn end(self, timeout: Duration, end: &End) -> Vec<(String, String)> {
         let expected = i32::from(!matches!(end, End::Finished(result) if result.ok));
         let mut casualties = Vec::new();
         for mut process in self.processes.into_values() {
-            let mut ended = tokio::time::timeout(limit, process.ended()).await;
+            let mut ended = tokio::time::timeout(timeout, process.ended()).await;
             for (number, name) in [(Signal::TERM, "SIGTERM"), (Signal::KILL, "SIGKILL")] {
                 if ended.is_ok() {
                     break;
@@ -312,7 +276,7 @@ impl Keeper {
                     signal: name.to_owned(),
                 });
                 process.signal(number);
-                ended = tokio::time::timeout(limit, process.ended()).await;
+                ended = tokio::time::timeout(timeout, process.ended()).await;
             }
             match ended {
                 Ok(ending) if ending.code == Some(expected) => {}
@@ -326,6 +290,6 @@ impl Keeper {
 
 impl std::fmt::Debug for Process {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Process(`{}` {})", self.name, self.incarnation)
+        write!(f, "Process(`{}` {})", self.name, self.id.incarnation)
     }
 }

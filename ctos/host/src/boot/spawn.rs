@@ -33,16 +33,21 @@ pub(crate) struct Ending {
 }
 
 impl Ending {
+    /// One that nobody saw.
+    pub(crate) fn unseen(how: impl Into<String>) -> Self {
+        Self {
+            how: how.into(),
+            code: None,
+        }
+    }
+
     fn of(status: std::io::Result<ExitStatus>) -> Self {
         match status {
             Ok(status) => Self {
                 how: describe(&status),
                 code: status.code(),
             },
-            Err(error) => Self {
-                how: format!("ended, and nobody can tell how: {error}"),
-                code: None,
-            },
+            Err(error) => Self::unseen(format!("ended, and nobody can tell how: {error}")),
         }
     }
 }
@@ -138,8 +143,8 @@ async fn read(stderr: ChildStderr, mut line: impl FnMut(String)) {
     let mut bytes = Vec::new();
     let mut tell = |bytes: &[u8]| line(String::from_utf8_lossy(bytes).into_owned());
     loop {
-        let room = LINE_LIMIT.saturating_sub(bytes.len());
-        let whole = match next_part(&mut reader, &mut bytes, room).await {
+        let space = LINE_LIMIT.saturating_sub(bytes.len());
+        let whole = match next_part(&mut reader, &mut bytes, space).await {
             Ok(Some(whole)) => whole,
             Ok(None) | Err(_) => {
                 if !bytes.is_empty() {
@@ -155,12 +160,12 @@ async fn read(stderr: ChildStderr, mut line: impl FnMut(String)) {
     }
 }
 
-/// Adds at most `room` bytes of the line to `bytes` and skips what is beyond. Whether the line is whole;
+/// Adds at most `space` bytes of the line to `bytes` and skips what is beyond. Whether the line is whole;
 /// `None` at the end.
 async fn next_part(
     reader: &mut BufReader<ChildStderr>,
     bytes: &mut Vec<u8>,
-    room: usize,
+    space: usize,
 ) -> std::io::Result<Option<bool>> {
     let buffer = reader.fill_buf().await?;
     if buffer.is_empty() {
@@ -168,7 +173,7 @@ async fn next_part(
     }
     let end = buffer.iter().position(|byte| *byte == b'\n');
     let part = end.map_or(buffer, |end| buffer.get(..end).unwrap_or(buffer));
-    bytes.extend(part.iter().take(room));
+    bytes.extend(part.iter().take(space));
     let used = end.map_or(buffer.len(), |end| end + 1);
     reader.consume(used);
     Ok(Some(end.is_some()))

@@ -73,14 +73,14 @@ pub enum ClientError {
         error: io::Error,
     },
     /// It took too long.
-    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .limit.as_secs_f64())]
+    #[error("app `{app}`{} did not answer within {} s", of(*.pid), .timeout.as_secs_f64())]
     TimedOut {
         /// The app.
         app: String,
         /// Its process; 0 for one on another host.
         pid: u32,
-        /// The limit.
-        limit: Duration,
+        /// The timeout.
+        timeout: Duration,
     },
     /// It answered what this version cannot read.
     #[error("cannot read what app `{app}` answers: {reason}; is it of another version?")]
@@ -177,22 +177,15 @@ fn choose(apps: Vec<Socket>, name: Option<&str>) -> Result<Socket, ClientError> 
 /// What an app is spoken to over.
 trait Wire: Read + Write + Send {
     /// How long each reading may take.
-    fn read_within(&self, limit: Option<Duration>) -> io::Result<()>;
-    /// How long each writing may take.
-    fn write_within(&self, limit: Option<Duration>) -> io::Result<()>;
+    fn read_within(&self, timeout: Option<Duration>) -> io::Result<()>;
 }
 
 macro_rules! wire {
     ($stream:ty, $socket:ident => $of:expr) => {
         impl Wire for $stream {
-            fn read_within(&self, limit: Option<Duration>) -> io::Result<()> {
+            fn read_within(&self, timeout: Option<Duration>) -> io::Result<()> {
                 let $socket = self;
-                $of.set_read_timeout(limit)
-            }
-
-            fn write_within(&self, limit: Option<Duration>) -> io::Result<()> {
-                let $socket = self;
-                $of.set_write_timeout(limit)
+                $of.set_read_timeout(timeout)
             }
         }
     };
@@ -224,7 +217,7 @@ fn own_secret(stream: &TcpStream) -> io::Result<Secret> {
 /// A connection to an app.
 pub struct Client {
     app: Socket,
-    limit: Duration,
+    timeout: Duration,
     stream: BufReader<Box<dyn Wire>>,
     /// What has come of the next answer.
     begun: Vec<u8>,
@@ -241,39 +234,34 @@ impl fmt::Debug for Client {
 }
 
 impl Client {
-    /// Connects to an app whose answers are waited for `limit` long.
+    /// Connects to an app whose answers are waited for `timeout` long.
     ///
     /// # Errors
     /// [`ClientError::Unreachable`].
-    pub fn connect(app: Socket, limit: Duration) -> Result<Self, ClientError> {
-        match UnixStream::connect(&app.path) {
-            Ok(stream) => Self::over(Box::new(stream), app, limit, None),
-            Err(error) => Err(ClientError::Unreachable {
-                app: app.app,
-                pid: app.pid,
-                error,
-            }),
-        }
+    pub fn connect(app: Socket, timeout: Duration) -> Result<Self, ClientError> {
+        let connected = UnixStream::connect(&app.path).and_then(|stream| {
+            stream.set_write_timeout(Some(timeout))?;
+            stream.set_read_timeout(Some(timeout))?;
+            Ok(stream)
+        });
+        let stream = connected.map_err(|error| out_of_reach(&app, error))?;
+        Ok(Self::over(Box::new(stream), app, timeout, None))
     }
 
     /// Connects to an app on whatever host, which has `[control] listen = "..."`, at `HOST:PORT`, and shows
-    /// `pass` there. Its answers are waited for `limit` long.
+    /// `pass` there. Its answers are waited for `timeout` long.
     ///
     /// # Errors
     /// [`ClientError::Unreachable`], also when nobody knows the secret of the port, and [`ClientError::Key`]
     /// when the app does not prove who it is.
-    pub fn connect_at(at: &str, pass: &Pass, limit: Duration) -> Result<Self, ClientError> {
+    pub fn connect_at(at: &str, pass: &Pass, timeout: Duration) -> Result<Self, ClientError> {
         let app = Socket {
             app: at.to_owned(),
             pid: 0,
             path: PathBuf::new(),
         };
-        let unreachable = |error| ClientError::Unreachable {
-            app: at.to_owned(),
-            pid: 0,
-            error,
-        };
-        let mut stream = called(at, limit).map_err(unreachable)?;
+        let unreachable = |error| out_of_reach(&app, error);
+        let mut stream = called(at, timeout).map_err(unreachable)?;
         let keys = match pass {
             Pass::Key(keys) => keys,
             Pass::Secret(_) | Pass::OwnPort => {
@@ -286,7 +274,7 @@ impl Client {
                 let told = stream.write_all(format!("{shown}\n").as_bytes());
                 told.map_err(unreachable)?;
                 let hint = "it hung up; does it want a key (--key), or belong to another user?";
-                return Self::over(Box::new(stream), app, limit, Some(hint));
+                return Ok(Self::over(Box::new(stream), app, timeout, Some(hint)));
             }
         };
         let key = |error| ClientError::Key {
@@ -301,32 +289,22 @@ impl Client {
             });
         }
         let hint = "it hung up; is this key of its authority?";
-        Self::over(Box::new(stream), app, limit, Some(hint))
+        Ok(Self::over(Box::new(stream), app, timeout, Some(hint)))
     }
 
     fn over(
         stream: Box<dyn Wire>,
         app: Socket,
-        limit: Duration,
+        timeout: Duration,
         hung_up: Option<&'static str>,
-    ) -> Result<Self, ClientError> {
-        let limited = stream
-            .read_within(Some(limit))
-            .and_then(|()| stream.write_within(Some(limit)));
-        match limited {
-            Ok(()) => Ok(Self {
-                app,
-                limit,
-                stream: BufReader::new(stream),
-                begun: Vec::new(),
-                hung_up,
-                heard: false,
-            }),
-            Err(error) => Err(ClientError::Unreachable {
-                app: app.app,
-                pid: app.pid,
-                error,
-            }),
+    ) -> Self {
+        Self {
+            app,
+            timeout,
+            stream: BufReader::new(stream),
+            begun: Vec::new(),
+            hung_up,
+            heard: false,
         }
     }
 
@@ -355,16 +333,11 @@ impl Client {
             version: VERSION,
             request,
         };
-        let line = serde_json::to_string(&ask).map_err(|error| ClientError::Garbled {
-            app: self.app.app.clone(),
-            reason: error.to_string(),
-        })?;
+        let line = serde_json::to_string(&ask).map_err(|error| self.garbled(error))?;
         if line.len() >= REQUEST_LIMIT {
-            return Err(ClientError::Refused(ErrorView {
-                code: ErrorCode::BadRequest,
-                message: too_long(Some(line.len() + 1)),
-                known: Vec::new(),
-            }));
+            let why = too_long(Some(line.len() + 1));
+            let wrong = ErrorView::new(ErrorCode::BadRequest, why);
+            return Err(ClientError::Refused(wrong));
         }
         let stream = self.stream.get_mut();
         let written = stream
@@ -378,23 +351,21 @@ impl Client {
     /// # Errors
     /// [`ClientError`], also [`ClientError::Refused`] when the answer is an error.
     pub fn read(&mut self) -> Result<Option<Answer>, ClientError> {
-        match self.stream.read_until(b'\n', &mut self.begun) {
-            Ok(_) => {}
-            Err(error) => return Err(self.failed(error)),
-        }
+        let read = self.stream.read_until(b'\n', &mut self.begun);
+        read.map_err(|error| self.failed(error))?;
         self.whole()
     }
 
-    /// The next answer if it comes within `limit`. What has come of it by then is kept, so that one may ask
+    /// The next answer if it comes within `timeout`. What has come of it by then is kept, so that one may ask
     /// again.
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub fn read_within(&mut self, limit: Duration) -> Result<Within, ClientError> {
-        let set = self.stream.get_ref().read_within(Some(limit));
+    pub fn read_within(&mut self, timeout: Duration) -> Result<Within, ClientError> {
+        let set = self.stream.get_ref().read_within(Some(timeout));
         set.map_err(|error| self.failed(error))?;
         let read = self.stream.read_until(b'\n', &mut self.begun);
-        let usual = self.stream.get_ref().read_within(Some(self.limit));
+        let usual = self.stream.get_ref().read_within(Some(self.timeout));
         usual.map_err(|error| self.failed(error))?;
         match read {
             Ok(_) => Ok(match self.whole()? {
@@ -426,10 +397,14 @@ impl Client {
             Err(_) if !is_line && self.hung_up.is_some() => {
                 Err(self.failed(io::ErrorKind::UnexpectedEof.into()))
             }
-            Err(error) => Err(ClientError::Garbled {
-                app: self.app.app.clone(),
-                reason: error.to_string(),
-            }),
+            Err(error) => Err(self.garbled(error)),
+        }
+    }
+
+    fn garbled(&self, reason: impl ToString) -> ClientError {
+        ClientError::Garbled {
+            app: self.app.app.clone(),
+            reason: reason.to_string(),
         }
     }
 
@@ -444,12 +419,8 @@ impl Client {
         request: C,
         within: Duration,
     ) -> Result<C::Reply, ClientError> {
-        let garbled = |client: &Self, reason: String| ClientError::Garbled {
-            app: client.app.app.clone(),
-            reason,
-        };
         let encoded = Data::of(request).into_bytes();
-        let encoded = encoded.map_err(|error| garbled(self, error.to_string()))?;
+        let encoded = encoded.map_err(|error| self.garbled(error))?;
         self.wait_for_ever()?;
         let answer = self.get(Request::Call {
             task: task.to_owned(),
@@ -458,12 +429,12 @@ impl Client {
             within_s: within.as_secs_f64(),
         })?;
         let Answer::Reply { data } = answer else {
-            return Err(garbled(self, "it is not the answer to a call".to_owned()));
+            return Err(self.garbled("it is not the answer to a call"));
         };
         let bytes = STANDARD.decode(data);
-        let bytes = bytes.map_err(|error| garbled(self, error.to_string()))?;
+        let bytes = bytes.map_err(|error| self.garbled(error))?;
         let reply = Data::Bytes(bytes).take::<C::Reply>();
-        reply.map_err(|error| garbled(self, error.to_string()))
+        reply.map_err(|error| self.garbled(error))
     }
 
     /// Asks for what is answered in one line.
@@ -479,12 +450,11 @@ impl Client {
     }
 
     fn failed(&self, error: io::Error) -> ClientError {
-        let (app, pid) = (self.app.app.clone(), self.app.pid);
         match error.kind() {
             _ if is_late(&error) => ClientError::TimedOut {
-                app,
-                pid,
-                limit: self.limit,
+                app: self.app.app.clone(),
+                pid: self.app.pid,
+                timeout: self.timeout,
             },
             // What a refusal looks like from here.
             io::ErrorKind::UnexpectedEof
@@ -495,14 +465,22 @@ impl Client {
             {
                 let hint = self.hung_up.unwrap_or_default();
                 let error = io::Error::new(error.kind(), format!("{hint} ({error})"));
-                ClientError::Unreachable { app, pid, error }
+                out_of_reach(&self.app, error)
             }
-            _ => ClientError::Unreachable { app, pid, error },
+            _ => out_of_reach(&self.app, error),
         }
     }
 }
 
-/// What came within a time limit.
+fn out_of_reach(app: &Socket, error: io::Error) -> ClientError {
+    ClientError::Unreachable {
+        app: app.app.clone(),
+        pid: app.pid,
+        error,
+    }
+}
+
+/// What came within a time-out.
 #[derive(Debug)]
 pub enum Within {
     /// An answer.
@@ -522,15 +500,15 @@ fn is_late(error: &io::Error) -> bool {
 }
 
 /// Calls the first address of `at` that answers.
-fn called(at: &str, limit: Duration) -> io::Result<TcpStream> {
+fn called(at: &str, timeout: Duration) -> io::Result<TcpStream> {
     let addresses: Vec<SocketAddr> = at.to_socket_addrs()?.collect();
     let mut failed = io::Error::new(io::ErrorKind::NotFound, "the name leads to no address");
     for address in addresses {
-        match TcpStream::connect_timeout(&address, limit) {
+        match TcpStream::connect_timeout(&address, timeout) {
             Ok(stream) => {
                 stream.set_nodelay(true)?;
-                stream.set_read_timeout(Some(limit))?;
-                stream.set_write_timeout(Some(limit))?;
+                stream.set_read_timeout(Some(timeout))?;
+                stream.set_write_timeout(Some(timeout))?;
                 return Ok(stream);
             }
             Err(error) => failed = error,

@@ -13,11 +13,11 @@ use tokio::{
 };
 
 use super::{
-    desk::{Client, Desk, Reader, Writer, busy, error, tell},
     protocol::ErrorCode,
+    service::{Client, Reader, Service, Writer, busy, error, tell},
 };
 use crate::{
-    doors::{ACCEPT_PAUSE, Lobby, PortSecret, STRANGER_LIMIT, STRANGERS, Secret, Turned},
+    doors::{Lobby, PortSecret, STRANGER_TIMEOUT, STRANGERS, Secret, Turned},
     remote::is_same_user,
 };
 use ctos_link::{
@@ -57,43 +57,30 @@ pub(crate) struct Gate {
 }
 
 /// Serves tools until it is aborted.
-pub(super) async fn serve(gate: Gate, desk: Arc<Desk>, clients: Arc<Semaphore>) {
+pub(super) async fn serve(gate: Gate, service: Arc<Service>, clients: Arc<Semaphore>) {
     let Gate { listener, secret } = gate;
     let secret = Arc::new(secret);
     let lobby = Lobby::new(STRANGERS);
     let places = Arc::new(Semaphore::new(PLACES));
     let mut serving = JoinSet::new();
     loop {
-        let call = tokio::select! {
-            call = listener.accept() => call,
-            Some(_) = serving.join_next() => continue,
-        };
-        let call = match call {
-            Ok(call) => call,
-            Err(error) => {
-                desk.refuse("a caller", &format!("it was lost: {error}"));
-                lobby.turn_out();
-                tokio::time::sleep(ACCEPT_PAUSE).await;
-                continue;
-            }
-        };
+        let refuse = |_: Option<&Call>, why: &str| service.refuse("a caller", why);
+        let (call, guest) = lobby.next(|| listener.accept(), refuse).await;
+        while serving.try_join_next().is_some() {}
         call.keep_alive();
         let ends = call.ends();
         let from = ends.map_or_else(|| "a caller".to_owned(), |(peer, _)| peer.to_string());
-        let Some(guest) = lobby.enter().await else {
-            continue;
-        };
-        let (desk, clients, places) = (desk.clone(), clients.clone(), places.clone());
+        let (service, clients, places) = (service.clone(), clients.clone(), places.clone());
         let secret = secret.clone();
         serving.spawn(async move {
             let met = meet(call, ends, &from, secret.as_ref().as_ref());
-            let met = guest.hear(STRANGER_LIMIT, met).await;
+            let met = guest.hear(STRANGER_TIMEOUT, met).await;
             let (client, reader, mut writer) = match met.unwrap_or_else(|why| Err(why.into())) {
                 Ok(met) => met,
-                Err(error) => return desk.refuse(&from, &error.to_string()),
+                Err(error) => return service.refuse(&from, &error.to_string()),
             };
             let served = match (places.try_acquire_owned(), clients.try_acquire_owned()) {
-                (Ok(_far), Ok(_place)) => desk.client(&client, reader, writer).await,
+                (Ok(_far), Ok(_place)) => service.client(&client, reader, writer).await,
                 _ => tell(&mut writer, &busy()).await,
             };
             if let Err(error) = served {
@@ -183,7 +170,7 @@ mod tests {
         let chassis = Chassis::new(0, Arc::new(app), registry, Clock::real());
         let nobody: Observer = Arc::new(|_| {});
         let logs = Arc::new(LogStore::new(chassis.clock.clone()));
-        let desk = Arc::new(Desk::new(&chassis, &logs, &Ticker::observe(&nobody).0));
+        let service = Arc::new(Service::new(&chassis, &logs, &Ticker::observe(&nobody).0));
         let listener = Listener::tcp(([127, 0, 0, 1], 0).into(), None).await;
         let listener = listener.unwrap();
         let Address::Tcp(address) = listener.address().unwrap() else {
@@ -195,7 +182,7 @@ mod tests {
             listener,
             secret: Some(secret),
         };
-        tokio::spawn(serve(gate, desk, Arc::new(Semaphore::new(64))));
+        tokio::spawn(serve(gate, service, Arc::new(Semaphore::new(64))));
         let shown = serde_json::to_string(&Shown { token }).unwrap();
         (address, format!("{shown}\n"), chassis)
     }

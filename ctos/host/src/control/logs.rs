@@ -8,12 +8,15 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast;
 
+use super::protocol::ProcessLog;
 use ctos_time::{Clock, lock::lock};
 
 /// How many lines are kept of one process.
 const LINES: usize = 1000;
 /// How many earlier processes of a chassis are remembered besides the present one.
 const EARLIER: usize = 3;
+/// How many of its last lines the status of a chassis shows of each process.
+const LAST_LINES: usize = 10;
 /// How many new lines a slow reader may be behind before it loses some, and is told so.
 const BEHIND: usize = 4096;
 
@@ -92,6 +95,7 @@ impl LogLine {
     }
 }
 
+#[derive(Debug)]
 struct Process {
     incarnation: u32,
     pid: Option<u32>,
@@ -104,17 +108,6 @@ pub(crate) struct LogStore {
     clock: Clock,
     chassis: Mutex<BTreeMap<String, VecDeque<Process>>>,
     new: broadcast::Sender<LogLine>,
-}
-
-impl std::fmt::Debug for Process {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "Process({}, {} lines)",
-            self.incarnation,
-            self.lines.len()
-        )
-    }
 }
 
 impl LogStore {
@@ -182,13 +175,25 @@ impl LogStore {
         lines
     }
 
-    /// The processes of a chassis that are remembered, oldest first: number and process id.
-    pub(crate) fn processes(&self, chassis: &str) -> Vec<(u32, Option<u32>)> {
+    /// The last lines of a chassis's processes, the present one last; of that one those about `task`, if one is
+    /// named.
+    pub(crate) fn processes(&self, chassis: &str, task: Option<&str>) -> Vec<ProcessLog> {
         let all = lock(&self.chassis);
-        let processes = all.get(chassis).into_iter().flatten();
-        processes
-            .map(|process| (process.incarnation, process.pid))
-            .collect()
+        let processes = all.get(chassis);
+        let present = processes.and_then(|processes| Some(processes.back()?.incarnation));
+        let log = |process: &Process| {
+            let task = task.filter(|_| present == Some(process.incarnation));
+            let wanted = |line: &&LogLine| task.is_none_or(|task| line.is_about(task));
+            let last = process.lines.iter().rev().filter(wanted).take(LAST_LINES);
+            let mut lines: Vec<LogLine> = last.cloned().collect();
+            lines.reverse();
+            ProcessLog {
+                incarnation: process.incarnation,
+                pid: process.pid,
+                lines,
+            }
+        };
+        processes.into_iter().flatten().map(log).collect()
     }
 
     /// The process id of the present process of a chassis.

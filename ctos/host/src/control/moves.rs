@@ -1,16 +1,15 @@
 //! A move that a client has asked for: checked, ordered, and told about until it is over.
 
-use std::{future::Future, pin::Pin, sync::Arc, time::Duration};
+use std::{io, time::Duration};
 
-use crate::control::{
-    LogStore,
+use super::{
     protocol::{Answer, ErrorCode, ErrorView, MoveView},
+    service::{Service, Writer, tell},
     view,
 };
 use ctos_core::{
-    chassis::Chassis,
-    moving::{NoPlace, find_place, place_text},
-    system::{self, MoveTask, Place, QueryTid},
+    moving::{find_place, place_text},
+    system::{self, MoveTask, Place},
 };
 use ctos_message::fault::Fault;
 use ctos_time::Instant;
@@ -20,173 +19,108 @@ const TELL: Duration = Duration::from_secs(1);
 /// What a move may take besides the startup phases at the new place.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How long the task identification service may take to say where a task is.
-const ASK: Duration = Duration::from_secs(2);
-
-type UnderWay = Pin<Box<dyn Future<Output = Result<String, Fault>> + Send>>;
+const FIND_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A move, as a client sees it.
-pub(super) struct Moving<'d> {
-    chassis: &'d Arc<Chassis>,
-    logs: &'d LogStore,
+struct Move {
     task: String,
-    to: String,
     from: String,
+    to: String,
     began: Instant,
-    stage: Stage,
 }
 
-enum Stage {
-    Asked,
-    UnderWay(UnderWay),
-    Over,
-}
-
-impl<'d> Moving<'d> {
-    pub(super) fn new(
-        chassis: &'d Arc<Chassis>,
-        logs: &'d LogStore,
+impl Service {
+    /// Moves a task and tells the client about it. A client that goes before the end does not end the move.
+    pub(super) async fn move_task(
+        &self,
         task: String,
         to: String,
-    ) -> Self {
-        Self {
-            chassis,
-            logs,
-            task,
-            to,
-            from: String::new(),
-            began: chassis.clock.now(),
-            stage: Stage::Asked,
-        }
-    }
-
-    /// What the client is told next; `None` when that was all. A client that goes before the end does not
-    /// end the move.
-    pub(super) async fn next(&mut self) -> Option<Answer> {
-        match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Asked => Some(match self.begin().await {
-                Ok(under_way) => {
-                    self.stage = Stage::UnderWay(under_way);
-                    Answer::Moving(self.view(None))
-                }
-                Err(wrong) => Answer::Error(wrong),
-            }),
-            Stage::UnderWay(mut under_way) => {
-                match tokio::time::timeout(TELL, &mut under_way).await {
-                    Ok(Ok(place)) => {
-                        self.to = place;
-                        Some(Answer::Moved(self.view(None)))
-                    }
-                    Ok(Err(fault)) => Some(Answer::Error(self.failure(&fault))),
-                    Err(_) => {
-                        self.stage = Stage::UnderWay(under_way);
-                        let at = self.at().await;
-                        Some(Answer::Moving(self.view(at)))
-                    }
-                }
-            }
-            Stage::Over => None,
-        }
-    }
-
-    /// Finds both ends of the way, and gives the order.
-    async fn begin(&mut self) -> Result<UnderWay, ErrorView> {
-        let place = find_place(self.chassis, &self.to).map_err(no_such_place)?;
-        let query = QueryTid {
-            name: self.task.clone(),
+        writer: &mut Writer,
+    ) -> io::Result<()> {
+        let mut moving = match self.begin_move(task, &to).await {
+            Ok(moving) => moving,
+            Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
         };
-        let found = view::ask(self.chassis, system::TID_SERVER, query, ASK).await;
-        let old = match found {
-            Ok(Ok(old)) => old,
-            Ok(Err(_)) if self.chassis.app.task(&self.task).is_some() => {
-                let message = format!("`{}` does not run at the moment", self.task);
-                return Err(error(ErrorCode::Failed, message));
-            }
-            Ok(Err(known)) => {
-                return Err(ErrorView {
-                    code: ErrorCode::NoSuchName,
-                    message: format!("no task is called `{}`", self.task),
-                    known,
-                });
-            }
-            Err(fault) => return Err(self.failure(&fault)),
-        };
-        self.to = place_text(self.chassis, place);
-        self.from = place_text(
-            self.chassis,
-            Place {
-                chassis: old.chassis(),
-                processor: old.processor(),
-            },
-        );
-        let (chassis, limit) = (self.chassis.clone(), self.limit());
+        tell(writer, &Answer::Moving(self.view(&moving, None))).await?;
+        let timeout = PATIENCE + self.chassis.app.phase_timeout.saturating_mul(4);
         let order = MoveTask {
-            task: self.task.clone(),
-            to: self.to.clone(),
+            task: moving.task.clone(),
+            to: moving.to.clone(),
         };
-        Ok(Box::pin(async move {
-            view::ask(&chassis, system::TID_SERVER, order, limit).await
-        }))
+        let moved = view::ask(&self.chassis, system::TID_SERVER, order, timeout);
+        let mut moved = std::pin::pin!(moved);
+        loop {
+            let answer = match tokio::time::timeout(TELL, &mut moved).await {
+                Ok(Ok(place)) => {
+                    moving.to = place;
+                    Answer::Moved(self.view(&moving, None))
+                }
+                Ok(Err(fault)) => Answer::Error(failure(&moving.task, fault)),
+                Err(_) => {
+                    let at = self.activity(&moving.task).await;
+                    tell(writer, &Answer::Moving(self.view(&moving, at))).await?;
+                    continue;
+                }
+            };
+            return tell(writer, &answer).await;
+        }
     }
 
-    fn limit(&self) -> Duration {
-        PATIENCE + self.chassis.app.phase_timeout.saturating_mul(4)
+    /// Finds both ends of the way.
+    async fn begin_move(&self, task: String, to: &str) -> Result<Move, ErrorView> {
+        let began = self.chassis.clock.now();
+        let to = find_place(&self.chassis, to).map_err(|wrong| ErrorView {
+            code: ErrorCode::NoSuchName,
+            message: wrong.message,
+            known: wrong.known,
+        })?;
+        let old = self.find(&task, FIND_TIMEOUT).await?;
+        let from = Place {
+            chassis: old.chassis(),
+            processor: old.processor(),
+        };
+        Ok(Move {
+            task,
+            from: place_text(&self.chassis, from),
+            to: place_text(&self.chassis, to),
+            began,
+        })
     }
 
-    fn view(&self, at: Option<String>) -> MoveView {
+    fn view(&self, moving: &Move, at: Option<String>) -> MoveView {
         MoveView {
-            task: self.task.clone(),
-            from: self.from.clone(),
-            to: self.to.clone(),
-            took_s: self.chassis.clock.now().since(self.began).as_secs_f64(),
+            task: moving.task.clone(),
+            from: moving.from.clone(),
+            to: moving.to.clone(),
+            took_s: self.chassis.clock.now().since(moving.began).as_secs_f64(),
             at,
         }
     }
 
-    /// What the task's handler is at: a task moves between two messages.
-    async fn at(&mut self) -> Option<String> {
-        let app = view::app(self.chassis, self.logs).await.ok()?;
-        let tasks = app.tasks.iter().filter(|task| task.name == self.task);
-        let mut busy = tasks.filter_map(|task| Some((task.in_handler_s?, task.command.clone()?)));
-        let (time_s, command) = busy.next()?;
+    /// What a task's handler is at: a task moves between two messages.
+    async fn activity(&self, task: &str) -> Option<String> {
+        let app = self.app().await.ok()?;
+        let task = app.tasks.into_iter().find(|one| one.name == task)?;
+        let (command, time_s) = (task.command?, task.in_handler_s?);
         Some(format!(
             "its handler has been at `{command}` for {time_s:.1} s"
         ))
     }
+}
 
-    fn failure(&self, fault: &Fault) -> ErrorView {
-        let (code, message) = match fault {
-            Fault::Refused { text } => (ErrorCode::Failed, text.clone()),
-            Fault::Deadline { after } => (
-                ErrorCode::TimedOut,
-                format!(
-                    "`{}` has not moved within {:.1} s; `ctos status {}` shows what it is at",
-                    self.task,
-                    after.as_secs_f64(),
-                    self.task
-                ),
+fn failure(task: &str, fault: Fault) -> ErrorView {
+    match fault {
+        Fault::Deadline { after } => ErrorView::new(
+            ErrorCode::TimedOut,
+            format!(
+                "`{task}` has not moved within {:.1} s; `ctos status {task}` shows what it is at",
+                after.as_secs_f64()
             ),
-            // Who carries it out ends without a word only when the app does.
-            Fault::Stopping | Fault::NoReply => {
-                (ErrorCode::Failed, "the app is being stopped".to_owned())
-            }
-            other => (ErrorCode::Failed, format!("{other:?}")),
-        };
-        error(code, message)
-    }
-}
-
-fn error(code: ErrorCode, message: String) -> ErrorView {
-    ErrorView {
-        code,
-        message,
-        known: Vec::new(),
-    }
-}
-
-fn no_such_place(wrong: NoPlace) -> ErrorView {
-    ErrorView {
-        code: ErrorCode::NoSuchName,
-        message: wrong.message,
-        known: wrong.known,
+        ),
+        // Who carries it out ends without a word only when the app does.
+        Fault::Stopping | Fault::NoReply => {
+            ErrorView::new(ErrorCode::Failed, "the app is being stopped")
+        }
+        other => other.into(),
     }
 }

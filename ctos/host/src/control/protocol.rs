@@ -5,10 +5,10 @@
 use serde::{Deserialize, Serialize};
 
 use crate::control::{Level, LogLine};
-use ctos_bootstrap::bootstrap::BootEvent;
-use ctos_bootstrap::bootstrap::{BootState, ChassisState};
+use ctos_bootstrap::bootstrap::{BootEvent, BootState, ChassisState};
 use ctos_core::{phase::Phase, report::RecordReport};
 use ctos_link::security::Role;
+use ctos_message::fault::Fault;
 
 /// The version of the protocol.
 pub const VERSION: u32 = 1;
@@ -215,6 +215,32 @@ pub struct ErrorView {
     pub known: Vec<String>,
 }
 
+impl ErrorView {
+    pub(crate) fn new(code: ErrorCode, message: impl Into<String>) -> Self {
+        Self {
+            code,
+            message: message.into(),
+            known: Vec::new(),
+        }
+    }
+}
+
+impl From<Fault> for ErrorView {
+    fn from(fault: Fault) -> Self {
+        match fault {
+            Fault::Refused { text } => Self::new(ErrorCode::Failed, text),
+            Fault::Deadline { after } => {
+                let text = format!("no answer within {:.1} s", after.as_secs_f64());
+                Self::new(ErrorCode::TimedOut, text)
+            }
+            Fault::PeerDown { chassis } => {
+                Self::new(ErrorCode::Failed, format!("chassis `{chassis}` is gone"))
+            }
+            other => Self::new(ErrorCode::Failed, other.to_string()),
+        }
+    }
+}
+
 /// Kinds of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -288,7 +314,7 @@ pub struct ChassisView {
 }
 
 /// What a task does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activity {
     /// It waits for messages.
@@ -298,11 +324,12 @@ pub enum Activity {
     /// Its handler, or a child, waits for another task.
     Waits,
     /// Its chassis is gone, or does not answer.
+    #[default]
     Gone,
 }
 
 /// A task.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct TaskView {
     /// Its symbolic name.
     pub name: String,
@@ -336,7 +363,7 @@ pub struct TaskView {
     pub urgent: u64,
     /// Messages of normal priority in its queue.
     pub queued: u64,
-    /// Senders that wait for room in its queue.
+    /// Senders that wait for space in its queue.
     pub senders_waiting: u64,
     /// How many messages of each priority its queue holds.
     pub capacity: u64,

@@ -3,7 +3,7 @@
 
 use std::{
     collections::BTreeMap,
-    future::Future,
+    io,
     sync::{
         Arc, Mutex,
         atomic::{AtomicU64, Ordering},
@@ -14,8 +14,10 @@ use std::{
 use futures_util::future::join_all;
 use tokio::sync::Notify;
 
-use crate::control::{
+use super::{
+    news::restarted,
     protocol::{Answer, ErrorCode, ErrorView, RecordFile, RecordRequest, RecordView},
+    service::{Service, Writer, tell},
     view,
 };
 use ctos_core::{
@@ -23,16 +25,16 @@ use ctos_core::{
     report::RecordReport,
     system::{self, TaskName},
 };
-use ctos_message::fault::Fault;
+use ctos_message::{Command, fault::Fault};
 use ctos_record::{BeginRecord, EndRecord, ReadRecord};
 use ctos_time::{Instant, lock::lock};
 
 /// How often a client is told how its record is.
 const TELL: Duration = Duration::from_secs(1);
 /// How long a chassis may take to begin, or to tell.
-const LIMIT: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 /// How long one may take to bring a record to the disk.
-const CLOSE_LIMIT: Duration = Duration::from_secs(8);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(8);
 
 /// The records that clients have asked for, by their keys.
 #[derive(Default)]
@@ -49,8 +51,30 @@ impl Recordings {
     }
 }
 
+impl Service {
+    /// Records the app and tells the client about it.
+    pub(super) async fn record(
+        &self,
+        request: RecordRequest,
+        writer: &mut Writer,
+    ) -> io::Result<()> {
+        let mut news = self.ticker.subscribe();
+        let begun = Recording::begin(&self.chassis, &self.recordings, request).await;
+        let mut recording = match begun {
+            Ok(recording) => recording,
+            Err(wrong) => return tell(writer, &Answer::Error(wrong)).await,
+        };
+        tell(writer, &Answer::Recording(recording.view())).await?;
+        while !recording.over {
+            let answer = recording.next(restarted(&mut news)).await;
+            tell(writer, &answer).await?;
+        }
+        Ok(())
+    }
+}
+
 /// One record. Dropped, it ends on every chassis.
-pub(super) struct Recording {
+struct Recording {
     chassis: Arc<Chassis>,
     all: Arc<Recordings>,
     request: RecordRequest,
@@ -67,7 +91,7 @@ impl Recording {
     ///
     /// # Errors
     /// When not even one can be recorded; all reasons.
-    pub(super) async fn begin(
+    async fn begin(
         chassis: &Arc<Chassis>,
         all: &Arc<Recordings>,
         request: RecordRequest,
@@ -96,38 +120,27 @@ impl Recording {
             .filter_map(|file| file.trouble.clone())
             .collect();
         reasons.dedup();
-        Err(ErrorView {
-            code: ErrorCode::Failed,
-            message: reasons.join("; "),
-            known: Vec::new(),
-        })
+        Err(ErrorView::new(ErrorCode::Failed, reasons.join("; ")))
     }
 
     async fn begin_on(&mut self, members: &[u8]) {
         let names = self.names().await;
-        let orders = members
-            .iter()
-            .filter(|index| **index == 0 || self.chassis.is_linked(**index))
-            .map(|index| {
-                let order = BeginRecord {
-                    key: self.key,
-                    folder: self.request.folder.clone(),
-                    channels: self.request.channels.clone(),
-                    names: names.clone(),
-                };
-                let chassis = self.chassis.clone();
-                async move {
-                    let agent = system::agent_tid(*index);
-                    (*index, view::ask(&chassis, agent, order, LIMIT).await)
-                }
-            });
-        for (index, begun) in join_all(orders).await {
+        let there = |index: &u8| *index == 0 || self.chassis.is_linked(*index);
+        let members = members.iter().copied().filter(there);
+        let order = || BeginRecord {
+            key: self.key,
+            folder: self.request.folder.clone(),
+            channels: self.request.channels.clone(),
+            names: names.clone(),
+        };
+        let begun = ask_all(&self.chassis, members, order, TIMEOUT).await;
+        self.files.extend(begun.into_iter().map(|(index, begun)| {
             let file = begun.unwrap_or_else(|fault| RecordReport {
-                trouble: Some(reason(&fault)),
+                trouble: Some(ErrorView::from(fault).message),
                 ..RecordReport::default()
             });
-            self.files.insert(index, file);
-        }
+            (index, file)
+        }));
     }
 
     /// The names of the tasks of all chassis, by their ids.
@@ -143,55 +156,48 @@ impl Recording {
             .collect()
     }
 
-    /// What the client is told next; `None` when that was all. `news` ends with the app, or with the name
-    /// of a chassis that was started again.
-    pub(super) async fn next(
-        &mut self,
-        news: impl Future<Output = Option<String>>,
-    ) -> Option<Answer> {
-        if self.over {
-            return None;
-        }
-        let pause = match self.left() {
-            Some(left) => left.min(TELL),
-            None => TELL,
-        };
+    /// What the client is told next. `restarted` ends with the name of a chassis that was started again, or with the
+    /// app.
+    async fn next(&mut self, restarted: impl Future<Output = Option<String>>) -> Answer {
+        let pause = self.left().map_or(TELL, |left| left.min(TELL));
         let stop = self.stop.clone();
         tokio::select! {
             biased;
-            () = stop.notified() => Some(self.end().await),
-            news = news => match news {
+            () = stop.notified() => self.end().await,
+            name = restarted => match name {
                 Some(name) => {
-                    let index = self.chassis.others().find(|index| {
-                        self.chassis.name_of(*index) == name
-                    });
-                    self.begin_on(&index.into_iter().collect::<Vec<_>>()).await;
-                    Some(Answer::Recording(self.view()))
+                    let chassis = self.chassis.clone();
+                    let index = chassis.others().find(|index| chassis.name_of(*index) == name);
+                    self.begin_on(index.as_slice()).await;
+                    Answer::Recording(self.view())
                 }
                 // Every process has closed its part with the rest of it.
                 None => {
                     self.over = true;
-                    Some(Answer::Recorded(self.view()))
+                    Answer::Recorded(self.view())
                 }
             },
             () = tokio::time::sleep(pause) => {
                 if self.left() == Some(Duration::ZERO) {
-                    return Some(self.end().await);
+                    return self.end().await;
                 }
-                self.read().await;
-                Some(Answer::Recording(self.view()))
+                let members = self.files.keys().copied();
+                let key = self.key;
+                let told = ask_all(&self.chassis, members, || ReadRecord { key }, TIMEOUT).await;
+                self.told(told);
+                Answer::Recording(self.view())
             }
         }
     }
 
     /// How long it still lasts, if that was said.
     fn left(&self) -> Option<Duration> {
-        let limit = self.request.for_s?;
-        let limit = Duration::try_from_secs_f64(limit).unwrap_or(Duration::MAX);
-        Some(limit.saturating_sub(self.chassis.clock.now().since(self.began)))
+        let timeout = self.request.for_s?;
+        let timeout = Duration::try_from_secs_f64(timeout).unwrap_or(Duration::MAX);
+        Some(timeout.saturating_sub(self.chassis.clock.now().since(self.began)))
     }
 
-    pub(super) fn view(&self) -> RecordView {
+    fn view(&self) -> RecordView {
         let files = self.files.iter();
         RecordView {
             key: self.key,
@@ -205,33 +211,21 @@ impl Recording {
         }
     }
 
-    async fn read(&mut self) {
-        let asked = self.files.keys().map(|index| {
-            let (chassis, key) = (self.chassis.clone(), self.key);
-            async move {
-                let agent = system::agent_tid(*index);
-                let told = view::ask(&chassis, agent, ReadRecord { key }, LIMIT).await;
-                (*index, told)
-            }
-        });
-        for (index, told) in join_all(asked).await {
-            // One that does not answer is told by its own means.
-            if let Ok(Some(record)) = told {
-                self.files.insert(index, record);
-            }
-        }
+    /// What chassis tell of their records. One that does not answer is told by its own means.
+    fn told(&mut self, told: Vec<(u8, Result<Option<RecordReport>, Fault>)>) {
+        let told = told.into_iter();
+        self.files
+            .extend(told.filter_map(|(index, told)| Some((index, told.ok()??))));
     }
 
     async fn end(&mut self) -> Answer {
         self.over = true;
-        let view = self.view();
-        for (index, told) in end_all(&self.chassis, self.key, self.files.keys().copied()).await {
-            if let Ok(Some(record)) = told {
-                self.files.insert(index, record);
-            }
-        }
+        let took_s = self.view().took_s;
+        let (members, key) = (self.files.keys().copied(), self.key);
+        let told = ask_all(&self.chassis, members, || EndRecord { key }, CLOSE_TIMEOUT).await;
+        self.told(told);
         Answer::Recorded(RecordView {
-            took_s: view.took_s,
+            took_s,
             ..self.view()
         })
     }
@@ -244,28 +238,23 @@ impl Drop for Recording {
             let (chassis, key) = (self.chassis.clone(), self.key);
             let members: Vec<u8> = self.files.keys().copied().collect();
             tokio::spawn(async move {
-                end_all(&chassis, key, members.into_iter()).await;
+                let order = || EndRecord { key };
+                ask_all(&chassis, members.into_iter(), order, CLOSE_TIMEOUT).await;
             });
         }
     }
 }
 
-async fn end_all(
+/// Asks the agents of `members`.
+async fn ask_all<C: Command>(
     chassis: &Arc<Chassis>,
-    key: u64,
     members: impl Iterator<Item = u8>,
-) -> Vec<(u8, Result<Option<RecordReport>, Fault>)> {
-    let ends = members.map(|index| async move {
-        let agent = system::agent_tid(index);
-        let told = view::ask(chassis, agent, EndRecord { key }, CLOSE_LIMIT).await;
-        (index, told)
+    order: impl Fn() -> C,
+    timeout: Duration,
+) -> Vec<(u8, Result<C::Reply, Fault>)> {
+    let asked = members.map(|index| {
+        let told = view::ask(chassis, system::agent_tid(index), order(), timeout);
+        async move { (index, told.await) }
     });
-    join_all(ends).await
-}
-
-fn reason(fault: &Fault) -> String {
-    match fault {
-        Fault::Refused { text } => text.clone(),
-        other => format!("{other:?}"),
-    }
+    join_all(asked).await
 }

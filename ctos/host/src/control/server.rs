@@ -4,63 +4,29 @@ use std::{io, path::PathBuf, sync::Arc, time::Duration};
 
 use tokio::{
     net::UnixListener,
-    sync::{Semaphore, broadcast},
+    sync::Semaphore,
     task::{JoinHandle, JoinSet},
 };
 
 use crate::{
     control::{
         LogStore,
-        desk::{Client, Desk, Writer, busy, tell},
         gate::{self, Gate},
+        news::{News, Ticker},
         place,
         protocol::EndView,
+        service::{Client, Service, Writer, busy, tell},
     },
     doors::ACCEPT_PAUSE,
 };
-use ctos_bootstrap::bootstrap::{BootEvent, End, Observer, Outcome};
+use ctos_bootstrap::bootstrap::{End, Outcome};
 use ctos_core::chassis::Chassis;
 use ctos_link::{security::Role, transport::listen_at};
 
 /// How many clients are served at a time.
 const CLIENTS: usize = 64;
-/// How many events a client may be behind before it loses some.
-const BEHIND: usize = 1024;
 /// How long clients may take to hear how the app ended.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// What happens to an app, for its clients.
-#[derive(Debug, Clone)]
-pub(super) enum News {
-    Event(BootEvent),
-    Ended(EndView),
-}
-
-/// What happens to an app, for whoever subscribes.
-#[derive(Debug, Clone)]
-pub(crate) struct Ticker(broadcast::Sender<News>);
-
-impl Ticker {
-    /// An observer that tells `observer` and the clients.
-    pub(crate) fn observe(observer: &Observer) -> (Self, Observer) {
-        let ticker = Self(broadcast::channel(BEHIND).0);
-        let (news, observer) = (ticker.0.clone(), observer.clone());
-        let both: Observer = Arc::new(move |event: &BootEvent| {
-            // Progress and log lines are asked for in other ways.
-            if !matches!(event, BootEvent::Log { .. } | BootEvent::Progress { .. }) {
-                // Nobody may be listening.
-                let _ = news.send(News::Event(event.clone()));
-            }
-            observer(event);
-        });
-        (ticker, both)
-    }
-
-    /// What happens from now on.
-    pub(super) fn subscribe(&self) -> broadcast::Receiver<News> {
-        self.0.subscribe()
-    }
-}
-
 /// Serves clients until it is told how the app ended. Dropped without that, it takes its socket away.
 pub(crate) struct Server {
     path: Option<PathBuf>,
@@ -79,15 +45,15 @@ impl Server {
         gate: Option<Gate>,
     ) -> Self {
         let clients = Arc::new(Semaphore::new(CLIENTS));
-        let desk = Arc::new(Desk::new(chassis, logs, &ticker));
+        let service = Arc::new(Service::new(chassis, logs, &ticker));
         let mut serving = Vec::new();
         if let Some(gate) = gate {
-            let served = gate::serve(gate, desk.clone(), clients.clone());
+            let served = gate::serve(gate, service.clone(), clients.clone());
             serving.push(tokio::spawn(served));
         }
         let path = match Self::socket(chassis) {
             Ok((listener, path)) => {
-                serving.push(tokio::spawn(serve(listener, desk, clients.clone())));
+                serving.push(tokio::spawn(serve(listener, service, clients.clone())));
                 Some(path)
             }
             Err(error) => {
@@ -146,7 +112,7 @@ impl Drop for Server {
     }
 }
 
-async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>) {
+async fn serve(listener: UnixListener, service: Arc<Service>, clients: Arc<Semaphore>) {
     let mut serving = JoinSet::new();
     loop {
         tokio::select! {
@@ -156,11 +122,11 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
                         peer.uid() == place::uid() || peer.uid() == 0
                     });
                     if !own {
-                        desk.refuse("a client of another user", "the socket is its user's own");
+                        service.refuse("a client of another user", "the socket is its user's own");
                         continue;
                     }
                     let place = clients.clone().try_acquire_owned();
-                    let desk = desk.clone();
+                    let service = service.clone();
                     serving.spawn(async move {
                         let (reader, writer) = stream.into_split();
                         let mut writer: Writer = Box::new(writer);
@@ -168,14 +134,14 @@ async fn serve(listener: UnixListener, desk: Arc<Desk>, clients: Arc<Semaphore>)
                             Ok(_place) => {
                                 // The user may do what he likes with what is his.
                                 let client = Client { who: "its user".to_owned(), role: Role::Boot };
-                                desk.client(&client, Box::new(reader), writer).await
+                                service.client(&client, Box::new(reader), writer).await
                             }
                             Err(_) => tell(&mut writer, &busy()).await,
                         }
                     });
                 }
                 Err(error) => {
-                    desk.refuse("a client", &format!("it was lost: {error}"));
+                    service.refuse("a client", &format!("it was lost: {error}"));
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                 }
             },

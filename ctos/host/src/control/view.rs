@@ -18,56 +18,95 @@ use ctos_core::{
     system::{self, Survey},
     tap::WaitFor,
 };
-use ctos_message::{Command, Data, Flags, fault::Fault};
+use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
 use ctos_time::Instant;
 
 /// How long a chassis may take to tell about its tasks.
-const LIMIT: Duration = Duration::from_millis(500);
+const TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Sends a task bytes from outside of any task; the bytes that it answers.
 pub(super) async fn ask_raw(
     chassis: &Arc<Chassis>,
-    to: ctos_message::Tid,
+    to: Tid,
     (command, data): (u16, Vec<u8>),
-    limit: Duration,
+    timeout: Duration,
 ) -> Result<Vec<u8>, Fault> {
     let from = system::agent_tid(chassis.index());
-    let message = Message::with_data(to, from, command, Data::Bytes(data))
-        .flagged(Flags::HIGH_PRIORITY)
-        .in_trace(chassis.fresh_trace())
-        .until(Some(chassis.clock.now() + limit));
-    let waiting = chassis.dispatch(message, WaitFor::Reply);
-    let answer = tokio::time::timeout(limit, waiting).await;
-    let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
-    data.into_bytes().map_err(|error| Fault::BadPayload {
-        text: error.to_string(),
-    })
+    let message = Message::with_data(to, from, command, Data::Bytes(data));
+    let message = message.in_trace(chassis.fresh_trace());
+    let data = sent(chassis, message, timeout).await?;
+    data.into_bytes().map_err(unreadable)
 }
 
 /// Asks a task from outside of any task.
 pub(crate) async fn ask<C: Command>(
     chassis: &Arc<Chassis>,
-    to: ctos_message::Tid,
+    to: Tid,
     request: C,
-    limit: Duration,
+    timeout: Duration,
 ) -> Result<C::Reply, Fault> {
     let from = system::agent_tid(chassis.index());
-    let message = Message::request(to, from, C::CODE, request)
+    let message = Message::request(to, from, C::CODE, request);
+    let data = sent(chassis, message, timeout).await?;
+    data.take::<C::Reply>().map_err(unreadable)
+}
+
+async fn sent(chassis: &Arc<Chassis>, message: Message, timeout: Duration) -> Result<Data, Fault> {
+    let message = message
         .flagged(Flags::HIGH_PRIORITY)
-        .until(Some(chassis.clock.now() + limit));
-    let waiting = chassis.dispatch(message, WaitFor::Reply);
-    let answer = tokio::time::timeout(limit, waiting).await;
-    let data = answer.map_err(|_| Fault::Deadline { after: limit })??;
-    data.take::<C::Reply>().map_err(|error| Fault::BadPayload {
+        .until(Some(chassis.clock.now() + timeout));
+    let answer = tokio::time::timeout(timeout, chassis.dispatch(message, WaitFor::Reply)).await;
+    answer.map_err(|_| Fault::Deadline { after: timeout })?
+}
+
+fn unreadable(error: impl ToString) -> Fault {
+    Fault::BadPayload {
         text: error.to_string(),
-    })
+    }
 }
 
 /// The app as it is now.
 pub(crate) async fn app(chassis: &Arc<Chassis>, logs: &LogStore) -> Result<AppView, Fault> {
-    let overview = ask(chassis, system::BOOTSTRAP, Overview {}, LIMIT).await?;
-    let surveys = surveys(chassis).await;
-    Ok(put_together(chassis, logs, &overview, &surveys))
+    let AppReport {
+        state,
+        now,
+        chassis: members,
+    } = ask(chassis, system::BOOTSTRAP, Overview {}, TIMEOUT).await?;
+    let app = &chassis.app;
+    let mut view = AppView {
+        app: app.name.clone(),
+        file: app.file.display().to_string(),
+        pid: std::process::id(),
+        state,
+        up_s: now.since_start().as_secs_f64(),
+        chassis: Vec::new(),
+        tasks: Vec::new(),
+        refused: Refusals::of(chassis).count(),
+    };
+    for (member, survey) in members.into_iter().zip(surveys(chassis).await) {
+        view.refused += survey.as_ref().map_or(0, |survey| survey.refused);
+        view.tasks
+            .extend(task_views(chassis, &member, survey.as_ref(), logs));
+        let answers = survey.is_some();
+        let (pid, processors, records) = match survey {
+            Some(survey) => (Some(survey.pid), survey.processors, survey.records),
+            None => (logs.pid(&member.name), Vec::new(), Vec::new()),
+        };
+        view.chassis.push(ChassisView {
+            host: app.host_of(&member.name).map(|host| host.name.clone()),
+            name: member.name,
+            pid,
+            state: member.state,
+            since_s: now.since(member.since).as_secs_f64(),
+            restarts: member.incarnation.saturating_sub(1),
+            last_end: member.last_end,
+            answers,
+            processors,
+            tasks: member.tasks.len(),
+            records,
+        });
+    }
+    Ok(view)
 }
 
 /// What each chassis tells about itself, in declared order; nothing, where one does not answer.
@@ -76,61 +115,9 @@ pub(super) async fn surveys(chassis: &Arc<Chassis>) -> Vec<Option<ChassisReport>
         .zip(&chassis.app.chassis)
         .map(|(index, _)| async move {
             let agent = system::agent_tid(index);
-            ask(chassis, agent, Survey {}, LIMIT).await.ok()
+            ask(chassis, agent, Survey {}, TIMEOUT).await.ok()
         });
     join_all(surveys).await
-}
-
-fn put_together(
-    chassis: &Arc<Chassis>,
-    logs: &LogStore,
-    overview: &AppReport,
-    surveys: &[Option<ChassisReport>],
-) -> AppView {
-    let app = &chassis.app;
-    let mut view = AppView {
-        app: app.name.clone(),
-        file: app.file.display().to_string(),
-        pid: std::process::id(),
-        state: overview.state,
-        up_s: overview.now.since_start().as_secs_f64(),
-        chassis: Vec::new(),
-        tasks: Vec::new(),
-        refused: Refusals::of(chassis).count(),
-    };
-    for (member, survey) in overview.chassis.iter().zip(surveys) {
-        let survey = survey.as_ref();
-        view.refused += survey.map_or(0, |survey| survey.refused);
-        let host = app.host_of(&member.name).map(|host| host.name.clone());
-        let mut shown = chassis_view(member, survey, overview.now, logs);
-        shown.host = host;
-        view.chassis.push(shown);
-        view.tasks.extend(task_views(chassis, member, survey, logs));
-    }
-    view
-}
-
-fn chassis_view(
-    member: &MemberReport,
-    survey: Option<&ChassisReport>,
-    now: Instant,
-    logs: &LogStore,
-) -> ChassisView {
-    ChassisView {
-        name: member.name.clone(),
-        host: None,
-        pid: survey
-            .map(|survey| survey.pid)
-            .or_else(|| logs.pid(&member.name)),
-        state: member.state,
-        since_s: now.since(member.since).as_secs_f64(),
-        restarts: member.incarnation.saturating_sub(1),
-        last_end: member.last_end.clone(),
-        answers: survey.is_some(),
-        processors: survey.map_or_else(Vec::new, |survey| survey.processors.clone()),
-        tasks: member.tasks.len(),
-        records: survey.map_or_else(Vec::new, |survey| survey.records.clone()),
-    }
 }
 
 /// The tasks of a chassis: as it tells them, or as they were declared when it does not answer.
@@ -158,21 +145,8 @@ fn task_views(
                     processor: task.processor.clone(),
                     handler: task.handler.clone(),
                     pid: logs.pid(&member.name),
-                    activity: Activity::Gone,
-                    phase: None,
-                    phase_s: 0.0,
-                    handled: 0,
-                    failed: 0,
-                    busy_s: 0.0,
-                    longest_s: 0.0,
-                    in_handler_s: None,
-                    command: None,
-                    urgent: 0,
-                    queued: 0,
-                    senders_waiting: 0,
                     capacity: task.queue as u64,
-                    restarts: 0,
-                    waits: Vec::new(),
+                    ..TaskView::default()
                 })
                 .collect()
         }

@@ -3,12 +3,14 @@
 
 use std::{
     collections::BTreeMap,
+    io,
     sync::{Arc, Mutex},
     time::Duration,
 };
 
 use tokio::sync::oneshot;
 
+use super::ACCEPT_PAUSE;
 use ctos_time::lock::lock;
 
 /// How long the next caller waits after one was turned out. It bounds how fast strangers can turn out
@@ -48,7 +50,7 @@ impl Lobby {
     }
 
     /// Lets one more in, for whom the longest silent one goes; `None` when all are being served.
-    pub(crate) async fn enter(self: &Arc<Self>) -> Option<Guest> {
+    async fn enter(self: &Arc<Self>) -> Option<Guest> {
         let crowded = {
             let guests = lock(&self.guests);
             guests.silent.len() + guests.served >= self.most
@@ -69,8 +71,31 @@ impl Lobby {
         Some(Guest { seat, turned })
     }
 
+    /// The next caller that there is a place for, and its place. `refuse` is told of each that is lost, and
+    /// that came when all were being served.
+    pub(crate) async fn next<C, F: Future<Output = io::Result<C>>>(
+        self: &Arc<Self>,
+        accept: impl Fn() -> F,
+        refuse: impl Fn(Option<&C>, &str),
+    ) -> (C, Guest) {
+        loop {
+            match accept().await {
+                Ok(caller) => match self.enter().await {
+                    Some(guest) => return (caller, guest),
+                    None => refuse(Some(&caller), "all connections are busy"),
+                },
+                // Too many files are open, perhaps: one that does nothing makes room.
+                Err(error) => {
+                    refuse(None, &format!("it was lost: {error}"));
+                    self.turn_out();
+                    tokio::time::sleep(ACCEPT_PAUSE).await;
+                }
+            }
+        }
+    }
+
     /// Turns out the longest silent one, if there is one.
-    pub(crate) fn turn_out(&self) -> bool {
+    fn turn_out(&self) -> bool {
         // Its sender is dropped, which it hears.
         lock(&self.guests).silent.pop_first().is_some()
     }
@@ -103,20 +128,20 @@ impl Guest {
         self.seat.clone()
     }
 
-    /// Does `what` with the caller, unless it is turned out or `limit` has passed.
+    /// Does `what` with the caller, unless it is turned out or `timeout` has passed.
     ///
     /// # Errors
     /// [`Turned`].
     pub(crate) async fn hear<T>(
         self,
-        limit: Duration,
+        timeout: Duration,
         what: impl Future<Output = T>,
     ) -> Result<T, Turned> {
-        let heard = tokio::time::timeout(limit, self.stay(what)).await;
+        let heard = tokio::time::timeout(timeout, self.stay(what)).await;
         heard.unwrap_or(Err(Turned::Late))
     }
 
-    /// As [`Self::hear`], without a limit.
+    /// As [`Self::hear`], without a timeout.
     ///
     /// # Errors
     /// [`Turned::Crowded`].
@@ -224,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn who_says_nothing_is_heard_no_longer_than_the_limit() {
+    fn who_says_nothing_is_heard_no_longer_than_the_timeout() {
         run(async {
             let guest = Lobby::new(1).enter().await.unwrap();
             let silent = std::future::pending::<()>();

@@ -21,7 +21,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::{net::TcpListener, task::JoinSet};
 
 use super::{
-    ACCEPT_PAUSE, STRANGER_LIMIT,
+    STRANGER_TIMEOUT,
     lobby::{Guest, Lobby, Seat},
 };
 use ctos_bootstrap::refusals::Refusals;
@@ -132,24 +132,12 @@ impl Pages {
         let lobby = Lobby::new(CONNECTIONS);
         let mut serving = JoinSet::new();
         loop {
-            let accepted = tokio::select! {
-                accepted = listener.accept() => accepted,
-                Some(_) = serving.join_next() => continue,
+            let refuse = |caller: Option<&(_, SocketAddr)>, why: &str| {
+                let who = caller.map_or("a browser".to_owned(), |(_, peer)| peer.to_string());
+                site.refuse(&who, why);
             };
-            let (stream, peer) = match accepted {
-                Ok(accepted) => accepted,
-                // Too many files are open, perhaps: one that does nothing makes room.
-                Err(error) => {
-                    site.refuse("a browser", &format!("it was lost: {error}"));
-                    lobby.turn_out();
-                    tokio::time::sleep(ACCEPT_PAUSE).await;
-                    continue;
-                }
-            };
-            let Some(guest) = lobby.enter().await else {
-                site.refuse(&peer.to_string(), "all connections are busy");
-                continue;
-            };
+            let ((stream, peer), guest) = lobby.next(|| listener.accept(), refuse).await;
+            while serving.try_join_next().is_some() {}
             let Ok(here) = stream.local_addr() else {
                 continue;
             };
@@ -166,7 +154,7 @@ impl Pages {
                 };
                 let site = caller.site.clone();
                 let met = async {
-                    let met = tokio::time::timeout(STRANGER_LIMIT, tls.accept(stream)).await;
+                    let met = tokio::time::timeout(STRANGER_TIMEOUT, tls.accept(stream)).await;
                     met.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
                 };
                 match met.await {
@@ -404,7 +392,7 @@ mod tests {
             let mut browser = TcpStream::connect(address).unwrap();
             assert!(get(&mut browser, "localhost").ends_with("yes"));
         }
-        // Without waiting for any time limit.
+        // Without waiting for any time-out.
         let closed = silent[0].read(&mut [0; 16]);
         assert!(matches!(closed, Ok(0) | Err(_)), "{closed:?}");
     }

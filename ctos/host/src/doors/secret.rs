@@ -5,7 +5,6 @@ use std::{
     fs,
     io::{self, Write},
     net::SocketAddr,
-    os::unix::fs::OpenOptionsExt,
     path::{Path, PathBuf},
 };
 
@@ -127,17 +126,11 @@ impl Drop for PortSecret {
 /// # Errors
 /// What the system says.
 pub fn private_file(path: &Path, text: &str) -> io::Result<()> {
-    let begun = path.with_extension(format!("{}.new", std::process::id()));
-    // One of a process of the same number that was killed.
-    let _ = fs::remove_file(&begun);
-    let mut options = fs::OpenOptions::new();
-    let mut file = options
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(&begun)?;
-    file.write_all(text.as_bytes())?;
-    fs::rename(&begun, path)
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut begun = tempfile::NamedTempFile::new_in(folder)?;
+    begun.write_all(text.as_bytes())?;
+    begun.persist(path)?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -30,7 +30,7 @@ use ctos_core::{
 use ctos_message::Tid;
 
 /// How long an agent has to answer.
-const ANSWER_LIMIT: Duration = Duration::from_secs(1);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 /// How many clients may wait for the next page.
 const CLIENTS: usize = 16;
 /// In whose name the agents are asked: no task has this id, and nobody is answered at it but by call.
@@ -91,7 +91,7 @@ async fn gather(cx: &Context) -> String {
     let calls = cx.chassis().others().map(|index| {
         let name = cx.chassis().name_of(index).to_owned();
         let agent = TaskRef::new(format!("agent@{name}"), system::agent_tid(index));
-        let call = cx.call(&agent, Gather {}).deadline(ANSWER_LIMIT);
+        let call = cx.call(&agent, Gather {}).deadline(ANSWER_TIMEOUT);
         async move { (name, call.await.ok()) }
     });
     let mut answers: Answers = vec![(

@@ -47,12 +47,9 @@ fn escaped(text: &str) -> String {
 /// The whole page. `uptime_s` is the time since the start of the app.
 pub(super) fn page(uptime_s: f64, answers: &Answers) -> String {
     let mut page = Page(String::new());
-    page.metric(
-        "ctos_uptime_seconds",
-        "gauge",
-        "Time since the start of the app.",
-    );
-    page.line("ctos_uptime_seconds", &[], uptime_s);
+    let name = "ctos_uptime_seconds";
+    page.metric(name, "gauge", "Time since the start of the app.");
+    page.line(name, &[], uptime_s);
     page.metric("ctos_up", "gauge", "Whether a chassis answers.");
     for (chassis, metrics) in answers {
         let up = u8::from(metrics.is_some());

@@ -23,11 +23,11 @@ use super::{
     is_same_user,
     run::{About, Common, Return, Run},
     wire::{
-        BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_LIMIT, Hello, HelloAnswer, Outbox,
+        BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_TIMEOUT, Hello, HelloAnswer, Outbox,
         PROTOCOL, ToBoot, say_last,
     },
 };
-use crate::doors::{ACCEPT_PAUSE, Lobby, PortSecret, STRANGERS, Turned};
+use crate::doors::{Lobby, PortSecret, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_core::registry::Registry;
 use ctos_link::{
@@ -318,27 +318,16 @@ impl HostAgent {
         let lobby = Lobby::new(STRANGERS);
         let mut serving = JoinSet::new();
         loop {
-            let call = tokio::select! {
-                call = agent.listener.accept() => call,
-                Some(_) = serving.join_next() => continue,
+            let refuse = |_: Option<&Call>, why: &str| agent.refuse(None, why);
+            let (call, guest) = tokio::select! {
+                next = lobby.next(|| agent.listener.accept(), refuse) => next,
                 () = &mut stop => break,
             };
-            let call = match call {
-                Ok(call) => call,
-                Err(error) => {
-                    agent.refuse(None, &format!("it was lost: {error}"));
-                    lobby.turn_out();
-                    tokio::time::sleep(ACCEPT_PAUSE).await;
-                    continue;
-                }
-            };
+            while serving.try_join_next().is_some() {}
             let from = call.ends().map(|(peer, _)| peer);
-            let Some(guest) = lobby.enter().await else {
-                continue;
-            };
             let agent = agent.clone();
             serving.spawn(async move {
-                let heard = guest.hear(HELLO_LIMIT, agent.hear(call)).await;
+                let heard = guest.hear(HELLO_TIMEOUT, agent.hear(call)).await;
                 let heard = heard.unwrap_or_else(|turned| Err(turned.into()));
                 match heard {
                     Ok(heard) => agent.admit(heard, from).await,
@@ -424,7 +413,7 @@ impl HostAgent {
             known: known.is_some(),
             process: Process::this(),
         };
-        let told = tokio::time::timeout(HELLO_LIMIT, handshake::say(&mut stream, &answer)).await;
+        let told = tokio::time::timeout(HELLO_TIMEOUT, handshake::say(&mut stream, &answer)).await;
         if !matches!(told, Ok(Ok(()))) {
             return self.refuse(from, "it did not hear the answer");
         }

@@ -8,7 +8,7 @@ use tokio::io::AsyncWriteExt;
 use super::{
     link::Link,
     wire::{
-        AppFiles, BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_LIMIT, HandlerView,
+        AppFiles, BUNDLE_LIMIT, Connection, FRAME_LIMIT, GREETING, HELLO_TIMEOUT, HandlerView,
         HelloAnswer, Outbox, ToAgent, ToBoot,
     },
 };
@@ -84,11 +84,11 @@ impl Link {
 
     /// Connects to the agent: whether it knows the run.
     pub(super) async fn call(&mut self) -> Result<(Connection, bool), HostError> {
-        let called = tokio::time::timeout(HELLO_LIMIT, self.say_hello()).await;
+        let called = tokio::time::timeout(HELLO_TIMEOUT, self.say_hello()).await;
         let called = called.unwrap_or_else(|_| {
             Err(format!(
                 "its agent does not answer within {} s; is the host up, and its agent not stuck?",
-                HELLO_LIMIT.as_secs()
+                HELLO_TIMEOUT.as_secs()
             ))
         });
         let (stream, known, process) = called.map_err(|reason| self.error(reason))?;
@@ -163,7 +163,7 @@ impl Link {
 
     /// Sends the app, and compares the clocks.
     pub(super) async fn begin(&mut self, connection: &mut Connection) -> Result<(), HostError> {
-        let limit = self.phase;
+        let timeout = self.phase;
         let begun = async {
             for _ in 0..SAMPLES {
                 self.ping();
@@ -191,7 +191,7 @@ impl Link {
                 }
             }
         };
-        let begun = tokio::time::timeout(limit, begun).await;
+        let begun = tokio::time::timeout(timeout, begun).await;
         let begun = begun.unwrap_or_else(|_| {
             Err(format!(
                 "its agent did not take the app within {:.3} s",

@@ -16,11 +16,15 @@ use tokio::sync::{mpsc, oneshot};
 use super::{
     call::{Compared, files},
     wire::{
-        AppFiles, Asked, Connection, HELLO_LIMIT, Hello, Outbox, PROTOCOL, Pulse, ToAgent, ToBoot,
-        ticks,
+        AppFiles, Asked, Connection, HELLO_TIMEOUT, Hello, Outbox, PROTOCOL, Pulse, ToAgent,
+        ToBoot, ticks,
     },
 };
-use crate::boot::{processes::Witness, spawn::Ending};
+use crate::boot::{
+    launcher::{Briefing, ProcessId},
+    processes::Witness,
+    spawn::Ending,
+};
 use ctos_bootstrap::bootstrap::HostError;
 use ctos_config::HostConfig;
 use ctos_core::chassis::Chassis;
@@ -51,7 +55,7 @@ pub(crate) struct HostLink(mpsc::UnboundedSender<Order>);
 
 enum Order {
     Start(Arc<Witness>),
-    Signal(u8, u32, Asked),
+    Signal(ProcessId, Asked),
     Close(oneshot::Sender<()>),
 }
 
@@ -131,24 +135,20 @@ impl HostLink {
         if let Err(unsent) = self.0.send(Order::Start(witness))
             && let Order::Start(witness) = unsent.0
         {
-            witness.ended(ending("could not be started: the app is ending".to_owned()));
+            witness.ended(Ending::unseen("could not be started: the app is ending"));
         }
     }
 
     /// Sends a process a signal: SIGTERM, or for all others SIGKILL.
-    pub(crate) fn signal(&self, chassis: u8, incarnation: u32, signal: Signal) {
+    pub(crate) fn signal(&self, id: ProcessId, signal: Signal) {
         let asked = if signal == Signal::TERM {
             Asked::Term
         } else {
             Asked::Kill
         };
         // A link that has ended has no processes.
-        let _ = self.0.send(Order::Signal(chassis, incarnation, asked));
+        let _ = self.0.send(Order::Signal(id, asked));
     }
-}
-
-fn ending(how: String) -> Ending {
-    Ending { how, code: None }
 }
 
 /// A process on the host, to this end.
@@ -258,7 +258,7 @@ impl Link {
                             break connection;
                         }
                         Err(error) => {
-                            witness.ended(ending(format!("could not be started: {error}")));
+                            witness.ended(Ending::unseen(format!("could not be started: {error}")));
                         }
                     },
                     Some(Order::Signal(..)) => {}
@@ -290,9 +290,7 @@ impl Link {
                 },
                 order = orders.recv() => match order {
                     Some(Order::Start(witness)) => self.start(witness),
-                    Some(Order::Signal(chassis, incarnation, asked)) => {
-                        self.signal(chassis, incarnation, asked);
-                    }
+                    Some(Order::Signal(id, asked)) => self.signal(id, asked),
                     Some(Order::Close(done)) => return Left::Closed(done),
                     None => std::future::pending().await,
                 },
@@ -353,12 +351,12 @@ impl Link {
         // One that has not ended then is cut off when its place is taken.
         let _ = tokio::time::timeout(stop + PAUSE, unlinked).await;
         for live in std::mem::take(&mut self.live).into_values() {
-            live.witness.ended(ending(how.to_owned()));
+            live.witness.ended(Ending::unseen(how));
         }
     }
 
     fn start(&mut self, witness: Arc<Witness>) {
-        let chassis = witness.index;
+        let chassis = witness.id.chassis;
         self.say_start(&witness);
         let live = Live {
             witness,
@@ -370,69 +368,52 @@ impl Link {
     }
 
     fn say_start(&self, witness: &Witness) {
-        self.outbox.say(ToAgent::Start {
-            chassis: witness.index,
+        let briefing = Briefing {
             name: witness.name.clone(),
-            incarnation: witness.incarnation,
+            incarnation: witness.id.incarnation,
             origin_ns: self.compared.map_or(0, |compared| compared.origin_ns),
             boot: self.boot.clone(),
             token: self.token.clone(),
-        });
+        };
+        self.outbox
+            .say(ToAgent::Start(witness.id.chassis, briefing));
     }
 
-    fn signal(&mut self, chassis: u8, incarnation: u32, signal: Asked) {
-        let live = self.live.get_mut(&chassis);
-        if let Some(live) = live.filter(|live| live.witness.incarnation == incarnation) {
+    fn signal(&mut self, id: ProcessId, signal: Asked) {
+        if let Some(live) = self.live(id) {
             live.asked = Some(signal);
-            self.outbox.say(ToAgent::Signal {
-                chassis,
-                incarnation,
-                signal,
-            });
+            self.outbox.say(ToAgent::Signal(id, signal));
         }
     }
 
     /// To an agent that is back: what it may not have heard.
     fn say_all(&self) {
-        for (chassis, live) in &self.live {
+        for live in self.live.values() {
             self.say_start(&live.witness);
             if let Some(signal) = live.asked {
-                self.outbox.say(ToAgent::Signal {
-                    chassis: *chassis,
-                    incarnation: live.witness.incarnation,
-                    signal,
-                });
+                self.outbox.say(ToAgent::Signal(live.witness.id, signal));
             }
         }
     }
 
-    fn live(&mut self, chassis: u8, incarnation: u32) -> Option<&mut Live> {
-        let live = self.live.get_mut(&chassis)?;
-        (live.witness.incarnation == incarnation).then_some(live)
+    fn live(&mut self, id: ProcessId) -> Option<&mut Live> {
+        let live = self.live.get_mut(&id.chassis)?;
+        (live.witness.id == id).then_some(live)
     }
 
     /// Passes on what the agent says.
     fn heard(&mut self, said: ToBoot) -> Result<(), String> {
         let host = self.host.name.clone();
         match said {
-            ToBoot::Started {
-                chassis,
-                incarnation,
-                pid,
-            } => {
-                if let Some(live) = self.live(chassis, incarnation)
+            ToBoot::Started(id, pid) => {
+                if let Some(live) = self.live(id)
                     && !std::mem::replace(&mut live.started, true)
                 {
                     live.witness.started(pid);
                 }
             }
-            ToBoot::Line {
-                chassis,
-                incarnation,
-                number,
-                text,
-            } => {
-                if let Some(live) = self.live(chassis, incarnation)
+            ToBoot::Line(id, number, text) => {
+                if let Some(live) = self.live(id)
                     && number > live.lines
                 {
                     live.missed(number - 1, &host);
@@ -440,14 +421,9 @@ impl Link {
                     live.witness.line(text);
                 }
             }
-            ToBoot::Ended {
-                chassis,
-                incarnation,
-                ending,
-                lines,
-            } => {
-                if self.live(chassis, incarnation).is_some()
-                    && let Some(mut live) = self.live.remove(&chassis)
+            ToBoot::Ended(id, ending, lines) => {
+                if self.live(id).is_some()
+                    && let Some(mut live) = self.live.remove(&id.chassis)
                 {
                     live.missed(lines, &host);
                     live.witness.ended(ending);
@@ -474,7 +450,7 @@ impl Link {
                 }
             }
         };
-        if tokio::time::timeout(self.silence.max(HELLO_LIMIT), over)
+        if tokio::time::timeout(self.silence.max(HELLO_TIMEOUT), over)
             .await
             .is_err()
         {

@@ -16,7 +16,7 @@ use std::{
 
 use rustix::process::Signal;
 use tokio::{
-    process::{ChildStdin, Command},
+    process::ChildStdin,
     sync::{mpsc, watch},
 };
 
@@ -28,11 +28,10 @@ use super::{
     },
 };
 use crate::boot::{
-    launcher::{INCARNATION_VARIABLE, TETHER_VARIABLE, TOKEN_VARIABLE},
+    launcher::{Briefing, ProcessId, TETHER_VARIABLE},
     spawn::{self, Ending, LAST_WORDS, Tether},
 };
 use ctos_core::registry::Registry;
-use ctos_link::{handshake::Token, transport::Address};
 use ctos_time::Clock;
 
 /// What all runs of an agent have in common.
@@ -65,7 +64,7 @@ pub(super) struct About {
 /// A process of the run.
 struct Child {
     name: String,
-    incarnation: u32,
+    id: ProcessId,
     pid: Option<u32>,
     signals: Option<mpsc::UnboundedSender<Signal>>,
     tether: Option<ChildStdin>,
@@ -75,11 +74,7 @@ struct Child {
 }
 
 /// A process has ended.
-struct Gone {
-    chassis: u8,
-    incarnation: u32,
-    ending: Ending,
-}
+type Gone = (ProcessId, Ending);
 
 /// Why a run is over.
 enum Over {
@@ -131,8 +126,9 @@ impl Run {
             }
         };
         self.end().await;
-        // Its folder goes with it.
-        self.unpacked = None;
+        if let Some(unpacked) = self.unpacked.take() {
+            unpacked.remove();
+        }
         self.tell(&AgentEvent::Over {
             app: self.about.app.clone(),
             why,
@@ -219,30 +215,10 @@ impl Run {
                     return Err(Over::Refused);
                 }
             },
-            ToAgent::Start {
-                chassis,
-                name,
-                incarnation,
-                origin_ns,
-                boot,
-                token,
-            } => {
-                let how = How {
-                    name,
-                    incarnation,
-                    origin_ns,
-                    boot,
-                    token,
-                };
-                self.start(chassis, how);
-            }
-            ToAgent::Signal {
-                chassis,
-                incarnation,
-                signal,
-            } => {
-                let child = self.children.get(&chassis);
-                let child = child.filter(|child| child.incarnation == incarnation);
+            ToAgent::Start(chassis, briefing) => self.start(chassis, &briefing),
+            ToAgent::Signal(id, signal) => {
+                let child = self.children.get(&id.chassis);
+                let child = child.filter(|child| child.id == id);
                 if let Some(signals) = child.and_then(|child| child.signals.as_ref()) {
                     // One that has ended needs none.
                     let _ = signals.send(match signal {
@@ -270,127 +246,101 @@ impl Run {
     }
 
     /// Starts a process, unless that was done.
-    fn start(&mut self, chassis: u8, how: How) {
+    fn start(&mut self, chassis: u8, briefing: &Briefing) {
+        let incarnation = briefing.incarnation;
         if let Some(child) = self.children.get(&chassis)
-            && child.incarnation >= how.incarnation
+            && child.id.incarnation >= incarnation
         {
-            self.say_of(chassis);
-            return;
+            return self.say_of(child);
         }
-        let mut child = Child {
-            name: how.name.clone(),
-            incarnation: how.incarnation,
-            pid: None,
-            signals: None,
-            tether: None,
-            lines: Arc::default(),
-            ended: None,
+        let id = ProcessId {
+            chassis,
+            incarnation,
         };
-        match self.spawn(chassis, &how, &child.lines) {
+        let lines = Arc::default();
+        let (mut pid, mut signals, mut tether, mut ended) = (None, None, None, None);
+        match self.spawn(id, briefing, &lines) {
             Ok(spawned) => {
-                child.pid = spawned.pid;
-                child.signals = Some(spawned.signals);
-                child.tether = spawned.tether;
+                pid = spawned.pid;
+                signals = Some(spawned.signals);
+                tether = spawned.tether;
                 self.tell(&AgentEvent::Started {
                     app: self.about.app.clone(),
-                    chassis: how.name,
-                    pid: spawned.pid,
+                    chassis: briefing.name.clone(),
+                    pid,
                 });
             }
             Err(reason) => {
-                child.ended = Some(Ending {
-                    how: format!("could not be started: {reason}"),
-                    code: None,
-                });
+                ended = Some(Ending::unseen(format!("could not be started: {reason}")));
             }
         }
+        let child = Child {
+            name: briefing.name.clone(),
+            id,
+            pid,
+            signals,
+            tether,
+            lines,
+            ended,
+        };
+        self.say_of(&child);
         self.children.insert(chassis, child);
-        self.say_of(chassis);
     }
 
     fn spawn(
         &self,
-        chassis: u8,
-        how: &How,
+        id: ProcessId,
+        briefing: &Briefing,
         lines: &Arc<AtomicU64>,
     ) -> Result<spawn::Spawned, String> {
         let unpacked = self.unpacked.as_ref();
         let unpacked = unpacked.ok_or("the app's files were not sent")?;
-        let command = self.command(unpacked, how);
-        let incarnation = how.incarnation;
+        let mut command = unpacked.command(&self.common);
+        briefing.put_into(&mut command);
+        command.env(TETHER_VARIABLE, "1");
         let (outbox, counted) = (self.outbox.clone(), lines.clone());
         let line = move |text: String| {
             let number = counted.fetch_add(1, Ordering::Relaxed) + 1;
-            outbox.say(ToBoot::Line {
-                chassis,
-                incarnation,
-                number,
-                text,
-            });
+            outbox.say(ToBoot::Line(id, number, text));
         };
         let gone = self.gone.0.clone();
         let ended = move |ending| {
             // The run waits for all its processes.
-            let _ = gone.send(Gone {
-                chassis,
-                incarnation,
-                ending,
-            });
+            let _ = gone.send((id, ending));
         };
         let spawned = spawn::spawn(command, Tether::Stdin, line, ended);
         spawned.map_err(|error| format!("{}: {error}", self.common.program.display()))
     }
 
-    fn command(&self, unpacked: &Unpacked, how: &How) -> Command {
-        let mut command = unpacked.command(&self.common);
-        command
-            .args(["--chassis", &how.name, "--boot", &how.boot.to_string()])
-            .args(["--origin", &how.origin_ns.to_string()])
-            .env(TOKEN_VARIABLE, &how.token.0)
-            .env(INCARNATION_VARIABLE, how.incarnation.to_string())
-            .env(TETHER_VARIABLE, "1");
-        command
-    }
-
-    fn ended(&mut self, gone: Gone) {
-        let Some(child) = self.children.get_mut(&gone.chassis) else {
+    fn ended(&mut self, (id, ending): Gone) {
+        let child = self.children.get_mut(&id.chassis);
+        let Some(child) = child.filter(|child| child.id == id) else {
             return;
         };
-        if child.incarnation != gone.incarnation {
-            return;
-        }
         child.signals = None;
         child.tether = None;
         let event = AgentEvent::Ended {
             app: self.about.app.clone(),
             chassis: child.name.clone(),
-            how: gone.ending.how.clone(),
+            how: ending.how.clone(),
         };
-        child.ended = Some(gone.ending);
+        child.ended = Some(ending);
         self.tell(&event);
-        self.say_of(gone.chassis);
+        self.children
+            .get(&id.chassis)
+            .into_iter()
+            .for_each(|child| self.say_of(child));
     }
 
     /// Says how a process is.
-    fn say_of(&self, chassis: u8) {
-        let Some(child) = self.children.get(&chassis) else {
-            return;
-        };
-        let incarnation = child.incarnation;
-        if let Some(ending) = &child.ended {
-            self.outbox.say(ToBoot::Ended {
-                chassis,
-                incarnation,
-                ending: ending.clone(),
-                lines: child.lines.load(Ordering::Relaxed),
-            });
-        } else {
-            self.outbox.say(ToBoot::Started {
-                chassis,
-                incarnation,
-                pid: child.pid,
-            });
-        }
+    fn say_of(&self, child: &Child) {
+        self.outbox.say(match &child.ended {
+            Some(ending) => {
+                let lines = child.lines.load(Ordering::Relaxed);
+                ToBoot::Ended(child.id, ending.clone(), lines)
+            }
+            None => ToBoot::Started(child.id, child.pid),
+        });
     }
 
     /// To a boot that is back: what it may have missed.
@@ -398,8 +348,8 @@ impl Run {
         if self.unpacked.is_some() {
             self.outbox.say(ToBoot::Unpacked);
         }
-        for chassis in self.children.keys() {
-            self.say_of(*chassis);
+        for child in self.children.values() {
+            self.say_of(child);
         }
     }
 
@@ -428,12 +378,12 @@ impl Run {
                     }
                 }
             };
-            let limit = match signal {
+            let timeout = match signal {
                 // Its end is seen when its log is read, for which it has some time.
                 Some(Signal::KILL) => rung.max(2 * LAST_WORDS),
                 _ => rung,
             };
-            if tokio::time::timeout(limit, all).await.is_ok() {
+            if tokio::time::timeout(timeout, all).await.is_ok() {
                 return;
             }
         }
@@ -445,13 +395,4 @@ impl Run {
         let hung_up = async { while connection.hear::<ToAgent>().await.is_ok() {} };
         let _ = tokio::time::timeout(self.about.silence, hung_up).await;
     }
-}
-
-/// How to start a process.
-struct How {
-    name: String,
-    incarnation: u32,
-    origin_ns: u64,
-    boot: Address,
-    token: Token,
 }

@@ -19,6 +19,7 @@ use super::{
         LINES_WAITING, Outbox, PROTOCOL, ToAgent, ToBoot, WireError,
     },
 };
+use crate::boot::launcher::{Briefing, ProcessId};
 use crate::doors::{NO_PAGE, STRANGERS, Secret};
 use ctos_config::{Bundle, load};
 use ctos_core::registry::Registry;
@@ -29,6 +30,12 @@ use ctos_link::{
 
 /// A test that takes longer hangs; none takes a fraction of it.
 const WATCHDOG: Duration = Duration::from_secs(60);
+
+/// The first process of the first chassis.
+const FIRST: ProcessId = ProcessId {
+    chassis: 1,
+    incarnation: 1,
+};
 
 /// After this a hasty boot is missed: long for whatever must have happened before, also on a machine that is busy.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -192,14 +199,14 @@ impl Boot {
     }
 
     fn start(&self, chassis: u8, incarnation: u32) {
-        self.outbox.say(ToAgent::Start {
-            chassis,
+        let briefing = Briefing {
             name: format!("c{chassis}"),
             incarnation,
             origin_ns: 5,
             boot: Address::Tcp(([127, 0, 0, 1], 9).into()),
             token: Token("of the run".to_owned()),
-        });
+        };
+        self.outbox.say(ToAgent::Start(chassis, briefing));
     }
 
     /// Hears until a process has ended: its lines, and how many there were.
@@ -207,8 +214,8 @@ impl Boot {
         let mut heard = Vec::new();
         loop {
             match self.hear().await {
-                ToBoot::Line { number, text, .. } => heard.push((number, text)),
-                ToBoot::Ended { lines, ending, .. } => return (heard, lines, ending.code),
+                ToBoot::Line(_, number, text) => heard.push((number, text)),
+                ToBoot::Ended(_, ending, lines) => return (heard, lines, ending.code),
                 _ => {}
             }
         }
@@ -280,12 +287,7 @@ fn lines_are_numbered_and_those_that_do_not_fit_are_missing_from_the_count_only(
 fn an_outbox_keeps_lines_up_to_its_limit_and_everything_else() {
     let outbox = Outbox::new();
     for number in 0..3 * LINES_WAITING as u64 {
-        outbox.say(ToBoot::Line {
-            chassis: 1,
-            incarnation: 1,
-            number,
-            text: String::new(),
-        });
+        outbox.say(ToBoot::Line(FIRST, number, String::new()));
         outbox.say(ToBoot::Unpacked);
     }
     assert_eq!(outbox.len(), LINES_WAITING + 3 * LINES_WAITING);
@@ -306,10 +308,8 @@ fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
         let mut seen = Vec::new();
         while seen.len() < 2 {
             match boot.hear().await {
-                ToBoot::Started { chassis, .. } => seen.push((chassis, None)),
-                ToBoot::Ended {
-                    chassis, ending, ..
-                } => seen.push((chassis, ending.code)),
+                ToBoot::Started(id, _) => seen.push((id.chassis, None)),
+                ToBoot::Ended(id, ending, _) => seen.push((id.chassis, ending.code)),
                 _ => {}
             }
         }
@@ -317,7 +317,7 @@ fn a_boot_that_comes_back_in_time_finds_its_processes_as_they_are() {
         // What was started is not started again.
         boot.start(1, 1);
         // Lines of its log may come before.
-        while !matches!(boot.hear().await, ToBoot::Started { chassis: 1, .. }) {}
+        while !matches!(boot.hear().await, ToBoot::Started(FIRST, _)) {}
         boot.outbox.say(ToAgent::Bye);
         let (_, _, code) = boot.until_ended().await;
         assert_eq!(code, Some(0), "it was let go, and ended by itself");
@@ -338,7 +338,7 @@ fn nothing_of_a_lost_run_is_left_when_the_one_that_replaces_it_begins() {
         let mut host = Host::start("trap '' TERM; echo up >&2; while :; do sleep 1000; done").await;
         let mut lost = Boot::with_app(&host, &strict("lost")).await;
         lost.start(1, 1);
-        while !matches!(lost.hear().await, ToBoot::Line { .. }) {}
+        while !matches!(lost.hear().await, ToBoot::Line(..)) {}
         let hello = Hello {
             replaces: Some(Token("lost".to_owned())),
             ..hello("r")
@@ -366,7 +366,7 @@ fn what_a_boot_leaves_behind_is_ended_also_when_it_does_not_want_to() {
         let mut host = Host::start("trap '' TERM; echo up >&2; while :; do sleep 1000; done").await;
         let mut boot = Boot::with_app(&host, &hasty("r")).await;
         boot.start(1, 1);
-        while !matches!(boot.hear().await, ToBoot::Line { .. }) {}
+        while !matches!(boot.hear().await, ToBoot::Line(..)) {}
         drop(boot);
         host.tells("was killed by signal 9").await;
         host.tells("its boot is gone").await;
@@ -494,7 +494,7 @@ fn what_is_too_long_or_unreadable_ends_its_own_run_alone() {
         let host = Host::start("cat").await;
         let mut good = Boot::with_app(&host, &hello("good")).await;
         good.start(1, 1);
-        assert!(matches!(good.hear().await, ToBoot::Started { .. }));
+        assert!(matches!(good.hear().await, ToBoot::Started(..)));
         let too_long = u32::try_from(BUNDLE_LIMIT + 1).unwrap().to_le_bytes();
         let rubbish = [&3_u32.to_le_bytes()[..], &[0xff; 3]].concat();
         for bytes in [&too_long[..], &rubbish, &[0xff; 64]] {
@@ -581,15 +581,14 @@ pub(crate) fn corpus() -> Vec<Vec<u8>> {
         name: "arm".to_owned(),
         commands: vec![(1, "go".to_owned())],
     }])));
-    let ended = ToBoot::Ended {
-        chassis: 1,
-        incarnation: 1,
-        ending: crate::boot::spawn::Ending {
+    let ended = ToBoot::Ended(
+        FIRST,
+        crate::boot::spawn::Ending {
             how: "ended".to_owned(),
             code: Some(1),
         },
-        lines: 3,
-    };
+        3,
+    );
     vec![
         postcard::to_stdvec(&hello("r")).unwrap(),
         postcard::to_stdvec(&app).unwrap(),

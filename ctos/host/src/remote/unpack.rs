@@ -1,13 +1,9 @@
 //! The files of an app on the agent's host: whether this program can run the app, and the folder in which
 //! they are laid down.
 
-use std::{
-    collections::BTreeMap,
-    io,
-    os::unix::fs::DirBuilderExt,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, fs::Permissions, os::unix::fs::PermissionsExt, path::PathBuf};
 
+use tempfile::TempDir;
 use tokio::process::Command;
 
 use super::{
@@ -19,8 +15,8 @@ use ctos_core::registry::Registry;
 
 /// The app's files, laid down.
 pub(super) struct Unpacked {
-    /// Removed with it.
-    _folder: Folder,
+    /// Of this user alone.
+    folder: TempDir,
     selection: Selection,
     variables: BTreeMap<String, Option<String>>,
     options: Vec<String>,
@@ -34,21 +30,32 @@ impl Unpacked {
     /// Why the app cannot run here; nothing is left then.
     pub(super) fn new(common: &Common, files: AppFiles) -> Result<Self, String> {
         lacking(&common.registry, &files.handlers)?;
-        let folder = Folder::new(&common.folder)
+        let folder = tempfile::Builder::new()
+            .prefix("ctos-run-")
+            .permissions(Permissions::from_mode(0o700))
+            .tempdir_in(&common.folder)
             .map_err(|error| format!("the agent cannot make a folder for the app: {error}"))?;
-        let selection = files.bundle.unpack(&folder.path);
+        let selection = files.bundle.unpack(folder.path());
         let selection = selection.map_err(|error| error.to_string())?;
         let record = files.recorded.then(|| {
-            let name = folder.path.file_name().unwrap_or_default().to_owned();
+            let name = folder.path().file_name().unwrap_or_default().to_owned();
             common.folder.join(name).with_extension("mcap")
         });
         Ok(Self {
-            _folder: folder,
+            folder,
             selection,
             variables: files.bundle.variables,
             options: files.options,
             record,
         })
+    }
+
+    /// Removes the folder with all that is in it.
+    pub(super) fn remove(self) {
+        let path = self.folder.path().to_owned();
+        if let Err(error) = self.folder.close() {
+            tracing::warn!(folder = %path.display(), error = %error, "the folder of a run stays");
+        }
     }
 
     /// How a chassis of the app is started, as far as it is the same for all.
@@ -106,30 +113,4 @@ fn lacking(registry: &Registry, wanted: &[HandlerView]) -> Result<(), String> {
         }
     }
     Ok(())
-}
-
-/// The folder of a run; removed with all that is in it when it is dropped.
-struct Folder {
-    path: PathBuf,
-}
-
-impl Folder {
-    /// A fresh one in `parent`.
-    fn new(parent: &Path) -> io::Result<Self> {
-        let mut noise = [0_u8; 8];
-        getrandom::fill(&mut noise).map_err(|error| io::Error::other(error.to_string()))?;
-        let noise: String = noise.iter().map(|byte| format!("{byte:02x}")).collect();
-        let path = std::path::absolute(parent)?.join(format!("ctos-run-{noise}"));
-        // One that exists belongs to somebody else.
-        std::fs::DirBuilder::new().mode(0o700).create(&path)?;
-        Ok(Self { path })
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        if let Err(error) = std::fs::remove_dir_all(&self.path) {
-            tracing::warn!(folder = %self.path.display(), error = %error, "the folder of a run stays");
-        }
-    }
 }

@@ -21,13 +21,16 @@ use tokio::{
 use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
 
 use crate::{
-    boot::spawn::{Ending, LINE_LIMIT},
+    boot::{
+        launcher::{Briefing, ProcessId},
+        spawn::{Ending, LINE_LIMIT},
+    },
     doors::Secret,
 };
 use ctos_config::Bundle;
 use ctos_link::{
     handshake::{Process, Token},
-    transport::{Address, Stream},
+    transport::Stream,
 };
 use ctos_time::{Clock, Instant, lock::lock};
 
@@ -44,7 +47,7 @@ pub(crate) const BUNDLE_LIMIT: usize = 64 << 20;
 pub(crate) const FRAME_LIMIT: usize = 4 * LINE_LIMIT;
 
 /// How long a caller may take to say who it is, and an agent to answer.
-pub(crate) const HELLO_LIMIT: Duration = Duration::from_secs(5);
+pub(crate) const HELLO_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How many lines of logs may wait for a slow connection; further ones are lost, and counted.
 pub(crate) const LINES_WAITING: usize = 2048;
@@ -103,23 +106,10 @@ pub(crate) struct AppFiles {
 pub(crate) enum ToAgent {
     /// First, in a new run.
     App(Box<AppFiles>),
-    /// Start a process; nothing happens if it was started.
-    Start {
-        chassis: u8,
-        name: String,
-        incarnation: u32,
-        /// The start of the app on the agent's monotonic clock, ns.
-        origin_ns: u64,
-        /// Where the boot listens.
-        boot: Address,
-        token: Token,
-    },
+    /// Start the process of a chassis; nothing happens if it was started.
+    Start(u8, Briefing),
     /// Send a process a signal.
-    Signal {
-        chassis: u8,
-        incarnation: u32,
-        signal: Asked,
-    },
+    Signal(ProcessId, Asked),
     /// Say that you live.
     Ping { number: u64 },
     /// The run is over: nothing of it may be left.
@@ -140,26 +130,12 @@ pub(crate) enum ToBoot {
     Unpacked,
     /// The app cannot run here.
     Refused { reason: String },
-    /// A process runs.
-    Started {
-        chassis: u8,
-        incarnation: u32,
-        pid: Option<u32>,
-    },
+    /// A process runs, with this number in its system.
+    Started(ProcessId, Option<u32>),
     /// A line of its log; they are numbered from 1.
-    Line {
-        chassis: u8,
-        incarnation: u32,
-        number: u64,
-        text: String,
-    },
+    Line(ProcessId, u64, String),
     /// A process has ended, or could not be started, after so many lines.
-    Ended {
-        chassis: u8,
-        incarnation: u32,
-        ending: Ending,
-        lines: u64,
-    },
+    Ended(ProcessId, Ending, u64),
     /// It lives. What its monotonic clock shows, ns.
     Pong { number: u64, monotonic_ns: u64 },
     /// Nothing of the run is left.
@@ -174,7 +150,7 @@ pub(crate) trait Said: Serialize + Send + 'static {
 
 impl Said for ToBoot {
     fn may_be_dropped(&self) -> bool {
-        matches!(self, Self::Line { .. })
+        matches!(self, Self::Line(..))
     }
 }
 
@@ -206,7 +182,7 @@ impl<T: Said> Outbox<T> {
         })
     }
 
-    /// Adds `item`; one that may be dropped only while there is room for it.
+    /// Adds `item`; one that may be dropped only while there is space for it.
     pub(crate) fn say(&self, item: T) {
         {
             let mut waiting = lock(&self.waiting);
@@ -323,11 +299,11 @@ async fn write<T: Said>(
         };
         // The files of an app may take longer than one sign of life on a slow line; they are watched by
         // who sends them.
-        let limit = silence + Duration::from_secs(frame.len() as u64 >> 20);
-        match tokio::time::timeout(limit, written).await {
+        let timeout = silence + Duration::from_secs(frame.len() as u64 >> 20);
+        match tokio::time::timeout(timeout, written).await {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return error.into(),
-            Err(_) => return WireError::Silence(limit),
+            Err(_) => return WireError::Silence(timeout),
         }
     }
 }
@@ -349,14 +325,14 @@ pub(crate) async fn say_last(mut stream: Stream, answer: &HelloAnswer) {
         while stream.read(&mut rest).await.ok()? > 0 {}
         Some(())
     };
-    let _ = tokio::time::timeout(HELLO_LIMIT, told).await;
+    let _ = tokio::time::timeout(HELLO_TIMEOUT, told).await;
 }
 
 /// Tells a peer that is silent from one that was not listened to: a process that was frozen must not
 /// blame others.
 pub(crate) struct Pulse {
     clock: Clock,
-    limit: Duration,
+    timeout: Duration,
     heard: Instant,
     due: Instant,
 }
@@ -365,20 +341,20 @@ pub(crate) struct Pulse {
 const PULSES: u32 = 4;
 
 impl Pulse {
-    pub(crate) fn new(limit: Duration) -> Self {
+    pub(crate) fn new(timeout: Duration) -> Self {
         let clock = Clock::real();
         let now = clock.now();
         Self {
-            due: now + limit / PULSES,
+            due: now + timeout / PULSES,
             heard: now,
             clock,
-            limit,
+            timeout,
         }
     }
 
     /// How often to look.
     pub(crate) fn every(&self) -> Duration {
-        (self.limit / PULSES).max(Duration::from_millis(1))
+        (self.timeout / PULSES).max(Duration::from_millis(1))
     }
 
     /// Something was heard.
@@ -394,12 +370,12 @@ impl Pulse {
         let now = self.clock.now();
         let late = now.since(self.due);
         self.due = now + self.every();
-        if late > self.limit / 2 {
+        if late > self.timeout / 2 {
             // This process itself did not run.
             self.heard = now;
         }
-        if now.since(self.heard) > self.limit {
-            return Err(WireError::Silence(self.limit));
+        if now.since(self.heard) > self.timeout {
+            return Err(WireError::Silence(self.timeout));
         }
         Ok(())
     }

@@ -89,7 +89,7 @@ pub(super) struct Script {
     pub(super) outputs: Vec<Output>,
     /// Messages whose sender did not wait, and that were not taken.
     pub(super) refused: BTreeMap<Number, Fault>,
-    /// What was answered in the turn in which it was sent, when, and how.
+    /// What was answered in the poll in which it was sent, when, and how.
     pub(super) at_once: BTreeMap<Number, (Instant, Recorded)>,
 }
 

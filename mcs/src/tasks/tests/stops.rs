@@ -1,7 +1,7 @@
 //! What ends a motion before its end, what is told of it, and how it goes on: stops, a held joint, and the
 //! loss of chassis that the motion needs or does not.
 
-use ctos::simulation::{self, Faults, Mishap, Setup};
+use ctos::simulation::{self, Fault, Faults, Setup};
 use ctos::time::Instant;
 
 use super::*;
@@ -143,7 +143,7 @@ fn run_app_dying(
         "[chassis.ws]\nrestart = \"on-failure\"\n[chassis.aside]\nrestart = \"on-failure\"",
     );
     let app = ctos::config::load_texts(&[("app.toml", &text)], &[], &[]).unwrap();
-    let kills = deaths.iter().map(|(chassis, ms)| Mishap::Kill {
+    let kills = deaths.iter().map(|(chassis, ms)| Fault::Kill {
         chassis: (*chassis).to_owned(),
         at: Instant::from_nanos(ms * 1_000_000),
     });

@@ -21,7 +21,7 @@ use ctos_link::{
 use ctos_time::{lock::lock, seed::mix};
 
 /// How long the other end may take to answer.
-const ANSWER_LIMIT: Duration = Duration::from_secs(5);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The pause before the first new attempt; each further one is twice as long, up to the longest. The
 /// seed draws between half and all of it, so that those who lost the same peer do not call at once.
@@ -117,7 +117,7 @@ impl Inner {
         member: &Member,
     ) -> Result<(), CallError> {
         let address = self.nearest(member);
-        let called = tokio::time::timeout(ANSWER_LIMIT, self.shake_hands(session, address)).await;
+        let called = tokio::time::timeout(ANSWER_TIMEOUT, self.shake_hands(session, address)).await;
         let (stream, welcome) = called.map_err(|_| CallError::Late)??;
         let Answer::Welcome {
             chassis,
@@ -167,7 +167,7 @@ impl Inner {
                 chassis: self.chassis.index(),
                 incarnation: self.who.incarnation,
                 process: self.process.clone(),
-                listen: self.addresses().to_vec(),
+                listen: self.listen.clone(),
                 received: session.received(),
                 shared,
             },
@@ -193,8 +193,8 @@ impl Inner {
     }
 }
 
-/// Tells the boot why a chassis cannot start. If that does not succeed, the boot sees the process end.
-pub(super) async fn unable(
+/// Tells the boot at `boot` why `chassis` cannot start. If that does not succeed, the boot sees the process end.
+pub(crate) async fn unable(
     boot: &Address,
     chassis: &Chassis,
     keys: Option<&Arc<Keys>>,
@@ -216,5 +216,5 @@ pub(super) async fn unable(
         while stream.read(&mut rest).await.ok()? > 0 {}
         Some(())
     };
-    let _ = tokio::time::timeout(ANSWER_LIMIT, tell).await;
+    let _ = tokio::time::timeout(ANSWER_TIMEOUT, tell).await;
 }

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::{Inner, Member, MeshEvent};
-use crate::doors::{ACCEPT_PAUSE, Lobby, STRANGER_LIMIT, STRANGERS, Turned};
+use crate::doors::{Lobby, STRANGER_TIMEOUT, STRANGERS, Turned};
 use ctos_bootstrap::refusals::Refusals;
 use ctos_link::{
     handshake::{Answer, Greeting, HandshakeError, Hello, hear_greeting, say},
@@ -43,21 +43,11 @@ impl RefusedError {
 pub(super) async fn keep(mesh: Arc<Inner>, listener: Listener) {
     let lobby = Lobby::new(STRANGERS);
     loop {
-        let call = match listener.accept().await {
-            Ok(call) => call,
-            Err(error) => {
-                mesh.refuse(&format!("it was lost: {error}"));
-                lobby.turn_out();
-                tokio::time::sleep(ACCEPT_PAUSE).await;
-                continue;
-            }
-        };
-        let Some(guest) = lobby.enter().await else {
-            continue;
-        };
+        let accept = || listener.accept();
+        let (call, guest) = lobby.next(accept, |_, why| mesh.refuse(why)).await;
         let mesh = mesh.clone();
         tokio::spawn(async move {
-            let heard = guest.hear(STRANGER_LIMIT, hear(&mesh, call)).await;
+            let heard = guest.hear(STRANGER_TIMEOUT, hear(&mesh, call)).await;
             let served = match heard.unwrap_or_else(|turned| Err(turned.into())) {
                 Ok(Some((stream, hello))) => serve(&mesh, stream, hello).await,
                 Ok(None) => Ok(()),
@@ -141,13 +131,13 @@ async fn serve(mesh: &Arc<Inner>, mut stream: Stream, hello: Hello) -> Result<()
         received: session.received(),
         shared,
     };
-    tokio::time::timeout(STRANGER_LIMIT, say(&mut stream, &welcome))
+    tokio::time::timeout(STRANGER_TIMEOUT, say(&mut stream, &welcome))
         .await
         .map_err(|_| HandshakeError::Late)??;
     if !shared {
         return Ok(drive::drive(&session, stream, received, &mesh.reactor).await?);
     }
-    let taken = tokio::time::timeout(STRANGER_LIMIT, shm::pass::receive(stream)).await;
+    let taken = tokio::time::timeout(STRANGER_TIMEOUT, shm::pass::receive(stream)).await;
     let (socket, shared) = taken
         .map_err(|_| HandshakeError::Late)?
         .map_err(HandshakeError::from)?;

@@ -99,16 +99,11 @@ impl Inner {
             }
             Notice::Ready { round } if self.chassis.index() == 0 => {
                 let incarnation = {
-                    let mut state = lock(&self.state);
-                    let last = state.round;
-                    let Some(peer) = state.peers.get_mut(&chassis) else {
-                        return;
-                    };
-                    if round != last {
-                        return;
+                    let state = lock(&self.state);
+                    match state.peers.get(&chassis) {
+                        Some(peer) if round == state.round => peer.incarnation,
+                        _ => return,
                     }
-                    peer.ready = round;
-                    peer.incarnation
                 };
                 self.send(MeshEvent::Joined {
                     chassis,

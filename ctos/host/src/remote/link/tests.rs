@@ -31,17 +31,20 @@ fn watched() -> (Link, Arc<Witness>, Arc<Mutex<Vec<String>>>) {
     };
     let files = files(&chassis.app, &chassis.registry(), &[]).unwrap();
     let link = Link::new(&setup, &chassis.app.hosts[0], Arc::new(files));
-    let witness = Arc::new(Witness::of_test(&chassis, 1, 2, observer));
+    let witness = Arc::new(Witness::of_test(&chassis, id(2), observer));
     (link, witness, seen)
 }
 
-fn line(incarnation: u32, number: u64, text: &str) -> ToBoot {
-    ToBoot::Line {
-        chassis: 1,
+fn id(incarnation: u32) -> ProcessId {
+    let chassis = 1;
+    ProcessId {
+        chassis,
         incarnation,
-        number,
-        text: text.to_owned(),
     }
+}
+
+fn line(incarnation: u32, number: u64, text: &str) -> ToBoot {
+    ToBoot::Line(id(incarnation), number, text.to_owned())
 }
 
 #[test]
@@ -54,12 +57,7 @@ fn lines_that_are_lost_on_the_way_are_counted_in_the_log_and_none_is_shown_twice
         line(1, 2, "of the process before it"),
         line(2, 5, "five"),
         line(2, 3, "three"),
-        ToBoot::Ended {
-            chassis: 1,
-            incarnation: 2,
-            ending: ending("ended".to_owned()),
-            lines: 6,
-        },
+        ToBoot::Ended(id(2), Ending::unseen("ended"), 6),
         line(2, 7, "of one that has ended"),
     ] {
         link.heard(said).unwrap();
@@ -77,11 +75,7 @@ fn a_process_is_told_to_run_once_however_often_the_agent_says_so() {
     let (mut link, witness, seen) = watched();
     link.start(witness);
     for _ in 0..3 {
-        let started = ToBoot::Started {
-            chassis: 1,
-            incarnation: 2,
-            pid: Some(7),
-        };
+        let started = ToBoot::Started(id(2), Some(7));
         link.heard(started).unwrap();
     }
     assert_eq!(lock(&seen).len(), 1);

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, sync::Mutex};
 
 use ctos::{
     message::Data,
-    simulation::{Faults, Mishap},
+    simulation::{Fault, Faults},
     time::Instant,
 };
 use serde::{Deserialize, Serialize};
@@ -170,7 +170,7 @@ fn each_field_of_a_reply_and_of_a_result_is_put_back_as_an_object() {
 #[test]
 fn the_objects_of_a_durable_net_are_the_same_whenever_it_dies() {
     for step in 0..30_u64 {
-        let kill = Mishap::Kill {
+        let kill = Fault::Kill {
             chassis: "home".to_owned(),
             at: Instant::from_nanos(1_000_000 + step * 4_000_000),
         };

@@ -8,7 +8,7 @@ use std::sync::{
 
 use ctos::{
     message::Command,
-    simulation::{self, Faults, Mishap, Setup},
+    simulation::{self, Fault, Faults, Setup},
     time::Instant,
 };
 
@@ -127,7 +127,7 @@ pub(super) fn simulate(
     let run = simulation::run(app, registry, setup, &observer).unwrap();
     let kills = run.faults.iter();
     let kills = kills
-        .filter(|fault| matches!(fault, Mishap::Kill { .. }))
+        .filter(|fault| matches!(fault, Fault::Kill { .. }))
         .count();
     let result = match run.outcome.end {
         End::Finished(AppResult { ok: true, text, .. }) => Ok(text),
@@ -218,7 +218,7 @@ fn no_token_is_lost_or_doubled_whatever_dies_whenever() {
             for _ in 0..6 {
                 let at = Instant::from_nanos(rng.random_range(0..9_000_000_000));
                 let chassis = chassis.to_owned();
-                script.push(Mishap::Kill { chassis, at });
+                script.push(Fault::Kill { chassis, at });
             }
         }
         let faults = Faults::of_script("deaths", script);
@@ -240,7 +240,7 @@ fn no_token_is_lost_or_doubled_on_links_that_drop_delay_stall_and_are_cut() {
 
 #[test]
 fn the_same_seed_gives_the_same_deaths_and_the_same_end() {
-    let kill = |at| Mishap::Kill {
+    let kill = |at| Fault::Kill {
         chassis: "on_b".to_owned(),
         at: Instant::from_nanos(at),
     };
@@ -307,7 +307,7 @@ fn one_command_killed_at(ns: u64) -> String {
     let mut registry = Registry::new();
     register_with_settings(&mut registry, N, || working(Duration::from_millis(300)));
     register_script(&mut registry, one_command);
-    let kill = Mishap::Kill {
+    let kill = Fault::Kill {
         chassis: "on_n".to_owned(),
         at: Instant::from_nanos(ns),
     };
@@ -369,7 +369,7 @@ fn an_action_in_doubt_without_a_failure_branch_stops_the_net_and_an_idempotent_o
             })
         });
         register_script(&mut registry, look);
-        let kill = Mishap::Kill {
+        let kill = Fault::Kill {
             chassis: "on_n".to_owned(),
             at: Instant::from_nanos(1_500_000_000),
         };
@@ -425,7 +425,7 @@ fn a_durable_net_refuses_the_state_of_another_net_and_says_what_to_do() {
             })
         })))
     });
-    let kill = Mishap::Kill {
+    let kill = Fault::Kill {
         chassis: "on_n".to_owned(),
         at: Instant::from_nanos(3_000_000_000),
     };

@@ -1,7 +1,7 @@
 //! The output tape, and what becomes of nets whose partner is lost.
 
 use ctos::{
-    simulation::{Faults, Mishap},
+    simulation::{Fault, Faults},
     time::Instant,
 };
 
@@ -111,7 +111,7 @@ fn a_net_that_exchanges_tokens_with_one_that_is_lost_stops_and_says_so() {
             let now = insist(&cx, "a", Marking {}).await?;
             Ok(now.halted.unwrap_or_default())
         });
-        let death = Mishap::Kill {
+        let death = Fault::Kill {
             chassis: "on_b".to_owned(),
             at: Instant::from_nanos(1_700_000_000),
         };

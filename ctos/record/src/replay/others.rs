@@ -45,19 +45,19 @@ struct State {
 }
 
 /// The other tasks, as a record knows them.
-pub(crate) struct Desk {
+pub(crate) struct Others {
     task: Tid,
     outputs: Vec<Output>,
     /// Messages whose sender does not wait, and that were not taken.
     refused: BTreeMap<Number, Fault>,
-    /// What whoever sent it was told in the same turn, and when.
+    /// What whoever sent it was told in the same poll, and when.
     at_once: BTreeMap<Number, (Instant, Recorded)>,
     clock: Clock,
     names: Arc<Names>,
     state: Mutex<State>,
 }
 
-impl Desk {
+impl Others {
     /// In place of the tasks that `script` knows besides its own.
     pub(super) fn new(clock: Clock, names: Arc<Names>, script: &mut Script) -> Self {
         let outputs = std::mem::take(&mut script.outputs);
@@ -90,7 +90,7 @@ impl Desk {
         }
         match found {
             Some(id) => match self.at_once.get(&id) {
-                // Before whatever else the task does in this turn, as it was.
+                // Before whatever else the task does in this poll, as it was.
                 Some((at, answer)) => {
                     self.clock.advance_to(*at);
                     slot.answer(answer.clone().into_answer());
@@ -112,15 +112,14 @@ impl Desk {
     /// that before it sends on, so what stands side by side here was sent by children side by side, in
     /// an order that the scheduler drew.
     fn output(&self, message: &Message, now: Instant) -> Option<Number> {
-        let mut data = Vec::new();
         // What cannot be encoded is like nothing in the record.
-        let encoded = message.envelope.data.append_to(&mut data).is_ok();
+        let data = bytes_of(&message.envelope.data).ok();
         let mut state = lock(&self.state);
         let expected = |index: &usize| state.fates.get(*index) == Some(&Fate::Expected);
         let first = (0..self.outputs.len()).find(expected);
         let front = first.and_then(|index| self.outputs.get(index));
         let mut found = None;
-        if encoded && let Some(front) = front {
+        if let (Some(data), Some(front)) = (&data, front) {
             let candidates = self.outputs.iter().enumerate().skip(first.unwrap_or(0));
             for (index, output) in candidates {
                 if output.segment != front.segment {
@@ -129,7 +128,7 @@ impl Desk {
                 if state.fates.get(index) != Some(&Fate::Expected) {
                     continue;
                 }
-                if is_like(output, message, &data) {
+                if is_like(output, message, data) {
                     found = Some((index, output.id));
                     break;
                 }
@@ -150,7 +149,7 @@ impl Desk {
             message.header().to,
             message.header().command,
             message.header().flags,
-            &data,
+            &data.unwrap_or_default(),
         );
         let shown =
             |output: &Output| self.shown(output.to, output.command, output.flags, &output.data);
@@ -170,8 +169,7 @@ impl Desk {
         if message.header().to != system::TID_SERVER || message.header().command != FindTid::CODE {
             return None;
         }
-        let mut data = Vec::new();
-        message.envelope.data.append_to(&mut data).ok()?;
+        let data = bytes_of(&message.envelope.data).ok()?;
         let FindTid { name, .. } = postcard::from_bytes(&data).ok()?;
         let answer: Result<Tid, Missing> = Ok(self.names.tid(&name)?);
         Some(Ok(Data::of(answer)))

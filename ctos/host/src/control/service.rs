@@ -12,19 +12,14 @@ use std::{
     },
 };
 
-use tokio::{
-    io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader},
-    sync::broadcast,
-};
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, BufReader};
 
 use crate::{
     control::{
         LogStore,
-        moves::Moving,
+        news::{Ticker, ended},
         protocol::{Answer, Ask, ErrorCode, ErrorView, REQUEST_LIMIT, Request, VERSION, too_long},
         recording::Recordings,
-        server::{News, Ticker},
-        view,
     },
     doors,
     text::Gone,
@@ -32,7 +27,7 @@ use crate::{
 use ctos_bootstrap::refusals::Refusals;
 use ctos_core::chassis::Chassis;
 use ctos_link::security::Role;
-use ctos_message::{Tid, fault::Fault};
+use ctos_message::Tid;
 
 /// Where a client is read, and where it is answered.
 pub(super) type Reader = Box<dyn AsyncRead + Send + Unpin>;
@@ -50,25 +45,7 @@ pub(super) fn busy() -> Answer {
 }
 
 pub(super) fn error(code: ErrorCode, message: impl Into<String>) -> Answer {
-    Answer::Error(ErrorView {
-        code,
-        message: message.into(),
-        known: Vec::new(),
-    })
-}
-
-fn failed(fault: &Fault) -> Answer {
-    match fault {
-        Fault::Refused { text } => error(ErrorCode::Failed, text),
-        Fault::Deadline { after } => error(
-            ErrorCode::TimedOut,
-            format!("no answer within {:.1} s", after.as_secs_f64()),
-        ),
-        Fault::PeerDown { chassis } => {
-            error(ErrorCode::Failed, format!("chassis `{chassis}` is gone"))
-        }
-        other => error(ErrorCode::Failed, other.to_string()),
-    }
+    Answer::Error(ErrorView::new(code, message))
 }
 
 pub(super) async fn tell(writer: &mut Writer, answer: &Answer) -> io::Result<()> {
@@ -79,23 +56,23 @@ pub(super) async fn tell(writer: &mut Writer, answer: &Answer) -> io::Result<()>
 }
 
 /// What clients are served from.
-pub(super) struct Desk {
-    chassis: Arc<Chassis>,
+pub(super) struct Service {
+    pub(super) chassis: Arc<Chassis>,
     logs: Arc<LogStore>,
-    ticker: Ticker,
-    recordings: Arc<Recordings>,
+    pub(super) ticker: Ticker,
+    pub(super) recordings: Arc<Recordings>,
     /// Counts the clients, so that no two have the same name.
     speakers: AtomicU64,
 }
 
 /// A client, as the tasks know it that it says lines to.
-struct Speaker {
+pub(super) struct Speaker {
     name: String,
     /// Those that it has spoken to.
     heard: BTreeSet<Tid>,
 }
 
-impl Desk {
+impl Service {
     /// Serves the clients of the app whose boot is `chassis`.
     pub(super) fn new(chassis: &Arc<Chassis>, logs: &Arc<LogStore>, ticker: &Ticker) -> Self {
         Self {
@@ -225,52 +202,28 @@ impl Desk {
         speaker: &mut Speaker,
         writer: &mut Writer,
     ) -> io::Result<()> {
-        match request {
-            Request::Say(request) => {
-                let answer = self.say(request, speaker).await;
-                tell(writer, &answer).await
-            }
-            Request::Ps {} => {
-                let answer = view::app(&self.chassis, &self.logs).await;
-                let answer = answer.map_or_else(|fault| failed(&fault), Answer::App);
-                tell(writer, &answer).await
-            }
-            Request::Status { name } => {
-                let answer = self.status(&name).await;
-                tell(writer, &answer).await
-            }
-            Request::Logs(request) => self.logs(&request, writer).await,
-            Request::Stop { now } => self.stop(now, writer).await,
-            Request::Restart { name } => {
-                let answer = self.restart(&name).await;
-                tell(writer, &answer).await
-            }
-            Request::Record(request) => self.record(request, writer).await,
+        let answer = match request {
+            Request::Logs(request) => return self.logs(&request, writer).await,
+            Request::Stop { now } => return self.stop(now, writer).await,
+            Request::Record(request) => return self.record(request, writer).await,
+            Request::Move { task, to } => return self.move_task(task, to, writer).await,
+            Request::Say(request) => self.say(request, speaker).await,
+            Request::Ps {} => self.app().await.map(Answer::App),
+            Request::Status { name } => self.status(&name).await,
+            Request::Restart { name } => self.restart(&name).await,
+            Request::RecordStop { key } if self.recordings.stop(key) => Ok(Answer::Done {}),
             Request::RecordStop { key } => {
-                let answer = if self.recordings.stop(key) {
-                    Answer::Done {}
-                } else {
-                    error(ErrorCode::NoSuchName, format!("there is no record {key}"))
-                };
-                tell(writer, &answer).await
+                let text = format!("there is no record {key}");
+                Err(ErrorView::new(ErrorCode::NoSuchName, text))
             }
             Request::Call {
                 task,
                 command,
                 data,
                 within_s,
-            } => {
-                let answer = self.call(&task, &command, &data, within_s).await;
-                tell(writer, &answer).await
-            }
-            Request::Move { task, to } => {
-                let mut moving = Moving::new(&self.chassis, &self.logs, task, to);
-                while let Some(answer) = moving.next().await {
-                    tell(writer, &answer).await?;
-                }
-                Ok(())
-            }
-        }
+            } => self.call(&task, &command, &data, within_s).await,
+        };
+        tell(writer, &answer.unwrap_or_else(Answer::Error)).await
     }
 }
 
@@ -323,21 +276,11 @@ fn read_ask(line: &[u8]) -> Result<Result<Ask, serde_json::Error>, Unreadable> {
     }
 }
 
-/// Ends when the app has.
-async fn ended(news: &mut broadcast::Receiver<News>) {
-    loop {
-        match news.recv().await {
-            Ok(News::Ended(_)) | Err(broadcast::error::RecvError::Closed) => return,
-            Ok(News::Event(_)) | Err(broadcast::error::RecvError::Lagged(_)) => {}
-        }
-    }
-}
-
 /// Ends when the client has closed its end, also while it is being answered.
 async fn closed(reader: &mut BufReader<Reader>) {
     match reader.fill_buf().await {
         Ok([]) | Err(_) => {}
-        // Its next request, which is read in its turn.
+        // Its next request, which is read after this one.
         Ok(_) => std::future::pending().await,
     }
 }

@@ -4,10 +4,12 @@ use std::{fmt, time::Duration};
 
 use ctos_time::Instant;
 
+use crate::reader::nanos;
+
 /// Something that goes wrong in a simulated app, and when, in true time. `boot` is the name of the
 /// chassis that boots.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Mishap {
+pub enum Fault {
     /// The process of a chassis ends at once, as by `kill -9`.
     Kill {
         /// Its name.
@@ -114,7 +116,7 @@ pub enum Mishap {
     },
 }
 
-/// Where a mishap happens.
+/// Where a fault happens.
 pub(crate) enum Site<'a> {
     /// On a chassis.
     Chassis(&'a str),
@@ -122,89 +124,159 @@ pub(crate) enum Site<'a> {
     Link(&'a str, &'a str),
 }
 
-impl Mishap {
+/// What every fault has.
+struct Facts<'a> {
+    /// Its word in a file of faults.
+    kind: &'static str,
+    /// With its article, for errors.
+    called: &'static str,
+    site: Site<'a>,
+    at: Instant,
+    until: Option<Instant>,
+}
+
+impl Fault {
+    /// The fault that a file calls `kind`, on chassis `one` or between it and `other`. `extent` is how bad it is: a
+    /// share, or a time in s. `None` for a drift, and for a word that is no kind.
+    pub(crate) fn new(
+        kind: &str,
+        (one, other): (String, String),
+        at: Instant,
+        until: Instant,
+        extent: f64,
+    ) -> Option<Self> {
+        let fault = match kind {
+            "kill" => Self::Kill { chassis: one, at },
+            "restart" => Self::Restart { chassis: one, at },
+            "freeze" => Self::Freeze {
+                chassis: one,
+                at,
+                until,
+            },
+            "slow" => Self::Slow {
+                chassis: one,
+                at,
+                until,
+                per_step: nanos(extent),
+            },
+            "refuse" => Self::Cut { one, other, at },
+            "cut" => Self::Break {
+                one,
+                other,
+                at,
+                until,
+            },
+            "stall" => Self::Stall {
+                one,
+                other,
+                at,
+                until,
+            },
+            "loss" => Self::Loss {
+                one,
+                other,
+                at,
+                until,
+                share_ppm: (extent * 1e6).round() as u32,
+            },
+            "delay" => Self::Delay {
+                one,
+                other,
+                at,
+                until,
+                extra: nanos(extent),
+            },
+            _ => return None,
+        };
+        Some(fault)
+    }
+
+    fn facts(&self) -> Facts<'_> {
+        let (kind, called, site, at, until) = match self {
+            Self::Kill { chassis, at } => ("kill", "a kill", Site::Chassis(chassis), at, None),
+            Self::Restart { chassis, at } => {
+                ("restart", "a restart", Site::Chassis(chassis), at, None)
+            }
+            Self::Freeze { chassis, at, until } => {
+                let site = Site::Chassis(chassis);
+                ("freeze", "a freeze", site, at, Some(*until))
+            }
+            Self::Slow {
+                chassis, at, until, ..
+            } => {
+                let site = Site::Chassis(chassis);
+                ("slow", "a slow processor", site, at, Some(*until))
+            }
+            Self::Drift { chassis, .. } => {
+                let site = Site::Chassis(chassis);
+                ("drift", "a drift", site, &Instant::START, None)
+            }
+            Self::Cut { one, other, at } => ("refuse", "a cut", Site::Link(one, other), at, None),
+            Self::Break {
+                one,
+                other,
+                at,
+                until,
+            } => ("cut", "a cut", Site::Link(one, other), at, Some(*until)),
+            Self::Stall {
+                one,
+                other,
+                at,
+                until,
+            } => ("stall", "a stall", Site::Link(one, other), at, Some(*until)),
+            Self::Loss {
+                one,
+                other,
+                at,
+                until,
+                ..
+            } => ("loss", "a loss", Site::Link(one, other), at, Some(*until)),
+            Self::Delay {
+                one,
+                other,
+                at,
+                until,
+                ..
+            } => ("delay", "a delay", Site::Link(one, other), at, Some(*until)),
+        };
+        Facts {
+            kind,
+            called,
+            site,
+            at: *at,
+            until,
+        }
+    }
+
     /// When it happens.
     #[must_use]
     pub fn at(&self) -> Instant {
-        match self {
-            Self::Kill { at, .. }
-            | Self::Restart { at, .. }
-            | Self::Cut { at, .. }
-            | Self::Break { at, .. }
-            | Self::Stall { at, .. }
-            | Self::Loss { at, .. }
-            | Self::Delay { at, .. }
-            | Self::Freeze { at, .. }
-            | Self::Slow { at, .. } => *at,
-            Self::Drift { .. } => Instant::START,
-        }
+        self.facts().at
     }
 
     /// When it is over; `None` for what lasts.
     #[must_use]
     pub fn until(&self) -> Option<Instant> {
-        match self {
-            Self::Break { until, .. }
-            | Self::Stall { until, .. }
-            | Self::Loss { until, .. }
-            | Self::Delay { until, .. }
-            | Self::Freeze { until, .. }
-            | Self::Slow { until, .. } => Some(*until),
-            Self::Kill { .. } | Self::Restart { .. } | Self::Cut { .. } | Self::Drift { .. } => {
-                None
-            }
-        }
+        self.facts().until
     }
 
     /// Its word in a file of faults.
     #[must_use]
     pub fn kind(&self) -> &'static str {
-        match self {
-            Self::Kill { .. } => "kill",
-            Self::Restart { .. } => "restart",
-            Self::Cut { .. } => "refuse",
-            Self::Break { .. } => "cut",
-            Self::Stall { .. } => "stall",
-            Self::Loss { .. } => "loss",
-            Self::Delay { .. } => "delay",
-            Self::Freeze { .. } => "freeze",
-            Self::Slow { .. } => "slow",
-            Self::Drift { .. } => "drift",
-        }
+        self.facts().kind
     }
 
     pub(crate) fn site(&self) -> Site<'_> {
-        match self {
-            Self::Cut { one, other, .. }
-            | Self::Break { one, other, .. }
-            | Self::Stall { one, other, .. }
-            | Self::Loss { one, other, .. }
-            | Self::Delay { one, other, .. } => Site::Link(one, other),
-            Self::Kill { chassis, .. }
-            | Self::Restart { chassis, .. }
-            | Self::Freeze { chassis, .. }
-            | Self::Slow { chassis, .. }
-            | Self::Drift { chassis, .. } => Site::Chassis(chassis),
-        }
+        self.facts().site
     }
 
     /// With its article, for errors.
     pub(crate) fn called(&self) -> &'static str {
-        match self {
-            Self::Kill { .. } => "a kill",
-            Self::Restart { .. } => "a restart",
-            Self::Cut { .. } | Self::Break { .. } => "a cut",
-            Self::Stall { .. } => "a stall",
-            Self::Loss { .. } => "a loss",
-            Self::Delay { .. } => "a delay",
-            Self::Freeze { .. } => "a freeze",
-            Self::Slow { .. } => "a slow processor",
-            Self::Drift { .. } => "a drift",
-        }
+        self.facts().called
     }
 }
 
-impl fmt::Display for Mishap {
+impl fmt::Display for Fault {
     /// `cut    desk - cage  at 1.250000 s for 0.3 s`
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:<7}", self.kind())?;
