@@ -1,7 +1,7 @@
 //! Who waits for whose reply, and whether such waits close to a circle.
 //!
 //! A task that waits takes no message, so tasks that wait for one another in a circle wait until the
-//! deadline of their calls. Each task notes whom it asked; when a call has waited [`LONG`], the notes are
+//! deadline of their calls. Each task notes whom it asked; when a call has waited `LONG`, the notes are
 //! followed from task to task, chassis by chassis, and a way that leads back is reported. Nothing is
 //! looked for while calls are answered in time.
 

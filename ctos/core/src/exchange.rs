@@ -1,5 +1,5 @@
 //! The calls that the tasks of one processor wait for: each waits in a slot, which later calls use again, and
-//! whoever answers holds a [`Ticket`] to it.
+//! whoever answers holds a `Ticket` to it.
 //!
 //! Generations keep a late answer from reaching the slot's next call. It knows neither links nor queues.
 

@@ -5,7 +5,7 @@
 //! Messages of the runtime itself (phases, stop, a dead chassis) travel in the high-priority lane and
 //! are never refused.
 //!
-//! The queue itself ([`queue::TaskQueue`]) belongs to the task's processor and needs no lock. What everybody
+//! The queue itself (`queue::TaskQueue`) belongs to the task's processor and needs no lock. What everybody
 //! else sees of it is the [`Mailbox`]: its credits, and the processor to bring messages to.
 
 mod gate;

@@ -12,7 +12,7 @@
 //!    keeps what comes straight from a chassis until the fence of that chassis has arrived, so the two
 //!    ways of one sender never mix. When all fences are through, the old place is given up.
 //!
-//! It knows how a task leaves ([`depart`], [`forward`]) and how it comes ([`arrive`], [`deliver`]). Who
+//! It knows how a task leaves (`depart`, `forward`) and how it comes (`arrive`, [`deliver`]). Who
 //! decides is `names.rs`, who carries out is `agent.rs`.
 
 mod arrive;

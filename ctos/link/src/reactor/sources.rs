@@ -52,7 +52,7 @@ pub enum Seen {
 }
 
 /// What has happened to a source. It is told once: a source reads until nothing is left, or asks to be told
-/// again ([`Sources::tell`]).
+/// again (`Sources::tell`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Happened {
     /// It may be readable.
