@@ -74,7 +74,13 @@ impl Service {
             message: wrong.message,
             known: wrong.known,
         })?;
-        let old = self.find(&task, FIND_TIMEOUT).await?;
+        let old = self.find(&task, FIND_TIMEOUT).await.map_err(|mut wrong| {
+            let chassis = &self.chassis.app.chassis;
+            wrong
+                .known
+                .retain(|name| chassis.iter().all(|one| one.name != *name));
+            wrong
+        })?;
         let from = Place {
             chassis: old.chassis(),
             processor: old.processor(),
