@@ -4,10 +4,15 @@
 //! It knows no socket, no file, no process, no recorder and no simulation. Users see it as a part of `ctos`; the
 //! modules that only the other crates of the runtime use are hidden from its documentation.
 //!
-//! From below: what is told ([`report`], [`phase`], [`handled`]), answers ([`reply`], [`envelope`]), the executor
-//! ([`processor`]) with the calls that wait there ([`exchange`]), queues ([`mailbox`]), the [`chassis`], the
-//! [`context`] of a task, event handlers ([`handler`], [`registry`]), their loop ([`runner`], [`moving`]), and the
-//! services that are tasks themselves ([`names`], [`semaphore`]).
+//! The layers, lowest first:
+//!
+//! - what is told: [`report`], [`phase`], [`handled`];
+//! - messages and their answers: [`reply`], [`envelope`], [`delivery`];
+//! - the executor, and the calls that wait there: [`processor`], [`exchange`];
+//! - queues and the chassis: [`mailbox`], [`chassis`];
+//! - event handlers and what they reach: [`context`], [`handler`], [`registry`];
+//! - their loop, and how they move: [`runner`], [`moving`];
+//! - services that are tasks themselves: [`names`], [`semaphore`].
 
 extern crate self as ctos;
 

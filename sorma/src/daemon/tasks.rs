@@ -322,8 +322,8 @@ impl Comm for Tasks {
     }
 }
 
-/// Begins some work now, so that requests are begun in the order in which they come, and goes on with it
-/// beside the task, so that an object that waits keeps no other waiting.
+/// Begins some work now, which keeps requests in their order. It goes on with it beside the task: an object that
+/// waits keeps no other waiting.
 pub(super) fn begin(cx: &Context, work: impl Future<Output = ()> + 'static) {
     let mut work = Box::pin(work);
     if work.as_mut().now_or_never().is_none() {

@@ -65,8 +65,7 @@ impl Inbound {
 
 impl Links {
     /// `request` is no longer under way: whether it still was. A chassis that comes back counts its calls from
-    /// the beginning again, so a request of its new life may have the number of one of an earlier life, whose
-    /// answer nobody waits for.
+    /// the beginning again. A request of its new life may then have the number of one of an earlier life.
     pub(super) fn close_inbound(&mut self, peer: u8, request: &Inbound) -> bool {
         let Entry::Occupied(entry) = self.inbound.entry((peer, request.call)) else {
             return false;

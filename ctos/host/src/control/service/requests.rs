@@ -48,7 +48,7 @@ impl Service {
             Some(_) => ErrorView::new(
                 ErrorCode::Failed,
                 format!(
-                    "task `{name}` is not there just now: its chassis is being started again, or it has ended"
+                    "task `{name}` does not run at the moment: its chassis is being started again, or it has ended"
                 ),
             ),
             None => self.no_such_name(name),
