@@ -32,6 +32,11 @@ impl TidServer {
         let old = {
             let mut state = self.state.borrow_mut();
             let Some(old) = state.names.get(&task).copied() else {
+                if cx.app().task(&task).is_some() {
+                    return Err(format!(
+                        "task `{task}` does not run at the moment: its chassis is being started again, or it has ended"
+                    ));
+                }
                 let names: Vec<&str> = state.names.keys().map(String::as_str).collect();
                 return Err(format!(
                     "no task is called `{task}`; there are: {}",
