@@ -1,20 +1,12 @@
 //! `scott --local` as a person or a script meets it: known answers, scripts, and every kind of bad input.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test ends when it cannot start"
-)]
-
-mod common;
-
 use std::{
     fs,
     io::Write,
     process::{Command, Stdio},
 };
 
-use common::root;
+use crate::common::root;
 use serde_json::Value;
 use sorma::Reply;
 

@@ -1,10 +1,6 @@
 //! The smallest app: it runs over two processes and on the virtual clock, and a task moves by its `on`.
 
-#![allow(clippy::expect_used, reason = "a test ends when it cannot start")]
-
-mod common;
-
-use common::{good, hello};
+use crate::common::{good, hello};
 
 /// The transitions of the log's firings, each with its phase, in order.
 fn firings(log: &str) -> Vec<(&str, &str)> {

@@ -1,12 +1,5 @@
 //! Lints on apps: in virtual time, and one whose handler never returns in real time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong"
-)]
-
 use std::{path::Path, sync::Arc, time::Duration};
 
 use ctos::{

@@ -1,21 +1,13 @@
 //! `ctos net check`: its page says what is so, its JSON object has what scripts rely on, and its exit codes
 //! are those of the list.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test ends when it cannot start"
-)]
-
-mod common;
-
 use std::{
     fs,
     path::Path,
     process::{Command, Output},
 };
 
-use common::root;
+use crate::common::root;
 use serde_json::Value;
 
 fn ctos(folder: &Path, arguments: &[&str]) -> Output {
@@ -71,7 +63,7 @@ fn the_page_about_proving_shows_what_the_command_prints() {
     } else {
         assert_eq!(
             page, now,
-            "UPDATE=1 cargo test -p cli --test proving writes the page anew"
+            "UPDATE=1 cargo test -p cli --test program proving writes the page anew"
         );
     }
 }

@@ -1,12 +1,5 @@
 //! Recording and replaying apps, in virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
-)]
-
 use std::{
     path::{Path, PathBuf},
     sync::Arc,

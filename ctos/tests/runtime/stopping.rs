@@ -1,12 +1,5 @@
 //! The first step of a stop: all tasks come to rest while every device answers. In virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong"
-)]
-
 use std::{
     sync::{Arc, Mutex},
     time::Duration,

@@ -1,11 +1,6 @@
 //! Files of nets that are wrong in every way that files are wrong: each is refused with exit code 3 and with the place
 //! of the mistake, and nothing is said of a net that would have been read half.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "a test may end when it cannot be set up"
-)]
-
 use std::{fs, path::Path, process::Command};
 
 const NODES: &str = "<place id=\"p\"/><place id=\"q\"/><transition id=\"t\"/>";

@@ -2,13 +2,6 @@
 //!
 //! Every app here is simulated, so what a seed shows, it shows every time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
-)]
-
 use std::{
     sync::{Arc, Mutex},
     time::Duration,

@@ -1,12 +1,5 @@
 //! Chassis that die and come back, and those that come back too often, in virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
-)]
-
 use std::{
     collections::BTreeSet,
     sync::{Arc, Mutex},

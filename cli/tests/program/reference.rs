@@ -1,25 +1,17 @@
 //! What is written from the code and kept beside it: `docs/commands.md`, `docs/services.md` and
 //! `configs/ctos.schema.json`.
 //!
-//! `UPDATE=1 cargo test -p cli --test reference` writes them anew.
-
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test ends when it cannot start"
-)]
-
-mod common;
+//! `UPDATE=1 cargo test -p cli --test program reference` writes them anew.
 
 use std::{collections::BTreeSet, fmt::Write, fs, path::Path};
 
+use crate::common::root;
 use clap::{Arg, Command, CommandFactory};
 use cli::{
     commands::{Cli, explain},
     exit, program,
     scott::{self, services::CLASSES},
 };
-use common::root;
 use sorma::describe::{self, OptionInfo};
 
 /// Holds `text` against the file, or writes the file when asked to.
@@ -31,7 +23,7 @@ fn same_as(file: &str, text: &str) {
     let there = fs::read_to_string(&path).unwrap_or_default();
     assert!(
         there == text,
-        "{file} is not what the code says; UPDATE=1 cargo test -p cli --test reference writes it anew"
+        "{file} is not what the code says; UPDATE=1 cargo test -p cli --test program reference writes it anew"
     );
 }
 
@@ -52,7 +44,7 @@ fn the_schema_beside_the_configurations_is_the_programs() {
 fn page() -> String {
     let mut page = String::from(
         "# Commands of ctos and scott\n\nWritten from the program's own help: \
-         `UPDATE=1 cargo test -p cli --test reference` writes it anew.\n\n## Exit codes\n\n\
+         `UPDATE=1 cargo test -p cli --test program reference` writes it anew.\n\n## Exit codes\n\n\
          | code | meaning |\n|---|---|\n",
     );
     for (code, meaning) in exit::CODES {
@@ -78,7 +70,7 @@ fn page() -> String {
 fn services() -> String {
     let mut page = String::from(
         "# Services\n\nThe classes of service objects, written from their own tables: \
-         `UPDATE=1 cargo test -p cli --test reference` writes it anew. `scott --local` carries all of them; \
+         `UPDATE=1 cargo test -p cli --test program reference` writes it anew. `scott --local` carries all of them; \
          `NAME CTRL -help` tells the same, `NAME CTRL -dump` the state.\n\n\
          Numbers are in SI units and rad, matrices row by row. An option that is wrong leaves the object as it was. \
          The option `-help` and `-dump` of CTRL and everything under DBX are those of every class.\n",

@@ -1,14 +1,6 @@
 //! The commands that start nothing, as a person or a script meets them: what they print, where, in
 //! which colours, and with which exit code.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test ends when it cannot start"
-)]
-
-mod common;
-
 use std::{
     fs,
     io::Read,
@@ -16,7 +8,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use common::{good, root};
+use crate::common::{good, root};
 use serde_json::Value;
 
 /// An app with nothing wrong that needs no handler to be read.

@@ -1,20 +1,8 @@
 //! `ctos sim` on the smallest app, as a person uses it: what it prints can be typed, and is the same.
 
-#![allow(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    reason = "a test ends where it finds something wrong"
-)]
+use std::process::{Command, Output};
 
-use std::{
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
-
-/// The workspace's folder.
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
+use crate::common::root;
 
 /// Runs `ctos sim` with these arguments from the workspace's folder.
 fn sim(arguments: &[&str]) -> Output {

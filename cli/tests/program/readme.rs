@@ -1,17 +1,9 @@
 //! The documents say what is so: code in the README is code of the example, its output is the output of a
 //! run, and every file that a document names exists.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test ends when it cannot start"
-)]
-
-mod common;
-
 use std::fs;
 
-use common::{good, hello, root};
+use crate::common::{good, hello, root};
 
 /// The pages a person reads: those of the top folder and all of `docs`.
 fn documents() -> Vec<String> {

@@ -1,11 +1,5 @@
 //! What the tests of commands, examples and documents share.
 
-#![allow(
-    clippy::expect_used,
-    reason = "a test may end when it cannot be set up"
-)]
-#![allow(dead_code, reason = "each file of tests uses its own part")]
-
 use std::{
     path::{Path, PathBuf},
     process::{Command, Output},

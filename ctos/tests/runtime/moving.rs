@@ -1,14 +1,6 @@
 //! A running task is moved about while many send to it: nothing is lost, doubled or reordered, in
 //! virtual time under many seeds, and nothing is left behind by a move that fails.
 
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong"
-)]
-
 use std::{
     collections::{BTreeMap, VecDeque},
     future::{Future, IntoFuture, poll_fn},

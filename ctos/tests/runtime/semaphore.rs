@@ -1,12 +1,5 @@
 //! Semaphores and barriers between tasks, in virtual time: what a seed shows, it shows every time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
-)]
-
 use std::{
     pin::Pin,
     sync::{

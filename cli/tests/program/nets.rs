@@ -1,15 +1,8 @@
 //! `ctos net`, as whoever writes nets uses it.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "a test may end when it cannot be set up"
-)]
-
-mod common;
-
 use std::{fs, path::Path, process::Command};
 
-use common::root;
+use crate::common::root;
 
 struct Ended {
     code: i32,

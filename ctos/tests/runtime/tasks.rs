@@ -1,14 +1,6 @@
 //! Tasks and their supervision in virtual time: handlers made of methods, restarts, shutdown, state that is
 //! handed over, monitors, children, and waiting that can never end.
 
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong, and its tasks panic on purpose"
-)]
-
 use std::{
     future::Future,
     pin::Pin,

@@ -1,14 +1,6 @@
 //! Panels as a browser meets them, of `scott --panel` and of an app with a task `sorma.panel`: the page, its token, and
 //! lines that reach the objects.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test ends when it cannot start"
-)]
-
-mod common;
-
 use std::{
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
@@ -16,7 +8,7 @@ use std::{
     process::{Child, Command, Stdio},
 };
 
-use common::root;
+use crate::common::root;
 use serde_json::Value;
 
 /// A panel that is served; it ends with this.

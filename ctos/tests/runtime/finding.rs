@@ -1,12 +1,5 @@
 //! Tasks that are looked for by name while their chassis is being restarted, in virtual time.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may end where it finds something wrong"
-)]
-
 use std::{sync::Arc, time::Duration};
 
 use ctos::{

@@ -1,18 +1,10 @@
 //! `docs/authoring-nets.md`: every file of the page is written, and every line after `$` is run.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test may end when its page is wrong"
-)]
-
-mod common;
-
 use std::{fs, process::Command};
 
-use common::root;
+use crate::common::root;
 
-const PAGE: &str = include_str!("../../docs/authoring-nets.md");
+const PAGE: &str = include_str!("../../../docs/authoring-nets.md");
 
 enum Step {
     File(String, String),

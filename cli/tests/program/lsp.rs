@@ -1,19 +1,11 @@
 //! `ctos net lsp`, driven as an editor does: the real program over its standard input and output.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test may end when the server does not answer as it should"
-)]
-
-mod common;
-
 use std::{
     io::{BufReader, Write as _},
     process::{Child, ChildStdin, ChildStdout, Command, Stdio},
 };
 
-use common::root;
+use crate::common::root;
 use ctos::diagnostic::Source;
 use lsp_server::{Message, Notification, Request};
 use pnt::net::PlaceId;

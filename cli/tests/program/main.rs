@@ -1,0 +1,23 @@
+//! The program as its users run it: its commands, its examples and the pages that tell of them. One program holds all
+//! of these tests, because each program of tests links everything that `cli` is made of.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may end where it cannot be set up or finds something wrong"
+)]
+
+mod authoring;
+mod bad_nets;
+mod common;
+mod hello;
+mod lsp;
+mod nets;
+mod offline;
+mod panel;
+mod proving;
+mod readme;
+mod reference;
+mod scott;
+mod sim;
