@@ -1,6 +1,9 @@
 //! `ctos sim` on the smallest app, as a person uses it: what it prints can be typed, and is the same.
 
-use std::process::{Command, Output};
+use std::{
+    path::Path,
+    process::{Command, Output},
+};
 
 use crate::common::root;
 
