@@ -7,6 +7,7 @@ use super::selection::Selection;
 use super::trail::{Origin, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
 use crate::settings::{Lead, Overrun, Policy, Scope, When};
+use serde::Deserialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -64,7 +65,8 @@ pub struct App {
 }
 
 /// Which clock an app runs on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum TimeMode {
     /// The machine's clock; every chassis is a process.
     #[default]
@@ -157,7 +159,8 @@ impl Default for ChassisSupervision {
 }
 
 /// What a task that failed for good leads to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum OnTaskFailure {
     /// The end of the app.
     #[default]

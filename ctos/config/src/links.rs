@@ -3,7 +3,14 @@
 
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 
-use super::{app::ChassisConfig, fields::Fields, keys, node::Node, zenoh::ZenohConfig};
+use serde::Deserialize;
+
+use super::{
+    App,
+    app::ChassisConfig,
+    node::Node,
+    zenoh::{self, ZenohConfig},
+};
 use crate::{
     diagnostic::{Finding, Findings, Place},
     settings::BOOT_CHASSIS,
@@ -14,10 +21,12 @@ const ROOM_MIB: usize = 64;
 const SPIN: Duration = Duration::from_micros(5);
 
 /// How chassis of one host are joined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SameHost {
     /// By shared memory, with a Unix socket that shows when one of them ends.
     #[default]
+    #[serde(rename = "shm")]
     Shared,
     /// By Unix sockets.
     Unix,
@@ -177,51 +186,39 @@ pub struct SecurityConfig {
     pub place: Place,
 }
 
-/// Reads the keys of `[app]` that belong to links; `[injure]` is read by [`injury`], `[zenoh]` by its module.
-pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
+/// Reads what belongs to links.
+pub(super) fn links(root: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> LinkConfig {
     let default = LinkConfig::default();
-    let same_host = [
-        ("shm", SameHost::Shared),
-        ("unix", SameHost::Unix),
-        ("tcp", SameHost::Tcp),
-        ("zenoh", SameHost::Zenoh),
-    ];
-    let peer_timeout = app.seconds("peer_timeout_s");
-    let spin = app.integer("spin_us").map(Duration::from_micros);
-    let room = app.integer::<usize>("link_room_mib");
+    let spin = root.read("app.spin_us").map(Duration::from_micros);
+    let room = root.read::<usize>("app.link_room_mib");
     LinkConfig {
-        peer_timeout: peer_timeout.unwrap_or(default.peer_timeout),
-        same_host: app.choice("same_host", &same_host),
+        peer_timeout: root
+            .seconds("app.peer_timeout_s")
+            .unwrap_or(default.peer_timeout),
+        same_host: root.read("app.same_host").unwrap_or_default(),
         spin: spin.unwrap_or(default.spin),
-        room: room.unwrap_or(ROOM_MIB) << 20,
-        ..default
+        room: room.map_or(default.room, |room| room << 20),
+        zenoh: zenoh::zenoh(root, findings),
+        injury: injury(root, chassis, findings),
     }
 }
 
-/// Reads `[injure]`.
-pub(super) fn injury(
-    root: &Node,
-    chassis: &[ChassisConfig],
-    findings: &mut Findings,
-) -> InjuryConfig {
-    let mut fields = Fields::top(root, keys::INJURE, findings);
-    let drop = fields.number("drop").unwrap_or_default();
-    let late = fields.text("delay").and_then(|(text, place)| {
-        let delay = delay(text);
+fn injury(root: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> InjuryConfig {
+    let late = root.get("injure.delay").and_then(|node| {
+        let delay = node.as_str().and_then(delay);
         if delay.is_none() {
             let finding = Finding::error("ctos::config::value", "[injure]: `delay` cannot be read")
                 .help("write a time such as \"5ms\", or a range such as \"5ms..20ms\"");
-            fields.push(finding.at(place));
+            findings.push(finding.at(node.place.clone()));
         }
         delay
     });
-    let break_bytes = fields.integer("break_bytes").unwrap_or_default();
-    let cuts = fields.list("cut", "write cut = [\"a:b@2s\"]");
+    let cuts = root.get("injure.cut").map_or(&[][..], Node::elements);
     InjuryConfig {
-        drop,
+        drop: root.read("injure.drop").unwrap_or_default(),
         delay: late.unwrap_or_default(),
         cuts: all_cuts(cuts, chassis, findings),
-        break_bytes,
+        break_bytes: root.read("injure.break_bytes").unwrap_or_default(),
     }
 }
 
@@ -232,7 +229,7 @@ fn all_cuts(texts: &[Node], chassis: &[ChassisConfig], findings: &mut Findings) 
     };
     let mut cuts = Vec::new();
     for text in texts {
-        let mut push = |finding: Finding| findings.push(finding.at(text.place().cloned()));
+        let mut push = |finding: Finding| findings.push(finding.at(text.place.clone()));
         let Some(cut) = text.as_str().and_then(Cut::parse) else {
             let finding = Finding::error("ctos::config::value", "[injure]: a `cut` cannot be read");
             let help = "write two chassis, when, and for how long: \"a:b@2s\", \"a:boot@2s+0.5s\"";
@@ -250,42 +247,31 @@ fn all_cuts(texts: &[Node], chassis: &[ChassisConfig], findings: &mut Findings) 
     cuts
 }
 
-/// Reads `[security]`, and finds chassis that would be open to strangers without it.
-pub(super) fn security(
-    root: &Node,
-    chassis: &[ChassisConfig],
-    findings: &mut Findings,
-) -> Option<SecurityConfig> {
-    let mut fields = Fields::top(root, keys::SECURITY, findings);
-    if fields.is_empty() {
-        for one in chassis {
-            open_to_strangers(one, root, findings);
-        }
-        return None;
-    }
-    let help = "make keys with `ctos keys new keys/NAME --role boot`, then add";
-    let key = fields.required("key", &format!("{help} key = \"keys/NAME\""));
-    let authority = fields.required("authority", &format!("{help} authority = \"keys/ca.pem\""));
-    let ((key, place), (authority, _)) = key.zip(authority)?;
+/// Reads `[security]`.
+pub(super) fn security(root: &Node) -> Option<SecurityConfig> {
     Some(SecurityConfig {
-        key: key.into(),
-        authority: authority.into(),
-        place,
+        key: root.read("security.key")?,
+        authority: root.read("security.authority")?,
+        place: root.place_of("security.key")?,
     })
 }
 
-/// Whoever can reach an address beyond the loopback could drive the robot.
-fn open_to_strangers(chassis: &ChassisConfig, root: &Node, findings: &mut Findings) {
-    let Some(listen) = chassis.listen.filter(|listen| !is_loopback(listen.ip())) else {
-        return;
-    };
-    let name = &chassis.name;
-    let text = format!(
-        "chassis `{name}` would listen at {listen}, where others can reach it, and the app has no keys"
-    );
-    let finding = Finding::error("ctos::config::no_keys", text);
-    let finding = finding.help(format!("{KEYS_HELP}; or listen at 127.0.0.1"));
-    findings.push(finding.at(chassis.place_of(root, "listen")));
+/// Finds chassis that would be open to strangers: whoever can reach an address beyond the loopback could drive the
+/// robot.
+pub(super) fn check(app: &App, findings: &mut Findings) {
+    for one in &app.chassis {
+        if let Some(listen) = one.listen.filter(|listen| !is_loopback(listen.ip()))
+            && app.root.tables("security").is_empty()
+        {
+            let name = &one.name;
+            let text = format!(
+                "chassis `{name}` would listen at {listen}, where others can reach it, and the app has no keys"
+            );
+            let finding = Finding::error("ctos::config::no_keys", text);
+            let finding = finding.help(format!("{KEYS_HELP}; or listen at 127.0.0.1"));
+            findings.push(finding.at(one.place_of(&app.root, "listen")));
+        }
+    }
 }
 
 /// What to do where keys are missing.

@@ -330,7 +330,7 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
     });
     let (mut keys, left, right) = split.ok_or_else(|| usage("the part before `=` is not a key"))?;
     if let [(key, _)] = keys.as_slice()
-        && keys::names(keys::APP).any(|known| known == key)
+        && keys::names("app").any(|known| known == key)
     {
         // One word names a key of `[app]`: `--set seed=7`.
         keys.insert(0, ("app".to_owned(), 0..left.len()));

@@ -5,6 +5,7 @@
 use crate::diagnostic::{Finding, Findings, Place, Source};
 use serde::de::DeserializeOwned;
 use std::ops::Range;
+use std::time::Duration;
 use toml::de::{DeTable, DeValue};
 
 /// A value: a scalar, an array or a table, with its place.
@@ -61,21 +62,26 @@ impl Node {
     /// is not a table becomes one.
     #[must_use]
     pub fn with(mut self, key: impl Into<String>, value: impl Into<Self>) -> Self {
-        let (key, value) = (key.into(), value.into());
-        let mut entries = match self.value {
-            Value::Table(entries) => entries,
-            _ => Vec::new(),
-        };
-        match entries.iter_mut().find(|entry| entry.key == key) {
-            Some(entry) => entry.value = value,
-            None => entries.push(Entry {
-                key,
-                key_place: None,
-                value,
-            }),
-        }
-        self.value = Value::Table(entries);
+        self.set(key, value);
         self
+    }
+
+    /// Does what [`with`](Self::with) does to this table.
+    pub(super) fn set(&mut self, key: impl Into<String>, value: impl Into<Self>) {
+        let (key, value) = (key.into(), value.into());
+        if let Some(there) = self.inner(&key) {
+            *there = value;
+            return;
+        }
+        let entry = Entry {
+            key,
+            key_place: None,
+            value,
+        };
+        match &mut self.value {
+            Value::Table(entries) => entries.push(entry),
+            other => *other = Value::Table(vec![entry]),
+        }
     }
 
     /// This table without some of its keys; any other node as it is.
@@ -118,6 +124,21 @@ impl Node {
     pub(super) fn tables(&self, key: &str) -> &[Entry] {
         let entry = self.entry(key);
         entry.map_or(&[], |entry| entry.value.entries())
+    }
+
+    /// The value at a dotted path as a `T`; `None` where there is none, or one that was found wrong before.
+    pub(super) fn read<T: DeserializeOwned>(&self, path: &str) -> Option<T> {
+        self.get(path)?.parse().ok()
+    }
+
+    /// The time at a dotted path, where it stands in seconds.
+    pub(super) fn seconds(&self, path: &str) -> Option<Duration> {
+        Duration::try_from_secs_f64(self.read(path)?).ok()
+    }
+
+    /// The place of the value at a dotted path.
+    pub(super) fn place_of(&self, path: &str) -> Option<Place> {
+        self.get(path)?.place.clone()
     }
 
     /// The elements of an array; nothing for other nodes.

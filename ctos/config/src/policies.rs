@@ -1,29 +1,32 @@
 //! The keys that say what happens when a chassis or a task fails.
 
 use super::app::{ChassisSupervision, OnTaskFailure};
-use super::fields::Fields;
-use crate::diagnostic::Finding;
+use super::node::Node;
+use crate::diagnostic::{Finding, Findings};
 use crate::settings::{Policy, When};
 
 /// The keys of restarts, which have an effect only where there are restarts.
 const RESTARTS: [&str; 3] = ["max_restarts", "restart_window_s", "restart_backoff_s"];
 
 /// The keys of a chassis that say what happens when it fails.
-pub(super) fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {
-    let policy = policy(
-        fields,
-        Policy {
-            backoff: ChassisSupervision::default().backoff,
-            ..Policy::default()
-        },
-    );
-    let contained = OnTaskFailure::RestartChassis;
-    let choices = [("app", OnTaskFailure::App), ("restart-chassis", contained)];
-    let on_task_failure = fields.choice("on_task_failure", &choices);
+pub(super) fn supervision(chassis: &Node, findings: &mut Findings) -> ChassisSupervision {
+    let usual = Policy {
+        backoff: ChassisSupervision::default().backoff,
+        ..Policy::default()
+    };
+    let policy = policy(chassis, usual);
+    let on_task_failure = chassis.read("on_task_failure").unwrap_or_default();
     if policy.when == When::Never {
-        let last = (on_task_failure == contained).then_some("on_task_failure");
-        let keys = RESTARTS.into_iter().chain(last);
-        idle(fields, keys, "on a chassis that is never restarted");
+        let restarts = on_task_failure == OnTaskFailure::RestartChassis;
+        let keys = RESTARTS
+            .into_iter()
+            .chain(restarts.then_some("on_task_failure"));
+        idle(
+            chassis,
+            keys,
+            "on a chassis that is never restarted",
+            findings,
+        );
     }
     ChassisSupervision {
         restart: policy.when,
@@ -34,38 +37,42 @@ pub(super) fn supervision(fields: &mut Fields<'_, '_>) -> ChassisSupervision {
     }
 }
 
-/// `restart` and the keys that go with it.
-pub(super) fn restart(fields: &mut Fields<'_, '_>) -> Policy {
-    let policy = policy(fields, Policy::default());
+/// `restart` of a task and the keys that go with it.
+pub(super) fn restart(task: &Node, findings: &mut Findings) -> Policy {
+    let policy = policy(task, Policy::default());
     if policy.when == When::Never {
-        idle(fields, RESTARTS.into_iter(), "where nothing is restarted");
+        idle(
+            task,
+            RESTARTS.into_iter(),
+            "where nothing is restarted",
+            findings,
+        );
     }
     policy
 }
 
-fn policy(fields: &mut Fields<'_, '_>, usual: Policy) -> Policy {
-    let choices = [
-        ("never", When::Never),
-        ("on-failure", When::OnFailure),
-        ("always", When::Always),
-    ];
-    let when = fields.choice("restart", &choices);
+fn policy(node: &Node, usual: Policy) -> Policy {
     Policy {
-        when,
-        max: fields.integer("max_restarts").unwrap_or(usual.max),
-        window: fields.seconds("restart_window_s").unwrap_or(usual.window),
-        backoff: fields.seconds("restart_backoff_s").unwrap_or(usual.backoff),
+        when: node.read("restart").unwrap_or_default(),
+        max: node.read("max_restarts").unwrap_or(usual.max),
+        window: node.seconds("restart_window_s").unwrap_or(usual.window),
+        backoff: node.seconds("restart_backoff_s").unwrap_or(usual.backoff),
     }
 }
 
 /// Warns of keys that are there for nothing.
-fn idle(fields: &mut Fields<'_, '_>, keys: impl Iterator<Item = &'static str>, place: &str) {
+fn idle(
+    node: &Node,
+    keys: impl Iterator<Item = &'static str>,
+    place: &str,
+    findings: &mut Findings,
+) {
     for key in keys {
-        if let Some(at) = fields.place(key) {
+        if let Some(at) = node.place_of(key) {
             let text = format!("`{key}` has no effect {place}");
             let finding = Finding::warning("ctos::config::no_effect", text);
             let help = "add restart = \"on-failure\" or restart = \"always\"";
-            fields.push(finding.help(help).at(at));
+            findings.push(finding.help(help).at(at));
         }
     }
 }

@@ -3,7 +3,7 @@
 //! Knows what a profile may hold and how it is laid on; what its keys mean is for
 //! [`build`](super::build) to say.
 
-use super::fields::check_name;
+use super::check::check_name;
 use super::node::{Entry, Node};
 use crate::diagnostic::{Finding, Findings, Place, Source};
 

@@ -4,8 +4,8 @@ use std::{collections::BTreeMap, path::Path};
 
 use crate::{
     app::App,
-    build,
-    diagnostic::{Findings, Source},
+    build::build,
+    diagnostic::{Findings, Place, Source},
     expander::Expander,
     load::{Disk, Files, Texts, merged},
     node::Node,
@@ -93,26 +93,24 @@ fn load_from(
     }
     let place = merged.root.place().cloned();
     let place = place.unwrap_or_else(|| Source::new(file.display().to_string(), "").at(0..0));
-    let origin = build::Origin {
-        file: file.clone(),
-        sets: sets.clone(),
-        place,
-    };
-    let mut app = build::build(merged.root, origin.clone(), expanders, &mut findings);
     let profiles = &merged.profiles;
     let applied = |name: &String| profiles.iter().find(|one| one.name == *name).cloned();
     let layers = merged.applied.iter().filter_map(applied).collect();
+    let trail = Trail::new(merged.sources, merged.used, layers);
+    let chosen = Selection {
+        profiles: merged.applied,
+        ..selection.clone()
+    };
+    let mut app = build(merged.root, &place, chosen, trail, expanders, &mut findings);
     for profile in merged.profiles.iter() {
-        if !merged.applied.contains(&profile.name) {
+        if !app.profiles.contains(&profile.name) {
             let root = merged.bare.clone();
-            check_idle(profile, root, &origin, files, expanders, &mut findings);
+            check_idle(profile, root, &place, files, expanders, &mut findings);
         }
     }
     if findings.has_errors() {
         return Err(findings);
     }
-    app.profiles = merged.applied;
-    app.trail = Trail::new(merged.sources, merged.used, layers);
     app.warnings = findings;
     Ok(app)
 }
@@ -132,7 +130,7 @@ const ASKED: [&str; 5] = [
 fn check_idle(
     profile: &Profile,
     mut root: Node,
-    origin: &build::Origin,
+    whole: &Place,
     files: &dyn Files,
     expanders: &[(&'static str, &dyn Expander)],
     findings: &mut Findings,
@@ -142,7 +140,8 @@ fn check_idle(
     let mut unset = Findings::new();
     let mut used = variables::Used::new();
     variables::expand(&mut root, files, &mut used, &mut unset, &|_| true);
-    build::build(root, origin.clone(), expanders, &mut found);
+    let (selection, trail) = (Selection::default(), Trail::default());
+    build(root, whole, selection, trail, expanders, &mut found);
     for finding in found.into_sorted() {
         let here = finding.place.as_ref();
         // A variable need not be set for a profile that is not chosen; its value is unknown then.
