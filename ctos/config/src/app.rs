@@ -3,6 +3,7 @@
 use super::links::{LinkConfig, SecurityConfig};
 use super::load::SET;
 use super::node::Node;
+use super::profiles::holds;
 use super::selection::Selection;
 use super::trail::{Origin, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
@@ -325,9 +326,9 @@ impl App {
         }
         let mut profiles = self.trail.applied.iter().rev();
         let place = place.clone();
-        match profiles.find(|profile| profile.holds(&place)) {
+        match profiles.find(|profile| holds(&profile.value, &place)) {
             Some(profile) => Origin::Profile {
-                name: profile.name.clone(),
+                name: profile.key.clone(),
                 place,
             },
             None => Origin::File(place),

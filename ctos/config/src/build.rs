@@ -14,7 +14,7 @@ use super::policies::{restart, supervision};
 use super::selection::Selection;
 use super::trail::Trail;
 use super::{hosts, links, observe};
-use crate::diagnostic::{Finding, Findings, Place};
+use crate::diagnostic::{Finding, Findings, Place, Source};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -26,15 +26,16 @@ const MOST_PROCESSORS: usize = 255;
 /// Makes the typed app. Errors go to `findings`; the result then still holds what could be read.
 pub(super) fn build(
     root: Node,
-    whole: &Place,
-    selection: Selection,
+    selection: &Selection,
     trail: Trail,
     expanders: &[(&'static str, &dyn Expander)],
     findings: &mut Findings,
 ) -> App {
     let extra: Vec<&str> = expanders.iter().map(|(table, _)| *table).collect();
     let mut root = checked(root, &extra, findings);
-    let file = selection.file;
+    let file = &selection.file;
+    let whole = root.place.clone();
+    let whole = &whole.unwrap_or_else(|| Source::new(file.display().to_string(), "").at(0..0));
     let stem = file.file_stem().map(|stem| stem.to_string_lossy());
     if root.get("app.name").is_none()
         && let Some(app) = root.inner("app")
@@ -81,9 +82,13 @@ pub(super) fn build(
         chassis,
         tasks,
         folder: folder.map_or_else(|| PathBuf::from("."), PathBuf::from),
-        file,
-        profiles: selection.profiles,
-        sets: selection.sets,
+        file: file.clone(),
+        profiles: trail
+            .applied
+            .iter()
+            .map(|profile| profile.key.clone())
+            .collect(),
+        sets: selection.sets.clone(),
         warnings: Findings::new(),
         trail,
         root,

@@ -271,6 +271,22 @@ impl Node {
         }
     }
 
+    /// Reads the dotted key that is the text of `source` before `end`, as the tables that it stands for with an
+    /// integer innermost; `None` when it is no key.
+    pub(super) fn from_toml_key(source: &Source, end: usize) -> Option<Self> {
+        let text = source.text().get(..end)?;
+        let document = format!("{text} = 0");
+        let table = DeTable::parse(&document).ok()?;
+        let is_key = !text.chars().any(char::is_control) && !table.get_ref().is_empty();
+        let entries = Reader {
+            source,
+            offset: 0,
+            findings: &mut Findings::new(),
+        }
+        .table(table.get_ref());
+        is_key.then(|| Value::Table(entries).into())
+    }
+
     /// Reads one TOML value, which is this byte range of `source`.
     pub(super) fn from_toml_value(source: &Source, range: Range<usize>) -> Result<Self, Finding> {
         let offset = range.start;
@@ -349,26 +365,6 @@ impl Node {
             }
             _ => {}
         }
-    }
-
-    /// The tables that a dotted key stands for, with `value` innermost.
-    pub(super) fn nested(keys: Vec<(String, Place)>, value: Self) -> Self {
-        let mut places: Vec<_> = keys.iter().map(|(_, place)| place.clone()).collect();
-        places.pop();
-        let mut node = value;
-        for (key, key_place) in keys.into_iter().rev() {
-            // As in a file, the place of a table is that of its key.
-            let place = places.pop().or_else(|| Some(key_place.clone()));
-            node = Self {
-                place,
-                value: Value::Table(vec![Entry {
-                    key,
-                    key_place: Some(key_place),
-                    value: node,
-                }]),
-            };
-        }
-        node
     }
 }
 

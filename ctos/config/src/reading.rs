@@ -5,14 +5,14 @@ use std::{collections::BTreeMap, path::Path};
 use crate::{
     app::App,
     build::build,
-    diagnostic::{Findings, Place, Source},
+    diagnostic::Findings,
     expander::Expander,
     load::{Disk, Files, Texts, merged},
-    node::Node,
-    profiles::Profile,
+    node::{Entry, Node},
+    profiles::{holds, lay_over},
     selection::Selection,
     trail::Trail,
-    variables,
+    variables::Variables,
 };
 
 impl Selection {
@@ -82,30 +82,19 @@ fn load_from(
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
     let mut findings = Findings::new();
-    let file = &selection.file;
-    let (profiles, sets) = (&selection.profiles, &selection.sets);
-    let Some(merged) = merged(files, file, profiles, sets, &mut findings) else {
+    let Some(merged) = merged(files, selection, &mut findings) else {
         return Err(findings);
     };
     // What does not parse would only bring findings that are not the person's mistakes.
     if findings.has_errors() {
         return Err(findings);
     }
-    let place = merged.root.place().cloned();
-    let place = place.unwrap_or_else(|| Source::new(file.display().to_string(), "").at(0..0));
-    let profiles = &merged.profiles;
-    let applied = |name: &String| profiles.iter().find(|one| one.name == *name).cloned();
-    let layers = merged.applied.iter().filter_map(applied).collect();
-    let trail = Trail::new(merged.sources, merged.used, layers);
-    let chosen = Selection {
-        profiles: merged.applied,
-        ..selection.clone()
-    };
-    let mut app = build(merged.root, &place, chosen, trail, expanders, &mut findings);
-    for profile in merged.profiles.iter() {
-        if !app.profiles.contains(&profile.name) {
+    let (root, trail) = (merged.root, merged.trail);
+    let mut app = build(root, selection, trail, expanders, &mut findings);
+    for profile in &merged.profiles {
+        if !app.profiles.contains(&profile.key) {
             let root = merged.bare.clone();
-            check_idle(profile, root, &place, files, expanders, &mut findings);
+            check_idle(profile, root, files, expanders, &mut findings);
         }
     }
     if findings.has_errors() {
@@ -128,26 +117,24 @@ const ASKED: [&str; 5] = [
 /// Looks through a profile that is not chosen, so that a typing error in it is found today and not on the day when it
 /// is needed. `root` is the app without any profile.
 fn check_idle(
-    profile: &Profile,
+    profile: &Entry,
     mut root: Node,
-    whole: &Place,
     files: &dyn Files,
     expanders: &[(&'static str, &dyn Expander)],
     findings: &mut Findings,
 ) {
     let mut found = Findings::new();
-    profile.lay_over(&mut root, &mut found);
+    lay_over(profile, &mut root, &mut found);
     let mut unset = Findings::new();
-    let mut used = variables::Used::new();
-    variables::expand(&mut root, files, &mut used, &mut unset, &|_| true);
+    Variables::of(files).expand(&mut root, &mut unset, &|_| true);
     let (selection, trail) = (Selection::default(), Trail::default());
-    build(root, whole, selection, trail, expanders, &mut found);
+    build(root, &selection, trail, expanders, &mut found);
     for finding in found.into_sorted() {
         let here = finding.place.as_ref();
         // A variable need not be set for a profile that is not chosen; its value is unknown then.
         let known = unset.is_empty() || finding.code == "ctos::config::unknown_key";
         let asked = known && ASKED.contains(&finding.code);
-        if asked && here.is_some_and(|place| profile.holds(place)) {
+        if asked && here.is_some_and(|place| holds(&profile.value, place)) {
             findings.push(finding);
         }
     }

@@ -2,7 +2,7 @@
 //! profiles that were laid on, and the data files that its checks have opened.
 
 use super::load::Read;
-use super::profiles::Profile;
+use super::node::Entry;
 use super::variables::Used;
 use crate::diagnostic::{Place, Source};
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub(crate) struct Trail {
     pub(super) sources: Vec<Read>,
     pub(super) used: Used,
-    pub(super) applied: Vec<Profile>,
+    pub(super) applied: Vec<Entry>,
     opened: Opened,
 }
 
@@ -28,7 +28,7 @@ impl PartialEq for Trail {
 }
 
 impl Trail {
-    pub(super) fn new(sources: Vec<Read>, used: Used, applied: Vec<Profile>) -> Self {
+    pub(super) fn new(sources: Vec<Read>, used: Used, applied: Vec<Entry>) -> Self {
         Self {
             sources,
             used,

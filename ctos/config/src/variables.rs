@@ -13,90 +13,120 @@ use std::ffi::OsString;
 /// the default that the file gives was taken.
 pub(super) type Used = BTreeMap<String, Option<String>>;
 
-/// Puts values in place of the references in every string below `node`, as long as `wanted` says
-/// yes to the place of the string.
-pub(super) fn expand(
-    node: &mut Node,
-    files: &dyn Files,
-    used: &mut Used,
-    findings: &mut Findings,
-    wanted: &dyn Fn(&Place) -> bool,
-) {
-    let place = node.place.clone();
-    match &mut node.value {
-        Value::String(text) => {
-            if text.contains("${") && place.as_ref().is_none_or(wanted) {
-                *text = expanded(text, place.as_ref(), files, used, findings);
-            }
-        }
-        Value::Array(elements) => {
-            for element in elements {
-                expand(element, files, used, findings, wanted);
-            }
-        }
-        Value::Table(entries) => {
-            for entry in entries {
-                expand(&mut entry.value, files, used, findings, wanted);
-            }
-        }
-        Value::Integer(_) | Value::Float(_) | Value::Bool(_) | Value::Datetime(_) => {}
-    }
+/// Where the values come from, and which were asked for.
+pub(super) struct Variables<'a> {
+    pub(super) files: &'a dyn Files,
+    pub(super) used: Used,
 }
 
-/// A text with its references replaced; what is wrong with one goes to `findings` at its place.
-pub(super) fn expanded(
-    text: &str,
-    place: Option<&Place>,
-    files: &dyn Files,
-    used: &mut Used,
-    findings: &mut Findings,
-) -> String {
-    let mut out = String::new();
-    let mut rest = text;
-    while let Some(at) = rest.find('$') {
-        let (before, from) = rest.split_at(at);
-        out.push_str(before);
-        if let Some(after) = from.strip_prefix("$${") {
-            out.push_str("${");
-            rest = after;
-        } else if let Some(after) = from.strip_prefix("${") {
-            let (inside, left) = match after.split_once('}') {
-                Some((inside, left)) => (inside, Some(left)),
-                None => (after, None),
-            };
-            let reference = Reference::parse(inside).filter(|_| left.is_some());
-            let reference = reference.ok_or_else(|| malformed(inside));
-            let value = reference.and_then(|reference| reference.value(files, used));
-            match value {
-                Ok(value) => out.push_str(&value),
-                Err(finding) => {
-                    let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
-                    findings.push(finding.at(part));
+impl<'a> Variables<'a> {
+    pub(super) fn of(files: &'a dyn Files) -> Self {
+        Self {
+            files,
+            used: Used::new(),
+        }
+    }
+
+    /// Puts values in place of the references in every string below `node`, as long as `wanted` says
+    /// yes to the place of the string.
+    pub(super) fn expand(
+        &mut self,
+        node: &mut Node,
+        findings: &mut Findings,
+        wanted: &dyn Fn(&Place) -> bool,
+    ) {
+        match &mut node.value {
+            Value::String(text) => {
+                if text.contains("${") && node.place.as_ref().is_none_or(wanted) {
+                    *text = self.expanded(text, node.place.as_ref(), findings);
                 }
             }
-            rest = left.unwrap_or_default();
-        } else {
-            out.push('$');
-            rest = from.get(1..).unwrap_or_default();
+            Value::Array(elements) => {
+                for element in elements {
+                    self.expand(element, findings, wanted);
+                }
+            }
+            Value::Table(entries) => {
+                for entry in entries {
+                    self.expand(&mut entry.value, findings, wanted);
+                }
+            }
+            Value::Integer(_) | Value::Float(_) | Value::Bool(_) | Value::Datetime(_) => {}
         }
     }
-    out.push_str(rest);
-    out
-}
 
-/// [`expanded`], if nothing is wrong with it.
-pub(super) fn whole(
-    text: &str,
-    place: &Place,
-    files: &dyn Files,
-    used: &mut Used,
-    findings: &mut Findings,
-) -> Option<String> {
-    let mut found = Findings::new();
-    let text = expanded(text, Some(place), files, used, &mut found);
-    let text = found.is_empty().then_some(text);
-    findings.extend(found);
-    text
+    /// A text with its references replaced; what is wrong with one goes to `findings` at its place.
+    pub(super) fn expanded(
+        &mut self,
+        text: &str,
+        place: Option<&Place>,
+        findings: &mut Findings,
+    ) -> String {
+        let mut out = String::new();
+        let mut rest = text;
+        while let Some(at) = rest.find('$') {
+            let (before, from) = rest.split_at(at);
+            out.push_str(before);
+            if let Some(after) = from.strip_prefix("$${") {
+                out.push_str("${");
+                rest = after;
+            } else if let Some(after) = from.strip_prefix("${") {
+                let (inside, left) = after.split_once('}').unwrap_or((after, ""));
+                let is_closed = inside.len() < after.len();
+                let reference = Reference::parse(inside).filter(|_| is_closed);
+                let reference = reference.ok_or_else(|| malformed(inside));
+                match reference.and_then(|reference| self.value(&reference)) {
+                    Ok(value) => out.push_str(&value),
+                    Err(finding) => {
+                        let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
+                        findings.push(finding.at(part));
+                    }
+                }
+                rest = left;
+            } else {
+                out.push('$');
+                rest = from.get(1..).unwrap_or_default();
+            }
+        }
+        out.push_str(rest);
+        out
+    }
+
+    /// [`expanded`](Self::expanded), if nothing is wrong with it.
+    pub(super) fn whole(
+        &mut self,
+        text: &str,
+        place: &Place,
+        findings: &mut Findings,
+    ) -> Option<String> {
+        let mut found = Findings::new();
+        let text = self.expanded(text, Some(place), &mut found);
+        let text = found.is_empty().then_some(text);
+        findings.extend(found);
+        text
+    }
+
+    /// As in a shell, a default stands in for a variable that is unset or empty.
+    fn value(&mut self, reference: &Reference<'_>) -> Result<String, Finding> {
+        let name = reference.name;
+        let found = self.files.variable(name).map(OsString::into_string);
+        let found = found.transpose().map_err(|_| {
+            let text = format!("the environment variable `{name}` does not hold UTF-8 text");
+            Finding::error("ctos::config::variable", text)
+        })?;
+        self.used.insert(name.to_owned(), found.clone());
+        match (found, reference.default) {
+            (Some(value), None) => Ok(value),
+            (Some(value), Some(_)) if !value.is_empty() => Ok(value),
+            (_, Some(default)) => Ok(default.to_owned()),
+            (None, None) => {
+                let text = format!("the environment variable `{name}` is not set");
+                let help = format!("set it, or write what holds without it: ${{{name}:-...}}");
+                let finding = Finding::error("ctos::config::unset_variable", text);
+                Err(finding.label("its value belongs here").help(help))
+            }
+        }
+    }
 }
 
 /// A text written so that [`expanded`] gives it back.
@@ -120,33 +150,6 @@ impl<'a> Reference<'a> {
         let first = name.chars().next()?;
         let plain = !first.is_ascii_digit() && name.chars().all(letter);
         plain.then_some(Self { name, default })
-    }
-
-    /// As in a shell, a default stands in for a variable that is unset or empty.
-    fn value(&self, files: &dyn Files, used: &mut Used) -> Result<String, Finding> {
-        let name = self.name;
-        let found = match files.variable(name).map(OsString::into_string) {
-            Some(Ok(value)) => Some(value),
-            Some(Err(_)) => {
-                let text = format!("the environment variable `{name}` does not hold UTF-8 text");
-                return Err(Finding::error("ctos::config::variable", text));
-            }
-            None => None,
-        };
-        used.insert(name.to_owned(), found.clone());
-        match (found, self.default) {
-            (Some(value), None) => Ok(value),
-            (Some(value), Some(_)) if !value.is_empty() => Ok(value),
-            (_, Some(default)) => Ok(default.to_owned()),
-            (None, None) => Err(Finding::error(
-                "ctos::config::unset_variable",
-                format!("the environment variable `{name}` is not set"),
-            )
-            .label("its value belongs here")
-            .help(format!(
-                "set it, or write what holds without it: ${{{name}:-...}}"
-            ))),
-        }
     }
 }
 
