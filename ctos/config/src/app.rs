@@ -5,9 +5,9 @@ use super::load::SET;
 use super::node::Node;
 use super::profiles::holds;
 use super::selection::Selection;
-use super::trail::{Origin, Trail};
+use super::trail::{Origin, Read, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
-use crate::settings::{Lead, Overrun, Policy, Scope, When};
+use crate::settings::{Lead, Overrun, Policy, Scope};
 use serde::Deserialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -47,9 +47,9 @@ pub struct App {
     /// The tasks, in declared order, those made by expanders after them.
     pub tasks: Vec<TaskConfig>,
     /// The semaphores that the configuration declares, in declared order.
-    pub semaphores: Vec<SemaphoreConfig>,
+    pub semaphores: Vec<SharedConfig>,
     /// The barriers that the configuration declares, in declared order.
-    pub barriers: Vec<BarrierConfig>,
+    pub barriers: Vec<SharedConfig>,
     /// The file as given.
     pub file: PathBuf,
     /// The profiles that were chosen, the later ones on top.
@@ -98,10 +98,6 @@ pub struct HostConfig {
     pub name: String,
     /// Where its agent listens.
     pub agent: SocketAddr,
-    /// Where `agent` stands.
-    pub agent_place: Place,
-    /// Where its name stands.
-    pub place: Place,
 }
 
 /// One process of an app.
@@ -131,29 +127,29 @@ impl ChassisConfig {
     }
 }
 
+impl HostConfig {
+    /// Where the address of its agent stands.
+    pub(super) fn agent_place(&self, root: &Node) -> Option<Place> {
+        root.place_of(&format!("host.\"{}\".agent", self.name))
+    }
+}
+
 /// What the boot does about a chassis that fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChassisSupervision {
-    /// When its process is started again; without restarts the app ends with it.
-    pub restart: When,
-    /// So many restarts within `window` are too many: the app ends.
-    pub max_restarts: u32,
-    /// The window in which restarts are counted.
-    pub window: Duration,
-    /// The pause before the first restart; it doubles with each further one within the window.
-    pub backoff: Duration,
+    /// When its process is started again, and how often; without restarts, or with too many, the app ends with it.
+    pub restart: Policy,
     /// What a task that failed for good leads to.
     pub on_task_failure: OnTaskFailure,
 }
 
 impl Default for ChassisSupervision {
     fn default() -> Self {
-        let usual = Policy::default();
         Self {
-            restart: usual.when,
-            max_restarts: usual.max,
-            window: usual.window,
-            backoff: Duration::from_millis(500),
+            restart: Policy {
+                backoff: Duration::from_millis(500),
+                ..Policy::default()
+            },
             on_task_failure: OnTaskFailure::App,
         }
     }
@@ -206,30 +202,15 @@ impl ProcessorConfig {
     }
 }
 
-/// What the configuration says of a semaphore.
+/// What the configuration says of a semaphore or a barrier.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SemaphoreConfig {
+pub struct SharedConfig {
     /// Its name.
     pub name: String,
     /// Who shares it; `None` = its name says so.
     pub scope: Option<Scope>,
-    /// How many permits it has; `None` = as many as the tasks say.
-    pub permits: Option<u32>,
-    /// Where its name stands.
-    pub place: Place,
-}
-
-/// What the configuration says of a barrier.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BarrierConfig {
-    /// Its name.
-    pub name: String,
-    /// Who shares it; `None` = its name says so.
-    pub scope: Option<Scope>,
-    /// How many must arrive; `None` = as many as the tasks say.
-    pub parties: Option<u32>,
-    /// Where its name stands.
-    pub place: Place,
+    /// How many permits a semaphore has, or how many must arrive at a barrier; `None` = as many as the tasks say.
+    pub count: Option<u32>,
 }
 
 /// One instantiation of an event handler.
@@ -309,9 +290,15 @@ impl App {
     /// # Errors
     /// A finding without a place when the file cannot be read or is not UTF-8.
     pub fn read(&self, relative: impl AsRef<Path>) -> Result<Source, Finding> {
-        let relative = relative.as_ref();
-        let source = Source::read(&self.folder.join(relative))?;
-        self.trail.note(&relative.to_string_lossy(), &source);
+        let path = self.folder.join(&relative);
+        let source = Source::read(&path)?;
+        let mut read = self.trail.read();
+        read.retain(|other| other.path != path);
+        read.push(Read {
+            path,
+            text: source.text().to_owned(),
+            absolute: relative.as_ref().is_absolute(),
+        });
         Ok(source)
     }
 

@@ -6,7 +6,7 @@
 
 mod tasks;
 
-use super::app::{App, BarrierConfig, ChassisConfig, ProcessorConfig, SemaphoreConfig};
+use super::app::{App, ChassisConfig, ProcessorConfig, SharedConfig};
 use super::check::checked;
 use super::expander::Expander;
 use super::node::{Entry, Node};
@@ -45,21 +45,14 @@ pub(super) fn build(
     let mut builder = Builder { whole, findings };
     let chassis = builder.all_chassis(&root);
     let tasks = builder.tasks(&root, &chassis, expanders);
-    let semaphores = root
-        .tables("semaphore")
-        .iter()
-        .map(|entry| SemaphoreConfig {
+    let shared = |table: &str, count: &str| {
+        let shared = root.tables(table).iter().map(|entry| SharedConfig {
             name: entry.key.clone(),
             scope: entry.value.read("scope"),
-            permits: entry.value.read("permits"),
-            place: entry.place_or(whole),
+            count: entry.value.read(count),
         });
-    let barriers = root.tables("barrier").iter().map(|entry| BarrierConfig {
-        name: entry.key.clone(),
-        scope: entry.value.read("scope"),
-        parties: entry.value.read("parties"),
-        place: entry.place_or(whole),
-    });
+        shared.collect()
+    };
     let folder = file
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty());
@@ -76,9 +69,9 @@ pub(super) fn build(
         metrics: observe::metrics(&root, builder.findings),
         listen: root.read("app.listen"),
         control: root.read("control.listen"),
-        hosts: hosts::hosts(&root, whole, builder.findings),
-        semaphores: semaphores.collect(),
-        barriers: barriers.collect(),
+        hosts: hosts::hosts(&root, builder.findings),
+        semaphores: shared("semaphore", "permits"),
+        barriers: shared("barrier", "parties"),
         chassis,
         tasks,
         folder: folder.map_or_else(|| PathBuf::from("."), PathBuf::from),
@@ -94,7 +87,6 @@ pub(super) fn build(
         root,
     };
     app.check_tasks(whole, builder.findings);
-    links::check(&app, builder.findings);
     hosts::check(&app, builder.findings);
     app
 }

@@ -148,46 +148,41 @@ pub(super) fn parsed(default: &str) -> Option<Node> {
 
 /// What must stand in place of a value, unless it fits.
 fn misfit(kind: &Kind, node: &Node) -> Option<String> {
-    let (text, number) = (node.as_str(), node.as_f64());
-    let (fits, expected) = match kind {
-        Kind::Text | Kind::Choice(_) | Kind::Address(_) if text.is_none() => {
-            (false, "a string".to_owned())
-        }
+    let (text, flag) = (node.as_str(), node.as_bool());
+    let number = node.as_f64().unwrap_or(f64::NAN);
+    let whole = node
+        .as_integer()
+        .and_then(|number| u64::try_from(number).ok());
+    let expected = match kind {
+        Kind::Text | Kind::Choice(_) | Kind::Address(_) if text.is_none() => "a string".to_owned(),
         Kind::Text | Kind::Choice(_) | Kind::Address(_) if text == Some("") => {
-            (false, "a text that is not empty".to_owned())
+            "a text that is not empty".to_owned()
         }
-        Kind::Text | Kind::Choice(_) => (true, String::new()),
-        Kind::Address(example) => (
-            text.is_some_and(|text| text.parse::<SocketAddr>().is_ok()),
-            format!("an address such as {example:?}"),
-        ),
-        Kind::Flag => (node.as_bool().is_some(), "true or false".to_owned()),
-        Kind::FlagOr(word) => (
-            node.as_bool().is_some() || text == Some(word),
-            format!("true, false or {word:?}"),
-        ),
-        Kind::Integer(least, most) => (
-            node.as_integer()
-                .is_some_and(|number| (i128::from(*least)..=i128::from(*most)).contains(&number)),
-            format!("a whole number from {least} to {most}"),
-        ),
-        Kind::Number(least, most) => (
-            number.is_some_and(|number| (*least..=*most).contains(&number)),
-            format!("a number from {least} to {most}"),
-        ),
-        Kind::Seconds(most) => (
-            number.is_some_and(|number| number > 0.0 && number <= *most),
-            format!("a number of seconds above 0 and at most {most}"),
-        ),
-        Kind::Texts(example) => (
-            matches!(node.value, Value::Array(_)),
-            format!("a list such as {example}"),
-        ),
-        Kind::One(_) | Kind::Named(_) | Kind::Profiles | Kind::Free => {
-            (node.is_table(), "a table".to_owned())
+        Kind::Address(one) if text.is_some_and(|text| text.parse::<SocketAddr>().is_err()) => {
+            format!("an address such as {one:?}")
         }
+        Kind::Flag if flag.is_none() => "true or false".to_owned(),
+        Kind::FlagOr(word) if flag.is_none() && text != Some(word) => {
+            format!("true, false or {word:?}")
+        }
+        Kind::Integer(least, most) if whole.is_none_or(|whole| whole < *least || whole > *most) => {
+            format!("a whole number from {least} to {most}")
+        }
+        Kind::Number(least, most) if !(*least..=*most).contains(&number) => {
+            format!("a number from {least} to {most}")
+        }
+        Kind::Seconds(most) if !(number > 0.0 && number <= *most) => {
+            format!("a number of seconds above 0 and at most {most}")
+        }
+        Kind::Texts(one) if !matches!(node.value, Value::Array(_)) => {
+            format!("a list such as {one}")
+        }
+        Kind::One(_) | Kind::Named(_) | Kind::Profiles | Kind::Free if !node.is_table() => {
+            "a table".to_owned()
+        }
+        _ => return None,
     };
-    (!fits).then_some(expected)
+    Some(expected)
 }
 
 /// A value as it stands in a message.

@@ -13,26 +13,20 @@ use super::{
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
-/// Reads the tables of all hosts; `whole` is the place of one that has none.
-pub(super) fn hosts(root: &Node, whole: &Place, findings: &mut Findings) -> Vec<HostConfig> {
+/// Reads the tables of all hosts.
+pub(super) fn hosts(root: &Node, findings: &mut Findings) -> Vec<HostConfig> {
     let read = root.tables("host").iter().filter_map(|entry| {
         let name = entry.key.clone();
         let agent: SocketAddr = entry.value.read("agent")?;
-        let agent_place = entry.value.place_of("agent")?;
         if agent.port() == 0 || agent.ip().is_unspecified() {
             let text =
                 format!("nobody can call {agent}, where the agent of host `{name}` should be");
             let finding = Finding::error("ctos::config::value", text)
                 .help("write the address and the port at which `ctos agent` says that it listens");
-            findings.push(finding.at(agent_place));
+            findings.push(finding.at(entry.value.place_of("agent")));
             return None;
         }
-        Some(HostConfig {
-            name,
-            agent,
-            agent_place,
-            place: entry.place_or(whole),
-        })
+        Some(HostConfig { name, agent })
     });
     read.collect()
 }
@@ -81,39 +75,46 @@ impl App {
                 );
                 let finding = Finding::error("ctos::config::same_address", text)
                     .help("one agent is one host: put the chassis of both on one of them");
-                findings.push(finding.at(host.agent_place.clone()));
+                findings.push(finding.at(host.agent_place(&self.root)));
             }
             if !self.is_used(host) && !findings.has_errors() {
                 let text = format!("no chassis is on host `{}`", host.name);
                 let finding = Finding::warning("ctos::config::idle_host", text);
-                findings.push(finding.at(host.place.clone()));
+                findings.push(finding.at(self.root.locate(&format!("host.\"{}\"", host.name))));
             }
         }
     }
 
-    /// Without keys nothing may be beyond this host.
+    /// Without keys nothing may be beyond this host: whoever can reach it could drive the robot.
     fn hosts_without_keys(&self, findings: &mut Findings) {
-        let mut push = |text: String, place: Option<Place>| {
-            let finding = Finding::error("ctos::config::no_keys", text).help(KEYS_HELP);
-            findings.push(finding.at(place));
+        let mut push = |text: String, help: &str, place: Option<Place>| {
+            let text = format!("{text}, and the app has no keys");
+            let finding = Finding::error("ctos::config::no_keys", text);
+            findings.push(finding.help(help).at(place));
         };
         for host in &self.hosts {
             let (name, agent) = (&host.name, host.agent);
             if !is_loopback(agent.ip()) {
-                let text =
-                    format!("the agent of host `{name}` is at {agent}, and the app has no keys");
-                push(text, Some(host.agent_place.clone()));
+                let text = format!("the agent of host `{name}` is at {agent}");
+                push(text, KEYS_HELP, host.agent_place(&self.root));
             }
         }
-        for (who, listen, path) in [
-            ("the boot", self.listen, "app.listen"),
-            ("[control]", self.control, "control.listen"),
-        ] {
-            if let Some(address) = listen.filter(|address| !is_loopback(address.ip())) {
-                let text = format!(
-                    "{who} would listen at {address}, where others can reach it, and the app has no keys"
-                );
-                push(text, self.root.place_of(path));
+        let chassis = self.chassis.iter().filter_map(|one| {
+            let place = one.place_of(&self.root, "listen");
+            Some((format!("chassis `{}`", one.name), one.listen?, Some(place)))
+        });
+        let place = |path| self.root.place_of(path);
+        let boot = self
+            .listen
+            .map(|at| ("the boot".to_owned(), at, place("app.listen")));
+        let control = self
+            .control
+            .map(|at| ("[control]".to_owned(), at, place("control.listen")));
+        for (who, address, place) in chassis.chain(boot).chain(control) {
+            if !is_loopback(address.ip()) {
+                let text = format!("{who} would listen at {address}, where others can reach it");
+                let help = format!("{KEYS_HELP}; or listen at 127.0.0.1");
+                push(text, &help, place);
             }
         }
     }
@@ -144,7 +145,7 @@ impl App {
                     "host `{name}` cannot call back: the app does not say where the boot listens for other hosts"
                 ),
                 "add [app] listen = \"IP:0\", with the address by which other hosts reach this one; 0 is a free port",
-                Some(first.agent_place.clone()),
+                first.agent_place(&self.root),
             ),
             Some(address) if is_local(&address) => push(
                 format!("the boot would listen at {address}, which host `{name}` cannot reach"),
@@ -160,7 +161,7 @@ impl App {
                     host.name
                 ),
                 "write the address by which other hosts reach it",
-                Some(host.agent_place.clone()),
+                host.agent_place(&self.root),
             );
         }
         for one in &self.chassis {

@@ -6,13 +6,12 @@ use std::{net::IpAddr, path::PathBuf, time::Duration};
 use serde::Deserialize;
 
 use super::{
-    App,
     app::ChassisConfig,
     node::Node,
     zenoh::{self, ZenohConfig},
 };
 use crate::{
-    diagnostic::{Finding, Findings, Place},
+    diagnostic::{Finding, Findings},
     settings::BOOT_CHASSIS,
 };
 
@@ -58,7 +57,7 @@ impl Default for LinkConfig {
         Self {
             peer_timeout: Duration::from_secs_f64(PEER_TIMEOUT_S),
             same_host: SameHost::default(),
-            spin: default_spin(),
+            spin: SPIN,
             room: ROOM_MIB << 20,
             zenoh: None,
             injury: InjuryConfig::default(),
@@ -70,21 +69,12 @@ impl LinkConfig {
     /// For how long this process looks before it sleeps.
     #[must_use]
     pub fn spin_here(&self) -> Duration {
-        if may_spin() {
-            self.spin
-        } else {
-            Duration::ZERO
+        // With one CPU the one for which a spinning reader waits could not run.
+        match std::thread::available_parallelism() {
+            Ok(count) if count.get() > 1 => self.spin,
+            _ => Duration::ZERO,
         }
     }
-}
-
-/// With one CPU the one for which a spinning reader waits could not run.
-fn may_spin() -> bool {
-    std::thread::available_parallelism().is_ok_and(|count| count.get() > 1)
-}
-
-fn default_spin() -> Duration {
-    if may_spin() { SPIN } else { Duration::ZERO }
 }
 
 /// What goes wrong on purpose with the links of an app, to see what becomes of it.
@@ -182,8 +172,6 @@ pub struct SecurityConfig {
     pub key: PathBuf,
     /// The certificate of the authority that signs all keys.
     pub authority: PathBuf,
-    /// Where `key` stands.
-    pub place: Place,
 }
 
 /// Reads what belongs to links.
@@ -252,26 +240,7 @@ pub(super) fn security(root: &Node) -> Option<SecurityConfig> {
     Some(SecurityConfig {
         key: root.read("security.key")?,
         authority: root.read("security.authority")?,
-        place: root.place_of("security.key")?,
     })
-}
-
-/// Finds chassis that would be open to strangers: whoever can reach an address beyond the loopback could drive the
-/// robot.
-pub(super) fn check(app: &App, findings: &mut Findings) {
-    for one in &app.chassis {
-        if let Some(listen) = one.listen.filter(|listen| !is_loopback(listen.ip()))
-            && app.root.tables("security").is_empty()
-        {
-            let name = &one.name;
-            let text = format!(
-                "chassis `{name}` would listen at {listen}, where others can reach it, and the app has no keys"
-            );
-            let finding = Finding::error("ctos::config::no_keys", text);
-            let finding = finding.help(format!("{KEYS_HELP}; or listen at 127.0.0.1"));
-            findings.push(finding.at(one.place_of(&app.root, "listen")));
-        }
-    }
 }
 
 /// What to do where keys are missing.

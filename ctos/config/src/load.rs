@@ -8,7 +8,7 @@ use super::keys;
 use super::node::{Entry, Node, Value};
 use super::profiles::{Chosen, declared, lay_over};
 use super::selection::Selection;
-use super::trail::Trail;
+use super::trail::{Read, Trail};
 use super::variables::Variables;
 use crate::diagnostic::{Finding, Findings, Place, Source};
 use std::collections::BTreeMap;
@@ -16,6 +16,7 @@ use std::ffi::OsString;
 use std::iter::successors;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 /// The name of the source of a `--set` text.
 pub(super) const SET: &str = "--set";
@@ -101,17 +102,6 @@ pub(super) struct Merged {
     pub(super) trail: Trail,
 }
 
-/// A file that was read.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Read {
-    /// Its path as it was put together.
-    pub(super) path: PathBuf,
-    /// Its text.
-    pub(super) text: String,
-    /// Whether another file names it by an absolute path.
-    pub(super) absolute: bool,
-}
-
 /// Reads the file with everything it includes and lays the profiles and the `--set` texts on top.
 /// Without profiles, `app.profile` chooses one.
 pub(super) fn merged(
@@ -126,7 +116,7 @@ pub(super) fn merged(
         done: Vec::new(),
         sources: Vec::new(),
     };
-    let mut root = loader.file(&selection.file, None)?;
+    let mut root = loader.file(&selection.file, None, false)?;
     let (sources, mut variables) = (loader.sources, loader.variables);
     let profiles = declared(root.take("profile"), findings);
     let in_file = profile_of_file(&mut root, &mut variables, findings);
@@ -153,7 +143,11 @@ pub(super) fn merged(
         root,
         bare,
         profiles,
-        trail: Trail::new(sources, variables.used, applied),
+        trail: Trail {
+            used: variables.used,
+            applied,
+            read: Arc::new(Mutex::new(sources)),
+        },
     })
 }
 
@@ -190,7 +184,8 @@ struct Loader<'v, 'f> {
 }
 
 impl Loader<'_, '_> {
-    fn file(&mut self, path: &Path, named_at: Option<&Place>) -> Option<Node> {
+    /// Reads a file that stands at `named_at` in another one, there by an absolute path or not.
+    fn file(&mut self, path: &Path, named_at: Option<&Place>, absolute: bool) -> Option<Node> {
         let identity = self.variables.files.identity(path);
         if let Some(start) = self.chain.iter().position(|(open, _)| *open == identity) {
             self.cyclic(start, path, named_at);
@@ -205,7 +200,7 @@ impl Loader<'_, '_> {
         self.sources.push(Read {
             path: path.to_owned(),
             text: source.text().to_owned(),
-            absolute: false,
+            absolute,
         });
         let mut own = Node::from_toml(&source, self.findings);
         self.chain
@@ -214,12 +209,8 @@ impl Loader<'_, '_> {
         for (include, place) in self.includes(&mut own) {
             let folder = path.parent().unwrap_or(Path::new(""));
             let absolute = Path::new(&include).is_absolute();
-            let next = self.sources.len();
-            if let Some(included) = self.file(&folder.join(include), Some(&place)) {
+            if let Some(included) = self.file(&folder.join(include), Some(&place), absolute) {
                 root.merge(included);
-            }
-            if let Some(read) = self.sources.get_mut(next) {
-                read.absolute = absolute;
             }
         }
         self.chain.pop();

@@ -248,7 +248,7 @@ impl Node {
     /// The first thing that does not fit, at its key or value: an unknown key (with what was
     /// probably meant), a missing key (at the table), a wrong type, a refused value.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, Finding> {
-        super::de::read(self).map_err(super::de::NodeError::into_finding)
+        super::de::read(self)
     }
 
     /// Reads a whole TOML text. Returns what could be read (an empty table at worst) and adds every

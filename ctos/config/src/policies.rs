@@ -10,13 +10,9 @@ const RESTARTS: [&str; 3] = ["max_restarts", "restart_window_s", "restart_backof
 
 /// The keys of a chassis that say what happens when it fails.
 pub(super) fn supervision(chassis: &Node, findings: &mut Findings) -> ChassisSupervision {
-    let usual = Policy {
-        backoff: ChassisSupervision::default().backoff,
-        ..Policy::default()
-    };
-    let policy = policy(chassis, usual);
+    let restart = policy(chassis, ChassisSupervision::default().restart);
     let on_task_failure = chassis.read("on_task_failure").unwrap_or_default();
-    if policy.when == When::Never {
+    if restart.when == When::Never {
         let restarts = on_task_failure == OnTaskFailure::RestartChassis;
         let keys = RESTARTS
             .into_iter()
@@ -29,10 +25,7 @@ pub(super) fn supervision(chassis: &Node, findings: &mut Findings) -> ChassisSup
         );
     }
     ChassisSupervision {
-        restart: policy.when,
-        max_restarts: policy.max,
-        window: policy.window,
-        backoff: policy.backoff,
+        restart,
         on_task_failure,
     }
 }

@@ -44,11 +44,9 @@ fn properties(keys: &[Key]) -> Map<String, Value> {
 
 fn property(key: &Key) -> Value {
     let mut property = of_kind(&key.kind);
-    if let Some(object) = property.as_object_mut() {
-        object.insert("description".to_owned(), json!(key.doc));
-        if let Some(default) = key.default.and_then(parsed) {
-            object.insert("default".to_owned(), Value::from(&default));
-        }
+    property["description"] = json!(key.doc);
+    if let Some(default) = key.default.and_then(parsed) {
+        property["default"] = Value::from(&default);
     }
     property
 }

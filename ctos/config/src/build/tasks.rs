@@ -6,7 +6,6 @@ use super::super::expander::{Expander, GeneratedTask};
 use super::super::node::{Entry, Node};
 use super::{Builder, restart};
 use crate::diagnostic::{Finding, Findings, Place};
-use crate::settings::Policy;
 use std::collections::BTreeSet;
 
 const QUEUE: usize = 64;
@@ -108,21 +107,14 @@ impl Builder<'_> {
                 .push(finding.help("rename one of them").at(place));
             return None;
         }
-        let (chassis, processor) = self.find_processor(&task.on, &place, chassis)?;
-        Some(TaskConfig {
-            name: task.name,
-            handler: task.handler,
-            handler_place: place.clone(),
-            chassis,
-            processor,
-            on_place: place.clone(),
-            queue: QUEUE,
-            restart: Policy::default(),
-            handler_limit: None,
-            call_deadline: None,
-            args: task.args.placed(&place),
-            place,
-        })
+        let node = Node::table().with("handler", task.handler);
+        let node = node.with("on", task.on).with("args", task.args);
+        let entry = Entry {
+            key: task.name,
+            key_place: Some(place.clone()),
+            value: node.placed(&place),
+        };
+        self.task(&entry, chassis)
     }
 }
 
