@@ -276,10 +276,7 @@ impl App {
         let (name, rest) = task.split_once('.').unwrap_or((task, ""));
         let task = self.task(name)?;
         match rest {
-            "" => Some(task.place.clone()),
-            "handler" => Some(task.handler_place.clone()),
-            "on" => Some(task.on_place.clone()),
-            "args" => task.args.place().cloned(),
+            "" | "handler" | "on" | "args" => Some(task.place.clone()),
             _ => task.args.locate(rest.strip_prefix("args.")?),
         }
     }

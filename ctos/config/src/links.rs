@@ -124,14 +124,12 @@ impl Cut {
     fn parse(text: &str) -> Option<Self> {
         let (ends, when) = text.rsplit_once('@')?;
         let (one, other) = ends.split_once(':')?;
-        let (at, lasts) = match when.split_once('+') {
-            Some((at, lasts)) => (at, Some(duration(lasts)?)),
-            None => (when, None),
-        };
-        let at = duration(at)?;
-        let until = match lasts {
-            Some(lasts) => at.saturating_add(lasts),
-            None => Duration::MAX,
+        let (at, until) = match when.split_once('+') {
+            Some((at, lasts)) => {
+                let at = duration(at)?;
+                (at, at.saturating_add(duration(lasts)?))
+            }
+            None => (duration(when)?, Duration::MAX),
         };
         (one != other).then(|| Self {
             one: one.to_owned(),

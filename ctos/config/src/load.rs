@@ -6,7 +6,7 @@
 
 use super::keys;
 use super::node::{Entry, Node, Value};
-use super::profiles::{Chosen, declared, lay_over};
+use super::profiles::{Chosen, chosen, declared, lay_over, on_command_line};
 use super::selection::Selection;
 use super::trail::{Read, Trail};
 use super::variables::Variables;
@@ -21,55 +21,41 @@ use std::sync::{Arc, Mutex};
 /// The name of the source of a `--set` text.
 pub(super) const SET: &str = "--set";
 
-/// Where files and environment variables come from: the system, or texts held in memory.
-pub(super) trait Files {
+/// Where files and environment variables come from.
+#[derive(Clone, Copy)]
+pub(super) enum Files<'a> {
+    /// The system.
+    Disk,
+    /// Texts in memory, by path, and the environment variables there are.
+    Texts(&'a [(&'a str, &'a str)], &'a BTreeMap<String, String>),
+}
+
+impl Files<'_> {
     /// The value of an environment variable.
-    fn variable(&self, name: &str) -> Option<OsString>;
-    /// Reads a file.
-    fn read(&self, path: &Path) -> Result<Source, Finding>;
-    /// What makes two paths the same file.
-    fn identity(&self, path: &Path) -> PathBuf;
-}
-
-/// The file system.
-pub(super) struct Disk;
-
-impl Files for Disk {
-    fn variable(&self, name: &str) -> Option<OsString> {
-        std::env::var_os(name)
-    }
-
-    fn read(&self, path: &Path) -> Result<Source, Finding> {
-        Source::read(path)
-    }
-
-    fn identity(&self, path: &Path) -> PathBuf {
-        path.canonicalize().unwrap_or_else(|_| lexical(path))
-    }
-}
-
-/// Texts in memory, by path, and the environment variables there are.
-pub(super) struct Texts<'a>(
-    pub(super) &'a [(&'a str, &'a str)],
-    pub(super) &'a BTreeMap<String, String>,
-);
-
-impl Files for Texts<'_> {
-    fn variable(&self, name: &str) -> Option<OsString> {
-        self.1.get(name).map(OsString::from)
-    }
-
-    fn read(&self, path: &Path) -> Result<Source, Finding> {
-        let wanted = lexical(path);
-        let mut texts = self.0.iter();
-        match texts.find(|(name, _)| lexical(Path::new(name)) == wanted) {
-            Some((name, text)) => Ok(Source::new(*name, *text)),
-            None => Err(Finding::unreadable(path, &"no such text")),
+    pub(super) fn variable(self, name: &str) -> Option<OsString> {
+        match self {
+            Self::Disk => std::env::var_os(name),
+            Self::Texts(_, variables) => variables.get(name).map(OsString::from),
         }
     }
 
-    fn identity(&self, path: &Path) -> PathBuf {
-        lexical(path)
+    /// Reads a file.
+    fn read(self, path: &Path) -> Result<Source, Finding> {
+        let Self::Texts(texts, _) = self else {
+            return Source::read(path);
+        };
+        let mut texts = texts.iter();
+        let found = texts.find(|(name, _)| lexical(Path::new(name)) == lexical(path));
+        let found = found.map(|(name, text)| Source::new(*name, *text));
+        found.ok_or_else(|| Finding::unreadable(path, &"no such text"))
+    }
+
+    /// What makes two paths the same file.
+    fn identity(self, path: &Path) -> PathBuf {
+        match self {
+            Self::Disk => path.canonicalize().unwrap_or_else(|_| lexical(path)),
+            Self::Texts(..) => lexical(path),
+        }
     }
 }
 
@@ -105,7 +91,7 @@ pub(super) struct Merged {
 /// Reads the file with everything it includes and lays the profiles and the `--set` texts on top.
 /// Without profiles, `app.profile` chooses one.
 pub(super) fn merged(
-    files: &dyn Files,
+    files: Files<'_>,
     selection: &Selection,
     findings: &mut Findings,
 ) -> Option<Merged> {
@@ -120,7 +106,7 @@ pub(super) fn merged(
     let (sources, mut variables) = (loader.sources, loader.variables);
     let profiles = declared(root.take("profile"), findings);
     let in_file = profile_of_file(&mut root, &mut variables, findings);
-    let asked = selection.profiles.iter().map(Chosen::on_command_line);
+    let asked = selection.profiles.iter().map(on_command_line);
     let mut asked: Vec<Chosen> = asked.collect();
     if asked.is_empty() {
         asked.extend(in_file);
@@ -128,7 +114,7 @@ pub(super) fn merged(
     let bare = root.clone();
     let mut applied = Vec::new();
     for choice in &asked {
-        if let Some(profile) = findings.keep(choice.among(&profiles)) {
+        if let Some(profile) = findings.keep(chosen(choice, &profiles)) {
             lay_over(profile, &mut root, findings);
             applied.push(profile.clone());
         }
@@ -161,7 +147,7 @@ fn profile_of_file(
     match (entry.value.as_str(), entry.value.place.clone()) {
         (Some(name), Some(place)) if !name.is_empty() => {
             let name = variables.whole(name, &place, findings)?;
-            Some(Chosen { name, place })
+            Some((name, place))
         }
         (_, place) => {
             let text = "[app]: `profile` must be the name of a profile";

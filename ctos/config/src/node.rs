@@ -259,12 +259,7 @@ impl Node {
         for error in errors {
             findings.push(syntax_finding(&error, source, 0));
         }
-        let mut reader = Reader {
-            source,
-            offset: 0,
-            findings,
-        };
-        let entries = reader.table(table.get_ref());
+        let entries = Reader::new(source, 0, findings).table(table.get_ref());
         Self {
             value: Value::Table(entries),
             place: Some(source.at(0..0)),
@@ -278,12 +273,8 @@ impl Node {
         let document = format!("{text} = 0");
         let table = DeTable::parse(&document).ok()?;
         let is_key = !text.chars().any(char::is_control) && !table.get_ref().is_empty();
-        let entries = Reader {
-            source,
-            offset: 0,
-            findings: &mut Findings::new(),
-        }
-        .table(table.get_ref());
+        let mut none = Findings::new();
+        let entries = Reader::new(source, 0, &mut none).table(table.get_ref());
         is_key.then(|| Value::Table(entries).into())
     }
 
@@ -293,12 +284,8 @@ impl Node {
         let text = source.text().get(range).unwrap_or_default();
         let value = DeValue::parse(text).map_err(|error| syntax_finding(&error, source, offset))?;
         let mut findings = Findings::new();
-        let node = Reader {
-            source,
-            offset,
-            findings: &mut findings,
-        }
-        .node(value.get_ref(), value.span());
+        let mut reader = Reader::new(source, offset, &mut findings);
+        let node = reader.node(value.get_ref(), value.span());
         match findings.into_sorted().into_iter().next() {
             Some(finding) => Err(finding),
             None => Ok(node),
@@ -308,13 +295,18 @@ impl Node {
     /// Lays `over` on top of this node: tables are merged key by key, everything else is replaced.
     /// A merged table keeps the place where it was first written.
     pub(super) fn merge(&mut self, over: Self) {
-        let Value::Table(ours) = &mut self.value else {
-            *self = over;
-            return;
-        };
-        let Value::Table(theirs) = over.value else {
-            *self = over;
-            return;
+        let (ours, theirs) = match (&mut self.value, over) {
+            (
+                Value::Table(ours),
+                Self {
+                    value: Value::Table(theirs),
+                    ..
+                },
+            ) => (ours, theirs),
+            (_, over) => {
+                *self = over;
+                return;
+            }
         };
         for entry in theirs {
             match ours.iter_mut().find(|own| own.key == entry.key) {
@@ -375,26 +367,32 @@ struct Reader<'a> {
     findings: &'a mut Findings,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn new(source: &'a Source, offset: usize, findings: &'a mut Findings) -> Self {
+        Self {
+            source,
+            offset,
+            findings,
+        }
+    }
+
     fn table(&mut self, table: &DeTable<'_>) -> Vec<Entry> {
         // The parser sorts keys by name; places bring back the order in which they were written.
         let mut pairs: Vec<_> = table.iter().collect();
         pairs.sort_by_key(|(key, _)| key.span().start);
-        pairs
-            .into_iter()
-            .map(|(key, value)| Entry {
+        let read = pairs.into_iter().map(|(key, value)| {
+            // A header's key is the best place for its table.
+            let span = match value.get_ref() {
+                DeValue::Table(_) => key.span(),
+                _ => value.span(),
+            };
+            Entry {
                 key: key.get_ref().to_string(),
                 key_place: Some(self.at(key.span())),
-                value: match value.get_ref() {
-                    // A header's key is the best place for its table.
-                    DeValue::Table(inner) => Node {
-                        place: Some(self.at(key.span())),
-                        value: Value::Table(self.table(inner)),
-                    },
-                    other => self.node(other, value.span()),
-                },
-            })
-            .collect()
+                value: self.node(value.get_ref(), span),
+            }
+        });
+        read.collect()
     }
 
     fn node(&mut self, value: &DeValue<'_>, span: Range<usize>) -> Node {
@@ -410,10 +408,9 @@ impl Reader<'_> {
                 }
             }
             DeValue::Float(number) => match number.as_str().parse::<f64>() {
-                Ok(parsed) if parsed.is_finite() || number.as_str().contains("inf") => {
+                Ok(parsed) if !parsed.is_infinite() || number.as_str().contains("inf") => {
                     Value::Float(parsed)
                 }
-                Ok(parsed) if parsed.is_nan() => Value::Float(parsed),
                 _ => self.unrepresentable(&place, "float"),
             },
             DeValue::Array(array) => Value::Array(
@@ -444,16 +441,12 @@ impl Reader<'_> {
 }
 
 fn syntax_finding(error: &toml::de::Error, source: &Source, offset: usize) -> Finding {
-    let finding = Finding::error(
-        "ctos::config::syntax",
-        format!("this is not valid TOML: {}", error.message()),
-    );
-    let finding = match error.message() {
-        "duplicate key" => {
-            finding.help("a key, or a table, stands once in a file: rename it or take it out")
-        }
-        _ => finding,
-    };
+    let text = format!("this is not valid TOML: {}", error.message());
+    let mut finding = Finding::error("ctos::config::syntax", text);
+    if error.message() == "duplicate key" {
+        let help = "a key, or a table, stands once in a file: rename it or take it out";
+        finding = finding.help(help);
+    }
     let end = source.text().len();
     let span = error.span().unwrap_or(end..end);
     finding.at(source.at((span.start + offset).min(end)..(span.end + offset).min(end)))

@@ -7,33 +7,28 @@ use super::check::check_name;
 use super::node::{Entry, Node};
 use crate::diagnostic::{Finding, Findings, Place, Source};
 
-/// A profile that is asked for, and where.
-pub(super) struct Chosen {
-    pub(super) name: String,
-    pub(super) place: Place,
+/// The name of a profile that is asked for, and where that is.
+pub(super) type Chosen = (String, Place);
+
+/// One that `--profile` asks for.
+pub(super) fn on_command_line(name: &String) -> Chosen {
+    let source = Source::new("--profile", name.as_str());
+    (name.clone(), source.at(0..name.len()))
 }
 
-impl Chosen {
-    /// By `--profile`.
-    pub(super) fn on_command_line(name: &String) -> Self {
-        Self {
-            name: name.clone(),
-            place: Source::new("--profile", name.as_str()).at(0..name.len()),
-        }
-    }
-
-    /// The profile meant.
-    pub(super) fn among<'a>(&self, profiles: &'a [Entry]) -> Result<&'a Entry, Finding> {
-        let name = &self.name;
-        let found = profiles.iter().find(|profile| profile.key == *name);
-        found.ok_or_else(|| {
-            let text = format!("there is no profile `{name}`");
-            Finding::error("ctos::config::unknown_profile", text)
-                .help(format!("declare it: [profile.{name}.app]"))
-                .suggest(name, profiles.iter().map(|profile| profile.key.as_str()))
-                .at(self.place.clone())
-        })
-    }
+/// The profile meant.
+pub(super) fn chosen<'a>(
+    (name, place): &Chosen,
+    profiles: &'a [Entry],
+) -> Result<&'a Entry, Finding> {
+    let found = profiles.iter().find(|profile| profile.key == *name);
+    found.ok_or_else(|| {
+        let text = format!("there is no profile `{name}`");
+        Finding::error("ctos::config::unknown_profile", text)
+            .help(format!("declare it: [profile.{name}.app]"))
+            .suggest(name, profiles.iter().map(|profile| profile.key.as_str()))
+            .at(place.clone())
+    })
 }
 
 /// Reads the table `profile` that was taken out of an app's merged files: its profiles in declared order.

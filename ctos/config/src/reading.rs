@@ -7,7 +7,7 @@ use crate::{
     build::build,
     diagnostic::Findings,
     expander::Expander,
-    load::{Disk, Files, Texts, merged},
+    load::{Files, merged},
     node::{Entry, Node},
     profiles::{holds, lay_over},
     selection::Selection,
@@ -24,7 +24,7 @@ impl Selection {
     /// Everything wrong, errors and warnings together. When there are only warnings, the app is
     /// returned and holds them.
     pub fn load(&self, expanders: &[(&'static str, &dyn Expander)]) -> Result<App, Findings> {
-        load_from(&Disk, self, expanders)
+        load_from(Files::Disk, self, expanders)
     }
 
     /// As [`load`](Self::load), from texts in memory given as `(path, text)`, and with these
@@ -38,7 +38,7 @@ impl Selection {
         variables: &BTreeMap<String, String>,
         expanders: &[(&'static str, &dyn Expander)],
     ) -> Result<App, Findings> {
-        load_from(&Texts(texts, variables), self, expanders)
+        load_from(Files::Texts(texts, variables), self, expanders)
     }
 }
 
@@ -77,7 +77,7 @@ pub fn load_texts(
 }
 
 fn load_from(
-    files: &dyn Files,
+    files: Files<'_>,
     selection: &Selection,
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
@@ -119,7 +119,7 @@ const ASKED: [&str; 5] = [
 fn check_idle(
     profile: &Entry,
     mut root: Node,
-    files: &dyn Files,
+    files: Files<'_>,
     expanders: &[(&'static str, &dyn Expander)],
     findings: &mut Findings,
 ) {

@@ -15,12 +15,12 @@ pub(super) type Used = BTreeMap<String, Option<String>>;
 
 /// Where the values come from, and which were asked for.
 pub(super) struct Variables<'a> {
-    pub(super) files: &'a dyn Files,
+    pub(super) files: Files<'a>,
     pub(super) used: Used,
 }
 
 impl<'a> Variables<'a> {
-    pub(super) fn of(files: &'a dyn Files) -> Self {
+    pub(super) fn of(files: Files<'a>) -> Self {
         Self {
             files,
             used: Used::new(),
@@ -73,9 +73,9 @@ impl<'a> Variables<'a> {
             } else if let Some(after) = from.strip_prefix("${") {
                 let (inside, left) = after.split_once('}').unwrap_or((after, ""));
                 let is_closed = inside.len() < after.len();
-                let reference = Reference::parse(inside).filter(|_| is_closed);
+                let reference = reference(inside).filter(|_| is_closed);
                 let reference = reference.ok_or_else(|| malformed(inside));
-                match reference.and_then(|reference| self.value(&reference)) {
+                match reference.and_then(|(name, default)| self.value(name, default)) {
                     Ok(value) => out.push_str(&value),
                     Err(finding) => {
                         let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
@@ -107,15 +107,14 @@ impl<'a> Variables<'a> {
     }
 
     /// As in a shell, a default stands in for a variable that is unset or empty.
-    fn value(&mut self, reference: &Reference<'_>) -> Result<String, Finding> {
-        let name = reference.name;
+    fn value(&mut self, name: &str, default: Option<&str>) -> Result<String, Finding> {
         let found = self.files.variable(name).map(OsString::into_string);
         let found = found.transpose().map_err(|_| {
             let text = format!("the environment variable `{name}` does not hold UTF-8 text");
             Finding::error("ctos::config::variable", text)
         })?;
         self.used.insert(name.to_owned(), found.clone());
-        match (found, reference.default) {
+        match (found, default) {
             (Some(value), None) => Ok(value),
             (Some(value), Some(_)) if !value.is_empty() => Ok(value),
             (_, Some(default)) => Ok(default.to_owned()),
@@ -134,23 +133,16 @@ pub(super) fn escaped(text: &str) -> String {
     text.replace("${", "$${")
 }
 
-/// `NAME` or `NAME:-default`.
-struct Reference<'a> {
-    name: &'a str,
-    default: Option<&'a str>,
-}
-
-impl<'a> Reference<'a> {
-    fn parse(inside: &'a str) -> Option<Self> {
-        let (name, default) = match inside.split_once(":-") {
-            Some((name, default)) => (name, Some(default)),
-            None => (inside, None),
-        };
-        let letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
-        let first = name.chars().next()?;
-        let plain = !first.is_ascii_digit() && name.chars().all(letter);
-        plain.then_some(Self { name, default })
-    }
+/// The name and the default of `NAME` or `NAME:-default`.
+fn reference(inside: &str) -> Option<(&str, Option<&str>)> {
+    let (name, default) = match inside.split_once(":-") {
+        Some((name, default)) => (name, Some(default)),
+        None => (inside, None),
+    };
+    let letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
+    let first = name.chars().next()?;
+    let plain = !first.is_ascii_digit() && name.chars().all(letter);
+    plain.then_some((name, default))
 }
 
 fn malformed(inside: &str) -> Finding {

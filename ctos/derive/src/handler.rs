@@ -4,7 +4,7 @@ use proc_macro2::TokenStream;
 use quote::{format_ident, quote};
 use syn::{
     Attribute, Error, FnArg, GenericArgument, ImplItem, ImplItemFn, ItemImpl, PathArguments,
-    Result, ReturnType, Type,
+    PathSegment, Result, ReturnType, Type,
 };
 
 /// The trait's methods that a marked method can take the place of, with their arguments after the
@@ -95,7 +95,6 @@ fn take_mark(attributes: &mut Vec<Attribute>) -> Option<String> {
 
 /// The arm of `handle` that calls a method, and the type of its command.
 fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
-    let mut arguments: Vec<&Type> = Vec::new();
     let mut inputs = method.sig.inputs.iter();
     if !matches!(inputs.next(), Some(FnArg::Receiver(receiver)) if receiver.reference.is_some()) {
         return Err(Error::new_spanned(
@@ -103,11 +102,7 @@ fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
             "a command's method begins with `&mut self` or `&self`",
         ));
     }
-    for input in inputs {
-        if let FnArg::Typed(typed) = input {
-            arguments.push(&typed.ty);
-        }
-    }
+    let arguments: Vec<&Type> = inputs.filter_map(typed).collect();
     let takes_context = matches!(arguments.first(), Some(Type::Reference(_)));
     let rest = arguments
         .get(usize::from(takes_context)..)
@@ -158,11 +153,7 @@ fn hook(mark: &str, method: &ImplItemFn) -> Result<TokenStream> {
         ));
     }
     let own: Vec<_> = names.iter().map(|name| format_ident!("{name}")).collect();
-    let types = method.sig.inputs.iter().skip(2).map(|input| match input {
-        FnArg::Typed(typed) => Ok(&typed.ty),
-        FnArg::Receiver(receiver) => Err(Error::new_spanned(receiver, "`self` comes first")),
-    });
-    let types = types.collect::<Result<Vec<_>>>()?;
+    let types = method.sig.inputs.iter().skip(2).filter_map(typed);
     let trait_name = format_ident!("{mark}");
     let name = &method.sig.ident;
     let wait = method.sig.asyncness.map(|_| quote!(.await));
@@ -177,29 +168,39 @@ fn hook(mark: &str, method: &ImplItemFn) -> Result<TokenStream> {
     })
 }
 
+/// The type of an argument that is not `self`, which comes first.
+fn typed(argument: &FnArg) -> Option<&Type> {
+    match argument {
+        FnArg::Typed(typed) => Some(&typed.ty),
+        FnArg::Receiver(_) => None,
+    }
+}
+
+/// The last name of a type's path.
+fn last(path: &Type) -> Option<&PathSegment> {
+    match path {
+        Type::Path(path) => path.path.segments.last(),
+        _ => None,
+    }
+}
+
 fn is_replier_of(replier: &Type, command: &Type) -> bool {
-    let Type::Path(path) = replier else {
-        return false;
-    };
-    let Some(last) = path.path.segments.last() else {
+    let Some(last) = last(replier).filter(|last| last.ident == "Replier") else {
         return false;
     };
     let PathArguments::AngleBracketed(arguments) = &last.arguments else {
         return false;
     };
-    last.ident == "Replier"
-        && matches!(arguments.args.first(), Some(GenericArgument::Type(of)) if of == command)
+    matches!(arguments.args.first(), Some(GenericArgument::Type(of)) if of == command)
 }
 
 fn returns_result(output: &ReturnType) -> bool {
-    let ReturnType::Type(_, output) = output else {
-        return false;
-    };
-    let Type::Path(path) = output.as_ref() else {
-        return false;
-    };
-    let last = path.path.segments.last();
-    last.is_some_and(|last| last.ident == "Result" || last.ident == "Answer")
+    match output {
+        ReturnType::Type(_, output) => {
+            last(output).is_some_and(|last| last.ident == "Result" || last.ident == "Answer")
+        }
+        ReturnType::Default => false,
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! `${NAME}` in strings.
 
 use super::*;
-use crate::load::Texts;
+use crate::load::Files;
 use crate::variables::{Variables, escaped};
 
 const APP: &str = "[chassis.w]\n[task.a]\nhandler = \"h\"\non = \"w\"\n";
@@ -153,8 +153,8 @@ proptest! {
     fn any_text_can_be_escaped(text in "[$}{A:-]{0,12}|.{0,20}") {
         let mut findings = Findings::new();
         let none = BTreeMap::new();
-        let files = Texts(&[], &none);
-        let back = Variables::of(&files).expanded(&escaped(&text), None, &mut findings);
+        let files = Files::Texts(&[], &none);
+        let back = Variables::of(files).expanded(&escaped(&text), None, &mut findings);
         prop_assert_eq!(back, text);
         prop_assert!(findings.is_empty());
     }
