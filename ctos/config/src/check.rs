@@ -6,7 +6,7 @@
 
 use super::keys::{self, Key, Kind, PROCESSOR, TOP};
 use super::node::{Entry, Node, Value};
-use crate::diagnostic::{Finding, Findings, Place, Source};
+use crate::diagnostic::{Finding, Findings, Source};
 use std::net::SocketAddr;
 
 /// The processor of a chassis that declares none.
@@ -115,9 +115,7 @@ impl Checker<'_> {
                 "" => one.key.clone(),
                 _ => format!("{owner}/{}", one.key),
             };
-            if let Some(place) = &one.key_place {
-                check_name(kind, &one.key, place, self.findings);
-            }
+            check_name(kind, one, self.findings);
             self.table(&mut one.value, path, &format!("{kind} `{name}`"), &name);
         }
     }
@@ -198,12 +196,13 @@ fn shown(node: &Node) -> String {
 
 /// Names of chassis, processors and tasks stand in paths (`chassis/processor`), commands and file
 /// names, so they are kept plain.
-pub(super) fn check_name(kind: &str, name: &str, place: &Place, findings: &mut Findings) {
+pub(super) fn check_name(kind: &str, entry: &Entry, findings: &mut Findings) {
+    let name = &entry.key;
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "_-.".contains(letter);
     if name.is_empty() || name.len() > 64 || !name.chars().all(plain) {
         let text = format!("`{}` cannot be the name of a {kind}", name.escape_debug());
         let finding = Finding::error("ctos::config::name", text)
             .help("names are 1 to 64 letters, digits, `_`, `-` or `.`");
-        findings.push(finding.at(place.clone()));
+        findings.push(finding.at(entry.key_place.clone()));
     }
 }

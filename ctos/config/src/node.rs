@@ -341,20 +341,23 @@ impl Node {
 
     /// Gives every part that has no place this one.
     pub(super) fn placed(mut self, place: &Place) -> Self {
-        self.place_all(place);
+        self.visit(&mut |node| {
+            node.place.get_or_insert_with(|| place.clone());
+            if let Value::Table(entries) = &mut node.value {
+                for entry in entries {
+                    entry.key_place.get_or_insert_with(|| place.clone());
+                }
+            }
+        });
         self
     }
 
-    fn place_all(&mut self, place: &Place) {
-        self.place.get_or_insert_with(|| place.clone());
+    /// Shows this node and then all below it.
+    pub(super) fn visit(&mut self, visitor: &mut dyn FnMut(&mut Self)) {
+        visitor(self);
         match &mut self.value {
-            Value::Array(elements) => elements.iter_mut().for_each(|one| one.place_all(place)),
-            Value::Table(entries) => {
-                for entry in entries {
-                    entry.key_place.get_or_insert_with(|| place.clone());
-                    entry.value.place_all(place);
-                }
-            }
+            Value::Array(elements) => elements.iter_mut().for_each(|one| one.visit(visitor)),
+            Value::Table(entries) => entries.iter_mut().for_each(|one| one.value.visit(visitor)),
             _ => {}
         }
     }

@@ -33,37 +33,30 @@ pub(super) fn chosen<'a>(
 
 /// Reads the table `profile` that was taken out of an app's merged files: its profiles in declared order.
 pub(super) fn declared(entry: Option<Entry>, findings: &mut Findings) -> Vec<Entry> {
-    let mut wrong = |node: &Node, what: &str, help: String| {
+    let wrong = |node: &Node, what: &str, help: &str| {
         let text = format!("{what}, found {}", node.kind());
         let finding = Finding::error("ctos::config::value", text).help(help);
-        findings.push(finding.at(node.place.clone()));
+        finding.at(node.place.clone())
     };
-    let Some(entry) = entry else {
+    let Some(Entry { value, .. }) = entry else {
         return Vec::new();
     };
-    if !entry.value.is_table() {
-        let help = "write [profile.NAME]; app.profile chooses one".to_owned();
-        wrong(&entry.value, "`profile` holds named tables", help);
+    if !value.is_table() {
+        let help = "write [profile.NAME]; app.profile chooses one";
+        findings.push(wrong(&value, "`profile` holds named tables", help));
     }
-    let mut profiles = entry.value.entries().to_vec();
-    profiles.retain(|Entry { key, value, .. }| {
+    let profiles = value.entries().iter().filter(|profile| {
+        let Entry { key, value, .. } = profile;
+        check_name("profile", profile, findings);
+        check_contents(profile, findings);
         if !value.is_table() {
             let what = format!("profile `{key}` holds tables of the app");
-            wrong(
-                value,
-                &what,
-                format!("write for example [profile.{key}.time]"),
-            );
+            let help = format!("write for example [profile.{key}.time]");
+            findings.push(wrong(value, &what, &help));
         }
         value.is_table()
     });
-    for named in entry.value.entries() {
-        if let Some(place) = &named.key_place {
-            check_name("profile", &named.key, place, findings);
-        }
-        check_contents(named, findings);
-    }
-    profiles
+    profiles.cloned().collect()
 }
 
 /// Lays a profile over an app.

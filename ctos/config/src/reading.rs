@@ -52,10 +52,8 @@ pub fn load(
     sets: &[String],
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
-    let selection = Selection {
-        sets: sets.to_vec(),
-        ..Selection::new(file)
-    };
+    let mut selection = Selection::new(file);
+    selection.sets = sets.to_vec();
     selection.load(expanders)
 }
 
@@ -69,10 +67,8 @@ pub fn load_texts(
     sets: &[String],
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
-    let selection = Selection {
-        sets: sets.to_vec(),
-        ..Selection::new(texts.first().map_or("", |(name, _)| *name))
-    };
+    let mut selection = Selection::new(texts.first().map_or("", |(name, _)| *name));
+    selection.sets = sets.to_vec();
     selection.load_texts(texts, &BTreeMap::new(), expanders)
 }
 

@@ -35,24 +35,14 @@ impl<'a> Variables<'a> {
         findings: &mut Findings,
         wanted: &dyn Fn(&Place) -> bool,
     ) {
-        match &mut node.value {
-            Value::String(text) => {
-                if text.contains("${") && node.place.as_ref().is_none_or(wanted) {
-                    *text = self.expanded(text, node.place.as_ref(), findings);
-                }
+        node.visit(&mut |node| {
+            if let Value::String(text) = &mut node.value
+                && text.contains("${")
+                && node.place.as_ref().is_none_or(wanted)
+            {
+                *text = self.expanded(text, node.place.as_ref(), findings);
             }
-            Value::Array(elements) => {
-                for element in elements {
-                    self.expand(element, findings, wanted);
-                }
-            }
-            Value::Table(entries) => {
-                for entry in entries {
-                    self.expand(&mut entry.value, findings, wanted);
-                }
-            }
-            Value::Integer(_) | Value::Float(_) | Value::Bool(_) | Value::Datetime(_) => {}
-        }
+        });
     }
 
     /// A text with its references replaced; what is wrong with one goes to `findings` at its place.

@@ -96,17 +96,6 @@ impl Builder<'_> {
         tasks: &[TaskConfig],
     ) -> Option<TaskConfig> {
         let place = task.place;
-        check_name("task", &task.name, &place, self.findings);
-        if let Some(other) = tasks.iter().find(|other| other.name == task.name) {
-            let (name, at) = (&task.name, &other.place);
-            let text = format!(
-                "a task called `{name}` is generated here, but `{name}` is declared at {at} already"
-            );
-            let finding = Finding::error("ctos::config::same_name", text);
-            self.findings
-                .push(finding.help("rename one of them").at(place));
-            return None;
-        }
         let node = Node::table().with("handler", task.handler);
         let node = node.with("on", task.on).with("args", task.args);
         let entry = Entry {
@@ -114,6 +103,17 @@ impl Builder<'_> {
             key_place: Some(place.clone()),
             value: node.placed(&place),
         };
+        check_name("task", &entry, self.findings);
+        if let Some(other) = tasks.iter().find(|other| other.name == entry.key) {
+            let (name, at) = (&other.name, &other.place);
+            let text = format!(
+                "a task called `{name}` is generated here, but `{name}` is declared at {at} already"
+            );
+            let finding = Finding::error("ctos::config::same_name", text);
+            let finding = finding.help("rename one of them");
+            self.findings.push(finding.at(place));
+            return None;
+        }
         self.task(&entry, chassis)
     }
 }
