@@ -302,14 +302,13 @@ impl App {
     /// Where a value of the tree [`App::root`] comes from.
     #[must_use]
     pub fn origin(&self, value: &Node) -> Origin {
-        let Some(place) = value.place() else {
+        let Some(place) = value.place().cloned() else {
             return Origin::Default;
         };
         if place.source.name() == SET {
-            return Origin::Set(place.clone());
+            return Origin::Set(place);
         }
         let mut profiles = self.trail.applied.iter().rev();
-        let place = place.clone();
         match profiles.find(|profile| holds(&profile.value, &place)) {
             Some(profile) => Origin::Profile {
                 name: profile.key.clone(),

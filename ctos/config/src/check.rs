@@ -19,6 +19,11 @@ pub(super) fn checked(mut root: Node, extra: &[&str], findings: &mut Findings) -
     root
 }
 
+/// The tree of an app that says nothing.
+pub(super) fn defaults() -> Node {
+    checked(Node::table(), &[], &mut Findings::new())
+}
+
 struct Checker<'a> {
     extra: &'a [&'a str],
     findings: &'a mut Findings,
@@ -92,10 +97,9 @@ impl Checker<'_> {
     /// Checks the tables of `entry`; `owner` is what its own table is called.
     fn named(&mut self, entry: &mut Entry, path: &str, what: &str, owner: &str) {
         let is_processor = path == PROCESSOR;
-        let kind = if is_processor {
-            "processor"
-        } else {
-            &entry.key
+        let kind = match path {
+            PROCESSOR => "processor",
+            _ => &entry.key,
         };
         if is_processor && !entry.value.is_table() {
             self.wrong(what, "`processors` must be a table", &entry.value);

@@ -14,7 +14,8 @@ const UNKNOWN_CHOICE: &str = "ctos::config::unknown_choice";
 const MISSING_KEY: &str = "ctos::config::missing_key";
 
 /// Why a node cannot be read as the type asked for.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("{}", finding.message)]
 struct NodeError {
     finding: Finding,
     /// The key or the choice that is unknown.
@@ -89,14 +90,6 @@ fn find_key<'a>(node: &'a Node, key: &str) -> Option<&'a Entry> {
             .find_map(|child| find_key(child, key))
     })
 }
-
-impl fmt::Display for NodeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.finding.message)
-    }
-}
-
-impl std::error::Error for NodeError {}
 
 impl de::Error for NodeError {
     fn custom<T: fmt::Display>(text: T) -> Self {

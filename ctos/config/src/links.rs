@@ -7,6 +7,7 @@ use serde::Deserialize;
 
 use super::{
     app::ChassisConfig,
+    check::defaults,
     node::Node,
     zenoh::{self, ZenohConfig},
 };
@@ -15,8 +16,6 @@ use crate::{
     settings::BOOT_CHASSIS,
 };
 
-const PEER_TIMEOUT_S: f64 = 2.0;
-const ROOM_MIB: usize = 64;
 const SPIN: Duration = Duration::from_micros(5);
 
 /// How chassis of one host are joined.
@@ -54,14 +53,7 @@ pub struct LinkConfig {
 
 impl Default for LinkConfig {
     fn default() -> Self {
-        Self {
-            peer_timeout: Duration::from_secs_f64(PEER_TIMEOUT_S),
-            same_host: SameHost::default(),
-            spin: SPIN,
-            room: ROOM_MIB << 20,
-            zenoh: None,
-            injury: InjuryConfig::default(),
-        }
+        links(&defaults(), &[], &mut Findings::new())
     }
 }
 
@@ -174,16 +166,13 @@ pub struct SecurityConfig {
 
 /// Reads what belongs to links.
 pub(super) fn links(root: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> LinkConfig {
-    let default = LinkConfig::default();
     let spin = root.read("app.spin_us").map(Duration::from_micros);
     let room = root.read::<usize>("app.link_room_mib");
     LinkConfig {
-        peer_timeout: root
-            .seconds("app.peer_timeout_s")
-            .unwrap_or(default.peer_timeout),
+        peer_timeout: root.seconds("app.peer_timeout_s").unwrap_or_default(),
         same_host: root.read("app.same_host").unwrap_or_default(),
-        spin: spin.unwrap_or(default.spin),
-        room: room.map_or(default.room, |room| room << 20),
+        spin: spin.unwrap_or(SPIN),
+        room: room.unwrap_or_default() << 20,
         zenoh: zenoh::zenoh(root, findings),
         injury: injury(root, chassis, findings),
     }

@@ -146,7 +146,7 @@ fn profile_of_file(
     let entry = root.inner("app")?.take("profile")?;
     match (entry.value.as_str(), entry.value.place.clone()) {
         (Some(name), Some(place)) if !name.is_empty() => {
-            let name = variables.whole(name, &place, findings)?;
+            let name = variables.expanded(name, Some(&place), findings)?;
             Some((name, place))
         }
         (_, place) => {
@@ -225,7 +225,7 @@ impl Loader<'_, '_> {
         for element in list.elements() {
             match (element.as_str(), element.place()) {
                 (Some(path), Some(place)) => {
-                    let path = self.variables.whole(path, place, self.findings);
+                    let path = self.variables.expanded(path, Some(place), self.findings);
                     paths.extend(path.map(|path| (path, place.clone())));
                 }
                 _ => self.findings.push(wrong(element)),

@@ -1,44 +1,35 @@
 //! The tables `[record]` and `[metrics]`: what is written down of an app, and who may look.
 
 use super::app::RecordConfig;
+use super::check::defaults;
 use super::node::Node;
 use crate::diagnostic::{Finding, Findings};
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::Duration;
-
-const MAX_MB: u64 = 256;
-const KEEP: usize = 8;
-const FLUSH: Duration = Duration::from_secs(1);
-const BUFFER_MB: usize = 16;
-const MB: u64 = 1_000_000;
 
 impl RecordConfig {
     /// What is recorded to `file` where the configuration says nothing of it.
     #[must_use]
     pub fn new(file: PathBuf) -> Self {
+        Self::read(file, &defaults())
+    }
+
+    fn read(file: PathBuf, root: &Node) -> Self {
+        let max_mb = root.read::<u64>("record.max_mb").unwrap_or_default();
+        let buffer_mb = root.read::<usize>("record.buffer_mb").unwrap_or_default();
         Self {
             file,
-            max_bytes: MAX_MB * MB,
-            keep: KEEP,
-            flush: FLUSH,
-            buffer_bytes: BUFFER_MB * 1_000_000,
+            max_bytes: max_mb * 1_000_000,
+            keep: root.read("record.keep").unwrap_or_default(),
+            flush: root.seconds("record.flush_s").unwrap_or_default(),
+            buffer_bytes: buffer_mb * 1_000_000,
         }
     }
 }
 
 /// `[record]`; `None` without a `file`.
 pub(super) fn record(root: &Node) -> Option<RecordConfig> {
-    let usual = RecordConfig::new(root.read("record.file")?);
-    let max_mb = root.read::<u64>("record.max_mb");
-    let buffer_mb = root.read::<usize>("record.buffer_mb");
-    Some(RecordConfig {
-        max_bytes: max_mb.map_or(usual.max_bytes, |max_mb| max_mb * MB),
-        keep: root.read("record.keep").unwrap_or(usual.keep),
-        flush: root.seconds("record.flush_s").unwrap_or(usual.flush),
-        buffer_bytes: buffer_mb.map_or(usual.buffer_bytes, |buffer_mb| buffer_mb * 1_000_000),
-        ..usual
-    })
+    Some(RecordConfig::read(root.read("record.file")?, root))
 }
 
 /// `[metrics]`; `None` without `listen`.

@@ -10,19 +10,12 @@ const RESTARTS: [&str; 3] = ["max_restarts", "restart_window_s", "restart_backof
 
 /// The keys of a chassis that say what happens when it fails.
 pub(super) fn supervision(chassis: &Node, findings: &mut Findings) -> ChassisSupervision {
-    let restart = policy(chassis, ChassisSupervision::default().restart);
+    let usual = ChassisSupervision::default().restart;
+    let place = "on a chassis that is never restarted";
+    let restart = restart(chassis, usual, place, findings);
     let on_task_failure = chassis.read("on_task_failure").unwrap_or_default();
-    if restart.when == When::Never {
-        let restarts = on_task_failure == OnTaskFailure::RestartChassis;
-        let keys = RESTARTS
-            .into_iter()
-            .chain(restarts.then_some("on_task_failure"));
-        idle(
-            chassis,
-            keys,
-            "on a chassis that is never restarted",
-            findings,
-        );
+    if restart.when == When::Never && on_task_failure == OnTaskFailure::RestartChassis {
+        idle(chassis, &["on_task_failure"], place, findings);
     }
     ChassisSupervision {
         restart,
@@ -30,23 +23,14 @@ pub(super) fn supervision(chassis: &Node, findings: &mut Findings) -> ChassisSup
     }
 }
 
-/// `restart` of a task and the keys that go with it.
-pub(super) fn restart(task: &Node, findings: &mut Findings) -> Policy {
-    let policy = policy(task, Policy::default());
-    if policy.when == When::Never {
-        idle(
-            task,
-            RESTARTS.into_iter(),
-            "where nothing is restarted",
-            findings,
-        );
+/// `restart` and the keys that go with it; `place` says in words where they would have no effect.
+pub(super) fn restart(node: &Node, usual: Policy, place: &str, findings: &mut Findings) -> Policy {
+    let when = node.read("restart").unwrap_or_default();
+    if when == When::Never {
+        idle(node, &RESTARTS, place, findings);
     }
-    policy
-}
-
-fn policy(node: &Node, usual: Policy) -> Policy {
     Policy {
-        when: node.read("restart").unwrap_or_default(),
+        when,
         max: node.read("max_restarts").unwrap_or(usual.max),
         window: node.seconds("restart_window_s").unwrap_or(usual.window),
         backoff: node.seconds("restart_backoff_s").unwrap_or(usual.backoff),
@@ -54,12 +38,7 @@ fn policy(node: &Node, usual: Policy) -> Policy {
 }
 
 /// Warns of keys that are there for nothing.
-fn idle(
-    node: &Node,
-    keys: impl Iterator<Item = &'static str>,
-    place: &str,
-    findings: &mut Findings,
-) {
+fn idle(node: &Node, keys: &[&str], place: &str, findings: &mut Findings) {
     for key in keys {
         if let Some(at) = node.place_of(key) {
             let text = format!("`{key}` has no effect {place}");

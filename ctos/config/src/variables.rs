@@ -40,19 +40,20 @@ impl<'a> Variables<'a> {
                 && text.contains("${")
                 && node.place.as_ref().is_none_or(wanted)
             {
-                *text = self.expanded(text, node.place.as_ref(), findings);
+                let expanded = self.expanded(text, node.place.as_ref(), findings);
+                *text = expanded.unwrap_or_default();
             }
         });
     }
 
-    /// A text with its references replaced; what is wrong with one goes to `findings` at its place.
+    /// A text with its references replaced, if nothing is wrong with them; else that goes to `findings` at its place.
     pub(super) fn expanded(
         &mut self,
         text: &str,
         place: Option<&Place>,
         findings: &mut Findings,
-    ) -> String {
-        let mut out = String::new();
+    ) -> Option<String> {
+        let (mut out, mut is_right) = (String::new(), true);
         let mut rest = text;
         while let Some(at) = rest.find('$') {
             let (before, from) = rest.split_at(at);
@@ -68,6 +69,7 @@ impl<'a> Variables<'a> {
                 match reference.and_then(|(name, default)| self.value(name, default)) {
                     Ok(value) => out.push_str(&value),
                     Err(finding) => {
+                        is_right = false;
                         let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
                         findings.push(finding.at(part));
                     }
@@ -79,21 +81,7 @@ impl<'a> Variables<'a> {
             }
         }
         out.push_str(rest);
-        out
-    }
-
-    /// [`expanded`](Self::expanded), if nothing is wrong with it.
-    pub(super) fn whole(
-        &mut self,
-        text: &str,
-        place: &Place,
-        findings: &mut Findings,
-    ) -> Option<String> {
-        let mut found = Findings::new();
-        let text = self.expanded(text, Some(place), &mut found);
-        let text = found.is_empty().then_some(text);
-        findings.extend(found);
-        text
+        is_right.then_some(out)
     }
 
     /// As in a shell, a default stands in for a variable that is unset or empty.

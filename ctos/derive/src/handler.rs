@@ -7,9 +7,11 @@ use syn::{
     PathSegment, Result, ReturnType, Type,
 };
 
-/// The trait's methods that a marked method can take the place of, with their arguments after the
-/// context.
-const HOOKS: [(&str, &[&str]); 7] = [
+/// A mark, and what the method takes after the context if it takes the place of one of the trait's.
+type Mark = (&'static str, &'static [&'static str]);
+
+const MARKS: [Mark; 8] = [
+    ("command", &[]),
     ("phase", &["phase"]),
     ("quiesce", &["reason"]),
     ("stop", &["reason"]),
@@ -36,12 +38,12 @@ pub(crate) fn expand(arguments: &TokenStream, mut input: ItemImpl) -> Result<Tok
     for item in &mut input.items {
         let ImplItem::Fn(method) = item else { continue };
         match take_mark(&mut method.attrs) {
-            Some(mark) if mark == "command" => {
+            Some(("command", _)) => {
                 let (arm, command) = arm(method)?;
                 arms.push(arm);
                 infos.push(quote!(<#command as ::ctos::message::Command>::INFO));
             }
-            Some(mark) => hooks.push(hook(&mark, method)?),
+            Some((mark, names)) => hooks.push(hook(mark, names, method)?),
             None => {}
         }
     }
@@ -81,16 +83,19 @@ pub(crate) fn expand(arguments: &TokenStream, mut input: ItemImpl) -> Result<Tok
 }
 
 /// Takes the mark off a method.
-fn take_mark(attributes: &mut Vec<Attribute>) -> Option<String> {
-    let is_mark = |attribute: &Attribute| {
-        attribute.path().is_ident("command")
-            || HOOKS
+fn take_mark(attributes: &mut Vec<Attribute>) -> Option<Mark> {
+    let mut marks = attributes
+        .iter()
+        .enumerate()
+        .filter_map(|(index, attribute)| {
+            let mark = MARKS
                 .iter()
-                .any(|(name, _)| attribute.path().is_ident(name))
-    };
-    let index = attributes.iter().position(is_mark)?;
-    let mark = attributes.remove(index);
-    mark.path().get_ident().map(ToString::to_string)
+                .find(|(name, _)| attribute.path().is_ident(name));
+            Some((index, *mark?))
+        });
+    let (index, mark) = marks.next()?;
+    attributes.remove(index);
+    Some(mark)
 }
 
 /// The arm of `handle` that calls a method, and the type of its command.
@@ -137,12 +142,7 @@ fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
 }
 
 /// A method of the trait that calls a marked one.
-fn hook(mark: &str, method: &ImplItemFn) -> Result<TokenStream> {
-    let names = HOOKS
-        .iter()
-        .find(|(name, _)| *name == mark)
-        .map(|(_, arguments)| *arguments)
-        .unwrap_or_default();
+fn hook(mark: &str, names: &[&str], method: &ImplItemFn) -> Result<TokenStream> {
     if method.sig.inputs.len() != names.len() + 2 {
         let expected = names.join(", ");
         return Err(Error::new_spanned(
@@ -252,7 +252,8 @@ mod tests {
     fn a_mark_is_taken_off_and_the_rest_stays() {
         let mut method: ImplItemFn =
             syn::parse_str("#[inline] #[command] fn f(&mut self, r: Go) {}").unwrap();
-        assert_eq!(take_mark(&mut method.attrs).as_deref(), Some("command"));
+        let mark = take_mark(&mut method.attrs);
+        assert_eq!(mark.map(|(name, _)| name), Some("command"));
         assert_eq!(method.attrs.len(), 1);
     }
 }

@@ -6,6 +6,7 @@ use super::super::expander::{Expander, GeneratedTask};
 use super::super::node::{Entry, Node};
 use super::{Builder, restart};
 use crate::diagnostic::{Finding, Findings, Place};
+use crate::settings::Policy;
 use std::collections::BTreeSet;
 
 const QUEUE: usize = 64;
@@ -34,7 +35,8 @@ impl Builder<'_> {
 
     fn task(&mut self, entry: &Entry, chassis: &[ChassisConfig]) -> Option<TaskConfig> {
         let (node, place) = (&entry.value, entry.place_or(self.whole));
-        let restart = restart(node, self.findings);
+        let idle = "where nothing is restarted";
+        let restart = restart(node, Policy::default(), idle, self.findings);
         let on_place = node.place_of("on")?;
         let on = node.get("on")?.as_str()?;
         let (chassis, processor) = self.find_processor(on, &on_place, chassis)?;
