@@ -1,5 +1,4 @@
-//! Every key that the runtime reads, as data: what the readers know, the JSON schema and the merged view are
-//! made of it.
+//! Every key that the runtime reads, as data: what may stand where, the defaults and the JSON schema are made of it.
 //!
 //! Tests hold this list, what the readers accept, `defaults.toml` and `docs/configuration.md` against each other,
 //! so a key is added in all of them or nowhere.
