@@ -193,6 +193,6 @@ pub(super) fn table(path: &str) -> &'static [Key] {
 }
 
 /// The names of its keys.
-pub(super) fn names<'a>(path: &'a str) -> impl Iterator<Item = &'a str> {
+pub(super) fn names(path: &str) -> impl Iterator<Item = &str> {
     table(path).iter().map(|key| key.name)
 }

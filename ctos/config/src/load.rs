@@ -106,7 +106,7 @@ pub(super) fn merged(
     let (sources, mut variables) = (loader.sources, loader.variables);
     let profiles = declared(root.take("profile"), findings);
     let in_file = profile_of_file(&mut root, &mut variables, findings);
-    let asked = selection.profiles.iter().map(on_command_line);
+    let asked = selection.profiles.iter().map(|name| on_command_line(name));
     let mut asked: Vec<Chosen> = asked.collect();
     if asked.is_empty() {
         asked.extend(in_file);

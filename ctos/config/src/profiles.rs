@@ -11,9 +11,9 @@ use crate::diagnostic::{Finding, Findings, Place, Source};
 pub(super) type Chosen = (String, Place);
 
 /// One that `--profile` asks for.
-pub(super) fn on_command_line(name: &String) -> Chosen {
-    let source = Source::new("--profile", name.as_str());
-    (name.clone(), source.at(0..name.len()))
+pub(super) fn on_command_line(name: &str) -> Chosen {
+    let source = Source::new("--profile", name);
+    (name.to_owned(), source.at(0..name.len()))
 }
 
 /// The profile meant.
