@@ -71,11 +71,11 @@ pub mod security {
 /// Configuration of an app: TOML files, includes, profiles and `--set`, read into checked types.
 pub mod config {
     pub use ctos_config::{
-        App, BarrierConfig, Bundle, BundleError, ChassisConfig, ChassisRestart, ChassisSupervision,
-        Cut, DEFAULTS, Entry, Expander, GeneratedTask, HostConfig, InjuryConfig, LinkConfig, Node,
-        OnTaskFailure, Origin, ProcessorConfig, RecordConfig, SameHost, SecurityConfig, Selection,
-        SemaphoreConfig, ShownValue, TaskConfig, TimeMode, Value, ZenohConfig, ZenohEndpoint,
-        ZenohEndpointError, ZenohMode, has_zenoh, load, load_texts, schema,
+        App, Bundle, BundleError, ChassisConfig, ChassisRestart, ChassisSupervision, Cut, DEFAULTS,
+        Entry, Expander, GeneratedTask, HostConfig, InjuryConfig, LinkConfig, Node, OnTaskFailure,
+        Origin, ProcessorConfig, RecordConfig, SameHost, SecurityConfig, Selection, SharedConfig,
+        ShownValue, TaskConfig, TimeMode, Value, ZenohConfig, ZenohEndpoint, ZenohEndpointError,
+        ZenohMode, has_zenoh, load, load_texts, schema,
     };
 }
 

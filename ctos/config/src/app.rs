@@ -3,10 +3,12 @@
 use super::links::{LinkConfig, SecurityConfig};
 use super::load::SET;
 use super::node::Node;
+use super::profiles::holds;
 use super::selection::Selection;
-use super::trail::{Origin, Trail};
+use super::trail::{Origin, Read, Trail};
 use crate::diagnostic::{Finding, Findings, Place, Source};
-use crate::settings::{Lead, Overrun, Policy, Scope, When};
+use crate::settings::{Lead, Overrun, Policy, Scope};
+use serde::Deserialize;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -45,9 +47,9 @@ pub struct App {
     /// The tasks, in declared order, those made by expanders after them.
     pub tasks: Vec<TaskConfig>,
     /// The semaphores that the configuration declares, in declared order.
-    pub semaphores: Vec<SemaphoreConfig>,
+    pub semaphores: Vec<SharedConfig>,
     /// The barriers that the configuration declares, in declared order.
-    pub barriers: Vec<BarrierConfig>,
+    pub barriers: Vec<SharedConfig>,
     /// The file as given.
     pub file: PathBuf,
     /// The profiles that were chosen, the later ones on top.
@@ -64,7 +66,8 @@ pub struct App {
 }
 
 /// Which clock an app runs on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum TimeMode {
     /// The machine's clock; every chassis is a process.
     #[default]
@@ -95,10 +98,6 @@ pub struct HostConfig {
     pub name: String,
     /// Where its agent listens.
     pub agent: SocketAddr,
-    /// Where `agent` stands.
-    pub agent_place: Place,
-    /// Where its name stands.
-    pub place: Place,
 }
 
 /// One process of an app.
@@ -128,36 +127,37 @@ impl ChassisConfig {
     }
 }
 
+impl HostConfig {
+    /// Where the address of its agent stands.
+    pub(super) fn agent_place(&self, root: &Node) -> Option<Place> {
+        root.place_of(&format!("host.\"{}\".agent", self.name))
+    }
+}
+
 /// What the boot does about a chassis that fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChassisSupervision {
-    /// When its process is started again; without restarts the app ends with it.
-    pub restart: When,
-    /// So many restarts within `window` are too many: the app ends.
-    pub max_restarts: u32,
-    /// The window in which restarts are counted.
-    pub window: Duration,
-    /// The pause before the first restart; it doubles with each further one within the window.
-    pub backoff: Duration,
+    /// When its process is started again, and how often; without restarts, or with too many, the app ends with it.
+    pub restart: Policy,
     /// What a task that failed for good leads to.
     pub on_task_failure: OnTaskFailure,
 }
 
 impl Default for ChassisSupervision {
     fn default() -> Self {
-        let usual = Policy::default();
         Self {
-            restart: usual.when,
-            max_restarts: usual.max,
-            window: usual.window,
-            backoff: Duration::from_millis(500),
+            restart: Policy {
+                backoff: Duration::from_millis(500),
+                ..Policy::default()
+            },
             on_task_failure: OnTaskFailure::App,
         }
     }
 }
 
 /// What a task that failed for good leads to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum OnTaskFailure {
     /// The end of the app.
     #[default]
@@ -202,30 +202,15 @@ impl ProcessorConfig {
     }
 }
 
-/// What the configuration says of a semaphore.
+/// What the configuration says of a semaphore or a barrier.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SemaphoreConfig {
+pub struct SharedConfig {
     /// Its name.
     pub name: String,
     /// Who shares it; `None` = its name says so.
     pub scope: Option<Scope>,
-    /// How many permits it has; `None` = as many as the tasks say.
-    pub permits: Option<u32>,
-    /// Where its name stands.
-    pub place: Place,
-}
-
-/// What the configuration says of a barrier.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BarrierConfig {
-    /// Its name.
-    pub name: String,
-    /// Who shares it; `None` = its name says so.
-    pub scope: Option<Scope>,
-    /// How many must arrive; `None` = as many as the tasks say.
-    pub parties: Option<u32>,
-    /// Where its name stands.
-    pub place: Place,
+    /// How many permits a semaphore has, or how many must arrive at a barrier; `None` = as many as the tasks say.
+    pub count: Option<u32>,
 }
 
 /// One instantiation of an event handler.
@@ -291,10 +276,7 @@ impl App {
         let (name, rest) = task.split_once('.').unwrap_or((task, ""));
         let task = self.task(name)?;
         match rest {
-            "" => Some(task.place.clone()),
-            "handler" => Some(task.handler_place.clone()),
-            "on" => Some(task.on_place.clone()),
-            "args" => task.args.place().cloned(),
+            "" | "handler" | "on" | "args" => Some(task.place.clone()),
             _ => task.args.locate(rest.strip_prefix("args.")?),
         }
     }
@@ -305,26 +287,31 @@ impl App {
     /// # Errors
     /// A finding without a place when the file cannot be read or is not UTF-8.
     pub fn read(&self, relative: impl AsRef<Path>) -> Result<Source, Finding> {
-        let relative = relative.as_ref();
-        let source = Source::read(&self.folder.join(relative))?;
-        self.trail.note(&relative.to_string_lossy(), &source);
+        let path = self.folder.join(&relative);
+        let source = Source::read(&path)?;
+        let mut read = self.trail.read();
+        read.retain(|other| other.path != path);
+        read.push(Read {
+            path,
+            text: source.text().to_owned(),
+            absolute: relative.as_ref().is_absolute(),
+        });
         Ok(source)
     }
 
     /// Where a value of the tree [`App::root`] comes from.
     #[must_use]
     pub fn origin(&self, value: &Node) -> Origin {
-        let Some(place) = value.place() else {
+        let Some(place) = value.place().cloned() else {
             return Origin::Default;
         };
         if place.source.name() == SET {
-            return Origin::Set(place.clone());
+            return Origin::Set(place);
         }
         let mut profiles = self.trail.applied.iter().rev();
-        let place = place.clone();
-        match profiles.find(|profile| profile.holds(&place)) {
+        match profiles.find(|profile| holds(&profile.value, &place)) {
             Some(profile) => Origin::Profile {
-                name: profile.name.clone(),
+                name: profile.key.clone(),
                 place,
             },
             None => Origin::File(place),

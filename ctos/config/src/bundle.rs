@@ -55,22 +55,17 @@ impl App {
     /// # Errors
     /// A file that is named by an absolute path: it would be looked for there on the other host.
     pub fn bundle(&self) -> Result<Bundle, Finding> {
-        let opened = self.trail.opened();
-        let included = self.trail.sources.iter().filter(|read| read.absolute);
-        let included = included.map(|read| read.path.display().to_string());
-        let data = opened.keys().filter(|name| Path::new(name).is_absolute());
-        if let Some(path) = included.chain(data.cloned()).next() {
-            let text =
-                format!("`{path}` is an absolute path, so the app cannot be sent to another host");
-            let finding = Finding::error("ctos::config::bundle", text);
-            return Err(finding.help("name it relative to the file that names it"));
-        }
         let mut files = BTreeMap::new();
-        for read in &self.trail.sources {
+        for read in self.trail.read().iter() {
+            let path = read.path.display();
+            if read.absolute {
+                let text = format!(
+                    "`{path}` is an absolute path, so the app cannot be sent to another host"
+                );
+                let finding = Finding::error("ctos::config::bundle", text);
+                return Err(finding.help("name it relative to the file that names it"));
+            }
             files.insert(whole(&read.path)?, read.text.clone());
-        }
-        for (relative, text) in opened {
-            files.insert(whole(&self.folder.join(relative))?, text);
         }
         let top = common_folder(files.keys());
         let name = |path: &Path| {

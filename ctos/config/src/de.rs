@@ -1,83 +1,84 @@
-//! serde over [`Node`]: reads types from a node and knows the place of whatever does not fit.
-//!
-//! A deserializer of our own, and not a path looked up afterwards, because the error then carries
-//! the place of the key or value it arose at, also inside arrays and enums.
+//! serde over [`Node`]: reads types from a node and finds the place of whatever does not fit.
 
 use super::node::{Entry, Node, Value};
-use crate::diagnostic::{Finding, Place};
+use crate::diagnostic::Finding;
 use serde::de::{
-    self, Deserialize, DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, MapAccess,
-    SeqAccess, Unexpected, VariantAccess, Visitor, value::StrDeserializer,
+    self, Deserialize, Deserializer, IntoDeserializer, Unexpected, Visitor,
+    value::{MapAccessDeserializer, MapDeserializer, SeqDeserializer},
 };
+use serde_path_to_error::Segment;
 use std::fmt;
 
+const UNKNOWN_KEY: &str = "ctos::config::unknown_key";
+const UNKNOWN_CHOICE: &str = "ctos::config::unknown_choice";
+const MISSING_KEY: &str = "ctos::config::missing_key";
+
 /// Why a node cannot be read as the type asked for.
-#[derive(Debug)]
-pub(super) struct NodeError {
+#[derive(Debug, thiserror::Error)]
+#[error("{}", finding.message)]
+struct NodeError {
     finding: Finding,
-    kind: Kind,
-    /// Keys and indices from the outside in.
-    path: Vec<String>,
+    /// The key or the choice that is unknown.
+    unknown: Option<String>,
 }
 
-#[derive(Debug)]
-enum Kind {
-    UnknownField(String),
-    UnknownVariant,
-    MissingField,
-    Other,
-}
-
-impl NodeError {
-    fn new(kind: Kind, code: &'static str, message: String) -> Self {
+impl From<Finding> for NodeError {
+    fn from(finding: Finding) -> Self {
         Self {
-            finding: Finding::error(code, message),
-            kind,
-            path: Vec::new(),
+            finding,
+            unknown: None,
         }
     }
+}
 
-    fn with(mut self, more: impl FnOnce(Finding) -> Finding) -> Self {
-        self.finding = more(self.finding);
-        self
-    }
+/// Reads `T` from a node.
+///
+/// # Errors
+/// A finding for a person, with its place and "did you mean".
+pub(super) fn read<'de, T: Deserialize<'de>>(node: &'de Node) -> Result<T, Finding> {
+    serde_path_to_error::deserialize(At(node)).map_err(|error| {
+        let path = error.path().clone();
+        placed(node, path.iter().collect(), error.into_inner())
+    })
+}
 
-    /// Adds the place unless a deeper one is known.
-    fn at(mut self, place: Option<&Place>) -> Self {
-        self.finding.place = self.finding.place.or_else(|| place.cloned());
-        self
+/// The finding at the place that `path` leads to.
+fn placed(mut node: &Node, mut path: Vec<&Segment>, error: NodeError) -> Finding {
+    let (mut finding, unknown) = (error.finding, error.unknown);
+    if finding.code == UNKNOWN_KEY
+        && let Some(Segment::Map { key }) = path.last()
+        && unknown.as_ref() == Some(key)
+    {
+        path.pop();
     }
-
-    fn inside(mut self, part: impl Into<String>) -> Self {
-        self.path.insert(0, part.into());
-        self
+    let mut names = Vec::new();
+    for segment in path {
+        let inner = match segment {
+            Segment::Seq { index } => {
+                names.push(index.to_string());
+                node.elements().get(*index)
+            }
+            Segment::Map { key } => {
+                names.push(key.clone());
+                node.entry(key).map(|entry| &entry.value)
+            }
+            Segment::Enum { variant } => node.entry(variant).map(|entry| &entry.value),
+            Segment::Unknown => None,
+        };
+        node = inner.unwrap_or(node);
     }
-
-    /// The finding for a person, with "did you mean".
-    pub(super) fn into_finding(self) -> Finding {
-        let mut finding = self.finding;
-        if !self.path.is_empty() {
-            let (path, message) = (self.path.join("."), &finding.message);
-            finding.message = match self.kind {
-                Kind::UnknownField(_) | Kind::MissingField => format!("{message} in `{path}`"),
-                Kind::UnknownVariant => format!("{message} for `{path}`"),
-                Kind::Other => format!("`{path}`: {message}"),
-            };
-        }
-        finding
+    let (path, message) = (names.join("."), &finding.message);
+    if !path.is_empty() {
+        finding.message = match finding.code {
+            UNKNOWN_KEY | MISSING_KEY => format!("{message} in `{path}`"),
+            UNKNOWN_CHOICE => format!("{message} for `{path}`"),
+            _ => format!("`{path}`: {message}"),
+        };
     }
-
-    /// Completes an error that came up while `node` was read. An unknown key that serde only found
-    /// after buffering (tagged enums) is looked up again among the keys below.
-    fn while_reading(self, node: &Node) -> Self {
-        if let (None, Kind::UnknownField(field)) = (&self.finding.place, &self.kind)
-            && let Some(entry) = find_key(node, field)
-        {
-            let place = entry.key_place.clone();
-            return self.at(place.as_ref());
-        }
-        self.at(node.place())
-    }
+    // An unknown key may stand deeper: serde finds it only after buffering in tagged enums.
+    let key = unknown.and_then(|unknown| find_key(node, &unknown));
+    let place = key.and_then(|entry| entry.key_place.clone());
+    finding.at(place.or_else(|| node.place.clone()))
 }
 
 /// The first entry of that name at any depth.
@@ -90,17 +91,9 @@ fn find_key<'a>(node: &'a Node, key: &str) -> Option<&'a Entry> {
     })
 }
 
-impl fmt::Display for NodeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.finding.message)
-    }
-}
-
-impl std::error::Error for NodeError {}
-
 impl de::Error for NodeError {
     fn custom<T: fmt::Display>(text: T) -> Self {
-        Self::new(Kind::Other, "ctos::config::value", text.to_string())
+        Finding::error("ctos::config::value", text.to_string()).into()
     }
 
     fn invalid_type(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
@@ -114,30 +107,26 @@ impl de::Error for NodeError {
     }
 
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
-        let kind = Kind::UnknownField(field.to_owned());
-        let message = format!("unknown key `{field}`");
-        Self::new(kind, "ctos::config::unknown_key", message).with(|finding| {
-            let finding = finding.label("nobody reads this key");
-            finding.suggest(field, expected.iter().copied())
-        })
+        let finding = Finding::error(UNKNOWN_KEY, format!("unknown key `{field}`"));
+        let finding = finding.label("nobody reads this key");
+        Self {
+            finding: finding.suggest(field, expected.iter().copied()),
+            unknown: Some(field.to_owned()),
+        }
     }
 
     fn unknown_variant(variant: &str, expected: &'static [&'static str]) -> Self {
-        let message = format!("unknown choice `{variant}`");
-        Self::new(
-            Kind::UnknownVariant,
-            "ctos::config::unknown_choice",
-            message,
-        )
-        .with(|finding| finding.suggest(variant, expected.iter().copied()))
+        let finding = Finding::error(UNKNOWN_CHOICE, format!("unknown choice `{variant}`"));
+        Self {
+            finding: finding.suggest(variant, expected.iter().copied()),
+            unknown: Some(variant.to_owned()),
+        }
     }
 
     fn missing_field(field: &'static str) -> Self {
-        let message = format!("the key `{field}` is missing");
-        Self::new(Kind::MissingField, "ctos::config::missing_key", message).with(|finding| {
-            let finding = finding.label(format!("`{field}` belongs into this table"));
-            finding.help(format!("add `{field} = ...`"))
-        })
+        let finding = Finding::error(MISSING_KEY, format!("the key `{field}` is missing"));
+        let finding = finding.label(format!("`{field}` belongs into this table"));
+        finding.help(format!("add `{field} = ...`")).into()
     }
 }
 
@@ -167,20 +156,29 @@ fn describe(found: Unexpected<'_>) -> String {
     }
 }
 
-/// Reads `T` from a node.
-pub(super) fn read<'de, T: Deserialize<'de>>(node: &'de Node) -> Result<T, NodeError> {
-    T::deserialize(At(node)).map_err(|error| error.while_reading(node))
-}
-
 /// A node as something to deserialize from.
 #[derive(Clone, Copy)]
 struct At<'de>(&'de Node);
+
+impl<'de> IntoDeserializer<'de, NodeError> for At<'de> {
+    type Deserializer = Self;
+
+    fn into_deserializer(self) -> Self {
+        self
+    }
+}
+
+/// A table as what serde reads maps from.
+fn map(entries: &[Entry]) -> MapDeserializer<'_, impl Iterator<Item = (&str, At<'_>)>, NodeError> {
+    let pairs = entries.iter();
+    MapDeserializer::new(pairs.map(|entry| (entry.key.as_str(), At(&entry.value))))
+}
 
 impl<'de> Deserializer<'de> for At<'de> {
     type Error = NodeError;
 
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NodeError> {
-        let result = match &self.0.value {
+        match &self.0.value {
             Value::String(text) | Value::Datetime(text) => visitor.visit_borrowed_str(text),
             Value::Bool(value) => visitor.visit_bool(*value),
             Value::Float(number) => visitor.visit_f64(*number),
@@ -189,10 +187,11 @@ impl<'de> Deserializer<'de> for At<'de> {
                 (_, Ok(number)) => visitor.visit_u64(number),
                 _ => visitor.visit_i128(*number),
             },
-            Value::Array(elements) => visitor.visit_seq(Elements { elements, read: 0 }),
-            Value::Table(entries) => visitor.visit_map(Entries { entries, next: 0 }),
-        };
-        result.map_err(|error| error.while_reading(self.0))
+            Value::Array(elements) => {
+                visitor.visit_seq(SeqDeserializer::new(elements.iter().map(At)))
+            }
+            Value::Table(entries) => visitor.visit_map(map(entries)),
+        }
     }
 
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NodeError> {
@@ -200,14 +199,20 @@ impl<'de> Deserializer<'de> for At<'de> {
         visitor.visit_some(self)
     }
 
+    fn deserialize_unit<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, NodeError> {
+        if self.0.is_table() && self.0.entries().is_empty() {
+            return visitor.visit_unit();
+        }
+        let text = "this choice takes no value: write it as a string";
+        Err(de::Error::custom(text))
+    }
+
     fn deserialize_newtype_struct<V: Visitor<'de>>(
         self,
         _name: &'static str,
         visitor: V,
     ) -> Result<V::Value, NodeError> {
-        visitor
-            .visit_newtype_struct(self)
-            .map_err(|error| error.while_reading(self.0))
+        visitor.visit_newtype_struct(self)
     }
 
     fn deserialize_enum<V: Visitor<'de>>(
@@ -216,140 +221,24 @@ impl<'de> Deserializer<'de> for At<'de> {
         variants: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, NodeError> {
-        let result = match &self.0.value {
+        let known = variants.join(", ");
+        match &self.0.value {
             Value::String(variant) => visitor.visit_enum(variant.as_str().into_deserializer()),
-            Value::Table(entries) => match entries.as_slice() {
-                [entry] => visitor.visit_enum(Variant(entry)),
-                _ => Err(de::Error::custom(format!(
-                    "expected a table with exactly one key out of: {}",
-                    variants.join(", ")
-                ))),
-            },
+            Value::Table(entries) if entries.len() == 1 => {
+                visitor.visit_enum(MapAccessDeserializer::new(map(entries)))
+            }
+            Value::Table(_) => Err(de::Error::custom(format!(
+                "expected a table with exactly one key out of: {known}"
+            ))),
             _ => Err(de::Error::custom(format!(
-                "expected one of {}, found {}",
-                variants.join(", "),
+                "expected one of {known}, found {}",
                 self.0.kind()
             ))),
-        };
-        result.map_err(|error| error.while_reading(self.0))
+        }
     }
 
     serde::forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf
-        unit unit_struct seq tuple tuple_struct map struct identifier ignored_any
-    }
-}
-
-struct Elements<'de> {
-    elements: &'de [Node],
-    read: usize,
-}
-
-impl<'de> SeqAccess<'de> for Elements<'de> {
-    type Error = NodeError;
-
-    fn next_element_seed<T: DeserializeSeed<'de>>(
-        &mut self,
-        seed: T,
-    ) -> Result<Option<T::Value>, NodeError> {
-        let Some(element) = self.elements.get(self.read) else {
-            return Ok(None);
-        };
-        let index = self.read;
-        self.read += 1;
-        seed.deserialize(At(element))
-            .map(Some)
-            .map_err(|error| error.while_reading(element).inside(index.to_string()))
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        Some(self.elements.len() - self.read)
-    }
-}
-
-impl Entry {
-    fn read_key<'de, K: DeserializeSeed<'de>>(&'de self, seed: K) -> Result<K::Value, NodeError> {
-        let key: StrDeserializer<'de, NodeError> = self.key.as_str().into_deserializer();
-        let read = seed.deserialize(key);
-        read.map_err(|error| error.at(self.key_place.as_ref()))
-    }
-}
-
-struct Entries<'de> {
-    entries: &'de [Entry],
-    next: usize,
-}
-
-impl<'de> MapAccess<'de> for Entries<'de> {
-    type Error = NodeError;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(
-        &mut self,
-        seed: K,
-    ) -> Result<Option<K::Value>, NodeError> {
-        let Some(entry) = self.entries.get(self.next) else {
-            return Ok(None);
-        };
-        entry.read_key(seed).map(Some)
-    }
-
-    fn next_value_seed<T: DeserializeSeed<'de>>(&mut self, seed: T) -> Result<T::Value, NodeError> {
-        let Some(entry) = self.entries.get(self.next) else {
-            return Err(de::Error::custom("a value was asked for without its key"));
-        };
-        self.next += 1;
-        seed.deserialize(At(&entry.value))
-            .map_err(|error| error.while_reading(&entry.value).inside(entry.key.as_str()))
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        Some(self.entries.len() - self.next)
-    }
-}
-
-/// `{ variant = content }`.
-struct Variant<'de>(&'de Entry);
-
-impl<'de> EnumAccess<'de> for Variant<'de> {
-    type Error = NodeError;
-    type Variant = At<'de>;
-
-    fn variant_seed<V: DeserializeSeed<'de>>(
-        self,
-        seed: V,
-    ) -> Result<(V::Value, At<'de>), NodeError> {
-        Ok((self.0.read_key(seed)?, At(&self.0.value)))
-    }
-}
-
-impl<'de> VariantAccess<'de> for At<'de> {
-    type Error = NodeError;
-
-    fn unit_variant(self) -> Result<(), NodeError> {
-        if self.0.entries().is_empty() && self.0.is_table() {
-            return Ok(());
-        }
-        let text = "this choice takes no value: write it as a string";
-        Err(<NodeError as de::Error>::custom(text).at(self.0.place()))
-    }
-
-    fn newtype_variant_seed<T: DeserializeSeed<'de>>(self, seed: T) -> Result<T::Value, NodeError> {
-        seed.deserialize(self)
-    }
-
-    fn tuple_variant<V: Visitor<'de>>(
-        self,
-        _len: usize,
-        visitor: V,
-    ) -> Result<V::Value, NodeError> {
-        self.deserialize_any(visitor)
-    }
-
-    fn struct_variant<V: Visitor<'de>>(
-        self,
-        _fields: &'static [&'static str],
-        visitor: V,
-    ) -> Result<V::Value, NodeError> {
-        self.deserialize_any(visitor)
+        unit_struct seq tuple tuple_struct map struct identifier ignored_any
     }
 }

@@ -7,93 +7,61 @@ use std::net::{Ipv4Addr, SocketAddr};
 
 use super::{
     App,
-    app::{ChassisConfig, HostConfig},
-    fields::Fields,
-    keys,
+    app::HostConfig,
     links::{KEYS_HELP, is_loopback},
-    node::{Entry, Node},
+    node::Node,
 };
 use crate::diagnostic::{Finding, Findings, Place};
 
-/// Reads the table of one host.
-pub(super) fn host(entry: &Entry, place: Place, findings: &mut Findings) -> Option<HostConfig> {
-    let mut fields = Fields::named(entry, "host", keys::HOST, findings);
-    let help = "add agent = \"IP:PORT\", where `ctos agent` listens on that host";
-    let (_, agent_place) = fields.required("agent", help)?;
-    let agent = fields.parsed::<SocketAddr>("agent", "an address such as \"192.168.1.20:7410\"")?;
-    if agent.port() == 0 || agent.ip().is_unspecified() {
-        let name = &entry.key;
-        let text = format!("nobody can call {agent}, where the agent of host `{name}` should be");
-        let finding = Finding::error("ctos::config::value", text)
-            .help("write the address and the port at which `ctos agent` says that it listens");
-        fields.push(finding.at(agent_place.clone()));
-        return None;
-    }
-    Some(HostConfig {
-        name: entry.key.clone(),
-        agent,
-        agent_place,
-        place,
-    })
-}
-
-/// Reads `[control]`; `None` without `listen`.
-pub(super) fn control(mut fields: Fields<'_, '_>) -> Option<(SocketAddr, Option<Place>)> {
-    let expected = "an address such as \"192.168.1.10:7411\"";
-    let listen = fields.parsed::<SocketAddr>("listen", expected)?;
-    Some((listen, fields.place("listen")))
-}
-
-/// Where the boot listens for other hosts, and tools from them reach it: what `[app]` and `[control]`
-/// say, with places.
-pub(super) type Listen = Option<(SocketAddr, Option<Place>)>;
-
-/// What only all of it together shows to be wrong.
-pub(super) struct Together<'a> {
-    pub(super) root: &'a Node,
-    pub(super) hosts: &'a [HostConfig],
-    pub(super) chassis: &'a [ChassisConfig],
-    pub(super) boot: &'a Listen,
-    pub(super) control: &'a Listen,
-    pub(super) has_keys: bool,
-}
-
-impl Together<'_> {
-    /// Finds it.
-    pub(super) fn check(&self, findings: &mut Findings) {
-        self.hosts_meant(findings);
-        self.hosts_used(findings);
-        if !self.has_keys {
-            self.keys(findings);
+/// Reads the tables of all hosts.
+pub(super) fn hosts(root: &Node, findings: &mut Findings) -> Vec<HostConfig> {
+    let read = root.tables("host").iter().filter_map(|entry| {
+        let name = entry.key.clone();
+        let agent: SocketAddr = entry.value.read("agent")?;
+        if agent.port() == 0 || agent.ip().is_unspecified() {
+            let text =
+                format!("nobody can call {agent}, where the agent of host `{name}` should be");
+            let finding = Finding::error("ctos::config::value", text)
+                .help("write the address and the port at which `ctos agent` says that it listens");
+            findings.push(finding.at(entry.value.place_of("agent")));
+            return None;
         }
-        self.reachable(findings);
-    }
+        Some(HostConfig { name, agent })
+    });
+    read.collect()
+}
 
+/// Finds what only the whole app shows to be wrong.
+pub(super) fn check(app: &App, findings: &mut Findings) {
+    app.hosts_meant(findings);
+    app.hosts_used(findings);
+    if app.root.tables("security").is_empty() {
+        app.hosts_without_keys(findings);
+    }
+    app.hosts_reachable(findings);
+}
+
+impl App {
     fn hosts_meant(&self, findings: &mut Findings) {
-        for one in self.chassis {
-            let Some(host) = &one.host else { continue };
-            if self.hosts.iter().any(|known| known.name == *host) {
-                continue;
-            }
-            // One that is declared with a mistake has a finding of its own.
-            if self
-                .root
+        // One that is declared with a mistake has a finding of its own.
+        let known = || {
+            self.root
                 .tables("host")
                 .iter()
-                .any(|entry| entry.key == *host)
+                .map(|entry| entry.key.as_str())
+        };
+        for one in &self.chassis {
+            if let Some(host) = &one.host
+                && !known().any(|name| name == host)
             {
-                continue;
+                let text = format!("there is no host `{host}`");
+                let finding = Finding::error("ctos::config::unknown_host", text)
+                    .help(format!(
+                        "declare it: [host.{host}] with agent = \"IP:PORT\""
+                    ))
+                    .suggest(host, known());
+                findings.push(finding.at(one.place_of(&self.root, "host")));
             }
-            let text = format!("there is no host `{host}`");
-            let finding = Finding::error("ctos::config::unknown_host", text);
-            let finding = if self.hosts.is_empty() {
-                finding.help(format!(
-                    "declare it: [host.{host}] with agent = \"IP:PORT\""
-                ))
-            } else {
-                finding.suggest(host, self.hosts.iter().map(|known| known.name.as_str()))
-            };
-            findings.push(finding.at(one.place_of(self.root, "host")));
         }
     }
 
@@ -107,46 +75,48 @@ impl Together<'_> {
                 );
                 let finding = Finding::error("ctos::config::same_address", text)
                     .help("one agent is one host: put the chassis of both on one of them");
-                findings.push(finding.at(host.agent_place.clone()));
+                findings.push(finding.at(host.agent_place(&self.root)));
             }
             if !self.is_used(host) && !findings.has_errors() {
                 let text = format!("no chassis is on host `{}`", host.name);
                 let finding = Finding::warning("ctos::config::idle_host", text);
-                findings.push(finding.at(host.place.clone()));
+                findings.push(finding.at(self.root.locate(&format!("host.\"{}\"", host.name))));
             }
         }
     }
 
-    /// Without keys nothing may be beyond this host.
-    fn keys(&self, findings: &mut Findings) {
-        let mut push = |text: String, place: Option<Place>| {
-            let finding = Finding::error("ctos::config::no_keys", text).help(KEYS_HELP);
-            findings.push(finding.at(place));
+    /// Without keys nothing may be beyond this host: whoever can reach it could drive the robot.
+    fn hosts_without_keys(&self, findings: &mut Findings) {
+        let mut push = |text: String, help: &str, place: Option<Place>| {
+            let text = format!("{text}, and the app has no keys");
+            let finding = Finding::error("ctos::config::no_keys", text);
+            findings.push(finding.help(help).at(place));
         };
-        for host in self
-            .hosts
-            .iter()
-            .filter(|host| !is_loopback(host.agent.ip()))
-        {
+        for host in &self.hosts {
             let (name, agent) = (&host.name, host.agent);
-            let text = format!("the agent of host `{name}` is at {agent}, and the app has no keys");
-            push(text, Some(host.agent_place.clone()));
-        }
-        for (who, listen) in [("the boot", self.boot), ("[control]", self.control)] {
-            if let Some((address, place)) = listen
-                && !is_loopback(address.ip())
-            {
-                let text = format!(
-                    "{who} would listen at {address}, where others can reach it, and the app has no keys"
-                );
-                push(text, place.clone());
+            if !is_loopback(agent.ip()) {
+                let text = format!("the agent of host `{name}` is at {agent}");
+                push(text, KEYS_HELP, host.agent_place(&self.root));
             }
         }
-    }
-
-    /// The hosts that have chassis.
-    fn used(&self) -> impl Iterator<Item = &HostConfig> {
-        self.hosts.iter().filter(|host| self.is_used(host))
+        let chassis = self.chassis.iter().filter_map(|one| {
+            let place = one.place_of(&self.root, "listen");
+            Some((format!("chassis `{}`", one.name), one.listen?, Some(place)))
+        });
+        let place = |path| self.root.place_of(path);
+        let boot = self
+            .listen
+            .map(|at| ("the boot".to_owned(), at, place("app.listen")));
+        let control = self
+            .control
+            .map(|at| ("[control]".to_owned(), at, place("control.listen")));
+        for (who, address, place) in chassis.chain(boot).chain(control) {
+            if !is_loopback(address.ip()) {
+                let text = format!("{who} would listen at {address}, where others can reach it");
+                let help = format!("{KEYS_HELP}; or listen at 127.0.0.1");
+                push(text, &help, place);
+            }
+        }
     }
 
     fn is_used(&self, host: &HostConfig) -> bool {
@@ -156,59 +126,58 @@ impl Together<'_> {
 
     /// Chassis of different hosts call each other: an address that means something on one host only
     /// would leave them waiting.
-    fn reachable(&self, findings: &mut Findings) {
-        let mut used = self.used();
-        let Some(first) = used.find(|host| !is_loopback(host.agent.ip())) else {
+    fn hosts_reachable(&self, findings: &mut Findings) {
+        let used = self.hosts.iter().filter(|host| self.is_used(host));
+        let (near, far): (Vec<_>, Vec<_>) = used.partition(|host| is_loopback(host.agent.ip()));
+        let Some(first) = far.first() else {
             return;
         };
         let is_local =
-            |address: SocketAddr| is_loopback(address.ip()) || address.ip().is_unspecified();
-        let mut push = |text: String, help: &str, place: Place| {
+            |address: &SocketAddr| is_loopback(address.ip()) || address.ip().is_unspecified();
+        let mut push = |text: String, help: &str, place: Option<Place>| {
             let finding = Finding::error("ctos::config::unreachable", text);
-            findings.push(finding.help(help.to_owned()).at(place));
+            findings.push(finding.help(help).at(place));
         };
         let name = &first.name;
-        match self.boot {
+        match self.listen {
             None => push(
                 format!(
                     "host `{name}` cannot call back: the app does not say where the boot listens for other hosts"
                 ),
                 "add [app] listen = \"IP:0\", with the address by which other hosts reach this one; 0 is a free port",
-                first.agent_place.clone(),
+                first.agent_place(&self.root),
             ),
-            Some((address, place)) if is_local(*address) => push(
+            Some(address) if is_local(&address) => push(
                 format!("the boot would listen at {address}, which host `{name}` cannot reach"),
                 "write the address by which other hosts reach this one",
-                place.clone().unwrap_or_else(|| first.place.clone()),
+                self.root.place_of("app.listen"),
             ),
             Some(_) => {}
         }
-        for host in self.used().filter(|host| is_loopback(host.agent.ip())) {
+        for host in near {
             push(
                 format!(
                     "the agent of host `{}` is at the loopback of this one, where host `{name}` cannot reach its chassis",
                     host.name
                 ),
                 "write the address by which other hosts reach it",
-                host.agent_place.clone(),
+                host.agent_place(&self.root),
             );
         }
-        for one in self.chassis {
-            if let Some(listen) = one.listen.filter(|listen| is_local(*listen)) {
+        for one in &self.chassis {
+            if let Some(listen) = one.listen.filter(is_local) {
                 push(
                     format!(
                         "chassis `{}` would listen at {listen}, which other hosts cannot reach",
                         one.name
                     ),
                     "write the address by which other hosts reach it, or leave `listen` out",
-                    one.place_of(self.root, "listen"),
+                    Some(one.place_of(&self.root, "listen")),
                 );
             }
         }
     }
-}
 
-impl App {
     /// The host that chassis `name` lives on; `None` = that of the boot.
     #[must_use]
     pub fn host_of(&self, name: &str) -> Option<&HostConfig> {

@@ -17,9 +17,9 @@ pub mod placement;
 mod app;
 mod build;
 mod bundle;
+mod check;
 mod de;
 mod expander;
-mod fields;
 mod hosts;
 mod keys;
 mod links;
@@ -40,8 +40,8 @@ mod variables;
 mod zenoh;
 
 pub use app::{
-    App, BarrierConfig, ChassisConfig, ChassisSupervision, HostConfig, OnTaskFailure,
-    ProcessorConfig, RecordConfig, SemaphoreConfig, TaskConfig, TimeMode,
+    App, ChassisConfig, ChassisSupervision, HostConfig, OnTaskFailure, ProcessorConfig,
+    RecordConfig, SharedConfig, TaskConfig, TimeMode,
 };
 pub use bundle::{Bundle, BundleError};
 pub use expander::{Expander, GeneratedTask};

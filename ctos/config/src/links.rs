@@ -3,21 +3,28 @@
 
 use std::{net::IpAddr, path::PathBuf, time::Duration};
 
-use super::{app::ChassisConfig, fields::Fields, keys, node::Node, zenoh::ZenohConfig};
+use serde::Deserialize;
+
+use super::{
+    app::ChassisConfig,
+    check::defaults,
+    node::Node,
+    zenoh::{self, ZenohConfig},
+};
 use crate::{
-    diagnostic::{Finding, Findings, Place},
+    diagnostic::{Finding, Findings},
     settings::BOOT_CHASSIS,
 };
 
-const PEER_TIMEOUT_S: f64 = 2.0;
-const ROOM_MIB: usize = 64;
 const SPIN: Duration = Duration::from_micros(5);
 
 /// How chassis of one host are joined.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum SameHost {
     /// By shared memory, with a Unix socket that shows when one of them ends.
     #[default]
+    #[serde(rename = "shm")]
     Shared,
     /// By Unix sockets.
     Unix,
@@ -46,14 +53,7 @@ pub struct LinkConfig {
 
 impl Default for LinkConfig {
     fn default() -> Self {
-        Self {
-            peer_timeout: Duration::from_secs_f64(PEER_TIMEOUT_S),
-            same_host: SameHost::default(),
-            spin: default_spin(),
-            room: ROOM_MIB << 20,
-            zenoh: None,
-            injury: InjuryConfig::default(),
-        }
+        links(&defaults(), &[], &mut Findings::new())
     }
 }
 
@@ -61,21 +61,12 @@ impl LinkConfig {
     /// For how long this process looks before it sleeps.
     #[must_use]
     pub fn spin_here(&self) -> Duration {
-        if may_spin() {
-            self.spin
-        } else {
-            Duration::ZERO
+        // With one CPU the one for which a spinning reader waits could not run.
+        match std::thread::available_parallelism() {
+            Ok(count) if count.get() > 1 => self.spin,
+            _ => Duration::ZERO,
         }
     }
-}
-
-/// With one CPU the one for which a spinning reader waits could not run.
-fn may_spin() -> bool {
-    std::thread::available_parallelism().is_ok_and(|count| count.get() > 1)
-}
-
-fn default_spin() -> Duration {
-    if may_spin() { SPIN } else { Duration::ZERO }
 }
 
 /// What goes wrong on purpose with the links of an app, to see what becomes of it.
@@ -125,14 +116,12 @@ impl Cut {
     fn parse(text: &str) -> Option<Self> {
         let (ends, when) = text.rsplit_once('@')?;
         let (one, other) = ends.split_once(':')?;
-        let (at, lasts) = match when.split_once('+') {
-            Some((at, lasts)) => (at, Some(duration(lasts)?)),
-            None => (when, None),
-        };
-        let at = duration(at)?;
-        let until = match lasts {
-            Some(lasts) => at.saturating_add(lasts),
-            None => Duration::MAX,
+        let (at, until) = match when.split_once('+') {
+            Some((at, lasts)) => {
+                let at = duration(at)?;
+                (at, at.saturating_add(duration(lasts)?))
+            }
+            None => (duration(when)?, Duration::MAX),
         };
         (one != other).then(|| Self {
             one: one.to_owned(),
@@ -173,55 +162,38 @@ pub struct SecurityConfig {
     pub key: PathBuf,
     /// The certificate of the authority that signs all keys.
     pub authority: PathBuf,
-    /// Where `key` stands.
-    pub place: Place,
 }
 
-/// Reads the keys of `[app]` that belong to links; `[injure]` is read by [`injury`], `[zenoh]` by its module.
-pub(super) fn links(app: &mut Fields<'_, '_>) -> LinkConfig {
-    let default = LinkConfig::default();
-    let same_host = [
-        ("shm", SameHost::Shared),
-        ("unix", SameHost::Unix),
-        ("tcp", SameHost::Tcp),
-        ("zenoh", SameHost::Zenoh),
-    ];
-    let peer_timeout = app.seconds("peer_timeout_s");
-    let spin = app.integer("spin_us").map(Duration::from_micros);
-    let room = app.integer::<usize>("link_room_mib");
+/// Reads what belongs to links.
+pub(super) fn links(root: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> LinkConfig {
+    let spin = root.read("app.spin_us").map(Duration::from_micros);
+    let room = root.read::<usize>("app.link_room_mib");
     LinkConfig {
-        peer_timeout: peer_timeout.unwrap_or(default.peer_timeout),
-        same_host: app.choice("same_host", &same_host),
-        spin: spin.unwrap_or(default.spin),
-        room: room.unwrap_or(ROOM_MIB) << 20,
-        ..default
+        peer_timeout: root.seconds("app.peer_timeout_s").unwrap_or_default(),
+        same_host: root.read("app.same_host").unwrap_or_default(),
+        spin: spin.unwrap_or(SPIN),
+        room: room.unwrap_or_default() << 20,
+        zenoh: zenoh::zenoh(root, findings),
+        injury: injury(root, chassis, findings),
     }
 }
 
-/// Reads `[injure]`.
-pub(super) fn injury(
-    root: &Node,
-    chassis: &[ChassisConfig],
-    findings: &mut Findings,
-) -> InjuryConfig {
-    let mut fields = Fields::top(root, keys::INJURE, findings);
-    let drop = fields.number("drop").unwrap_or_default();
-    let late = fields.text("delay").and_then(|(text, place)| {
-        let delay = delay(text);
+fn injury(root: &Node, chassis: &[ChassisConfig], findings: &mut Findings) -> InjuryConfig {
+    let late = root.get("injure.delay").and_then(|node| {
+        let delay = node.as_str().and_then(delay);
         if delay.is_none() {
             let finding = Finding::error("ctos::config::value", "[injure]: `delay` cannot be read")
                 .help("write a time such as \"5ms\", or a range such as \"5ms..20ms\"");
-            fields.push(finding.at(place));
+            findings.push(finding.at(node.place.clone()));
         }
         delay
     });
-    let break_bytes = fields.integer("break_bytes").unwrap_or_default();
-    let cuts = fields.list("cut", "write cut = [\"a:b@2s\"]");
+    let cuts = root.get("injure.cut").map_or(&[][..], Node::elements);
     InjuryConfig {
-        drop,
+        drop: root.read("injure.drop").unwrap_or_default(),
         delay: late.unwrap_or_default(),
         cuts: all_cuts(cuts, chassis, findings),
-        break_bytes,
+        break_bytes: root.read("injure.break_bytes").unwrap_or_default(),
     }
 }
 
@@ -232,7 +204,7 @@ fn all_cuts(texts: &[Node], chassis: &[ChassisConfig], findings: &mut Findings) 
     };
     let mut cuts = Vec::new();
     for text in texts {
-        let mut push = |finding: Finding| findings.push(finding.at(text.place().cloned()));
+        let mut push = |finding: Finding| findings.push(finding.at(text.place.clone()));
         let Some(cut) = text.as_str().and_then(Cut::parse) else {
             let finding = Finding::error("ctos::config::value", "[injure]: a `cut` cannot be read");
             let help = "write two chassis, when, and for how long: \"a:b@2s\", \"a:boot@2s+0.5s\"";
@@ -250,42 +222,12 @@ fn all_cuts(texts: &[Node], chassis: &[ChassisConfig], findings: &mut Findings) 
     cuts
 }
 
-/// Reads `[security]`, and finds chassis that would be open to strangers without it.
-pub(super) fn security(
-    root: &Node,
-    chassis: &[ChassisConfig],
-    findings: &mut Findings,
-) -> Option<SecurityConfig> {
-    let mut fields = Fields::top(root, keys::SECURITY, findings);
-    if fields.is_empty() {
-        for one in chassis {
-            open_to_strangers(one, root, findings);
-        }
-        return None;
-    }
-    let help = "make keys with `ctos keys new keys/NAME --role boot`, then add";
-    let key = fields.required("key", &format!("{help} key = \"keys/NAME\""));
-    let authority = fields.required("authority", &format!("{help} authority = \"keys/ca.pem\""));
-    let ((key, place), (authority, _)) = key.zip(authority)?;
+/// Reads `[security]`.
+pub(super) fn security(root: &Node) -> Option<SecurityConfig> {
     Some(SecurityConfig {
-        key: key.into(),
-        authority: authority.into(),
-        place,
+        key: root.read("security.key")?,
+        authority: root.read("security.authority")?,
     })
-}
-
-/// Whoever can reach an address beyond the loopback could drive the robot.
-fn open_to_strangers(chassis: &ChassisConfig, root: &Node, findings: &mut Findings) {
-    let Some(listen) = chassis.listen.filter(|listen| !is_loopback(listen.ip())) else {
-        return;
-    };
-    let name = &chassis.name;
-    let text = format!(
-        "chassis `{name}` would listen at {listen}, where others can reach it, and the app has no keys"
-    );
-    let finding = Finding::error("ctos::config::no_keys", text);
-    let finding = finding.help(format!("{KEYS_HELP}; or listen at 127.0.0.1"));
-    findings.push(finding.at(chassis.place_of(root, "listen")));
 }
 
 /// What to do where keys are missing.

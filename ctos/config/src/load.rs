@@ -5,66 +5,57 @@
 //! [`build`](super::build).
 
 use super::keys;
-use super::node::{Node, Value};
-use super::profiles::{Chosen, Profiles};
-use super::variables::{self, Used};
+use super::node::{Entry, Node, Value};
+use super::profiles::{Chosen, chosen, declared, lay_over, on_command_line};
+use super::selection::Selection;
+use super::trail::{Read, Trail};
+use super::variables::Variables;
 use crate::diagnostic::{Finding, Findings, Place, Source};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
+use std::iter::successors;
+use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 /// The name of the source of a `--set` text.
 pub(super) const SET: &str = "--set";
 
-/// Where files and environment variables come from: the system, or texts held in memory.
-pub(super) trait Files {
+/// Where files and environment variables come from.
+#[derive(Clone, Copy)]
+pub(super) enum Files<'a> {
+    /// The system.
+    Disk,
+    /// Texts in memory, by path, and the environment variables there are.
+    Texts(&'a [(&'a str, &'a str)], &'a BTreeMap<String, String>),
+}
+
+impl Files<'_> {
     /// The value of an environment variable.
-    fn variable(&self, name: &str) -> Option<OsString>;
-    /// Reads a file.
-    fn read(&self, path: &Path) -> Result<Source, Finding>;
-    /// What makes two paths the same file.
-    fn identity(&self, path: &Path) -> PathBuf;
-}
-
-/// The file system.
-pub(super) struct Disk;
-
-impl Files for Disk {
-    fn variable(&self, name: &str) -> Option<OsString> {
-        std::env::var_os(name)
-    }
-
-    fn read(&self, path: &Path) -> Result<Source, Finding> {
-        Source::read(path)
-    }
-
-    fn identity(&self, path: &Path) -> PathBuf {
-        path.canonicalize().unwrap_or_else(|_| lexical(path))
-    }
-}
-
-/// Texts in memory, by path, and the environment variables there are.
-pub(super) struct Texts<'a>(
-    pub(super) &'a [(&'a str, &'a str)],
-    pub(super) &'a BTreeMap<String, String>,
-);
-
-impl Files for Texts<'_> {
-    fn variable(&self, name: &str) -> Option<OsString> {
-        self.1.get(name).map(OsString::from)
-    }
-
-    fn read(&self, path: &Path) -> Result<Source, Finding> {
-        let wanted = lexical(path);
-        let mut texts = self.0.iter();
-        match texts.find(|(name, _)| lexical(Path::new(name)) == wanted) {
-            Some((name, text)) => Ok(Source::new(*name, *text)),
-            None => Err(Finding::unreadable(path, &"no such text")),
+    pub(super) fn variable(self, name: &str) -> Option<OsString> {
+        match self {
+            Self::Disk => std::env::var_os(name),
+            Self::Texts(_, variables) => variables.get(name).map(OsString::from),
         }
     }
 
-    fn identity(&self, path: &Path) -> PathBuf {
-        lexical(path)
+    /// Reads a file.
+    fn read(self, path: &Path) -> Result<Source, Finding> {
+        let Self::Texts(texts, _) = self else {
+            return Source::read(path);
+        };
+        let mut texts = texts.iter();
+        let found = texts.find(|(name, _)| lexical(Path::new(name)) == lexical(path));
+        let found = found.map(|(name, text)| Source::new(*name, *text));
+        found.ok_or_else(|| Finding::unreadable(path, &"no such text"))
+    }
+
+    /// What makes two paths the same file.
+    fn identity(self, path: &Path) -> PathBuf {
+        match self {
+            Self::Disk => path.canonicalize().unwrap_or_else(|_| lexical(path)),
+            Self::Texts(..) => lexical(path),
+        }
     }
 }
 
@@ -92,102 +83,83 @@ pub(super) struct Merged {
     /// The same without any profile.
     pub(super) bare: Node,
     /// All profiles, chosen or not.
-    pub(super) profiles: Profiles,
-    /// The names of those chosen, the later ones on top.
-    pub(super) applied: Vec<String>,
-    /// Every file that was read.
-    pub(super) sources: Vec<Read>,
-    /// The environment variables that were asked for.
-    pub(super) used: Used,
+    pub(super) profiles: Vec<Entry>,
+    /// What it was made of.
+    pub(super) trail: Trail,
 }
 
-/// A file that was read.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Read {
-    /// Its path as it was put together.
-    pub(super) path: PathBuf,
-    /// Its text.
-    pub(super) text: String,
-    /// Whether another file names it by an absolute path.
-    pub(super) absolute: bool,
-}
-
-/// Reads `file` with everything it includes and lays the profiles and the `--set` texts on top.
-/// Without `profiles`, `app.profile` chooses one.
+/// Reads the file with everything it includes and lays the profiles and the `--set` texts on top.
+/// Without profiles, `app.profile` chooses one.
 pub(super) fn merged(
-    files: &dyn Files,
-    file: &Path,
-    profiles: &[String],
-    sets: &[String],
+    files: Files<'_>,
+    selection: &Selection,
     findings: &mut Findings,
 ) -> Option<Merged> {
     let mut loader = Loader {
-        files,
+        variables: Variables::of(files),
         findings,
         chain: Vec::new(),
         done: Vec::new(),
         sources: Vec::new(),
-        used: Used::new(),
     };
-    let mut root = loader.file(file, None)?;
-    let (sources, mut used) = (loader.sources, loader.used);
-    let declared = Profiles::read(root.take("profile"), findings);
-    let in_file = profile_of_file(&mut root, files, &mut used, findings);
-    let chosen: Vec<Chosen> = if profiles.is_empty() {
-        in_file.into_iter().collect()
-    } else {
-        let named = profiles.iter().map(String::as_str);
-        named.map(Chosen::on_command_line).collect()
-    };
+    let mut root = loader.file(&selection.file, None, false)?;
+    let (sources, mut variables) = (loader.sources, loader.variables);
+    let profiles = declared(root.take("profile"), findings);
+    let in_file = profile_of_file(&mut root, &mut variables, findings);
+    let asked = selection.profiles.iter().map(|name| on_command_line(name));
+    let mut asked: Vec<Chosen> = asked.collect();
+    if asked.is_empty() {
+        asked.extend(in_file);
+    }
     let bare = root.clone();
-    for choice in &chosen {
-        if let Some(profile) = findings.keep(declared.find(choice)) {
-            profile.lay_over(&mut root, findings);
+    let mut applied = Vec::new();
+    for choice in &asked {
+        if let Some(profile) = findings.keep(chosen(choice, &profiles)) {
+            lay_over(profile, &mut root, findings);
+            applied.push(profile.clone());
         }
     }
-    for set in sets {
+    for set in &selection.sets {
         apply_set(&mut root, set, findings);
     }
     // Only now, so that a variable counts only where its value does; what a shell hands over in
     // `--set` has been expanded there.
-    let from_file = |place: &Place| place.source.name() != SET;
-    variables::expand(&mut root, files, &mut used, findings, &from_file);
+    variables.expand(&mut root, findings, &|place| place.source.name() != SET);
     Some(Merged {
         root,
         bare,
-        profiles: declared,
-        applied: chosen.into_iter().map(|choice| choice.name).collect(),
-        sources,
-        used,
+        profiles,
+        trail: Trail {
+            used: variables.used,
+            applied,
+            read: Arc::new(Mutex::new(sources)),
+        },
     })
 }
 
 /// Takes `app.profile` out of the tree.
 fn profile_of_file(
     root: &mut Node,
-    files: &dyn Files,
-    used: &mut Used,
+    variables: &mut Variables<'_>,
     findings: &mut Findings,
 ) -> Option<Chosen> {
     let entry = root.inner("app")?.take("profile")?;
-    let (name, place) = (entry.value.as_str(), entry.value.place());
-    match (name, place) {
+    match (entry.value.as_str(), entry.value.place.clone()) {
         (Some(name), Some(place)) if !name.is_empty() => {
-            let name = variables::whole(name, place, files, used, findings)?;
-            Some(Chosen::in_file(name, place.clone()))
+            let name = variables.expanded(name, Some(&place), findings)?;
+            Some((name, place))
         }
-        _ => {
+        (_, place) => {
             let text = "[app]: `profile` must be the name of a profile";
-            let finding = Finding::error("ctos::config::value", text);
-            findings.push(finding.at(place.cloned()));
+            findings.push(Finding::error("ctos::config::value", text).at(place));
             None
         }
     }
 }
 
-struct Loader<'a> {
-    files: &'a dyn Files,
-    findings: &'a mut Findings,
+struct Loader<'v, 'f> {
+    variables: Variables<'v>,
+    findings: &'f mut Findings,
     /// The files being read now, outermost first: identity and the name shown.
     chain: Vec<(PathBuf, String)>,
     /// Files already merged. One that is reached twice counts where it was reached first, so that
@@ -195,13 +167,12 @@ struct Loader<'a> {
     done: Vec<PathBuf>,
     /// Every file that was read.
     sources: Vec<Read>,
-    /// The variables in paths of `include`.
-    used: Used,
 }
 
-impl Loader<'_> {
-    fn file(&mut self, path: &Path, named_at: Option<&Place>) -> Option<Node> {
-        let identity = self.files.identity(path);
+impl Loader<'_, '_> {
+    /// Reads a file that stands at `named_at` in another one, there by an absolute path or not.
+    fn file(&mut self, path: &Path, named_at: Option<&Place>, absolute: bool) -> Option<Node> {
+        let identity = self.variables.files.identity(path);
         if let Some(start) = self.chain.iter().position(|(open, _)| *open == identity) {
             self.cyclic(start, path, named_at);
             return None;
@@ -209,13 +180,13 @@ impl Loader<'_> {
         if self.done.contains(&identity) {
             return None;
         }
-        let read = self.files.read(path);
+        let read = self.variables.files.read(path);
         let read = read.map_err(|finding| finding.at(named_at.cloned()));
         let source = self.findings.keep(read)?;
         self.sources.push(Read {
             path: path.to_owned(),
             text: source.text().to_owned(),
-            absolute: false,
+            absolute,
         });
         let mut own = Node::from_toml(&source, self.findings);
         self.chain
@@ -224,12 +195,8 @@ impl Loader<'_> {
         for (include, place) in self.includes(&mut own) {
             let folder = path.parent().unwrap_or(Path::new(""));
             let absolute = Path::new(&include).is_absolute();
-            let next = self.sources.len();
-            if let Some(included) = self.file(&folder.join(include), Some(&place)) {
+            if let Some(included) = self.file(&folder.join(include), Some(&place), absolute) {
                 root.merge(included);
-            }
-            if let Some(read) = self.sources.get_mut(next) {
-                read.absolute = absolute;
             }
         }
         self.chain.pop();
@@ -258,8 +225,7 @@ impl Loader<'_> {
         for element in list.elements() {
             match (element.as_str(), element.place()) {
                 (Some(path), Some(place)) => {
-                    let (files, used) = (self.files, &mut self.used);
-                    let path = variables::whole(path, place, files, used, self.findings);
+                    let path = self.variables.expanded(path, Some(place), self.findings);
                     paths.extend(path.map(|path| (path, place.clone())));
                 }
                 _ => self.findings.push(wrong(element)),
@@ -325,70 +291,60 @@ fn parse_set(source: &Source) -> Result<Node, Finding> {
     }
     // Not one in a quoted key: what stands before it would be none.
     let split = text.match_indices('=').find_map(|(at, _)| {
-        let (left, right) = text.split_at(at);
-        Some((set_path(left)?, left, right.strip_prefix('=')?))
+        let tables = Node::from_toml_key(source, at)?;
+        Some((tables, at, text.get(at + 1..)?))
     });
-    let (mut keys, left, right) = split.ok_or_else(|| usage("the part before `=` is not a key"))?;
-    if let [(key, _)] = keys.as_slice()
-        && keys::names(keys::APP).any(|known| known == key)
-    {
+    let (mut over, at, right) = split.ok_or_else(|| usage("the part before `=` is not a key"))?;
+    let parts = successors(over.entries().first(), |entry| {
+        entry.value.entries().first()
+    });
+    let names: Vec<&str> = parts.map(|entry| entry.key.as_str()).collect();
+    match names.as_slice() {
+        ["include", ..] => return Err(usage("`include` cannot be set from outside the files")),
+        ["profile", ..] | ["app", "profile"] => {
+            let finding = usage("profiles are chosen before `--set` is read");
+            let help = "write --profile NAME to choose one; --set overrides what it says";
+            return Err(finding.help(help));
+        }
         // One word names a key of `[app]`: `--set seed=7`.
-        keys.insert(0, ("app".to_owned(), 0..left.len()));
-    }
-    if matches!(keys.first(), Some((key, _)) if key == "include") {
-        return Err(usage("`include` cannot be set from outside the files"));
-    }
-    let names: Vec<&str> = keys.iter().map(|(key, _)| key.as_str()).collect();
-    if matches!(names.as_slice(), ["profile", ..] | ["app", "profile"]) {
-        let finding = usage("profiles are chosen before `--set` is read");
-        return Err(
-            finding.help("write --profile NAME to choose one; --set overrides what it says")
-        );
+        [key] if keys::names("app").any(|known| known == *key) => {
+            over = Node::table().with("app", over).placed(&source.at(0..at));
+        }
+        _ => {}
     }
     let trimmed = right.trim();
     if trimmed.is_empty() {
         return Err(usage("the value is missing (an empty text is \"\")"));
     }
     let start = text.len() - right.trim_start().len();
-    let value = set_value(source, start..start + trimmed.len())?;
-    let keys = keys.into_iter().map(|(key, range)| (key, source.at(range)));
-    Ok(Node::nested(keys.collect(), value))
-}
-
-/// A dotted TOML key with the byte range of each part, or `None` when it is not one.
-fn set_path(left: &str) -> Option<Vec<(String, std::ops::Range<usize>)>> {
-    if left.chars().any(char::is_control) {
-        return None;
-    }
-    let document = format!("{left} = 0");
-    let table = toml::de::DeTable::parse(&document).ok()?;
-    let mut keys = Vec::new();
-    let mut at = table.get_ref();
-    loop {
-        let (key, value) = at.iter().next()?;
-        keys.push((key.get_ref().to_string(), key.span()));
-        match value.get_ref() {
-            toml::de::DeValue::Table(inner) => at = inner,
-            _ => return Some(keys),
-        }
-    }
+    over.fill(set_value(source, start..start + trimmed.len())?);
+    Ok(over)
 }
 
 /// A TOML value; text that is none and does not begin like one is taken as a string.
-fn set_value(source: &Source, range: std::ops::Range<usize>) -> Result<Node, Finding> {
+fn set_value(source: &Source, range: Range<usize>) -> Result<Node, Finding> {
     let text = &source.text()[range.clone()];
     match Node::from_toml_value(source, range.clone()) {
-        Ok(node) => Ok(node),
         Err(finding)
-            if finding.code != "ctos::config::syntax"
-                || text.starts_with(['[', '{', '"', '\'']) =>
+            if finding.code == "ctos::config::syntax"
+                && !text.starts_with(['[', '{', '"', '\'']) =>
         {
-            Err(finding)
+            Ok(Node::from(text).placed(&source.at(range)))
         }
-        Err(_) => {
-            let mut node = Node::from(text);
-            node.place = Some(source.at(range));
-            Ok(node)
+        read => read,
+    }
+}
+
+impl Node {
+    /// Puts a value in place of the innermost one of nested tables.
+    fn fill(&mut self, value: Self) {
+        match &mut self.value {
+            Value::Table(entries) => {
+                for entry in entries {
+                    entry.value.fill(value.clone());
+                }
+            }
+            _ => *self = value,
         }
     }
 }

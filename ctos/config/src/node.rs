@@ -5,6 +5,7 @@
 use crate::diagnostic::{Finding, Findings, Place, Source};
 use serde::de::DeserializeOwned;
 use std::ops::Range;
+use std::time::Duration;
 use toml::de::{DeTable, DeValue};
 
 /// A value: a scalar, an array or a table, with its place.
@@ -61,21 +62,26 @@ impl Node {
     /// is not a table becomes one.
     #[must_use]
     pub fn with(mut self, key: impl Into<String>, value: impl Into<Self>) -> Self {
-        let (key, value) = (key.into(), value.into());
-        let mut entries = match self.value {
-            Value::Table(entries) => entries,
-            _ => Vec::new(),
-        };
-        match entries.iter_mut().find(|entry| entry.key == key) {
-            Some(entry) => entry.value = value,
-            None => entries.push(Entry {
-                key,
-                key_place: None,
-                value,
-            }),
-        }
-        self.value = Value::Table(entries);
+        self.set(key, value);
         self
+    }
+
+    /// Does what [`with`](Self::with) does to this table.
+    pub(super) fn set(&mut self, key: impl Into<String>, value: impl Into<Self>) {
+        let (key, value) = (key.into(), value.into());
+        if let Some(there) = self.inner(&key) {
+            *there = value;
+            return;
+        }
+        let entry = Entry {
+            key,
+            key_place: None,
+            value,
+        };
+        match &mut self.value {
+            Value::Table(entries) => entries.push(entry),
+            other => *other = Value::Table(vec![entry]),
+        }
     }
 
     /// This table without some of its keys; any other node as it is.
@@ -118,6 +124,21 @@ impl Node {
     pub(super) fn tables(&self, key: &str) -> &[Entry] {
         let entry = self.entry(key);
         entry.map_or(&[], |entry| entry.value.entries())
+    }
+
+    /// The value at a dotted path as a `T`; `None` where there is none, or one that was found wrong before.
+    pub(super) fn read<T: DeserializeOwned>(&self, path: &str) -> Option<T> {
+        self.get(path)?.parse().ok()
+    }
+
+    /// The time at a dotted path, where it stands in seconds.
+    pub(super) fn seconds(&self, path: &str) -> Option<Duration> {
+        Duration::try_from_secs_f64(self.read(path)?).ok()
+    }
+
+    /// The place of the value at a dotted path.
+    pub(super) fn place_of(&self, path: &str) -> Option<Place> {
+        self.get(path)?.place.clone()
     }
 
     /// The elements of an array; nothing for other nodes.
@@ -227,7 +248,7 @@ impl Node {
     /// The first thing that does not fit, at its key or value: an unknown key (with what was
     /// probably meant), a missing key (at the table), a wrong type, a refused value.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, Finding> {
-        super::de::read(self).map_err(super::de::NodeError::into_finding)
+        super::de::read(self)
     }
 
     /// Reads a whole TOML text. Returns what could be read (an empty table at worst) and adds every
@@ -238,16 +259,23 @@ impl Node {
         for error in errors {
             findings.push(syntax_finding(&error, source, 0));
         }
-        let mut reader = Reader {
-            source,
-            offset: 0,
-            findings,
-        };
-        let entries = reader.table(table.get_ref());
+        let entries = Reader::new(source, 0, findings).table(table.get_ref());
         Self {
             value: Value::Table(entries),
             place: Some(source.at(0..0)),
         }
+    }
+
+    /// Reads the dotted key that is the text of `source` before `end`, as the tables that it stands for with an
+    /// integer innermost; `None` when it is no key.
+    pub(super) fn from_toml_key(source: &Source, end: usize) -> Option<Self> {
+        let text = source.text().get(..end)?;
+        let document = format!("{text} = 0");
+        let table = DeTable::parse(&document).ok()?;
+        let is_key = !text.chars().any(char::is_control) && !table.get_ref().is_empty();
+        let mut none = Findings::new();
+        let entries = Reader::new(source, 0, &mut none).table(table.get_ref());
+        is_key.then(|| Value::Table(entries).into())
     }
 
     /// Reads one TOML value, which is this byte range of `source`.
@@ -256,12 +284,8 @@ impl Node {
         let text = source.text().get(range).unwrap_or_default();
         let value = DeValue::parse(text).map_err(|error| syntax_finding(&error, source, offset))?;
         let mut findings = Findings::new();
-        let node = Reader {
-            source,
-            offset,
-            findings: &mut findings,
-        }
-        .node(value.get_ref(), value.span());
+        let mut reader = Reader::new(source, offset, &mut findings);
+        let node = reader.node(value.get_ref(), value.span());
         match findings.into_sorted().into_iter().next() {
             Some(finding) => Err(finding),
             None => Ok(node),
@@ -271,13 +295,18 @@ impl Node {
     /// Lays `over` on top of this node: tables are merged key by key, everything else is replaced.
     /// A merged table keeps the place where it was first written.
     pub(super) fn merge(&mut self, over: Self) {
-        let Value::Table(ours) = &mut self.value else {
-            *self = over;
-            return;
-        };
-        let Value::Table(theirs) = over.value else {
-            *self = over;
-            return;
+        let (ours, theirs) = match (&mut self.value, over) {
+            (
+                Value::Table(ours),
+                Self {
+                    value: Value::Table(theirs),
+                    ..
+                },
+            ) => (ours, theirs),
+            (_, over) => {
+                *self = over;
+                return;
+            }
         };
         for entry in theirs {
             match ours.iter_mut().find(|own| own.key == entry.key) {
@@ -312,42 +341,25 @@ impl Node {
 
     /// Gives every part that has no place this one.
     pub(super) fn placed(mut self, place: &Place) -> Self {
-        self.place_all(place);
+        self.visit(&mut |node| {
+            node.place.get_or_insert_with(|| place.clone());
+            if let Value::Table(entries) = &mut node.value {
+                for entry in entries {
+                    entry.key_place.get_or_insert_with(|| place.clone());
+                }
+            }
+        });
         self
     }
 
-    fn place_all(&mut self, place: &Place) {
-        self.place.get_or_insert_with(|| place.clone());
+    /// Shows this node and then all below it.
+    pub(super) fn visit(&mut self, visitor: &mut dyn FnMut(&mut Self)) {
+        visitor(self);
         match &mut self.value {
-            Value::Array(elements) => elements.iter_mut().for_each(|one| one.place_all(place)),
-            Value::Table(entries) => {
-                for entry in entries {
-                    entry.key_place.get_or_insert_with(|| place.clone());
-                    entry.value.place_all(place);
-                }
-            }
+            Value::Array(elements) => elements.iter_mut().for_each(|one| one.visit(visitor)),
+            Value::Table(entries) => entries.iter_mut().for_each(|one| one.value.visit(visitor)),
             _ => {}
         }
-    }
-
-    /// The tables that a dotted key stands for, with `value` innermost.
-    pub(super) fn nested(keys: Vec<(String, Place)>, value: Self) -> Self {
-        let mut places: Vec<_> = keys.iter().map(|(_, place)| place.clone()).collect();
-        places.pop();
-        let mut node = value;
-        for (key, key_place) in keys.into_iter().rev() {
-            // As in a file, the place of a table is that of its key.
-            let place = places.pop().or_else(|| Some(key_place.clone()));
-            node = Self {
-                place,
-                value: Value::Table(vec![Entry {
-                    key,
-                    key_place: Some(key_place),
-                    value: node,
-                }]),
-            };
-        }
-        node
     }
 }
 
@@ -358,26 +370,32 @@ struct Reader<'a> {
     findings: &'a mut Findings,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn new(source: &'a Source, offset: usize, findings: &'a mut Findings) -> Self {
+        Self {
+            source,
+            offset,
+            findings,
+        }
+    }
+
     fn table(&mut self, table: &DeTable<'_>) -> Vec<Entry> {
         // The parser sorts keys by name; places bring back the order in which they were written.
         let mut pairs: Vec<_> = table.iter().collect();
         pairs.sort_by_key(|(key, _)| key.span().start);
-        pairs
-            .into_iter()
-            .map(|(key, value)| Entry {
+        let read = pairs.into_iter().map(|(key, value)| {
+            // A header's key is the best place for its table.
+            let span = match value.get_ref() {
+                DeValue::Table(_) => key.span(),
+                _ => value.span(),
+            };
+            Entry {
                 key: key.get_ref().to_string(),
                 key_place: Some(self.at(key.span())),
-                value: match value.get_ref() {
-                    // A header's key is the best place for its table.
-                    DeValue::Table(inner) => Node {
-                        place: Some(self.at(key.span())),
-                        value: Value::Table(self.table(inner)),
-                    },
-                    other => self.node(other, value.span()),
-                },
-            })
-            .collect()
+                value: self.node(value.get_ref(), span),
+            }
+        });
+        read.collect()
     }
 
     fn node(&mut self, value: &DeValue<'_>, span: Range<usize>) -> Node {
@@ -393,10 +411,9 @@ impl Reader<'_> {
                 }
             }
             DeValue::Float(number) => match number.as_str().parse::<f64>() {
-                Ok(parsed) if parsed.is_finite() || number.as_str().contains("inf") => {
+                Ok(parsed) if !parsed.is_infinite() || number.as_str().contains("inf") => {
                     Value::Float(parsed)
                 }
-                Ok(parsed) if parsed.is_nan() => Value::Float(parsed),
                 _ => self.unrepresentable(&place, "float"),
             },
             DeValue::Array(array) => Value::Array(
@@ -427,16 +444,12 @@ impl Reader<'_> {
 }
 
 fn syntax_finding(error: &toml::de::Error, source: &Source, offset: usize) -> Finding {
-    let finding = Finding::error(
-        "ctos::config::syntax",
-        format!("this is not valid TOML: {}", error.message()),
-    );
-    let finding = match error.message() {
-        "duplicate key" => {
-            finding.help("a key, or a table, stands once in a file: rename it or take it out")
-        }
-        _ => finding,
-    };
+    let text = format!("this is not valid TOML: {}", error.message());
+    let mut finding = Finding::error("ctos::config::syntax", text);
+    if error.message() == "duplicate key" {
+        let help = "a key, or a table, stands once in a file: rename it or take it out";
+        finding = finding.help(help);
+    }
     let end = source.text().len();
     let span = error.span().unwrap_or(end..end);
     finding.at(source.at((span.start + offset).min(end)..(span.end + offset).min(end)))

@@ -1,64 +1,48 @@
 //! The tables `[record]` and `[metrics]`: what is written down of an app, and who may look.
 
 use super::app::RecordConfig;
-use super::fields::Fields;
-use crate::diagnostic::Finding;
+use super::check::defaults;
+use super::node::Node;
+use crate::diagnostic::{Finding, Findings};
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::Duration;
-
-const MAX_MB: u64 = 256;
-const KEEP: usize = 8;
-const FLUSH: Duration = Duration::from_secs(1);
-const BUFFER_MB: usize = 16;
-const MB: u64 = 1_000_000;
 
 impl RecordConfig {
     /// What is recorded to `file` where the configuration says nothing of it.
     #[must_use]
     pub fn new(file: PathBuf) -> Self {
+        Self::read(file, &defaults())
+    }
+
+    fn read(file: PathBuf, root: &Node) -> Self {
+        let max_mb = root.read::<u64>("record.max_mb").unwrap_or_default();
+        let buffer_mb = root.read::<usize>("record.buffer_mb").unwrap_or_default();
         Self {
             file,
-            max_bytes: MAX_MB * MB,
-            keep: KEEP,
-            flush: FLUSH,
-            buffer_bytes: BUFFER_MB * 1_000_000,
+            max_bytes: max_mb * 1_000_000,
+            keep: root.read("record.keep").unwrap_or_default(),
+            flush: root.seconds("record.flush_s").unwrap_or_default(),
+            buffer_bytes: buffer_mb * 1_000_000,
         }
     }
 }
 
 /// `[record]`; `None` without a `file`.
-pub(super) fn record(mut fields: Fields<'_, '_>) -> Option<RecordConfig> {
-    let file = fields.text("file").map(|(file, _)| PathBuf::from(file));
-    let max_mb = fields.integer::<u64>("max_mb");
-    let keep = fields.integer("keep");
-    let flush = fields.seconds("flush_s");
-    let buffer_mb = fields.integer::<usize>("buffer_mb");
-    let file = file?;
-    let usual = RecordConfig::new(file);
-    Some(RecordConfig {
-        max_bytes: max_mb.map_or(usual.max_bytes, |max_mb| max_mb * MB),
-        keep: keep.unwrap_or(usual.keep),
-        flush: flush.unwrap_or(usual.flush),
-        buffer_bytes: buffer_mb.map_or(usual.buffer_bytes, |buffer_mb| buffer_mb * 1_000_000),
-        ..usual
-    })
+pub(super) fn record(root: &Node) -> Option<RecordConfig> {
+    Some(RecordConfig::read(root.read("record.file")?, root))
 }
 
 /// `[metrics]`; `None` without `listen`.
-pub(super) fn metrics(mut fields: Fields<'_, '_>) -> Option<SocketAddr> {
-    let listen = fields.parsed::<SocketAddr>("listen", "an address such as \"127.0.0.1:9464\"")?;
-    if listen.ip().is_loopback() {
-        return Some(listen);
+pub(super) fn metrics(root: &Node, findings: &mut Findings) -> Option<SocketAddr> {
+    let listen = root.read::<SocketAddr>("metrics.listen")?;
+    if !listen.ip().is_loopback() {
+        let text =
+            format!("metrics are served to this host only, and {listen} is not on its loopback");
+        let finding = Finding::error("ctos::config::not_loopback", text)
+            .help("listen on 127.0.0.1 and let a proxy that knows its clients pass them on");
+        findings.push(finding.at(root.place_of("metrics.listen")));
     }
-    let finding = Finding::error(
-        "ctos::config::not_loopback",
-        format!("metrics are served to this host only, and {listen} is not on its loopback"),
-    )
-    .help("listen on 127.0.0.1 and let a proxy that knows its clients pass them on");
-    let finding = finding.at(fields.place("listen"));
-    fields.push(finding);
-    None
+    Some(listen)
 }
 
 #[cfg(test)]

@@ -4,15 +4,15 @@ use std::{collections::BTreeMap, path::Path};
 
 use crate::{
     app::App,
-    build,
-    diagnostic::{Findings, Source},
+    build::build,
+    diagnostic::Findings,
     expander::Expander,
-    load::{Disk, Files, Texts, merged},
-    node::Node,
-    profiles::Profile,
+    load::{Files, merged},
+    node::{Entry, Node},
+    profiles::{holds, lay_over},
     selection::Selection,
     trail::Trail,
-    variables,
+    variables::Variables,
 };
 
 impl Selection {
@@ -24,7 +24,7 @@ impl Selection {
     /// Everything wrong, errors and warnings together. When there are only warnings, the app is
     /// returned and holds them.
     pub fn load(&self, expanders: &[(&'static str, &dyn Expander)]) -> Result<App, Findings> {
-        load_from(&Disk, self, expanders)
+        load_from(Files::Disk, self, expanders)
     }
 
     /// As [`load`](Self::load), from texts in memory given as `(path, text)`, and with these
@@ -38,7 +38,7 @@ impl Selection {
         variables: &BTreeMap<String, String>,
         expanders: &[(&'static str, &dyn Expander)],
     ) -> Result<App, Findings> {
-        load_from(&Texts(texts, variables), self, expanders)
+        load_from(Files::Texts(texts, variables), self, expanders)
     }
 }
 
@@ -52,10 +52,8 @@ pub fn load(
     sets: &[String],
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
-    let selection = Selection {
-        sets: sets.to_vec(),
-        ..Selection::new(file)
-    };
+    let mut selection = Selection::new(file);
+    selection.sets = sets.to_vec();
     selection.load(expanders)
 }
 
@@ -69,50 +67,35 @@ pub fn load_texts(
     sets: &[String],
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
-    let selection = Selection {
-        sets: sets.to_vec(),
-        ..Selection::new(texts.first().map_or("", |(name, _)| *name))
-    };
+    let mut selection = Selection::new(texts.first().map_or("", |(name, _)| *name));
+    selection.sets = sets.to_vec();
     selection.load_texts(texts, &BTreeMap::new(), expanders)
 }
 
 fn load_from(
-    files: &dyn Files,
+    files: Files<'_>,
     selection: &Selection,
     expanders: &[(&'static str, &dyn Expander)],
 ) -> Result<App, Findings> {
     let mut findings = Findings::new();
-    let file = &selection.file;
-    let (profiles, sets) = (&selection.profiles, &selection.sets);
-    let Some(merged) = merged(files, file, profiles, sets, &mut findings) else {
+    let Some(merged) = merged(files, selection, &mut findings) else {
         return Err(findings);
     };
     // What does not parse would only bring findings that are not the person's mistakes.
     if findings.has_errors() {
         return Err(findings);
     }
-    let place = merged.root.place().cloned();
-    let place = place.unwrap_or_else(|| Source::new(file.display().to_string(), "").at(0..0));
-    let origin = build::Origin {
-        file: file.clone(),
-        sets: sets.clone(),
-        place,
-    };
-    let mut app = build::build(merged.root, origin.clone(), expanders, &mut findings);
-    let profiles = &merged.profiles;
-    let applied = |name: &String| profiles.iter().find(|one| one.name == *name).cloned();
-    let layers = merged.applied.iter().filter_map(applied).collect();
-    for profile in merged.profiles.iter() {
-        if !merged.applied.contains(&profile.name) {
+    let (root, trail) = (merged.root, merged.trail);
+    let mut app = build(root, selection, trail, expanders, &mut findings);
+    for profile in &merged.profiles {
+        if !app.profiles.contains(&profile.key) {
             let root = merged.bare.clone();
-            check_idle(profile, root, &origin, files, expanders, &mut findings);
+            check_idle(profile, root, files, expanders, &mut findings);
         }
     }
     if findings.has_errors() {
         return Err(findings);
     }
-    app.profiles = merged.applied;
-    app.trail = Trail::new(merged.sources, merged.used, layers);
     app.warnings = findings;
     Ok(app)
 }
@@ -130,25 +113,24 @@ const ASKED: [&str; 5] = [
 /// Looks through a profile that is not chosen, so that a typing error in it is found today and not on the day when it
 /// is needed. `root` is the app without any profile.
 fn check_idle(
-    profile: &Profile,
+    profile: &Entry,
     mut root: Node,
-    origin: &build::Origin,
-    files: &dyn Files,
+    files: Files<'_>,
     expanders: &[(&'static str, &dyn Expander)],
     findings: &mut Findings,
 ) {
     let mut found = Findings::new();
-    profile.lay_over(&mut root, &mut found);
+    lay_over(profile, &mut root, &mut found);
     let mut unset = Findings::new();
-    let mut used = variables::Used::new();
-    variables::expand(&mut root, files, &mut used, &mut unset, &|_| true);
-    build::build(root, origin.clone(), expanders, &mut found);
+    Variables::of(files).expand(&mut root, &mut unset, &|_| true);
+    let (selection, trail) = (Selection::default(), Trail::default());
+    build(root, &selection, trail, expanders, &mut found);
     for finding in found.into_sorted() {
         let here = finding.place.as_ref();
         // A variable need not be set for a profile that is not chosen; its value is unknown then.
         let known = unset.is_empty() || finding.code == "ctos::config::unknown_key";
         let asked = known && ASKED.contains(&finding.code);
-        if asked && here.is_some_and(|place| profile.holds(place)) {
+        if asked && here.is_some_and(|place| holds(&profile.value, place)) {
             findings.push(finding);
         }
     }

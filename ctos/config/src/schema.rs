@@ -1,5 +1,6 @@
 //! The JSON schema of a configuration file, for editors: draft-07, which those for TOML read.
 
+use super::check::parsed;
 use super::keys::{self, Key, Kind, TABLES, TOP};
 use serde_json::{Map, Value, json};
 
@@ -43,18 +44,16 @@ fn properties(keys: &[Key]) -> Map<String, Value> {
 
 fn property(key: &Key) -> Value {
     let mut property = of_kind(&key.kind);
-    if let Some(object) = property.as_object_mut() {
-        object.insert("description".to_owned(), json!(key.doc));
-        if let Some(default) = key.default.and_then(json_of) {
-            object.insert("default".to_owned(), default);
-        }
+    property["description"] = json!(key.doc);
+    if let Some(default) = key.default.and_then(parsed) {
+        property["default"] = Value::from(&default);
     }
     property
 }
 
 fn of_kind(kind: &Kind) -> Value {
     match kind {
-        Kind::Text => json!({ "type": "string", "minLength": 1 }),
+        Kind::Text | Kind::Address(_) => json!({ "type": "string", "minLength": 1 }),
         // A reference to a variable may stand for any of the words.
         Kind::Choice(words) => json!({
             "anyOf": [{ "enum": words }, { "type": "string", "pattern": "\\$\\{" }],
@@ -70,7 +69,7 @@ fn of_kind(kind: &Kind) -> Value {
             json!({ "type": "number", "minimum": least, "maximum": most })
         }
         Kind::Seconds(most) => json!({ "type": "number", "exclusiveMinimum": 0, "maximum": most }),
-        Kind::Texts => json!({ "type": "array", "items": { "type": "string" } }),
+        Kind::Texts(_) => json!({ "type": "array", "items": { "type": "string" } }),
         // Beside a reference draft-07 reads nothing else, so the description stands outside of it.
         Kind::One(path) => json!({ "allOf": [reference(path)] }),
         Kind::Named(path) => named(path),
@@ -89,10 +88,4 @@ fn named(definition: &str) -> Value {
 
 fn reference(definition: &str) -> Value {
     json!({ "$ref": format!("#/definitions/{definition}") })
-}
-
-/// A default, which is written as TOML.
-fn json_of(toml: &str) -> Option<Value> {
-    let mut table: toml::Table = toml::from_str(&format!("value = {toml}")).ok()?;
-    serde_json::to_value(table.remove("value")?).ok()
 }

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 pub const BOOT_CHASSIS: &str = "boot";
 
 /// What is restarted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum When {
     /// Nothing: it stays down.
     #[default]
@@ -49,8 +50,10 @@ impl Default for Policy {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Scope {
     /// The processors of one chassis; each chassis has its own.
+    #[serde(alias = "chassis")]
     Chassis,
     /// All chassis of the app.
+    #[serde(alias = "app")]
     App,
 }
 
@@ -66,7 +69,8 @@ impl fmt::Display for Scope {
 /// What a processor does with base ticks that it could not begin before the next one came due. They are always
 /// skipped and counted, never caught up in a burst; the policies differ in the functions whose turn was
 /// among them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Overrun {
     /// They wait for their next turn.
     #[default]

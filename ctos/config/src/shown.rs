@@ -2,16 +2,12 @@
 //! with where it comes from.
 
 use super::app::{App, TaskConfig};
-use super::keys::{self, Kind, PROCESSOR, TOP};
 use super::node::{Entry, Node, Value};
 use super::trail::Origin;
 use super::variables::escaped;
-use crate::diagnostic::{Findings, Place, Source};
+use crate::diagnostic::Place;
 use std::fmt::Write;
 use toml_writer::{ToTomlKey, ToTomlValue, TomlKeyBuilder, TomlStringBuilder};
-
-/// The processor of a chassis that declares none.
-const MAIN: &str = "main";
 
 /// Where the comments of [`App::to_toml`] begin, in characters, when the line is not longer.
 const COMMENT_COLUMN: usize = 44;
@@ -32,7 +28,7 @@ impl App {
     #[must_use]
     pub fn values(&self) -> Vec<ShownValue> {
         let mut values = Vec::new();
-        self.collect(&self.completed(), "", &mut values);
+        self.collect(&self.root, "", &mut values);
         values
     }
 
@@ -63,7 +59,7 @@ impl App {
             let _ = write!(text, " --set {}", set.escape_debug());
         }
         text.push('\n');
-        self.write_table(&self.completed(), "", &mut text);
+        self.write_table(&self.root, "", &mut text);
         let written = self.root.tables("task");
         let is_made = |task: &&TaskConfig| !written.iter().any(|entry| entry.key == task.name);
         let mut made = self.tasks.iter().filter(is_made).peekable();
@@ -108,50 +104,6 @@ impl App {
         };
         let _ = writeln!(text, "{line:<COMMENT_COLUMN$} # {origin}");
     }
-
-    /// The tree with the defaults filled in; these have no place.
-    fn completed(&self) -> Node {
-        let root = completed(self.root.clone(), TOP);
-        match root.entry("app").map(|entry| &entry.value) {
-            Some(app) if app.entry("name").is_none() => {
-                let app = app.clone().with("name", self.name.as_str());
-                root.clone().with("app", app)
-            }
-            _ => root,
-        }
-    }
-}
-
-/// Fills in the defaults of the table at `path` and of the tables below it.
-fn completed(mut node: Node, path: &str) -> Node {
-    for key in keys::table(path) {
-        let there = node.entry(key.name).map(|entry| entry.value.clone());
-        let value = match (&key.kind, there, key.default) {
-            (Kind::One(path), there, _) => completed(there.unwrap_or_else(Node::table), path),
-            (Kind::Named(path), Some(named), _) => {
-                let each = named.entries().iter();
-                each.fold(Node::table(), |all, one| {
-                    all.with(one.key.as_str(), completed(one.value.clone(), path))
-                })
-            }
-            (Kind::Named(path), None, _) if *path == PROCESSOR => {
-                Node::table().with(MAIN, completed(Node::table(), path))
-            }
-            // Nothing is left to include once everything is merged.
-            (_, None, Some(default)) if path != TOP => parsed(default),
-            _ => continue,
-        };
-        node = node.with(key.name, value);
-    }
-    node
-}
-
-/// A default as a node without a place.
-fn parsed(default: &str) -> Node {
-    let source = Source::new("default", format!("value = {default}"));
-    let mut table = Node::from_toml(&source, &mut Findings::new());
-    let value = table.take("value");
-    value.map_or_else(Node::table, |entry| Node::from(entry.value.value))
 }
 
 /// Writes a value as it can stand behind `key = `.

@@ -1,51 +1,43 @@
 //! What an app was made of: the files that were read, the variables that were asked for, the
 //! profiles that were laid on, and the data files that its checks have opened.
 
-use super::load::Read;
-use super::profiles::Profile;
+use super::node::Entry;
 use super::variables::Used;
-use crate::diagnostic::{Place, Source};
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use crate::diagnostic::Place;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Kept with an app. Two apps of the same files are equal, whatever was opened since.
+/// Kept with an app.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Trail {
-    pub(super) sources: Vec<Read>,
     pub(super) used: Used,
-    pub(super) applied: Vec<Profile>,
-    opened: Opened,
+    pub(super) applied: Vec<Entry>,
+    /// Clones of an app share it, so that what a check opens is known wherever the app is.
+    pub(super) read: Arc<Mutex<Vec<Read>>>,
 }
 
-/// The data files opened so far, by the path that names them in the configuration, with their
-/// texts. Clones of an app share it, so that what a check opens is known wherever the app is.
-type Opened = Arc<Mutex<BTreeMap<String, String>>>;
+/// A file that was read.
+#[derive(Debug, Clone)]
+pub(crate) struct Read {
+    /// Its path as it was put together.
+    pub(super) path: PathBuf,
+    /// Its text.
+    pub(super) text: String,
+    /// Whether it is named by an absolute path.
+    pub(super) absolute: bool,
+}
 
+/// Two apps of the same tree are equal, whatever was opened since.
 impl PartialEq for Trail {
     fn eq(&self, other: &Self) -> bool {
-        (&self.sources, &self.used, &self.applied) == (&other.sources, &other.used, &other.applied)
+        (&self.used, &self.applied) == (&other.used, &other.applied)
     }
 }
 
 impl Trail {
-    pub(super) fn new(sources: Vec<Read>, used: Used, applied: Vec<Profile>) -> Self {
-        Self {
-            sources,
-            used,
-            applied,
-            opened: Opened::default(),
-        }
-    }
-
-    /// The data files opened so far.
-    pub(super) fn opened(&self) -> BTreeMap<String, String> {
-        let opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
-        opened.clone()
-    }
-
-    pub(super) fn note(&self, relative: &str, source: &Source) {
-        let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
-        opened.insert(relative.to_owned(), source.text().to_owned());
+    /// Every file that was read so far.
+    pub(super) fn read(&self) -> MutexGuard<'_, Vec<Read>> {
+        self.read.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -13,90 +13,97 @@ use std::ffi::OsString;
 /// the default that the file gives was taken.
 pub(super) type Used = BTreeMap<String, Option<String>>;
 
-/// Puts values in place of the references in every string below `node`, as long as `wanted` says
-/// yes to the place of the string.
-pub(super) fn expand(
-    node: &mut Node,
-    files: &dyn Files,
-    used: &mut Used,
-    findings: &mut Findings,
-    wanted: &dyn Fn(&Place) -> bool,
-) {
-    let place = node.place.clone();
-    match &mut node.value {
-        Value::String(text) => {
-            if text.contains("${") && place.as_ref().is_none_or(wanted) {
-                *text = expanded(text, place.as_ref(), files, used, findings);
-            }
-        }
-        Value::Array(elements) => {
-            for element in elements {
-                expand(element, files, used, findings, wanted);
-            }
-        }
-        Value::Table(entries) => {
-            for entry in entries {
-                expand(&mut entry.value, files, used, findings, wanted);
-            }
-        }
-        Value::Integer(_) | Value::Float(_) | Value::Bool(_) | Value::Datetime(_) => {}
-    }
+/// Where the values come from, and which were asked for.
+pub(super) struct Variables<'a> {
+    pub(super) files: Files<'a>,
+    pub(super) used: Used,
 }
 
-/// A text with its references replaced; what is wrong with one goes to `findings` at its place.
-pub(super) fn expanded(
-    text: &str,
-    place: Option<&Place>,
-    files: &dyn Files,
-    used: &mut Used,
-    findings: &mut Findings,
-) -> String {
-    let mut out = String::new();
-    let mut rest = text;
-    while let Some(at) = rest.find('$') {
-        let (before, from) = rest.split_at(at);
-        out.push_str(before);
-        if let Some(after) = from.strip_prefix("$${") {
-            out.push_str("${");
-            rest = after;
-        } else if let Some(after) = from.strip_prefix("${") {
-            let (inside, left) = match after.split_once('}') {
-                Some((inside, left)) => (inside, Some(left)),
-                None => (after, None),
-            };
-            let reference = Reference::parse(inside).filter(|_| left.is_some());
-            let reference = reference.ok_or_else(|| malformed(inside));
-            let value = reference.and_then(|reference| reference.value(files, used));
-            match value {
-                Ok(value) => out.push_str(&value),
-                Err(finding) => {
-                    let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
-                    findings.push(finding.at(part));
+impl<'a> Variables<'a> {
+    pub(super) fn of(files: Files<'a>) -> Self {
+        Self {
+            files,
+            used: Used::new(),
+        }
+    }
+
+    /// Puts values in place of the references in every string below `node`, as long as `wanted` says
+    /// yes to the place of the string.
+    pub(super) fn expand(
+        &mut self,
+        node: &mut Node,
+        findings: &mut Findings,
+        wanted: &dyn Fn(&Place) -> bool,
+    ) {
+        node.visit(&mut |node| {
+            if let Value::String(text) = &mut node.value
+                && text.contains("${")
+                && node.place.as_ref().is_none_or(wanted)
+            {
+                let expanded = self.expanded(text, node.place.as_ref(), findings);
+                *text = expanded.unwrap_or_default();
+            }
+        });
+    }
+
+    /// A text with its references replaced, if nothing is wrong with them; else that goes to `findings` at its place.
+    pub(super) fn expanded(
+        &mut self,
+        text: &str,
+        place: Option<&Place>,
+        findings: &mut Findings,
+    ) -> Option<String> {
+        let (mut out, mut is_right) = (String::new(), true);
+        let mut rest = text;
+        while let Some(at) = rest.find('$') {
+            let (before, from) = rest.split_at(at);
+            out.push_str(before);
+            if let Some(after) = from.strip_prefix("$${") {
+                out.push_str("${");
+                rest = after;
+            } else if let Some(after) = from.strip_prefix("${") {
+                let (inside, left) = after.split_once('}').unwrap_or((after, ""));
+                let is_closed = inside.len() < after.len();
+                let reference = reference(inside).filter(|_| is_closed);
+                let reference = reference.ok_or_else(|| malformed(inside));
+                match reference.and_then(|(name, default)| self.value(name, default)) {
+                    Ok(value) => out.push_str(&value),
+                    Err(finding) => {
+                        is_right = false;
+                        let part = place.map(|place| narrowed(place, &format!("${{{inside}")));
+                        findings.push(finding.at(part));
+                    }
                 }
+                rest = left;
+            } else {
+                out.push('$');
+                rest = from.get(1..).unwrap_or_default();
             }
-            rest = left.unwrap_or_default();
-        } else {
-            out.push('$');
-            rest = from.get(1..).unwrap_or_default();
+        }
+        out.push_str(rest);
+        is_right.then_some(out)
+    }
+
+    /// As in a shell, a default stands in for a variable that is unset or empty.
+    fn value(&mut self, name: &str, default: Option<&str>) -> Result<String, Finding> {
+        let found = self.files.variable(name).map(OsString::into_string);
+        let found = found.transpose().map_err(|_| {
+            let text = format!("the environment variable `{name}` does not hold UTF-8 text");
+            Finding::error("ctos::config::variable", text)
+        })?;
+        self.used.insert(name.to_owned(), found.clone());
+        match (found, default) {
+            (Some(value), None) => Ok(value),
+            (Some(value), Some(_)) if !value.is_empty() => Ok(value),
+            (_, Some(default)) => Ok(default.to_owned()),
+            (None, None) => {
+                let text = format!("the environment variable `{name}` is not set");
+                let help = format!("set it, or write what holds without it: ${{{name}:-...}}");
+                let finding = Finding::error("ctos::config::unset_variable", text);
+                Err(finding.label("its value belongs here").help(help))
+            }
         }
     }
-    out.push_str(rest);
-    out
-}
-
-/// [`expanded`], if nothing is wrong with it.
-pub(super) fn whole(
-    text: &str,
-    place: &Place,
-    files: &dyn Files,
-    used: &mut Used,
-    findings: &mut Findings,
-) -> Option<String> {
-    let mut found = Findings::new();
-    let text = expanded(text, Some(place), files, used, &mut found);
-    let text = found.is_empty().then_some(text);
-    findings.extend(found);
-    text
 }
 
 /// A text written so that [`expanded`] gives it back.
@@ -104,50 +111,16 @@ pub(super) fn escaped(text: &str) -> String {
     text.replace("${", "$${")
 }
 
-/// `NAME` or `NAME:-default`.
-struct Reference<'a> {
-    name: &'a str,
-    default: Option<&'a str>,
-}
-
-impl<'a> Reference<'a> {
-    fn parse(inside: &'a str) -> Option<Self> {
-        let (name, default) = match inside.split_once(":-") {
-            Some((name, default)) => (name, Some(default)),
-            None => (inside, None),
-        };
-        let letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
-        let first = name.chars().next()?;
-        let plain = !first.is_ascii_digit() && name.chars().all(letter);
-        plain.then_some(Self { name, default })
-    }
-
-    /// As in a shell, a default stands in for a variable that is unset or empty.
-    fn value(&self, files: &dyn Files, used: &mut Used) -> Result<String, Finding> {
-        let name = self.name;
-        let found = match files.variable(name).map(OsString::into_string) {
-            Some(Ok(value)) => Some(value),
-            Some(Err(_)) => {
-                let text = format!("the environment variable `{name}` does not hold UTF-8 text");
-                return Err(Finding::error("ctos::config::variable", text));
-            }
-            None => None,
-        };
-        used.insert(name.to_owned(), found.clone());
-        match (found, self.default) {
-            (Some(value), None) => Ok(value),
-            (Some(value), Some(_)) if !value.is_empty() => Ok(value),
-            (_, Some(default)) => Ok(default.to_owned()),
-            (None, None) => Err(Finding::error(
-                "ctos::config::unset_variable",
-                format!("the environment variable `{name}` is not set"),
-            )
-            .label("its value belongs here")
-            .help(format!(
-                "set it, or write what holds without it: ${{{name}:-...}}"
-            ))),
-        }
-    }
+/// The name and the default of `NAME` or `NAME:-default`.
+fn reference(inside: &str) -> Option<(&str, Option<&str>)> {
+    let (name, default) = match inside.split_once(":-") {
+        Some((name, default)) => (name, Some(default)),
+        None => (inside, None),
+    };
+    let letter = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
+    let first = name.chars().next()?;
+    let plain = !first.is_ascii_digit() && name.chars().all(letter);
+    plain.then_some((name, default))
 }
 
 fn malformed(inside: &str) -> Finding {

@@ -8,12 +8,11 @@ use std::{
 };
 
 use super::{
-    fields::Fields,
-    keys,
     links::{KEYS_HELP, SameHost, is_loopback},
     node::Node,
 };
 use crate::diagnostic::{Finding, Findings, Place};
+use serde::Deserialize;
 
 /// Whether this program was built with links over zenoh.
 #[must_use]
@@ -35,7 +34,8 @@ pub struct ZenohConfig {
 }
 
 /// What the processes of an app are in a zenoh network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ZenohMode {
     /// Each connects to every other one that it hears of.
     #[default]
@@ -112,150 +112,122 @@ impl FromStr for ZenohEndpoint {
     }
 }
 
-/// Reads `[zenoh]`.
-pub(super) fn zenoh(
-    root: &Node,
-    same_host: SameHost,
-    findings: &mut Findings,
-) -> Option<ZenohConfig> {
-    let mut fields = Fields::top(root, keys::ZENOH, findings);
-    let modes = [
-        ("peer", ZenohMode::Peer),
-        ("client", ZenohMode::Client),
-        ("router", ZenohMode::Router),
-    ];
-    let mode = fields.choice("mode", &modes);
-    let multicast = fields.text("multicast");
-    if fields.is_empty() {
-        let place = root.locate("app.same_host");
-        if let Some(place) = place.filter(|_| same_host == SameHost::Zenoh) {
+const NOBODY_HELP: &str = "add [zenoh] with connect = [\"tls/HOST:7447\"] for a router, or mode = \"router\" with listen, or multicast = \"lo\"";
+const ENDPOINTS_HELP: &str = "write a list such as [\"tls/10.0.0.5:7447\"]";
+
+/// Reads `[zenoh]` and finds what does not fit together in it; `None` where it says nothing.
+pub(super) fn zenoh(root: &Node, findings: &mut Findings) -> Option<ZenohConfig> {
+    if root.tables("zenoh").is_empty() {
+        if root.read("app.same_host") == Some(SameHost::Zenoh) {
             let text = "`same_host = \"zenoh\"` joins chassis over a network that is not described";
-            let finding = Finding::error("ctos::config::zenoh", text);
-            findings.push(finding.help(NOBODY_HELP).at(place));
+            findings.push(wrong(text, NOBODY_HELP, root.locate("app.same_host")));
         }
         return None;
     }
-    let connect = endpoints(&mut fields, "connect");
-    let listen = endpoints(&mut fields, "listen");
     let asked = Asked {
-        place: root.locate("zenoh")?,
-        listen_place: root.locate("zenoh.listen"),
-        mode,
-        connect,
-        listen,
-        multicast,
+        root,
+        mode: root.read("zenoh.mode").unwrap_or_default(),
+        connect: endpoints(root, "connect", findings),
+        listen: endpoints(root, "listen", findings),
+        multicast: root.read("zenoh.multicast"),
     };
-    let has_keys = !root.tables("security").is_empty();
-    asked.check(has_keys, findings);
-    Some(asked.config())
+    asked.check(findings);
+    let bare = |list: Vec<(ZenohEndpoint, Place)>| -> Vec<_> {
+        list.into_iter().map(|(endpoint, _)| endpoint).collect()
+    };
+    let mut listen = bare(asked.listen);
+    if listen.is_empty() {
+        listen.push(ZenohEndpoint {
+            tls: false,
+            host: Ipv4Addr::LOCALHOST.to_string(),
+            port: 0,
+        });
+    }
+    Some(ZenohConfig {
+        mode: asked.mode,
+        connect: bare(asked.connect),
+        listen,
+        multicast: asked.multicast,
+    })
 }
 
 /// Reads a list of endpoints, each with its place.
-fn endpoints(fields: &mut Fields<'_, '_>, key: &str) -> Vec<(ZenohEndpoint, Place)> {
-    let help = "write a list such as [\"tls/10.0.0.5:7447\"]";
-    let mut endpoints = Vec::new();
-    for element in fields.list(key, help) {
-        let parsed = element.as_str().map(str::parse::<ZenohEndpoint>);
-        let text = match (parsed, element.place()) {
-            (Some(Ok(endpoint)), Some(place)) => {
-                endpoints.push((endpoint, place.clone()));
-                continue;
-            }
-            (Some(Err(error)), _) => format!("[zenoh]: {error}"),
-            _ => format!("[zenoh]: `{key}` is a list of texts"),
+fn endpoints(root: &Node, key: &str, findings: &mut Findings) -> Vec<(ZenohEndpoint, Place)> {
+    let list = root
+        .get(&format!("zenoh.{key}"))
+        .map_or(&[][..], Node::elements);
+    let read = list.iter().filter_map(|element| {
+        let text = match element.as_str().map(ZenohEndpoint::from_str) {
+            Some(Ok(endpoint)) => return Some((endpoint, element.place.clone()?)),
+            Some(Err(error)) => format!("[zenoh]: {error}"),
+            None => format!("[zenoh]: `{key}` is a list of texts"),
         };
-        let finding = Finding::error("ctos::config::value", text).help(help);
-        fields.push(finding.at(element.place().cloned()));
-    }
-    endpoints
+        let finding = Finding::error("ctos::config::value", text).help(ENDPOINTS_HELP);
+        findings.push(finding.at(element.place.clone()));
+        None
+    });
+    read.collect()
 }
-
-const NOBODY_HELP: &str = "add [zenoh] with connect = [\"tls/HOST:7447\"] for a router, or mode = \"router\" with listen, or multicast = \"lo\"";
 
 /// What was asked for, with places, until it is known to fit together.
 struct Asked<'a> {
-    place: Place,
-    listen_place: Option<Place>,
+    root: &'a Node,
     mode: ZenohMode,
     connect: Vec<(ZenohEndpoint, Place)>,
     listen: Vec<(ZenohEndpoint, Place)>,
-    multicast: Option<(&'a str, Place)>,
+    multicast: Option<String>,
 }
 
-fn wrong(text: impl Into<String>, help: &str, place: &Place) -> Finding {
+fn wrong(text: impl Into<String>, help: &str, place: impl Into<Option<Place>>) -> Finding {
     let finding = Finding::error("ctos::config::zenoh", text);
-    finding.help(help).at(place.clone())
-}
-
-fn warning(code: &'static str, text: impl Into<String>, help: &str, place: &Place) -> Finding {
-    Finding::warning(code, text).help(help).at(place.clone())
+    finding.help(help).at(place)
 }
 
 impl Asked<'_> {
-    fn config(self) -> ZenohConfig {
-        let endpoints = |list: Vec<(ZenohEndpoint, Place)>| {
-            let endpoints = list.into_iter().map(|(endpoint, _)| endpoint);
-            endpoints.collect::<Vec<_>>()
-        };
-        let mut listen = endpoints(self.listen);
-        if listen.is_empty() {
-            listen.push(ZenohEndpoint {
-                tls: false,
-                host: Ipv4Addr::LOCALHOST.to_string(),
-                port: 0,
-            });
-        }
-        ZenohConfig {
-            mode: self.mode,
-            connect: endpoints(self.connect),
-            listen,
-            multicast: self.multicast.map(|(interface, _)| interface.to_owned()),
-        }
-    }
-
     /// Whom it connects to, and where it listens.
     fn endpoints(&self) -> impl Iterator<Item = &(ZenohEndpoint, Place)> {
         self.connect.iter().chain(&self.listen)
     }
 
-    fn check(&self, has_keys: bool, findings: &mut Findings) {
+    fn check(&self, findings: &mut Findings) {
+        let place = self.root.locate("zenoh");
         if !has_zenoh() {
             let text = "[zenoh] asks for links over zenoh, and this program was built without them";
             let help = "build it with `cargo build --release --features zenoh`, or leave [zenoh] and `same_host = \"zenoh\"` out";
             let finding = Finding::error("ctos::config::no_zenoh", text);
-            findings.push(finding.help(help).at(self.place.clone()));
+            findings.push(finding.help(help).at(place.clone()));
         }
         let letter = |letter: char| letter.is_ascii_alphanumeric() || "_-.:@".contains(letter);
-        if let Some((name, place)) = &self.multicast
+        if let Some(name) = &self.multicast
             && !name.chars().all(letter)
         {
             let text = format!("[zenoh]: `{name}` is not the name of an interface");
             let help = "write one such as \"lo\" or \"eth0\", or its address";
-            findings.push(wrong(text, help, place));
+            findings.push(wrong(text, help, self.root.place_of("zenoh.multicast")));
+        }
+        if self.mode == ZenohMode::Router && self.listen.is_empty() {
+            let text = "[zenoh] with mode = \"router\" does not say where the chassis find it";
+            let help = "add listen = [\"tcp/127.0.0.1:7447\"]";
+            findings.push(wrong(text, help, place.clone()));
         }
         self.listening(findings);
         if self.mode != ZenohMode::Router && self.connect.is_empty() && self.multicast.is_none() {
             let text = "[zenoh] names neither whom to connect to nor where to look, so nobody would be found";
-            findings.push(wrong(text, NOBODY_HELP, &self.place));
+            findings.push(wrong(text, NOBODY_HELP, place));
         }
-        if has_keys {
-            self.with_keys(findings);
-        } else {
+        if self.root.tables("security").is_empty() {
             self.without_keys(findings);
+        } else {
+            self.with_keys(findings);
         }
     }
 
     /// Every process of an app reads the same configuration, so only one of them could have a port.
     fn listening(&self, findings: &mut Findings) {
-        if self.mode == ZenohMode::Router && self.listen.is_empty() {
-            let text = "[zenoh] with mode = \"router\" does not say where the chassis find it";
-            let help = "add listen = [\"tcp/127.0.0.1:7447\"]";
-            findings.push(wrong(text, help, &self.place));
-        }
-        if let (ZenohMode::Client, Some(place)) = (self.mode, &self.listen_place) {
+        if let (ZenohMode::Client, Some(place)) = (self.mode, self.root.locate("zenoh.listen")) {
             let text = "`listen` has no effect with mode = \"client\"";
             let finding = Finding::warning("ctos::config::no_effect", text);
-            findings.push(finding.at(place.clone()));
+            findings.push(finding.at(place));
         }
         for (endpoint, place) in &self.listen {
             let fixed = endpoint.port != 0;
@@ -275,7 +247,7 @@ impl Asked<'_> {
                 ),
                 _ => continue,
             };
-            findings.push(wrong(format!("{endpoint}: {text}"), help, place));
+            findings.push(wrong(format!("{endpoint}: {text}"), help, place.clone()));
         }
     }
 
@@ -286,42 +258,40 @@ impl Asked<'_> {
             let text = format!(
                 "{endpoint} lets in everybody who can reach it: they can disturb, not read or pose as a chassis"
             );
-            let help = "listen only where those are whom you trust";
-            findings.push(warning("ctos::config::open_zenoh", text, help, place));
+            let finding = Finding::warning("ctos::config::open_zenoh", text)
+                .help("listen only where those are whom you trust");
+            findings.push(finding.at(place.clone()));
         }
         for (endpoint, place) in self.endpoints().filter(|(endpoint, _)| endpoint.tls) {
             let text = format!(
                 "{endpoint}: zenoh's own TLS connections can end the process when they break (eclipse-zenoh/zenoh#2557)"
             );
             let help = "write tcp/: with [security], chassis speak TLS with each other through it";
-            findings.push(warning("ctos::config::zenoh_tls", text, help, place));
+            let finding = Finding::warning("ctos::config::zenoh_tls", text).help(help);
+            findings.push(finding.at(place.clone()));
         }
     }
 
     fn without_keys(&self, findings: &mut Findings) {
         let open = |(endpoint, _): &&(ZenohEndpoint, _)| endpoint.tls || !endpoint.is_loopback();
         let open = self.endpoints().filter(open);
-        let open = open.map(|(endpoint, place)| (endpoint.to_string(), place));
-        let multicast = self.multicast.iter().filter(|(interface, _)| {
-            let ip = interface.parse::<IpAddr>();
-            !ip.map_or(*interface == "lo", is_loopback)
-        });
-        let multicast =
-            multicast.map(|(interface, place)| (format!("multicast on {interface}"), place));
-        let mut open = open.chain(multicast).peekable();
-        if open.peek().is_none() {
+        let open = open.map(|(endpoint, place)| (endpoint.to_string(), Some(place.clone())));
+        let mut open: Vec<_> = open.collect();
+        if let Some(interface) = &self.multicast
+            && !interface.parse().map_or(interface == "lo", is_loopback)
+        {
+            let place = self.root.place_of("zenoh.multicast");
+            open.push((format!("multicast on {interface}"), place));
+        }
+        if open.is_empty() {
             let text = "[zenoh] without keys: every user of this host can join the network and hear and say what they like";
-            findings.push(warning(
-                "ctos::config::open_zenoh",
-                text,
-                KEYS_HELP,
-                &self.place,
-            ));
+            let finding = Finding::warning("ctos::config::open_zenoh", text).help(KEYS_HELP);
+            findings.push(finding.at(self.root.locate("zenoh")));
         }
         for (what, place) in open {
             let text = format!("[zenoh]: {what} needs keys, and the app has none");
-            let finding = Finding::error("ctos::config::no_keys", text);
-            findings.push(finding.help(KEYS_HELP).at(place.clone()));
+            let finding = Finding::error("ctos::config::no_keys", text).help(KEYS_HELP);
+            findings.push(finding.at(place));
         }
     }
 }

@@ -86,7 +86,7 @@ impl Semaphore {
     /// The semaphore called `name`; with `permits`, unless the configuration says how many.
     pub(crate) fn find(cx: &Context, name: &str, permits: u32) -> Result<Self, SemaphoreError> {
         let declared = cx.app().semaphores.iter().find(|one| one.name == name);
-        let permits = declared.and_then(|one| one.permits).unwrap_or(permits);
+        let permits = declared.and_then(|one| one.count).unwrap_or(permits);
         let scope = declared.and_then(|one| one.scope);
         if permits == 0 {
             return Err(nobody(cx, name));
@@ -327,7 +327,7 @@ impl Barrier {
     /// The barrier called `name`; for `parties`, unless the configuration says for how many.
     pub(crate) fn find(cx: &Context, name: &str, parties: u32) -> Result<Self, SemaphoreError> {
         let declared = cx.app().barriers.iter().find(|one| one.name == name);
-        let parties = declared.and_then(|one| one.parties).unwrap_or(parties);
+        let parties = declared.and_then(|one| one.count).unwrap_or(parties);
         let scope = declared.and_then(|one| one.scope);
         if parties == 0 {
             return Err(nobody(cx, name));

@@ -1,5 +1,6 @@
 //! `#[derive(Command)]`.
 
+use heck::ToSnakeCase;
 use proc_macro2::TokenStream;
 use quote::quote;
 use syn::{Attribute, DeriveInput, Error, Expr, Lit, LitInt, LitStr, Meta, Result, Type};
@@ -30,7 +31,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
     let ident = &input.ident;
     let name = options
         .name
-        .map_or_else(|| snake_case(&ident.to_string()), |name| name.value());
+        .map_or_else(|| ident.to_string().to_snake_case(), |name| name.value());
     let code = options.code;
     let reply = options
         .reply
@@ -114,24 +115,6 @@ pub(crate) fn doc(attributes: &[Attribute]) -> Option<String> {
     (!paragraph.is_empty()).then(|| paragraph.join(" "))
 }
 
-/// `OpenHand` is `open_hand`, and `HTTPGet` is `http_get`.
-pub(crate) fn snake_case(name: &str) -> String {
-    let letters: Vec<char> = name.chars().collect();
-    let mut snake = String::new();
-    for (index, letter) in letters.iter().enumerate() {
-        let before = index.checked_sub(1).and_then(|before| letters.get(before));
-        let after_small = before.is_some_and(|before| !before.is_uppercase() && *before != '_');
-        let before_small =
-            before.is_some() && letters.get(index + 1).is_some_and(|c| c.is_lowercase());
-        let word = letter.is_uppercase() && (after_small || before_small);
-        if word && before != Some(&'_') {
-            snake.push('_');
-        }
-        snake.extend(letter.to_lowercase());
-    }
-    snake
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,7 +128,7 @@ mod tests {
             ("Move6D", "move6_d"),
             ("Already_Split", "already_split"),
         ] {
-            assert_eq!(snake_case(name), snake);
+            assert_eq!(name.to_snake_case(), snake);
         }
     }
 

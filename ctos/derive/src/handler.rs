@@ -4,12 +4,14 @@ use proc_macro2::TokenStream;
 use quote::{format_ident, quote};
 use syn::{
     Attribute, Error, FnArg, GenericArgument, ImplItem, ImplItemFn, ItemImpl, PathArguments,
-    Result, ReturnType, Type,
+    PathSegment, Result, ReturnType, Type,
 };
 
-/// The trait's methods that a marked method can take the place of, with their arguments after the
-/// context.
-const HOOKS: [(&str, &[&str]); 7] = [
+/// A mark, and what the method takes after the context if it takes the place of one of the trait's.
+type Mark = (&'static str, &'static [&'static str]);
+
+const MARKS: [Mark; 8] = [
+    ("command", &[]),
     ("phase", &["phase"]),
     ("quiesce", &["reason"]),
     ("stop", &["reason"]),
@@ -36,12 +38,12 @@ pub(crate) fn expand(arguments: &TokenStream, mut input: ItemImpl) -> Result<Tok
     for item in &mut input.items {
         let ImplItem::Fn(method) = item else { continue };
         match take_mark(&mut method.attrs) {
-            Some(mark) if mark == "command" => {
+            Some(("command", _)) => {
                 let (arm, command) = arm(method)?;
                 arms.push(arm);
                 infos.push(quote!(<#command as ::ctos::message::Command>::INFO));
             }
-            Some(mark) => hooks.push(hook(&mark, method)?),
+            Some((mark, names)) => hooks.push(hook(mark, names, method)?),
             None => {}
         }
     }
@@ -81,21 +83,23 @@ pub(crate) fn expand(arguments: &TokenStream, mut input: ItemImpl) -> Result<Tok
 }
 
 /// Takes the mark off a method.
-fn take_mark(attributes: &mut Vec<Attribute>) -> Option<String> {
-    let is_mark = |attribute: &Attribute| {
-        attribute.path().is_ident("command")
-            || HOOKS
+fn take_mark(attributes: &mut Vec<Attribute>) -> Option<Mark> {
+    let mut marks = attributes
+        .iter()
+        .enumerate()
+        .filter_map(|(index, attribute)| {
+            let mark = MARKS
                 .iter()
-                .any(|(name, _)| attribute.path().is_ident(name))
-    };
-    let index = attributes.iter().position(is_mark)?;
-    let mark = attributes.remove(index);
-    mark.path().get_ident().map(ToString::to_string)
+                .find(|(name, _)| attribute.path().is_ident(name));
+            Some((index, *mark?))
+        });
+    let (index, mark) = marks.next()?;
+    attributes.remove(index);
+    Some(mark)
 }
 
 /// The arm of `handle` that calls a method, and the type of its command.
 fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
-    let mut arguments: Vec<&Type> = Vec::new();
     let mut inputs = method.sig.inputs.iter();
     if !matches!(inputs.next(), Some(FnArg::Receiver(receiver)) if receiver.reference.is_some()) {
         return Err(Error::new_spanned(
@@ -103,11 +107,7 @@ fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
             "a command's method begins with `&mut self` or `&self`",
         ));
     }
-    for input in inputs {
-        if let FnArg::Typed(typed) = input {
-            arguments.push(&typed.ty);
-        }
-    }
+    let arguments: Vec<&Type> = inputs.filter_map(typed).collect();
     let takes_context = matches!(arguments.first(), Some(Type::Reference(_)));
     let rest = arguments
         .get(usize::from(takes_context)..)
@@ -142,12 +142,7 @@ fn arm(method: &ImplItemFn) -> Result<(TokenStream, Type)> {
 }
 
 /// A method of the trait that calls a marked one.
-fn hook(mark: &str, method: &ImplItemFn) -> Result<TokenStream> {
-    let names = HOOKS
-        .iter()
-        .find(|(name, _)| *name == mark)
-        .map(|(_, arguments)| *arguments)
-        .unwrap_or_default();
+fn hook(mark: &str, names: &[&str], method: &ImplItemFn) -> Result<TokenStream> {
     if method.sig.inputs.len() != names.len() + 2 {
         let expected = names.join(", ");
         return Err(Error::new_spanned(
@@ -158,11 +153,7 @@ fn hook(mark: &str, method: &ImplItemFn) -> Result<TokenStream> {
         ));
     }
     let own: Vec<_> = names.iter().map(|name| format_ident!("{name}")).collect();
-    let types = method.sig.inputs.iter().skip(2).map(|input| match input {
-        FnArg::Typed(typed) => Ok(&typed.ty),
-        FnArg::Receiver(receiver) => Err(Error::new_spanned(receiver, "`self` comes first")),
-    });
-    let types = types.collect::<Result<Vec<_>>>()?;
+    let types = method.sig.inputs.iter().skip(2).filter_map(typed);
     let trait_name = format_ident!("{mark}");
     let name = &method.sig.ident;
     let wait = method.sig.asyncness.map(|_| quote!(.await));
@@ -177,29 +168,39 @@ fn hook(mark: &str, method: &ImplItemFn) -> Result<TokenStream> {
     })
 }
 
+/// The type of an argument that is not `self`, which comes first.
+fn typed(argument: &FnArg) -> Option<&Type> {
+    match argument {
+        FnArg::Typed(typed) => Some(&typed.ty),
+        FnArg::Receiver(_) => None,
+    }
+}
+
+/// The last name of a type's path.
+fn last(path: &Type) -> Option<&PathSegment> {
+    match path {
+        Type::Path(path) => path.path.segments.last(),
+        _ => None,
+    }
+}
+
 fn is_replier_of(replier: &Type, command: &Type) -> bool {
-    let Type::Path(path) = replier else {
-        return false;
-    };
-    let Some(last) = path.path.segments.last() else {
+    let Some(last) = last(replier).filter(|last| last.ident == "Replier") else {
         return false;
     };
     let PathArguments::AngleBracketed(arguments) = &last.arguments else {
         return false;
     };
-    last.ident == "Replier"
-        && matches!(arguments.args.first(), Some(GenericArgument::Type(of)) if of == command)
+    matches!(arguments.args.first(), Some(GenericArgument::Type(of)) if of == command)
 }
 
 fn returns_result(output: &ReturnType) -> bool {
-    let ReturnType::Type(_, output) = output else {
-        return false;
-    };
-    let Type::Path(path) = output.as_ref() else {
-        return false;
-    };
-    let last = path.path.segments.last();
-    last.is_some_and(|last| last.ident == "Result" || last.ident == "Answer")
+    match output {
+        ReturnType::Type(_, output) => {
+            last(output).is_some_and(|last| last.ident == "Result" || last.ident == "Answer")
+        }
+        ReturnType::Default => false,
+    }
 }
 
 #[cfg(test)]
@@ -251,7 +252,8 @@ mod tests {
     fn a_mark_is_taken_off_and_the_rest_stays() {
         let mut method: ImplItemFn =
             syn::parse_str("#[inline] #[command] fn f(&mut self, r: Go) {}").unwrap();
-        assert_eq!(take_mark(&mut method.attrs).as_deref(), Some("command"));
+        let mark = take_mark(&mut method.attrs);
+        assert_eq!(mark.map(|(name, _)| name), Some("command"));
         assert_eq!(method.attrs.len(), 1);
     }
 }

@@ -92,7 +92,7 @@ impl Board {
                     incarnation: 1,
                     policy: config.supervision,
                     intensity: Intensity::new(
-                        config.supervision,
+                        config.supervision.restart,
                         cx.rng(&format!("restarts of {}", config.name)),
                     ),
                     tasks: Vec::new(),

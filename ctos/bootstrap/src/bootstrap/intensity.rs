@@ -5,7 +5,7 @@ use std::{collections::VecDeque, time::Duration};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use ctos_config::{ChassisRestart, ChassisSupervision};
+use ctos_config::{ChassisRestart, Policy};
 use ctos_time::Instant;
 
 /// No pause before a restart is longer.
@@ -37,14 +37,14 @@ pub(crate) enum Verdict {
 /// The restarts of one chassis.
 #[derive(Debug)]
 pub(crate) struct Intensity {
-    policy: ChassisSupervision,
+    policy: Policy,
     /// The moments of the restarts that may still count.
     restarts: VecDeque<Instant>,
     rng: ChaCha8Rng,
 }
 
 impl Intensity {
-    pub(crate) fn new(policy: ChassisSupervision, rng: ChaCha8Rng) -> Self {
+    pub(crate) fn new(policy: Policy, rng: ChaCha8Rng) -> Self {
         Self {
             policy,
             restarts: VecDeque::new(),
@@ -54,7 +54,7 @@ impl Intensity {
 
     /// What follows a process that ended at `now`. A restart is counted.
     pub(crate) fn judge(&mut self, ended: Ended, now: Instant) -> Verdict {
-        let allowed = match self.policy.restart {
+        let allowed = match self.policy.when {
             ChassisRestart::Never => false,
             ChassisRestart::OnFailure => ended == Ended::Badly,
             ChassisRestart::Always => true,
@@ -65,7 +65,7 @@ impl Intensity {
         let window = self.policy.window;
         self.restarts.retain(|moment| now.since(*moment) < window);
         let restarts = u32::try_from(self.restarts.len()).unwrap_or(u32::MAX);
-        if restarts >= self.policy.max_restarts {
+        if restarts >= self.policy.max {
             return Verdict::TooMany { restarts };
         }
         self.restarts.push_back(now);
@@ -86,12 +86,11 @@ mod tests {
     use super::*;
 
     fn intensity(restart: ChassisRestart, max_restarts: u32) -> Intensity {
-        let policy = ChassisSupervision {
-            restart,
-            max_restarts,
+        let policy = Policy {
+            when: restart,
+            max: max_restarts,
             window: Duration::from_secs(10),
             backoff: Duration::from_secs(1),
-            ..ChassisSupervision::default()
         };
         Intensity::new(policy, ChaCha8Rng::seed_from_u64(1))
     }

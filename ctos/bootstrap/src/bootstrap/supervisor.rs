@@ -331,7 +331,7 @@ impl Supervisor {
     /// Whether the policy can restart the chassis at all.
     fn may_return(&self) -> bool {
         use ctos_config::ChassisRestart::Never;
-        let policy = self.board.with(self.index, |member| member.policy.restart);
+        let policy = self.board.with(self.index, |member| member.policy.restart.when);
         policy.is_some_and(|policy| policy != Never)
     }
 
@@ -417,7 +417,7 @@ impl Supervisor {
             } else {
                 member.intensity.judge(death.ended, now)
             };
-            (verdict, member.incarnation, member.policy.window)
+            (verdict, member.incarnation, member.policy.restart.window)
         });
         let (verdict, incarnation, window) = verdict?;
         match verdict {

@@ -1,49 +1,58 @@
 //! The tasks of an app: those of `[task]` and those that the tables of others stand for.
 
-use super::super::app::{ChassisConfig, TaskConfig};
+use super::super::app::{App, ChassisConfig, TaskConfig};
+use super::super::check::check_name;
 use super::super::expander::{Expander, GeneratedTask};
-use super::super::fields::{Fields, check_name};
-use super::super::keys;
 use super::super::node::{Entry, Node};
-use super::super::policies::restart;
-use super::{Builder, QUEUE};
-use crate::diagnostic::{Finding, Place};
+use super::{Builder, restart};
+use crate::diagnostic::{Finding, Findings, Place};
 use crate::settings::Policy;
+use std::collections::BTreeSet;
+
+const QUEUE: usize = 64;
 
 impl Builder<'_> {
-    pub(super) fn tasks(&mut self, root: &Node, chassis: &[ChassisConfig]) -> Vec<TaskConfig> {
-        let entries = self.named(root, "task");
-        let read = entries.iter();
-        read.filter_map(|entry| self.task(entry, chassis)).collect()
+    pub(super) fn tasks(
+        &mut self,
+        root: &Node,
+        chassis: &[ChassisConfig],
+        expanders: &[(&'static str, &dyn Expander)],
+    ) -> Vec<TaskConfig> {
+        let written = root.tables("task").iter();
+        let mut tasks: Vec<_> = written
+            .filter_map(|entry| self.task(entry, chassis))
+            .collect();
+        for (table, expander) in expanders {
+            if let Some(entry) = root.entry(table) {
+                for generated in expander.expand(&entry.value, self.findings) {
+                    let task = self.generated(generated, chassis, &tasks);
+                    tasks.extend(task);
+                }
+            }
+        }
+        tasks
     }
 
     fn task(&mut self, entry: &Entry, chassis: &[ChassisConfig]) -> Option<TaskConfig> {
-        let place = self.place_of(entry);
-        let mut fields = Fields::named(entry, "task", keys::TASK, self.findings);
-        let help = "add handler = \"NAME\", the handler that this task runs";
-        let handler = fields.required("handler", help);
-        let on = fields.required("on", "add on = \"CHASSIS\" or on = \"CHASSIS/PROCESSOR\"");
-        let queue = fields.integer("queue").unwrap_or(QUEUE);
-        let restart = restart(&mut fields);
-        let call_deadline = fields.seconds("call_deadline_s");
-        let handler_limit = fields.seconds("handler_limit_s");
-        let args = fields.table("args").cloned();
-        let args = args.unwrap_or_else(|| Node::table().placed(&place));
-        let (handler, handler_place) = handler?;
-        let (on, on_place) = on?;
+        let (node, place) = (&entry.value, entry.place_or(self.whole));
+        let idle = "where nothing is restarted";
+        let restart = restart(node, Policy::default(), idle, self.findings);
+        let on_place = node.place_of("on")?;
+        let on = node.get("on")?.as_str()?;
         let (chassis, processor) = self.find_processor(on, &on_place, chassis)?;
+        let args = node.get("args").cloned();
         Some(TaskConfig {
             name: entry.key.clone(),
-            handler: handler.to_owned(),
-            handler_place,
+            handler: node.read("handler")?,
+            handler_place: node.place_of("handler")?,
             chassis,
             processor,
             on_place,
-            queue,
+            queue: node.read("queue").unwrap_or(QUEUE),
             restart,
-            handler_limit,
-            call_deadline,
-            args,
+            handler_limit: node.seconds("handler_limit_s"),
+            call_deadline: node.seconds("call_deadline_s"),
+            args: args.unwrap_or_else(|| Node::table().placed(&place)),
             place,
         })
     }
@@ -61,12 +70,10 @@ impl Builder<'_> {
         };
         let Some(chassis) = all.iter().find(|chassis| chassis.name == name) else {
             let text = format!("there is no chassis `{name}`");
-            let finding = Finding::error("ctos::config::unknown_chassis", text).at(place.clone());
-            self.findings.push(if all.is_empty() {
-                finding.help(format!("declare it: [chassis.{name}]"))
-            } else {
-                finding.suggest(name, all.iter().map(|chassis| chassis.name.as_str()))
-            });
+            let finding = Finding::error("ctos::config::unknown_chassis", text)
+                .help(format!("declare it: [chassis.{name}]"))
+                .suggest(name, all.iter().map(|chassis| chassis.name.as_str()));
+            self.findings.push(finding.at(place.clone()));
             return None;
         };
         let names = || chassis.processors.iter().map(|known| known.name.as_str());
@@ -84,93 +91,61 @@ impl Builder<'_> {
         found.map(|found| (chassis.name.clone(), found.to_owned()))
     }
 
-    pub(super) fn expand(
-        &mut self,
-        root: &Node,
-        expanders: &[(&'static str, &dyn Expander)],
-        chassis: &[ChassisConfig],
-        tasks: &mut Vec<TaskConfig>,
-    ) {
-        for (table, expander) in expanders {
-            let Some(entry) = root.entry(table) else {
-                continue;
-            };
-            for generated in expander.expand(&entry.value, self.findings) {
-                self.generated(generated, chassis, tasks);
-            }
-        }
-    }
-
     fn generated(
         &mut self,
         task: GeneratedTask,
         chassis: &[ChassisConfig],
-        tasks: &mut Vec<TaskConfig>,
-    ) {
+        tasks: &[TaskConfig],
+    ) -> Option<TaskConfig> {
         let place = task.place;
-        check_name("task", &task.name, &place, self.findings);
-        if let Some(other) = tasks.iter().find(|other| other.name == task.name) {
-            let (name, at) = (&task.name, &other.place);
+        let node = Node::table().with("handler", task.handler);
+        let node = node.with("on", task.on).with("args", task.args);
+        let entry = Entry {
+            key: task.name,
+            key_place: Some(place.clone()),
+            value: node.placed(&place),
+        };
+        check_name("task", &entry, self.findings);
+        if let Some(other) = tasks.iter().find(|other| other.name == entry.key) {
+            let (name, at) = (&other.name, &other.place);
             let text = format!(
                 "a task called `{name}` is generated here, but `{name}` is declared at {at} already"
             );
-            let finding =
-                Finding::error("ctos::config::same_name", text).help("rename one of them");
+            let finding = Finding::error("ctos::config::same_name", text);
+            let finding = finding.help("rename one of them");
             self.findings.push(finding.at(place));
-            return;
+            return None;
         }
-        let Some((chassis, processor)) = self.find_processor(&task.on, &place, chassis) else {
-            return;
-        };
-        tasks.push(TaskConfig {
-            name: task.name,
-            handler: task.handler,
-            handler_place: place.clone(),
-            chassis,
-            processor,
-            on_place: place.clone(),
-            queue: QUEUE,
-            restart: Policy::default(),
-            handler_limit: None,
-            call_deadline: None,
-            args: task.args.placed(&place),
-            place,
-        });
+        self.task(&entry, chassis)
     }
+}
 
-    pub(super) fn idle_chassis(&mut self, chassis: &[ChassisConfig], tasks: &[TaskConfig]) {
-        for one in chassis {
+impl App {
+    /// Whether there are tasks, everywhere where a chassis is, and the one that `until` names.
+    pub(super) fn check_tasks(&self, whole: &Place, findings: &mut Findings) {
+        for one in &self.chassis {
             // With errors, the task that belongs there may be the one that could not be read.
-            let used = tasks.iter().any(|task| task.chassis == one.name);
-            if !used && !self.findings.has_errors() {
+            let used = self.tasks.iter().any(|task| task.chassis == one.name);
+            if !used && !findings.has_errors() {
                 let text = format!("no task is on chassis `{}`", one.name);
                 let finding = Finding::warning("ctos::config::idle_chassis", text);
-                self.findings.push(finding.at(one.place.clone()));
+                findings.push(finding.at(one.place.clone()));
             }
         }
-    }
-
-    /// `until` must name a task, also one that has other mistakes.
-    pub(super) fn check_until(
-        &mut self,
-        until: &str,
-        place: Place,
-        root: &Node,
-        tasks: &[TaskConfig],
-    ) {
-        let declared = root.tables("task");
-        let names = || {
-            let declared = declared.iter().map(|entry| entry.key.as_str());
-            let made = tasks.iter().map(|task| task.name.as_str());
-            declared.chain(made)
-        };
-        if !names().any(|name| name == until) {
+        if self.tasks.is_empty() && !findings.has_errors() {
+            let finding = Finding::error("ctos::config::no_task", "this app has no task to run")
+                .help("add [task.NAME] with handler = \"...\" and on = \"CHASSIS\"");
+            findings.push(finding.at(whole.clone()));
+        }
+        let Some(until) = &self.until else { return };
+        // One that has other mistakes is meant, too.
+        let declared = self.root.tables("task").iter().map(|entry| &entry.key);
+        let known = declared.chain(self.tasks.iter().map(|task| &task.name));
+        let known: BTreeSet<&str> = known.map(String::as_str).collect();
+        if !known.contains(until.as_str()) {
             let text = format!("`until` waits for the task `{until}`, which does not exist");
-            let finding = Finding::error("ctos::config::unknown_task", text);
-            let mut known: Vec<_> = names().collect();
-            known.sort_unstable();
-            known.dedup();
-            self.findings.push(finding.suggest(until, known).at(place));
+            let finding = Finding::error("ctos::config::unknown_task", text).suggest(until, known);
+            findings.push(finding.at(self.root.place_of("app.until")));
         }
     }
 }

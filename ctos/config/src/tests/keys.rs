@@ -205,14 +205,14 @@ fn the_schema_and_the_reader_refuse_the_same_keys_and_values() {
         for key in table.keys {
             let name = key.name;
             let mut wrong: Vec<String> = match key.kind {
-                Kind::Text => vec!["3", "\"\"", "[]"],
+                Kind::Text | Kind::Address(_) => vec!["3", "\"\"", "[]"],
                 Kind::Choice(_) => vec!["3", "\"zzz\""],
                 Kind::Flag | Kind::FlagOr(_) => vec!["1", "\"true\""],
                 Kind::Integer(0, _) => vec!["-1", "1.5", "\"1\""],
                 Kind::Integer(..) => vec!["0", "1.5", "\"1\""],
                 Kind::Number(..) => vec!["-1", "1.5", "\"1\""],
                 Kind::Seconds(_) => vec!["0", "-1.0", "1e9", "\"1\""],
-                Kind::Texts => vec!["3", "[3]"],
+                Kind::Texts(_) => vec!["3", "[3]"],
                 Kind::One(_) | Kind::Named(_) | Kind::Profiles | Kind::Free => vec!["3", "[]"],
             }
             .into_iter()

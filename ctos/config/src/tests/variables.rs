@@ -1,8 +1,8 @@
 //! `${NAME}` in strings.
 
 use super::*;
-use crate::load::Texts;
-use crate::variables::{Used, escaped, expanded};
+use crate::load::Files;
+use crate::variables::{Variables, escaped};
 
 const APP: &str = "[chassis.w]\n[task.a]\nhandler = \"h\"\non = \"w\"\n";
 
@@ -153,14 +153,9 @@ proptest! {
     fn any_text_can_be_escaped(text in "[$}{A:-]{0,12}|.{0,20}") {
         let mut findings = Findings::new();
         let none = BTreeMap::new();
-        let back = expanded(
-            &escaped(&text),
-            None,
-            &Texts(&[], &none),
-            &mut Used::new(),
-            &mut findings,
-        );
-        prop_assert_eq!(back, text);
+        let files = Files::Texts(&[], &none);
+        let back = Variables::of(files).expanded(&escaped(&text), None, &mut findings);
+        prop_assert_eq!(back, Some(text));
         prop_assert!(findings.is_empty());
     }
 }

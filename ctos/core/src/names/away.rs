@@ -38,7 +38,7 @@ impl Presence {
     pub(super) fn lost(&mut self, cx: &Context, index: u8) {
         let config = index.checked_sub(1).map(usize::from);
         let config = config.and_then(|place| cx.app().chassis.get(place));
-        let may_return = config.is_some_and(|it| it.supervision.restart != ChassisRestart::Never);
+        let may_return = config.is_some_and(|it| it.supervision.restart.when != ChassisRestart::Never);
         if may_return {
             self.away.insert(index);
         } else if !self.away.contains(&index) {
