@@ -7,6 +7,7 @@ use ctos_core::{
     chassis::Chassis, context::Context, envelope::Replier, report::RecordReport, system::TaskName,
 };
 use ctos_message::{CommandInfo, command};
+use ctos_time::lock::lock;
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use super::{
@@ -114,12 +115,12 @@ impl Guest {
         // Each process has its own disk, where a tool on another host cannot make anything.
         std::fs::create_dir_all(&request.folder)
             .map_err(|error| format!("{}: {error}", request.folder))?;
-        let writer = writer(chassis, &config, path, run, runtime);
+        let channels = request.channels.clone();
+        let writer = writer(chassis, &config, path, run, runtime, channels);
         let writer = writer.map_err(|error| error.to_string())?;
         for task in &request.names {
-            writer.names().name(task.tid, &task.name.as_str().into());
+            lock(writer.names()).name(task.tid, &task.name);
         }
-        let writer = writer.choosing(request.channels.clone());
         let recorder = threaded(chassis, &config, writer).map_err(|error| error.to_string())?;
         for task in chassis.tasks() {
             let commands = task.statistics.commands();

@@ -16,7 +16,6 @@ mod event;
 mod glossary;
 mod lines;
 mod log;
-mod names;
 mod parts;
 mod read;
 mod recorder;
@@ -45,7 +44,7 @@ pub use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
 pub use ctos_core::report::{Ending, RecordReport};
 pub use recorders::Recorders;
 
-use names::Names;
+use glossary::Glossary;
 use parts::{Parts, Place};
 use recorder::Recorder;
 use writer::Writer;
@@ -90,7 +89,7 @@ pub fn start(
     if real.is_some() {
         path = file_named(&path, first.name());
     }
-    let writer = writer(first, config, path, run_of(first), runtime)?;
+    let writer = writer(first, config, path, run_of(first), runtime, Vec::new())?;
     let recorder = match real {
         Some(_) => threaded(first, config, writer)?,
         None => Recorder::inline(first.clock.clone(), writer, config.buffer_bytes),
@@ -109,11 +108,12 @@ fn writer(
     path: PathBuf,
     run: BTreeMap<String, String>,
     runtime: &[CommandInfo],
+    channels: Vec<String>,
 ) -> std::io::Result<Writer> {
-    let names = Arc::new(Names::new(&chassis.app, &chassis.registry(), runtime));
+    let names = Glossary::of(&chassis.app, &chassis.registry(), runtime);
     let place = Place::new(path, config.max_bytes, config.keep);
     let parts = Parts::open(place, run).map_err(std::io::Error::other)?;
-    Ok(Writer::new(names, parts))
+    Ok(Writer::new(names, parts, channels))
 }
 
 /// A recorder of one chassis in real time.

@@ -9,17 +9,14 @@ use std::{
     },
 };
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use tracing::{
     Event, Level, Subscriber,
     field::{Field, Visit},
 };
 use tracing_subscriber::layer::{Context, Layer};
 
-use super::{
-    event::{Told, What},
-    recorder::Recorder,
-};
+use super::{lines::Schema, recorder::Recorder};
 use ctos_message::Tid;
 use ctos_time::lock::lock;
 
@@ -92,19 +89,22 @@ impl<S: Subscriber> Layer<S> for RecordLayer {
 fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
     let mut line = Line::default();
     event.record(&mut line);
-    let told = Told {
-        at: recorder.now(),
-        what: What::Log {
-            level: level_of(*event.metadata().level()),
-            target: event.metadata().target().to_owned(),
-            task: line.task,
-            message: line.message,
-        },
-    };
-    let fields = line.fields;
+    let at = recorder.now();
+    let file = event.metadata().target();
+    let name = line.task.as_deref();
+    let topic = format!("/log/{}", name.unwrap_or("ctos"));
+    let json = json!({
+        "timestamp": { "sec": at / 1_000_000_000, "nsec": at % 1_000_000_000 },
+        "level": level_of(*event.metadata().level()),
+        "message": line.message,
+        "name": name.unwrap_or(file),
+        "file": file,
+        "line": 0,
+        "fields": line.fields,
+    });
     // On the runtime's own processor: which one this thread belongs to is not known here.
-    recorder.told(Tid::new(*chassis, 0, 0), &told, |buffer| {
-        serde_json::to_writer(buffer, &fields).is_ok()
+    recorder.line(Tid::new(*chassis, 0, 0), at, topic, Schema::Log, |buffer| {
+        serde_json::to_writer(buffer, &json).is_ok()
     });
 }
 

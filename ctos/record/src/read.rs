@@ -14,15 +14,15 @@ use std::{
 
 use mcap::{
     WriteOptions,
-    records::{MessageHeader, Metadata, Record as Part},
+    records::{MessageHeader, Record as Part},
     sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
 use super::{
     event::Traffic,
     glossary::Glossary,
-    lines::{self, EVENTS, Schema},
-    parts::{LOST, NAMES, RUN},
+    lines::{self, EVENTS, Schema, SchemaText},
+    parts::{LOST, LineWriter, NAMES, RUN},
     traffic::Events,
 };
 use ctos_time::Instant;
@@ -64,13 +64,22 @@ pub struct Channel {
 }
 
 impl Channel {
-    fn new(topic: String, schema: Schema) -> Self {
+    fn new(topic: String, schema: &SchemaText<'_>) -> Self {
         Self {
             topic,
             schema: schema.name.to_owned(),
-            schema_text: schema.text.as_bytes().to_vec(),
+            schema_text: schema.text.to_vec(),
             schema_encoding: schema.language.to_owned(),
             encoding: schema.encoding.to_owned(),
+        }
+    }
+
+    fn schema_text(&self) -> SchemaText<'_> {
+        SchemaText {
+            name: &self.schema,
+            language: &self.schema_encoding,
+            text: &self.schema_text,
+            encoding: &self.encoding,
         }
     }
 }
@@ -195,46 +204,18 @@ impl Record {
     }
 
     fn write_to(&self, file: BufWriter<File>) -> mcap::McapResult<()> {
-        let mut writer = WriteOptions::new()
-            .compression(None)
-            .profile("ctos")
-            .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
-            .create(file)?;
+        let mut writer = LineWriter::new(WriteOptions::new(), file)?;
         for run in &self.runs {
             let mut noted = run.noted.clone();
             noted.insert("file".to_owned(), run.path.display().to_string());
-            writer.write_metadata(&Metadata {
-                name: RUN.to_owned(),
-                metadata: noted,
-            })?;
+            writer.metadata(RUN, noted)?;
         }
-        let lost: u64 = self.runs.iter().map(|run| run.lost).sum();
-        writer.write_metadata(&Metadata {
-            name: LOST.to_owned(),
-            metadata: BTreeMap::from([("events".to_owned(), lost.to_string())]),
-        })?;
-        let mut sequences: BTreeMap<u16, u32> = BTreeMap::new();
-        for entry in &self.entries {
-            let channel = &entry.channel;
-            let schema = writer.add_schema(
-                &channel.schema,
-                &channel.schema_encoding,
-                &channel.schema_text,
-            )?;
-            let id =
-                writer.add_channel(schema, &channel.topic, &channel.encoding, &BTreeMap::new())?;
-            let sequence = sequences.entry(id).or_default();
-            *sequence = sequence.wrapping_add(1);
-            let header = MessageHeader {
-                channel_id: id,
-                sequence: *sequence,
-                log_time: entry.at.as_nanos(),
-                publish_time: entry.at.as_nanos(),
-            };
-            writer.write_to_known_channel(&header, &entry.json)?;
+        writer.lost(self.runs.iter().map(|run| run.lost).sum())?;
+        for Entry { at, channel, json } in &self.entries {
+            writer.line(&channel.topic, &channel.schema_text(), at.as_nanos(), json)?;
         }
-        writer.finish()?;
-        writer.into_inner().flush()?;
+        writer.mcap.finish()?;
+        writer.mcap.into_inner().flush()?;
         Ok(())
     }
 }
@@ -322,7 +303,7 @@ impl<'a> Scan<'a> {
         let Some(channel) = self.channels.get(&header.channel_id).cloned() else {
             return;
         };
-        if channel.encoding == EVENTS.encoding {
+        if channel.encoding == EVENTS {
             return self.stretch(data, see);
         }
         let at = Instant::from_nanos(header.log_time);
@@ -374,10 +355,9 @@ impl<'a> Scan<'a> {
     ) {
         match lines::traffic(event, data, &self.glossary) {
             Ok(json) => {
-                let channel = self
-                    .traffic
-                    .entry(topic)
-                    .or_insert_with_key(|topic| Arc::new(Channel::new(topic.clone(), schema)));
+                let channel = self.traffic.entry(topic).or_insert_with_key(|topic| {
+                    Arc::new(Channel::new(topic.clone(), &schema.text()))
+                });
                 see(Entry {
                     at: Instant::from_nanos(event.at),
                     channel: channel.clone(),

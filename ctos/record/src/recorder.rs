@@ -13,12 +13,7 @@ use std::{
     time::Duration,
 };
 
-use super::{
-    batch::Batch,
-    event::{Told, Traffic},
-    writer::Writer,
-};
-use crate::names::Names;
+use super::{batch::Batch, event::Traffic, glossary::Glossary, lines::Schema, writer::Writer};
 use ctos_core::report::RecordReport;
 use ctos_message::{CommandInfo, Tid};
 use ctos_time::{Clock, Instant, lock::lock};
@@ -28,16 +23,12 @@ const WAKE: usize = 128 * 1024;
 /// How often the writer looks unasked.
 const LOOK: Duration = Duration::from_millis(100);
 
-#[derive(Default)]
-struct Lane {
-    batch: Batch,
-    dropped: u64,
-}
-
 /// The writer, and the buffers that it has emptied: they go back to the lanes.
 struct Emptying {
     writer: Writer,
     batches: Vec<Batch>,
+    /// Dropped events of which the writer knows.
+    dropped: u64,
 }
 
 /// What the writer's thread is told, and tells.
@@ -51,7 +42,7 @@ struct Alarm {
 /// Takes notes of one process, or of all chassis of a simulated app.
 pub(crate) struct Recorder {
     clock: Clock,
-    lanes: Vec<Mutex<Lane>>,
+    lanes: Vec<Mutex<Batch>>,
     limit: usize,
     next_id: AtomicU64,
     /// Events that found no space in the buffers.
@@ -65,7 +56,7 @@ pub(crate) struct Recorder {
     ended: AtomicBool,
     alarm: Mutex<Alarm>,
     alarmed: Condvar,
-    names: Arc<Names>,
+    names: Arc<Mutex<Glossary>>,
 }
 
 impl Recorder {
@@ -113,7 +104,11 @@ impl Recorder {
             dropped: AtomicU64::new(0),
             unwritten: AtomicU64::new(0),
             report,
-            writer: Mutex::new(Some(Emptying { writer, batches })),
+            writer: Mutex::new(Some(Emptying {
+                writer,
+                batches,
+                dropped: 0,
+            })),
             threaded,
             flush,
             ended: AtomicBool::new(false),
@@ -139,9 +134,15 @@ impl Recorder {
     }
 
     /// A task has a name from now on, and takes these commands.
-    pub(crate) fn named(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
-        self.names.name(task, name);
-        self.names.takes(name, commands);
+    pub(crate) fn named(&self, task: Tid, name: &str, commands: &[CommandInfo]) {
+        let mut names = lock(&self.names);
+        names.name(task, name);
+        names.takes(name, commands);
+    }
+
+    /// The name of a task; its id when it has none that is known.
+    pub(crate) fn name_of(&self, task: Tid) -> Arc<str> {
+        lock(&self.names).task(task)
     }
 
     /// How the record is.
@@ -154,23 +155,22 @@ impl Recorder {
     pub(crate) fn traffic(
         &self,
         place: Tid,
-        event: &Traffic,
+        event: Traffic,
         data: impl FnOnce(&mut Vec<u8>) -> bool,
     ) -> bool {
-        self.note(place, |batch| {
-            batch.traffic(event, data);
-            true
-        })
+        self.note(place, |batch| batch.traffic(event, data))
     }
 
-    /// Notes what is told at the processor of `place`. False when it was dropped.
-    pub(crate) fn told(
+    /// Notes a line of a channel at the processor of `place`; `json` writes it. False when it was dropped.
+    pub(crate) fn line(
         &self,
         place: Tid,
-        told: &Told,
-        data: impl FnOnce(&mut Vec<u8>) -> bool,
+        at: u64,
+        topic: String,
+        schema: Schema,
+        json: impl FnOnce(&mut Vec<u8>) -> bool,
     ) -> bool {
-        self.note(place, |batch| batch.told(told, data).is_ok())
+        self.note(place, |batch| batch.line(at, topic, schema, json))
     }
 
     #[inline]
@@ -183,12 +183,11 @@ impl Recorder {
             return false;
         };
         let mut lane = lock(lane);
-        if lane.batch.len() >= self.limit || !add(&mut lane.batch) {
-            lane.dropped += 1;
+        if lane.len() >= self.limit || !add(&mut lane) {
             self.dropped.fetch_add(1, Ordering::Relaxed);
             return false;
         }
-        let grown = lane.batch.len() >= WAKE;
+        let grown = lane.len() >= WAKE;
         drop(lane);
         if grown {
             self.call_writer();
@@ -216,17 +215,20 @@ impl Recorder {
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return,
         };
-        let Some(Emptying { writer, batches }) = writer.as_mut() else {
+        let Some(emptying) = writer.as_mut() else {
             return;
         };
-        let mut dropped = 0;
+        let Emptying {
+            writer,
+            batches,
+            dropped: known,
+        } = emptying;
         for (lane, batch) in self.lanes.iter().zip(&mut *batches) {
-            let mut lane = lock(lane);
-            std::mem::swap(&mut lane.batch, batch);
-            dropped += std::mem::take(&mut lane.dropped);
+            std::mem::swap(&mut *lock(lane), batch);
         }
         let now = self.now();
-        writer.write(now, batches, dropped);
+        let dropped = self.dropped.load(Ordering::Relaxed);
+        writer.write(now, batches, dropped - std::mem::replace(known, dropped));
         batches.iter_mut().for_each(Batch::clear);
         if flush {
             writer.flush(now);

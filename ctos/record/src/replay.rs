@@ -18,6 +18,7 @@ use ctos_core::{
     processor::Processor,
     registry::{HandlerKind, Registry},
     reply::{Promise, ReplySlot, Waiting},
+    report::Ending,
     runner::{TaskSpec, start_task},
 };
 use ctos_message::{Data, Flags, Tid};
@@ -27,13 +28,13 @@ use std::{collections::BTreeMap, fmt, rc::Rc, sync::Arc};
 use futures_util::FutureExt;
 
 use super::{
+    glossary::Glossary,
     lines::{self, Number},
     read::Record,
 };
-use crate::names::Names;
 
 pub(crate) use others::Others;
-use script::{Begun, Recorded, Script, Step, What};
+use script::{Recorded, Script, Sent, Step, What};
 
 /// Why a task could not be replayed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -196,7 +197,7 @@ pub fn replay(
     if let Some(seed) = script.seed {
         app.seed = seed;
     }
-    let names = Arc::new(Names::new(&app, &registry, &[]));
+    let names = Glossary::of(&app, &registry, &[]);
     let clock = Clock::virtual_clock();
     let chassis = Chassis::new(
         script.tid.chassis(),
@@ -339,7 +340,7 @@ impl Stage {
     }
 
     /// Gives the task a message.
-    fn begin(&mut self, begun: Begun) {
+    fn begin(&mut self, begun: Sent) {
         self.messages += 1;
         let reply = begun.flags.contains(Flags::REPLY_WAIT).then(|| {
             let promise = Arc::new(Promise::default());
@@ -359,9 +360,9 @@ impl Stage {
     }
 
     /// Compares how a handler ended.
-    fn ended(&self, at: Instant, trace: u64, command: u16, expected: &(String, String)) {
+    fn ended(&self, at: Instant, trace: u64, command: u16, expected: &Ending) {
         // It was interrupted by an order to stop, which is among the messages that follow.
-        if expected.0 == "stopped" {
+        if *expected == Ending::Stopped {
             return;
         }
         if self.others.next_end(false).is_none() {
