@@ -11,8 +11,8 @@ use ctos_time::lock::lock;
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use super::{
-    CLOSE_TIMEOUT, file_name, file_named, log, recorder::Recorder, recorders::Recorders, run_of,
-    threaded, writer,
+    CLOSE_TIMEOUT, file_name, log, parts::suffixed, recorder::Recorder, recorders::Recorders,
+    run_of, threaded, writer,
 };
 
 command! {
@@ -108,7 +108,7 @@ impl Guest {
             },
             None => RecordConfig::new(file),
         };
-        let path = file_named(&config.file, chassis.name());
+        let path = suffixed(&config.file, chassis.name());
         let mut run = run_of(chassis);
         let now = chassis.clock.now().as_nanos();
         run.insert("attached_ns".to_owned(), now.to_string());

@@ -27,12 +27,7 @@ mod writer;
 use ctos_config::RecordConfig;
 use ctos_core::chassis::Chassis;
 use ctos_message::CommandInfo;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-    sync::Arc,
-    time::Duration,
-};
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 
 pub use lines::Number;
 pub use log::RecordLayer;
@@ -45,7 +40,7 @@ pub use ctos_core::report::{Ending, RecordReport};
 pub use recorders::Recorders;
 
 use glossary::Glossary;
-use parts::{Parts, Place};
+use parts::{Parts, Place, suffixed};
 use recorder::Recorder;
 use writer::Writer;
 
@@ -87,7 +82,7 @@ pub fn start(
     let real = first.clock.origin_ns();
     let mut path = app.folder.join(&config.file);
     if real.is_some() {
-        path = file_named(&path, first.name());
+        path = suffixed(&path, first.name());
     }
     let writer = writer(first, config, path, run_of(first), runtime, Vec::new())?;
     let recorder = match real {
@@ -138,18 +133,6 @@ pub fn file_name(name: &str) -> String {
     };
     let name: String = name.chars().take(64).map(plain).collect();
     format!("{name}.mcap")
-}
-
-/// The file of one process: `run.mcap` becomes `run.CHASSIS.mcap`.
-fn file_named(path: &Path, chassis: &str) -> PathBuf {
-    let mut name = path.file_stem().unwrap_or_default().to_owned();
-    name.push(".");
-    name.push(chassis);
-    if let Some(extension) = path.extension() {
-        name.push(".");
-        name.push(extension);
-    }
-    path.with_file_name(name)
 }
 
 /// Of what a file is the record.

@@ -471,8 +471,14 @@ fn part_path(path: &Path, number: u64) -> PathBuf {
     if number == 1 {
         return path.to_owned();
     }
+    suffixed(path, &format!("part{number}"))
+}
+
+/// `run.mcap` becomes `run.SUFFIX.mcap`.
+pub(crate) fn suffixed(path: &Path, suffix: &str) -> PathBuf {
     let mut name: OsString = path.file_stem().unwrap_or_default().to_owned();
-    name.push(format!(".part{number}"));
+    name.push(".");
+    name.push(suffix);
     if let Some(extension) = path.extension() {
         name.push(".");
         name.push(extension);

@@ -52,7 +52,7 @@ pub enum ReadError {
 }
 
 /// A channel of a record.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Channel {
     /// Its name, `/message/arm` for example.
     pub topic: String,
@@ -223,7 +223,8 @@ impl Record {
 /// What has been read of a file so far.
 struct Scan<'a> {
     filter: &'a Filter,
-    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    /// By the numbers of schemas: what their channels have of them.
+    schemas: BTreeMap<u16, Channel>,
     channels: BTreeMap<u16, Arc<Channel>>,
     glossary: Glossary,
     /// The channels of what happened to messages, by their names.
@@ -252,29 +253,28 @@ impl<'a> Scan<'a> {
     fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
         match part {
             Part::Schema { header, data } => {
-                let schema = (header.name, header.encoding, data.into_owned());
-                self.schemas.insert(header.id, schema);
+                let channel = Channel {
+                    schema: header.name,
+                    schema_encoding: header.encoding,
+                    schema_text: data.into_owned(),
+                    ..Channel::default()
+                };
+                self.schemas.insert(header.id, channel);
             }
             Part::Channel(channel) => {
-                let (schema, schema_encoding, schema_text) = self
-                    .schemas
-                    .get(&channel.schema_id)
-                    .cloned()
-                    .unwrap_or_default();
-                self.channels.insert(
-                    channel.id,
-                    Arc::new(Channel {
-                        topic: channel.topic,
-                        schema,
-                        schema_text,
-                        schema_encoding,
-                        encoding: channel.message_encoding,
-                    }),
-                );
+                let schema = self.schemas.get(&channel.schema_id).cloned();
+                let whole = Channel {
+                    topic: channel.topic,
+                    encoding: channel.message_encoding,
+                    ..schema.unwrap_or_default()
+                };
+                self.channels.insert(channel.id, Arc::new(whole));
             }
             Part::Message { header, data } => self.message(&header, &data, see),
             Part::Metadata(metadata) if metadata.name == NAMES => {
-                self.names(&metadata.metadata);
+                if !self.glossary.add(&metadata.metadata) {
+                    self.tear("the names in it cannot be read");
+                }
             }
             Part::Metadata(metadata) if metadata.name == RUN => {
                 self.run.noted.extend(metadata.metadata);
@@ -285,12 +285,6 @@ impl<'a> Scan<'a> {
             }
             Part::Footer(_) => self.closed = true,
             _ => {}
-        }
-    }
-
-    fn names(&mut self, metadata: &BTreeMap<String, String>) {
-        if !self.glossary.add(metadata) {
-            self.tear("the names in it cannot be read");
         }
     }
 
@@ -315,14 +309,9 @@ impl<'a> Scan<'a> {
     }
 
     fn count(&mut self, topic: &str, at: Instant, bytes: usize) {
-        let channels = &mut self.run.channels;
-        if !channels.contains_key(topic) {
-            channels.insert(topic.to_owned(), (0, 0));
-        }
-        if let Some(counted) = channels.get_mut(topic) {
-            counted.0 += 1;
-            counted.1 += u64::try_from(bytes).unwrap_or(0);
-        }
+        let counted = self.run.channels.entry(topic.to_owned()).or_default();
+        counted.0 += 1;
+        counted.1 += u64::try_from(bytes).unwrap_or(0);
         let span = self.run.span.get_or_insert((at, at));
         span.0 = span.0.min(at);
         span.1 = span.1.max(at);

@@ -7,8 +7,9 @@
 
 use std::{
     sync::{
-        Arc, Condvar, Mutex, PoisonError, TryLockError,
+        Arc, Mutex, TryLockError,
         atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel},
     },
     time::Duration,
 };
@@ -31,12 +32,12 @@ struct Emptying {
     dropped: u64,
 }
 
-/// What the writer's thread is told, and tells.
-#[derive(Default)]
-struct Alarm {
-    full: bool,
-    end: bool,
-    ended: bool,
+/// The writer's thread.
+struct Worker {
+    /// Wakes it: a buffer has grown, or the record ends.
+    wake: SyncSender<()>,
+    /// Is disconnected when it has ended.
+    ended: Mutex<Receiver<()>>,
 }
 
 /// Takes notes of one process, or of all chassis of a simulated app.
@@ -51,11 +52,9 @@ pub(crate) struct Recorder {
     unwritten: AtomicU64,
     report: Mutex<RecordReport>,
     writer: Mutex<Option<Emptying>>,
-    threaded: bool,
-    flush: Duration,
+    /// None: the writer is called where a buffer has grown.
+    worker: Option<Worker>,
     ended: AtomicBool,
-    alarm: Mutex<Alarm>,
-    alarmed: Condvar,
     names: Arc<Mutex<Glossary>>,
 }
 
@@ -63,7 +62,7 @@ impl Recorder {
     /// A recorder with `lanes` buffers of at most `limit` bytes, whose writer is called at once when
     /// one has grown.
     pub(crate) fn inline(clock: Clock, writer: Writer, limit: usize) -> Arc<Self> {
-        Arc::new(Self::new(clock, writer, 1, limit, LOOK, false))
+        Arc::new(Self::new(clock, writer, 1, limit, None))
     }
 
     /// A recorder whose writer is a thread.
@@ -77,11 +76,15 @@ impl Recorder {
         limit: usize,
         flush: Duration,
     ) -> std::io::Result<Arc<Self>> {
-        let recorder = Arc::new(Self::new(clock, writer, lanes.max(1), limit, flush, true));
-        let worker = recorder.clone();
+        let (wake, woken) = sync_channel(1);
+        let (end, ended) = channel();
+        let ended = Mutex::new(ended);
+        let worker = Some(Worker { wake, ended });
+        let recorder = Arc::new(Self::new(clock, writer, lanes.max(1), limit, worker));
+        let thread = recorder.clone();
         std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || worker.run())?;
+            .spawn(move || thread.run(flush, &woken, end))?;
         Ok(recorder)
     }
 
@@ -90,8 +93,7 @@ impl Recorder {
         writer: Writer,
         lanes: usize,
         limit: usize,
-        flush: Duration,
-        threaded: bool,
+        worker: Option<Worker>,
     ) -> Self {
         let names = writer.names().clone();
         let report = Mutex::new(writer.report());
@@ -109,11 +111,8 @@ impl Recorder {
                 batches,
                 dropped: 0,
             })),
-            threaded,
-            flush,
+            worker,
             ended: AtomicBool::new(false),
-            alarm: Mutex::default(),
-            alarmed: Condvar::new(),
             names,
         }
     }
@@ -197,13 +196,10 @@ impl Recorder {
 
     #[cold]
     fn call_writer(&self) {
-        if !self.threaded {
-            return self.write(false);
-        }
-        let mut alarm = lock(&self.alarm);
-        if !alarm.full {
-            alarm.full = true;
-            self.alarmed.notify_one();
+        match &self.worker {
+            // It is woken already when there is no space.
+            Some(worker) => drop(worker.wake.try_send(())),
+            None => self.write(false),
         }
     }
 
@@ -241,34 +237,23 @@ impl Recorder {
         *lock(&self.report) = writer.report();
     }
 
-    /// The writer's thread.
-    fn run(&self) {
+    /// The writer's thread; dropping `_end` tells that it has ended.
+    fn run(&self, flush: Duration, woken: &Receiver<()>, _end: Sender<()>) {
         let mut flushed = self.clock.now();
         loop {
-            let mut alarm = lock(&self.alarm);
-            if !alarm.full && !alarm.end {
-                alarm = self
-                    .alarmed
-                    .wait_timeout(alarm, LOOK.min(self.flush))
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .0;
-            }
-            let end = alarm.end;
-            alarm.full = false;
-            drop(alarm);
+            let _ = woken.recv_timeout(LOOK.min(flush));
+            // Looked at first: what was noted before the end is written.
+            let ended = self.ended.load(Ordering::Acquire);
             let now: Instant = self.clock.now();
-            let due = now.since(flushed) >= self.flush;
+            let due = now.since(flushed) >= flush;
             if due {
                 flushed = now;
             }
             self.write(due);
-            if end {
-                break;
+            if ended {
+                return self.close();
             }
         }
-        self.close();
-        lock(&self.alarm).ended = true;
-        self.alarmed.notify_all();
     }
 
     fn close(&self) {
@@ -285,18 +270,12 @@ impl Recorder {
         if self.ended.swap(true, Ordering::AcqRel) {
             return;
         }
-        if !self.threaded {
+        let Some(worker) = &self.worker else {
             self.write(false);
             return self.close();
-        }
-        let mut alarm = lock(&self.alarm);
-        alarm.end = true;
-        self.alarmed.notify_all();
-        let waited = self
-            .alarmed
-            .wait_timeout_while(alarm, timeout, |alarm| !alarm.ended);
-        let (alarm, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        if !alarm.ended {
+        };
+        self.call_writer();
+        if lock(&worker.ended).recv_timeout(timeout) == Err(RecvTimeoutError::Timeout) {
             let timeout_s = timeout.as_secs_f64();
             tracing::error!(
                 timeout_s,

@@ -142,30 +142,26 @@ impl Recorders {
         step: Step,
         data: impl Fn(&mut Vec<u8>) -> bool,
     ) -> bool {
-        let first = self.first.get();
         let event = |recorder: &Recorder| Traffic {
             at: at.map_or_else(|| recorder.now(), Instant::as_nanos),
             chassis: self.index,
             key,
             step,
         };
-        match first {
-            Some(only) if !self.visited.load(Ordering::Relaxed) => {
-                only.traffic(place, event(only), data)
-            }
-            _ => {
-                let recorders = self.recorders();
-                let Some(one) = recorders.first() else {
-                    return false;
-                };
-                let event = event(one);
-                let mut noted = false;
-                for recorder in &recorders {
-                    noted |= recorder.traffic(place, event.clone(), &data);
-                }
-                noted
-            }
+        if let Some(only) = self.first.get()
+            && !self.visited.load(Ordering::Relaxed)
+        {
+            return only.traffic(place, event(only), data);
         }
+        let recorders = self.recorders();
+        let Some(event) = recorders.first().map(|one| event(one)) else {
+            return false;
+        };
+        let note = |one: &Arc<Recorder>| one.traffic(place, event.clone(), &data);
+        recorders
+            .iter()
+            .map(note)
+            .fold(false, |noted, one| noted | one)
     }
 
     /// Notes with everybody who records that a task was built or has entered a phase.

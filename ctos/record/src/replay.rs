@@ -215,20 +215,8 @@ pub fn replay(
         .ok_or_else(|| ReplayError::Incomplete {
             reason: "its chassis has no processor".to_owned(),
         })?;
-    // Without a kind it is not built.
-    let registry = chassis.registry();
-    let kind = registry.kind(&config.handler);
-    let recipe = kind.map_or_else(Arc::default, HandlerKind::recipe);
-    let handle = &processor.handle;
     let stage = Stage {
         tid: script.tid,
-        spec: Some(TaskSpec::new(
-            task,
-            script.tid,
-            Some(config.clone()),
-            recipe,
-            handle,
-        )),
         config,
         chassis,
         processor,
@@ -245,8 +233,6 @@ pub fn replay(
 /// The task and what stands around it.
 struct Stage {
     tid: Tid,
-    /// The task, until it is started.
-    spec: Option<TaskSpec>,
     config: TaskConfig,
     chassis: Arc<Chassis>,
     processor: Rc<Processor>,
@@ -259,15 +245,10 @@ struct Stage {
 
 impl Stage {
     fn play(mut self, steps: Vec<Step>) -> Result<ReplayReport, ReplayError> {
-        let mut built = false;
         for Step { at, trace, what } in steps {
             self.run_until(at);
-            if !built {
-                self.build()?;
-                built = true;
-            }
             match what {
-                What::Built => {}
+                What::Built => self.build()?,
                 What::Begin(message) => self.begin(message),
                 What::Answer { id, answer } => self.others.answer(id, answer.into_answer()),
                 What::Output(index) => {
@@ -289,23 +270,21 @@ impl Stage {
         Ok(report)
     }
 
-    fn build(&mut self) -> Result<(), ReplayError> {
-        let failed = |reason: String| ReplayError::Build {
-            task: self.config.name.clone(),
+    fn build(&self) -> Result<(), ReplayError> {
+        let TaskConfig { name, handler, .. } = &self.config;
+        let registry = self.chassis.registry();
+        let recipe = registry.kind(handler).map(HandlerKind::recipe);
+        let recipe =
+            recipe.ok_or_else(|| format!("nobody registered the event handler `{handler}`"));
+        let built = recipe.and_then(|recipe| {
+            let config = Some(self.config.clone());
+            let spec = TaskSpec::new(name, self.tid, config, recipe, &self.processor.handle);
+            start_task(&self.chassis, &self.processor, spec).map_err(|error| error.to_string())
+        });
+        built.map_err(|reason| ReplayError::Build {
+            task: name.clone(),
             reason,
-        };
-        let handler = &self.config.handler;
-        if self.chassis.registry().kind(handler).is_none() {
-            let why = format!("nobody registered the event handler `{handler}`");
-            return Err(failed(why));
-        }
-        let Some(spec) = self.spec.take() else {
-            return Ok(());
-        };
-        start_task(&self.chassis, &self.processor, spec)
-            .map_err(|error| failed(error.to_string()))?;
-        self.settle();
-        Ok(())
+        })
     }
 
     /// Lets everything happen that is due before `at`, moment by moment, and moves the clock there.
