@@ -7,12 +7,11 @@ use ctos_core::{
     chassis::Chassis, context::Context, envelope::Replier, report::RecordReport, system::TaskName,
 };
 use ctos_message::{CommandInfo, command};
-use ctos_time::lock::lock;
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use super::{
-    CLOSE_TIMEOUT, file_name, log, parts::suffixed, recorder::Recorder, recorders::Recorders,
-    run_of, threaded, writer,
+    CLOSE_TIMEOUT, begin, file_name, log, parts::suffixed, recorder::Recorder,
+    recorders::Recorders, run_of,
 };
 
 command! {
@@ -116,12 +115,11 @@ impl Guest {
         std::fs::create_dir_all(&request.folder)
             .map_err(|error| format!("{}: {error}", request.folder))?;
         let channels = request.channels.clone();
-        let writer = writer(chassis, &config, path, run, runtime, channels);
-        let writer = writer.map_err(|error| error.to_string())?;
+        let recorder = begin(chassis, &config, path, run, runtime, channels);
+        let recorder = recorder.map_err(|error| error.to_string())?;
         for task in &request.names {
-            lock(writer.names()).name(task.tid, &task.name);
+            recorder.name(task.tid, &task.name);
         }
-        let recorder = threaded(chassis, &config, writer).map_err(|error| error.to_string())?;
         for task in chassis.tasks() {
             let commands = task.statistics.commands();
             recorder.named(task.tid, &task.name, commands);

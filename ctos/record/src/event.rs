@@ -9,6 +9,7 @@ use ctos_message::{Tid, fault::Fault};
 
 /// On which chassis, seen from the message, something was noted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum Side {
     /// Sender and receiver are here.
     Here,
@@ -16,16 +17,6 @@ pub(crate) enum Side {
     Sender,
     /// The receiver is here, the sender on another chassis.
     Receiver,
-}
-
-impl Side {
-    pub(crate) const fn word(self) -> &'static str {
-        match self {
-            Self::Here => "here",
-            Self::Sender => "sender",
-            Self::Receiver => "receiver",
-        }
-    }
 }
 
 /// Which message something happened to. Numbers of messages are those of one record.

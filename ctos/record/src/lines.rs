@@ -169,7 +169,7 @@ pub(crate) fn traffic(
                 ("priority", json!(priority(flags))),
                 ("waits", json!(waits(flags))),
                 ("deadline_ns", json!(deadline)),
-                ("noted", json!(side.word())),
+                ("noted", json!(side)),
             ]);
         }
         Step::Began => {}
@@ -188,7 +188,7 @@ pub(crate) fn traffic(
         } => {
             let result = fault.as_ref().map(ToString::to_string);
             line.extend([
-                ("noted", json!(side.word())),
+                ("noted", json!(side)),
                 ("at_once", json!(at_once)),
                 ("result", json!(result.as_deref().unwrap_or("ok"))),
             ]);

@@ -3,10 +3,7 @@
 
 use std::{
     fmt,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Mutex},
 };
 
 use serde_json::{Map, Value, json};
@@ -30,8 +27,6 @@ struct Attached {
 #[derive(Default)]
 pub struct RecordLayer {
     attached: Mutex<Vec<Attached>>,
-    /// Whether there are any.
-    records: AtomicBool,
 }
 
 impl RecordLayer {
@@ -39,13 +34,6 @@ impl RecordLayer {
     #[must_use]
     pub fn new() -> Self {
         Self::default()
-    }
-}
-
-impl fmt::Debug for RecordLayer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let attached = self.records.load(Ordering::Acquire);
-        write!(f, "RecordLayer {{ attached: {attached} }}")
     }
 }
 
@@ -66,21 +54,17 @@ pub(crate) fn detach(recorder: &Arc<Recorder>) {
 fn change(mut change: impl FnMut(&mut Vec<Attached>)) {
     tracing::dispatcher::get_default(|dispatch| {
         if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
-            let mut attached = lock(&layer.attached);
-            change(&mut attached);
-            layer.records.store(!attached.is_empty(), Ordering::Release);
+            change(&mut lock(&layer.attached));
         }
     });
 }
 
 impl<S: Subscriber> Layer<S> for RecordLayer {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        if self.records.load(Ordering::Acquire) {
-            // Not under the lock: a recorder may have something to log itself.
-            let attached = lock(&self.attached).clone();
-            for one in &attached {
-                note(one, event);
-            }
+        // Not under the lock: a recorder may have something to log itself.
+        let attached = lock(&self.attached).clone();
+        for one in &attached {
+            note(one, event);
         }
     }
 }

@@ -358,18 +358,11 @@ impl<'a> Scan<'a> {
     }
 }
 
-/// Reads one file from its beginning to where it ends or breaks off.
+/// Reads one file from its beginning to where it ends or breaks off, and shows what `filter` takes; the
+/// rest is counted.
 ///
 /// # Errors
 /// [`ReadError`] when it cannot be opened, or is no MCAP file from its first byte.
-pub fn scan(path: &Path, see: impl FnMut(Entry)) -> Result<Run, ReadError> {
-    scan_only(path, &Filter::default(), see)
-}
-
-/// As [`scan`], but shows only what `filter` takes; the rest is counted.
-///
-/// # Errors
-/// As [`scan`].
 pub fn scan_only(
     path: &Path,
     filter: &Filter,
@@ -388,46 +381,34 @@ pub fn scan_only(
     let mut scan = Scan::new(path, filter);
     let mut begun = false;
     while let Some(event) = reader.next_event() {
-        let torn = match event {
+        let read = match event {
             Ok(LinearReadEvent::ReadRequest(wanted)) => {
                 let read = file.read(reader.insert(wanted)).map_err(failed)?;
                 reader.notify_read(read);
-                None
+                Ok(())
             }
             Ok(LinearReadEvent::Record { data, opcode }) => {
                 begun = true;
-                match mcap::parse_record(opcode, data) {
-                    Ok(part) => {
-                        scan.take(part, &mut see);
-                        None
-                    }
-                    Err(error) => Some(error),
-                }
+                mcap::parse_record(opcode, data).map(|part| scan.take(part, &mut see))
             }
-            Err(error) => Some(error),
+            Err(error) => Err(error),
         };
-        if let Some(error) = torn {
-            if !begun {
-                return Err(ReadError::Format {
-                    path: path.to_owned(),
-                    reason: error.to_string(),
-                });
-            }
-            scan.run.torn = Some(error.to_string());
-            break;
+        if let Err(error) = read {
+            scan.tear(&error.to_string());
         }
         if scan.closed || scan.run.torn.is_some() {
             break;
         }
     }
     if !begun {
+        let reason = scan.run.torn;
         return Err(ReadError::Format {
             path: path.to_owned(),
-            reason: "it holds nothing".to_owned(),
+            reason: reason.unwrap_or_else(|| "it holds nothing".to_owned()),
         });
     }
-    if !scan.closed && scan.run.torn.is_none() {
-        scan.run.torn = Some("it was not closed".to_owned());
+    if !scan.closed {
+        scan.tear("it was not closed");
     }
     Ok(scan.run)
 }

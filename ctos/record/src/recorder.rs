@@ -132,6 +132,11 @@ impl Recorder {
         self.dropped.load(Ordering::Relaxed) + unwritten
     }
 
+    /// A task has a name from now on.
+    pub(crate) fn name(&self, task: Tid, name: &str) {
+        lock(&self.names).name(task, name);
+    }
+
     /// A task has a name from now on, and takes these commands.
     pub(crate) fn named(&self, task: Tid, name: &str, commands: &[CommandInfo]) {
         let mut names = lock(&self.names);
