@@ -107,6 +107,7 @@ impl Batch {
         self.bytes.shrink_to(KEPT);
         self.pieces.clear();
         self.pieces.shrink_to(KEPT / STRETCH);
+        self.coder = Coder::default();
     }
 }
 
