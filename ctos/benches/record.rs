@@ -26,7 +26,7 @@ use ctos::{
     boot::{Launcher, Observer, boot, run_chassis},
     config::{App, load_texts},
     message::{Command, Message},
-    record::scan,
+    record::{Filter, scan_only},
     registry::Registry,
     system::AppResult,
     task::{Context, EventHandler, Handled, Phase},
@@ -247,7 +247,7 @@ fn compare(on: &str, rounds: usize) {
     recorded.end();
     for chassis in ["a", "b"] {
         let file = file.with_file_name(format!("run.{chassis}.mcap"));
-        let run = scan(&file, |_| ()).unwrap();
+        let run = scan_only(&file, &Filter::default(), |_| ()).unwrap();
         println!(
             "the record of {chassis} holds {} lines and lacks {}",
             run.lines(),

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Fields, PayloadError, data::decode, shape::Shape};
+use crate::{Fields, shape::Shape};
 
 pub use ctos_derive::Command;
 
@@ -70,48 +70,21 @@ pub struct CommandInfo {
     pub reply_fields: Fields,
 }
 
-/// Turns postcard bytes of one type into JSON, for people and programs that do not know the type.
+/// Finds the shape of one type, with which its postcard bytes are read as JSON.
 #[derive(Clone, Copy)]
-pub struct ToJson {
-    convert: fn(&[u8], &mut Vec<u8>) -> Result<(), PayloadError>,
-    shape: fn() -> Option<Shape>,
-}
+pub struct ToJson(fn() -> Option<Shape>);
 
 impl ToJson {
     /// For values of type `T`.
     #[must_use]
-    pub const fn of<T: Serialize + DeserializeOwned + 'static>() -> Self {
-        Self {
-            convert: to_json::<T>,
-            shape: Shape::of::<T>,
-        }
+    pub const fn of<T: DeserializeOwned>() -> Self {
+        Self(Shape::of::<T>)
     }
 
     /// What such values look like, where that can be found.
     pub fn shape(self) -> Option<Shape> {
-        (self.shape)()
+        (self.0)()
     }
-
-    /// Appends `bytes` as JSON to `json`, which is left as it was when they are not such a value.
-    ///
-    /// # Errors
-    /// What is wrong with the bytes.
-    pub fn convert(self, bytes: &[u8], json: &mut Vec<u8>) -> Result<(), PayloadError> {
-        let length = json.len();
-        let converted = (self.convert)(bytes, json);
-        if converted.is_err() {
-            json.truncate(length);
-        }
-        converted
-    }
-}
-
-fn to_json<T: Serialize + DeserializeOwned + 'static>(
-    bytes: &[u8],
-    json: &mut Vec<u8>,
-) -> Result<(), PayloadError> {
-    let value = decode::<T>(bytes)?;
-    serde_json::to_writer(json, &value).map_err(PayloadError::of::<T>)
 }
 
 /// Code, name and documentation say what a command is; how it is turned into text follows from them.

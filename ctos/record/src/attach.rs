@@ -10,8 +10,8 @@ use ctos_message::{CommandInfo, command};
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use super::{
-    CLOSE_TIMEOUT, file_name, file_named, log, recorder::Recorder, recorders::Recorders, run_of,
-    threaded, writer,
+    CLOSE_TIMEOUT, begin, file_name, log, parts::suffixed, recorder::Recorder,
+    recorders::Recorders, run_of,
 };
 
 command! {
@@ -107,20 +107,19 @@ impl Guest {
             },
             None => RecordConfig::new(file),
         };
-        let path = file_named(&config.file, chassis.name());
+        let path = suffixed(&config.file, chassis.name());
         let mut run = run_of(chassis);
         let now = chassis.clock.now().as_nanos();
         run.insert("attached_ns".to_owned(), now.to_string());
         // Each process has its own disk, where a tool on another host cannot make anything.
         std::fs::create_dir_all(&request.folder)
             .map_err(|error| format!("{}: {error}", request.folder))?;
-        let writer = writer(chassis, &config, path, run, runtime);
-        let writer = writer.map_err(|error| error.to_string())?;
+        let channels = request.channels.clone();
+        let recorder = begin(chassis, &config, path, run, runtime, channels);
+        let recorder = recorder.map_err(|error| error.to_string())?;
         for task in &request.names {
-            writer.names().name(task.tid, &task.name.as_str().into());
+            recorder.name(task.tid, &task.name);
         }
-        let writer = writer.choosing(request.channels.clone());
-        let recorder = threaded(chassis, &config, writer).map_err(|error| error.to_string())?;
         for task in chassis.tasks() {
             let commands = task.statistics.commands();
             recorder.named(task.tid, &task.name, commands);

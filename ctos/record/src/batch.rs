@@ -1,49 +1,27 @@
-//! What has been noted and not yet written: stretches of what happened to messages, and what was told
-//! between them, in the order in which it came.
+//! What has been noted and not yet written: stretches of what happened to messages, and lines between
+//! them, in the order in which it came.
 
-use super::{
-    event::{Told, Traffic},
-    traffic::Coder,
-};
-use ctos_message::append;
+use std::borrow::Cow;
+
+use super::{event::Traffic, lines::Schema, parts::Line, traffic::Coder};
 
 /// A stretch of events ends at this size, bytes: a file that breaks off lacks no more than is in one chunk.
 const STRETCH: usize = 64 * 1024;
 /// Space that is kept for the next time, bytes; what a burst took beyond it is given back.
 const KEPT: usize = 1024 * 1024;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Traffic,
-    Told,
-}
-
-/// A piece of the bytes.
-#[derive(Debug)]
+/// A line, or a stretch of events, as it stands in the bytes.
 struct Piece {
-    kind: Kind,
-    end: usize,
+    topic: Cow<'static, str>,
+    schema: Schema,
+    start: usize,
     events: u64,
     /// The moment of its first event.
     at: u64,
 }
 
-/// A piece as the writer gets it.
-#[derive(Debug)]
-pub(crate) enum Noted<'a> {
-    /// So many events of messages, the first of them at `at`, as [`Events`](super::traffic::Events) reads
-    /// them.
-    Traffic {
-        bytes: &'a [u8],
-        events: u64,
-        at: u64,
-    },
-    /// Something told, with its data.
-    Told(Told, &'a [u8]),
-}
-
 /// Notes, in order.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(crate) struct Batch {
     bytes: Vec<u8>,
     pieces: Vec<Piece>,
@@ -57,79 +35,69 @@ impl Batch {
         self.bytes.len()
     }
 
-    /// Adds what happened to a message; `data` writes what follows it.
-    #[inline]
-    pub(crate) fn traffic(&mut self, event: &Traffic, data: impl FnOnce(&mut Vec<u8>) -> bool) {
-        if !self.goes_on() {
-            self.coder = Coder::default();
+    /// Adds what happened to a message; `data` writes what follows it. False when it cannot be encoded;
+    /// nothing is added then.
+    pub(crate) fn traffic(
+        &mut self,
+        event: Traffic,
+        data: impl FnOnce(&mut Vec<u8>) -> bool,
+    ) -> bool {
+        let (start, at) = (self.bytes.len(), event.at);
+        let goes_on = |last: &Piece| last.schema == Schema::Events && start - last.start < STRETCH;
+        if !self.pieces.last().is_some_and(goes_on) {
+            self.coder.restart();
             self.pieces.push(Piece {
-                kind: Kind::Traffic,
-                end: 0,
+                topic: Cow::Borrowed("/events"),
+                schema: Schema::Events,
+                start,
                 events: 0,
-                at: event.at,
+                at,
             });
         }
-        self.coder.put(&mut self.bytes, event, data);
-        if let Some(piece) = self.pieces.last_mut() {
-            piece.end = self.bytes.len();
-            piece.events += 1;
+        let added = self.coder.put(&mut self.bytes, event, data).is_ok();
+        match self.pieces.last_mut() {
+            Some(piece) if added => piece.events += 1,
+            _ => self.bytes.truncate(start),
         }
+        added
     }
 
-    /// Whether the last piece takes one more event.
-    #[inline]
-    fn goes_on(&self) -> bool {
-        let (start, kind) = match self.pieces.as_slice() {
-            [.., before, last] => (before.end, last.kind),
-            [last] => (0, last.kind),
-            [] => return false,
-        };
-        kind == Kind::Traffic && self.bytes.len() - start < STRETCH
-    }
-
-    /// Adds what was told; `data` writes what follows it. When that fails, it is there without.
-    ///
-    /// # Errors
-    /// When it cannot be encoded; nothing is added then.
-    pub(crate) fn told(
+    /// Adds a line of a channel; `json` writes it. False when it cannot; nothing is added then.
+    pub(crate) fn line(
         &mut self,
-        told: &Told,
-        data: impl FnOnce(&mut Vec<u8>) -> bool,
-    ) -> Result<(), postcard::Error> {
+        at: u64,
+        topic: String,
+        schema: Schema,
+        json: impl FnOnce(&mut Vec<u8>) -> bool,
+    ) -> bool {
         let start = self.bytes.len();
-        if let Err(error) = append(told, &mut self.bytes) {
+        let added = json(&mut self.bytes);
+        if added {
+            self.pieces.push(Piece {
+                topic: topic.into(),
+                schema,
+                start,
+                events: 1,
+                at,
+            });
+        } else {
             self.bytes.truncate(start);
-            return Err(error);
         }
-        let end = self.bytes.len();
-        if !data(&mut self.bytes) {
-            self.bytes.truncate(end);
-        }
-        self.pieces.push(Piece {
-            kind: Kind::Told,
-            end: self.bytes.len(),
-            events: 1,
-            at: told.at,
-        });
-        Ok(())
+        added
     }
 
     /// What is in it.
-    pub(crate) fn noted(&self) -> impl Iterator<Item = Noted<'_>> {
-        let mut start = 0;
-        self.pieces.iter().filter_map(move |piece| {
-            let bytes = self.bytes.get(start..piece.end)?;
-            start = piece.end;
-            match piece.kind {
-                Kind::Traffic => Some(Noted::Traffic {
-                    bytes,
-                    events: piece.events,
-                    at: piece.at,
-                }),
-                Kind::Told => postcard::take_from_bytes(bytes)
-                    .ok()
-                    .map(|(told, data)| Noted::Told(told, data)),
-            }
+    pub(crate) fn lines(&self) -> impl Iterator<Item = Line<'_>> {
+        let ends = self.pieces.iter().skip(1).map(|next| next.start);
+        let ends = ends.chain([self.bytes.len()]);
+        self.pieces.iter().zip(ends).filter_map(|(piece, end)| {
+            Some(Line {
+                topic: &piece.topic,
+                schema: piece.schema,
+                at: piece.at,
+                bytes: self.bytes.get(piece.start..end)?,
+                lines: piece.events,
+            })
         })
     }
 
@@ -139,6 +107,7 @@ impl Batch {
         self.bytes.shrink_to(KEPT);
         self.pieces.clear();
         self.pieces.shrink_to(KEPT / STRETCH);
+        self.coder = Coder::default();
     }
 }
 
@@ -146,7 +115,7 @@ impl Batch {
 mod tests {
     use super::*;
     use crate::{
-        event::{Key, Side, Step, What},
+        event::{Key, Side, Step},
         traffic::Events,
     };
     use ctos_message::Tid;
@@ -171,14 +140,6 @@ mod tests {
         }
     }
 
-    fn told(at: u64) -> Told {
-        let channel = "/x".to_owned();
-        Told {
-            at,
-            what: What::Value { channel },
-        }
-    }
-
     #[test]
     fn what_is_noted_comes_out_in_its_order_in_stretches_that_stand_by_themselves() {
         let mut batch = Batch::default();
@@ -187,15 +148,13 @@ mod tests {
             let mut expected = Vec::new();
             for id in 0..500_u64 {
                 if id % 7 == 3 || id == round {
-                    batch
-                        .told(&told(id), |data| {
-                            data.push(1);
-                            true
-                        })
-                        .unwrap();
+                    batch.line(id, "/x".to_owned(), Schema::Value, |json| {
+                        json.push(1);
+                        true
+                    });
                 } else {
                     let length = usize::try_from(id * 8).unwrap();
-                    batch.traffic(&sent(id), |data| {
+                    batch.traffic(sent(id), |data| {
                         data.resize(data.len() + length, 5);
                         true
                     });
@@ -203,13 +162,20 @@ mod tests {
                 expected.push(id);
             }
             let mut got = Vec::new();
-            for noted in batch.noted() {
-                match noted {
-                    Noted::Told(told, data) => {
-                        assert_eq!(data, [1]);
-                        got.push(told.at);
+            for Line {
+                schema,
+                at,
+                bytes,
+                lines: events,
+                ..
+            } in batch.lines()
+            {
+                match schema {
+                    Schema::Value => {
+                        assert_eq!(bytes, [1]);
+                        got.push(at);
                     }
-                    Noted::Traffic { bytes, events, at } => {
+                    _ => {
                         assert!(bytes.len() < STRETCH + 5000, "{}", bytes.len());
                         let mut read = Events::new(bytes);
                         let ids: Vec<u64> = read.by_ref().map(|(event, ..)| event.key.id).collect();

@@ -1,15 +1,15 @@
-//! What is noted of an app while it runs: messages and what becomes of them, which come by the million,
-//! and what is told besides.
+//! What is noted of the messages of an app while it runs: each, and what becomes of it.
 //!
 //! Knows nothing of files and nothing of JSON.
 
 use serde::{Deserialize, Serialize};
 
-use ctos_core::{phase::Phase, report::Ending};
+use ctos_core::report::Ending;
 use ctos_message::{Tid, fault::Fault};
 
 /// On which chassis, seen from the message, something was noted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum Side {
     /// Sender and receiver are here.
     Here,
@@ -17,16 +17,6 @@ pub(crate) enum Side {
     Sender,
     /// The receiver is here, the sender on another chassis.
     Receiver,
-}
-
-impl Side {
-    pub(crate) const fn word(self) -> &'static str {
-        match self {
-            Self::Here => "here",
-            Self::Sender => "sender",
-            Self::Receiver => "receiver",
-        }
-    }
 }
 
 /// Which message something happened to. Numbers of messages are those of one record.
@@ -42,7 +32,7 @@ pub(crate) struct Key {
 }
 
 /// What happened to a message. Moments are ns since the start of the app.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Step {
     /// It was sent, or came over a link; its data follows.
     Sent {
@@ -52,8 +42,8 @@ pub(crate) enum Step {
     },
     /// A handler was called with it.
     Began,
-    /// It returned.
-    Ended { began: u64, ending: Ending },
+    /// It returned, so many ns after it was called.
+    Ended { took: u64, ending: Ending },
     /// Its sender has what it waited for: the reply, whose data follows, the acceptance of a one-way
     /// message, or a fault.
     Answered {
@@ -71,27 +61,4 @@ pub(crate) struct Traffic {
     pub(crate) chassis: u8,
     pub(crate) key: Key,
     pub(crate) step: Step,
-}
-
-/// What is told besides.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) enum What {
-    /// A task has entered a startup phase; without one, its handler has been built.
-    Phase { task: Tid, phase: Option<Phase> },
-    /// A line of the log; its fields follow as a JSON object.
-    Log {
-        level: u8,
-        target: String,
-        task: Option<String>,
-        message: String,
-    },
-    /// A value that a task put on a channel of its own; it follows as JSON.
-    Value { channel: String },
-}
-
-/// Something told, with its moment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Told {
-    pub(crate) at: u64,
-    pub(crate) what: What,
 }

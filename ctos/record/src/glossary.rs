@@ -1,4 +1,4 @@
-//! What the numbers in a file mean: names of tasks and commands, and what the data of these looks like.
+//! What the numbers of a record mean: names of tasks and commands, and what the data of these looks like.
 //!
 //! It stands in the file itself, at its beginning and wherever something has become known since, so that a
 //! file can be read by programs that do not know the app.
@@ -7,7 +7,8 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 
-use crate::names::{Names, News};
+use ctos_config::App;
+use ctos_core::{chassis::BOOT_CHASSIS, names, registry::Registry, semaphore, system};
 use ctos_message::{CommandInfo, SYSTEM_COMMANDS, Shape, Tid};
 
 /// The member of the metadata that holds the glossary.
@@ -22,90 +23,135 @@ pub(crate) struct Known {
     pub(crate) reply: Option<Shape>,
 }
 
-impl Known {
-    fn new(command: &CommandInfo) -> Self {
-        Self {
-            code: command.code,
-            name: command.name.to_owned(),
-            request: command.request.shape(),
-            reply: command.reply.shape(),
-        }
-    }
+/// Something that has become known, as it stands in a file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+enum News {
+    /// The name of a task.
+    Task(Tid, String),
+    /// The commands that some tasks take; the first ones are those that all tasks take.
+    Commands(Vec<Known>),
+    /// The task of this name takes the commands with this place among all [`News::Commands`].
+    Takes(String, usize),
 }
 
-/// A part of a glossary, as it stands in a file.
-#[derive(Debug, Default, Serialize, Deserialize)]
-struct Page {
-    /// Names by task ids.
-    tasks: Vec<(u32, String)>,
-    /// By the names of tasks, what they take: a place in `commands`.
-    takes: Vec<(String, usize)>,
-    commands: Vec<Vec<Known>>,
-    /// What all tasks take.
-    system: Vec<Known>,
-}
-
-/// What `names` knows after the first `known` things, as metadata, and how much that is in all. `None` when
-/// nothing is new.
-pub(crate) fn page(names: &Names, known: usize) -> Option<(BTreeMap<String, String>, usize)> {
-    let news = names.news(known);
-    if news.is_empty() {
-        return None;
-    }
-    let mut page = Page::default();
-    if known == 0 {
-        page.system = names.system().iter().map(Known::new).collect();
-    }
-    let mut kinds: Vec<&[CommandInfo]> = Vec::new();
-    for one in &news {
-        match one {
-            News::Task(tid, name) => page.tasks.push((tid.bits(), name.to_string())),
-            News::Takes(name, commands) => {
-                let place = kinds.iter().position(|kind| *kind == commands.as_slice());
-                let place = place.unwrap_or_else(|| {
-                    kinds.push(commands);
-                    page.commands
-                        .push(commands.iter().map(Known::new).collect());
-                    kinds.len() - 1
-                });
-                page.takes.push((name.to_string(), place));
-            }
-        }
-    }
-    // What is told is text and numbers: nothing of it cannot be written.
-    let json = serde_json::to_string(&page).unwrap_or_default();
-    let metadata = BTreeMap::from([(MEMBER.to_owned(), json)]);
-    Some((metadata, known + news.len()))
-}
-
-/// The glossary of a file, as far as it has been read.
+/// What is known of the numbers of one app.
 #[derive(Debug, Default)]
 pub(crate) struct Glossary {
     tasks: BTreeMap<Tid, Arc<str>>,
-    takes: BTreeMap<Arc<str>, Arc<Vec<Known>>>,
-    system: Vec<Known>,
+    commands: Vec<Vec<Known>>,
+    takes: BTreeMap<Arc<str>, usize>,
+    /// All of it, in the order in which it has become known, for those who write it down.
+    news: Vec<News>,
+    /// From what `commands` were made, unless they were read.
+    sources: Vec<Vec<CommandInfo>>,
 }
 
 impl Glossary {
-    /// Adds a page. False when it cannot be read; what is in it stays without name then.
-    pub(crate) fn add(&mut self, metadata: &BTreeMap<String, String>) -> bool {
-        let page = metadata
-            .get(MEMBER)
-            .and_then(|json| serde_json::from_str::<Page>(json).ok());
-        let Some(page) = page else {
-            return false;
+    /// What is known of `app` before it runs: each agent counts its tasks in the order of the
+    /// configuration, so that the ids of the tasks of other chassis are known here too.
+    pub(crate) fn of(app: &App, registry: &Registry, runtime: &[CommandInfo]) -> Self {
+        let mut all = Self::default();
+        let system = [
+            &system::ALL,
+            runtime,
+            &names::COMMANDS,
+            &semaphore::server::COMMANDS,
+        ];
+        all.commands(&system.concat());
+        all.put(News::Task(system::TID_SERVER, "tidsvr".to_owned()));
+        all.put(News::Task(system::BOOTSTRAP, "bootstrap".to_owned()));
+        let mut agent = |number, chassis: &str| {
+            let name = format!("agent@{chassis}");
+            all.put(News::Task(system::agent_tid(number), name));
         };
-        for (tid, name) in page.tasks {
-            self.tasks.insert(Tid::from_bits(tid), name.into());
+        agent(0, BOOT_CHASSIS);
+        for (number, chassis) in (1_u8..).zip(&app.chassis) {
+            agent(number, &chassis.name);
         }
-        let commands: Vec<_> = page.commands.into_iter().map(Arc::new).collect();
-        for (name, place) in page.takes {
-            if let Some(commands) = commands.get(place) {
-                self.takes.insert(name.into(), commands.clone());
+        for (number, chassis) in (1_u8..).zip(&app.chassis) {
+            for (place, processor) in (1_u8..).zip(&chassis.processors) {
+                let here = app.tasks.iter().filter(|task| {
+                    task.chassis == chassis.name && task.processor == processor.name
+                });
+                for (slot, task) in (0_u16..).zip(here) {
+                    all.name(Tid::new(number, place, slot), &task.name);
+                }
             }
         }
-        self.system.extend(page.system);
-        true
+        for task in &app.tasks {
+            if let Some(kind) = registry.kind(&task.handler) {
+                all.takes(&task.name, kind.commands());
+            }
+        }
+        all
+    }
+
+    fn put(&mut self, news: News) {
+        match &news {
+            News::Task(task, name) => {
+                self.tasks.insert(*task, name.as_str().into());
+            }
+            News::Commands(commands) => self.commands.push(commands.clone()),
+            News::Takes(name, place) => {
+                self.takes.insert(name.as_str().into(), *place);
+            }
+        }
+        self.news.push(news);
+    }
+
+    /// `task` is called `name` from now on.
+    pub(crate) fn name(&mut self, task: Tid, name: &str) {
+        // The tasks of the runtime have names that say where they are.
+        if task.processor() > 0 && self.tasks.get(&task).is_none_or(|known| **known != *name) {
+            self.put(News::Task(task, name.to_owned()));
+        }
+    }
+
+    /// What the task `name` takes, which no configuration need declare.
+    pub(crate) fn takes(&mut self, name: &str, commands: &[CommandInfo]) {
+        if !self.takes.contains_key(name) {
+            let place = self.commands(commands);
+            self.put(News::Takes(name.to_owned(), place));
+        }
+    }
+
+    /// The place of these commands.
+    fn commands(&mut self, commands: &[CommandInfo]) -> usize {
+        let place = self.sources.iter().position(|known| known == commands);
+        place.unwrap_or_else(|| {
+            let known = |command: &CommandInfo| Known {
+                code: command.code,
+                name: command.name.to_owned(),
+                request: command.request.shape(),
+                reply: command.reply.shape(),
+            };
+            self.put(News::Commands(commands.iter().map(known).collect()));
+            self.sources.push(commands.to_vec());
+            self.sources.len() - 1
+        })
+    }
+
+    /// How much is known.
+    pub(crate) fn len(&self) -> usize {
+        self.news.len()
+    }
+
+    /// What has become known after the first `known` things, as metadata.
+    pub(crate) fn page(&self, known: usize) -> BTreeMap<String, String> {
+        let news = self.news.get(known..).unwrap_or(&[]);
+        // What is told is text and numbers: nothing of it cannot be written.
+        let json = serde_json::to_string(news).unwrap_or_default();
+        BTreeMap::from([(MEMBER.to_owned(), json)])
+    }
+
+    /// Adds a page. False when it cannot be read; what is in it stays without name then.
+    pub(crate) fn add(&mut self, metadata: &BTreeMap<String, String>) -> bool {
+        let news = metadata
+            .get(MEMBER)
+            .and_then(|json| serde_json::from_str::<Vec<News>>(json).ok());
+        let read = news.is_some();
+        news.into_iter().flatten().for_each(|news| self.put(news));
+        read
     }
 
     /// The name of a task; its id when it has none that is known.
@@ -114,13 +160,25 @@ impl Glossary {
         known.unwrap_or_else(|| task.to_string().into())
     }
 
+    /// The id of a task.
+    pub(crate) fn tid(&self, name: &str) -> Option<Tid> {
+        let mut tasks = self.tasks.iter();
+        tasks.find_map(|(tid, known)| (**known == *name).then_some(*tid))
+    }
+
     /// What `task` takes under `code`.
     pub(crate) fn command(&self, task: &str, code: u16) -> Option<&Known> {
-        let among = if code >= SYSTEM_COMMANDS {
-            &self.system
-        } else {
-            &**self.takes.get(task)?
+        let place = match code {
+            SYSTEM_COMMANDS.. => 0,
+            _ => *self.takes.get(task)?,
         };
-        among.iter().find(|known| known.code == code)
+        let mut among = self.commands.get(place)?.iter();
+        among.find(|known| known.code == code)
+    }
+
+    /// Its name, or the code.
+    pub(crate) fn command_name(&self, task: &str, code: u16) -> String {
+        let known = self.command(task, code);
+        known.map_or_else(|| format!("{code:#06x}"), |known| known.name.clone())
     }
 }

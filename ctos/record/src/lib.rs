@@ -16,7 +16,6 @@ mod event;
 mod glossary;
 mod lines;
 mod log;
-mod names;
 mod parts;
 mod read;
 mod recorder;
@@ -28,16 +27,11 @@ mod writer;
 use ctos_config::RecordConfig;
 use ctos_core::chassis::Chassis;
 use ctos_message::CommandInfo;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-    sync::Arc,
-    time::Duration,
-};
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 
 pub use lines::Number;
 pub use log::RecordLayer;
-pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan, scan_only};
+pub use read::{Channel, Entry, Filter, ReadError, Record, Run, scan_only};
 pub use replay::{Difference, ReplayError, ReplayReport, replay};
 
 pub use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
@@ -45,8 +39,8 @@ pub use attach::{Attached, BeginRecord, EndRecord, ReadRecord};
 pub use ctos_core::report::{Ending, RecordReport};
 pub use recorders::Recorders;
 
-use names::Names;
-use parts::{Parts, Place};
+use glossary::Glossary;
+use parts::{Parts, Place, suffixed};
 use recorder::Recorder;
 use writer::Writer;
 
@@ -85,16 +79,11 @@ pub fn start(
     let Some(config) = &app.record else {
         return Ok(None);
     };
-    let real = first.clock.origin_ns();
     let mut path = app.folder.join(&config.file);
-    if real.is_some() {
-        path = file_named(&path, first.name());
+    if first.clock.origin_ns().is_some() {
+        path = suffixed(&path, first.name());
     }
-    let writer = writer(first, config, path, run_of(first), runtime)?;
-    let recorder = match real {
-        Some(_) => threaded(first, config, writer)?,
-        None => Recorder::inline(first.clock.clone(), writer, config.buffer_bytes),
-    };
+    let recorder = begin(first, config, path, run_of(first), runtime, Vec::new())?;
     for one in chassis {
         Recorders::record(one, recorder.clone());
     }
@@ -102,28 +91,24 @@ pub fn start(
     Ok(Some(Recording(recorder)))
 }
 
-/// Begins a file at `path` for what happens at `chassis`.
-fn writer(
+/// Begins a file at `path` for what happens at `chassis`, of which `channels` are wanted; none: all.
+fn begin(
     chassis: &Chassis,
     config: &RecordConfig,
     path: PathBuf,
     run: BTreeMap<String, String>,
     runtime: &[CommandInfo],
-) -> std::io::Result<Writer> {
-    let names = Arc::new(Names::new(&chassis.app, &chassis.registry(), runtime));
+    channels: Vec<String>,
+) -> std::io::Result<Arc<Recorder>> {
+    let names = Glossary::of(&chassis.app, &chassis.registry(), runtime);
     let place = Place::new(path, config.max_bytes, config.keep);
     let parts = Parts::open(place, run).map_err(std::io::Error::other)?;
-    Ok(Writer::new(names, parts))
-}
-
-/// A recorder of one chassis in real time.
-fn threaded(
-    chassis: &Chassis,
-    config: &RecordConfig,
-    writer: Writer,
-) -> std::io::Result<Arc<Recorder>> {
-    let (clock, lanes) = (chassis.clock.clone(), chassis.processors.len());
-    Recorder::threaded(clock, writer, lanes, config.buffer_bytes, config.flush)
+    let writer = Writer::new(names, parts, channels);
+    let (clock, limit) = (chassis.clock.clone(), config.buffer_bytes);
+    match clock.origin_ns() {
+        Some(_) => Recorder::threaded(clock, writer, chassis.processors.len(), limit, config.flush),
+        None => Ok(Recorder::inline(clock, writer, limit)),
+    }
 }
 
 /// The file of a record of app `name` in a folder where no configuration says it: `NAME.mcap`.
@@ -138,18 +123,6 @@ pub fn file_name(name: &str) -> String {
     };
     let name: String = name.chars().take(64).map(plain).collect();
     format!("{name}.mcap")
-}
-
-/// The file of one process: `run.mcap` becomes `run.CHASSIS.mcap`.
-fn file_named(path: &Path, chassis: &str) -> PathBuf {
-    let mut name = path.file_stem().unwrap_or_default().to_owned();
-    name.push(".");
-    name.push(chassis);
-    if let Some(extension) = path.extension() {
-        name.push(".");
-        name.push(extension);
-    }
-    path.with_file_name(name)
 }
 
 /// Of what a file is the record.

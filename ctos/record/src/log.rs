@@ -3,23 +3,17 @@
 
 use std::{
     fmt,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Mutex},
 };
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use tracing::{
     Event, Level, Subscriber,
     field::{Field, Visit},
 };
 use tracing_subscriber::layer::{Context, Layer};
 
-use super::{
-    event::{Told, What},
-    recorder::Recorder,
-};
+use super::{lines::Schema, recorder::Recorder};
 use ctos_message::Tid;
 use ctos_time::lock::lock;
 
@@ -33,8 +27,6 @@ struct Attached {
 #[derive(Default)]
 pub struct RecordLayer {
     attached: Mutex<Vec<Attached>>,
-    /// Whether there are any.
-    records: AtomicBool,
 }
 
 impl RecordLayer {
@@ -42,13 +34,6 @@ impl RecordLayer {
     #[must_use]
     pub fn new() -> Self {
         Self::default()
-    }
-}
-
-impl fmt::Debug for RecordLayer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let attached = self.records.load(Ordering::Acquire);
-        write!(f, "RecordLayer {{ attached: {attached} }}")
     }
 }
 
@@ -69,21 +54,17 @@ pub(crate) fn detach(recorder: &Arc<Recorder>) {
 fn change(mut change: impl FnMut(&mut Vec<Attached>)) {
     tracing::dispatcher::get_default(|dispatch| {
         if let Some(layer) = dispatch.downcast_ref::<RecordLayer>() {
-            let mut attached = lock(&layer.attached);
-            change(&mut attached);
-            layer.records.store(!attached.is_empty(), Ordering::Release);
+            change(&mut lock(&layer.attached));
         }
     });
 }
 
 impl<S: Subscriber> Layer<S> for RecordLayer {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        if self.records.load(Ordering::Acquire) {
-            // Not under the lock: a recorder may have something to log itself.
-            let attached = lock(&self.attached).clone();
-            for one in &attached {
-                note(one, event);
-            }
+        // Not under the lock: a recorder may have something to log itself.
+        let attached = lock(&self.attached).clone();
+        for one in &attached {
+            note(one, event);
         }
     }
 }
@@ -92,19 +73,22 @@ impl<S: Subscriber> Layer<S> for RecordLayer {
 fn note(Attached { recorder, chassis }: &Attached, event: &Event<'_>) {
     let mut line = Line::default();
     event.record(&mut line);
-    let told = Told {
-        at: recorder.now(),
-        what: What::Log {
-            level: level_of(*event.metadata().level()),
-            target: event.metadata().target().to_owned(),
-            task: line.task,
-            message: line.message,
-        },
-    };
-    let fields = line.fields;
+    let at = recorder.now();
+    let file = event.metadata().target();
+    let name = line.task.as_deref();
+    let topic = format!("/log/{}", name.unwrap_or("ctos"));
+    let json = json!({
+        "timestamp": { "sec": at / 1_000_000_000, "nsec": at % 1_000_000_000 },
+        "level": level_of(*event.metadata().level()),
+        "message": line.message,
+        "name": name.unwrap_or(file),
+        "file": file,
+        "line": 0,
+        "fields": line.fields,
+    });
     // On the runtime's own processor: which one this thread belongs to is not known here.
-    recorder.told(Tid::new(*chassis, 0, 0), &told, |buffer| {
-        serde_json::to_writer(buffer, &fields).is_ok()
+    recorder.line(Tid::new(*chassis, 0, 0), at, topic, Schema::Log, |buffer| {
+        serde_json::to_writer(buffer, &json).is_ok()
     });
 }
 

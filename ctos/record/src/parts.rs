@@ -8,21 +8,19 @@ use std::{
     collections::BTreeMap,
     ffi::OsString,
     fs::{File, OpenOptions},
-    io::{self, BufWriter, Seek, SeekFrom, Write},
+    io::{self, Seek, Write},
     os::unix::fs::OpenOptionsExt,
     path::{Path, PathBuf},
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex},
 };
 
 use mcap::{
     WriteOptions,
     records::{MessageHeader, Metadata},
+    write::NoSeek,
 };
 
-use super::lines::{RECORDER, Schema};
+use super::lines::{Schema, SchemaText};
 use ctos_core::report::RecordReport;
 use ctos_time::lock::lock;
 
@@ -41,6 +39,7 @@ pub(crate) const LOST: &str = "ctos.lost";
 pub(crate) const NAMES: &str = "ctos.names";
 
 /// One line of a record, or a stretch of several.
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Line<'a> {
     pub(crate) topic: &'a str,
     pub(crate) schema: Schema,
@@ -50,32 +49,81 @@ pub(crate) struct Line<'a> {
     pub(crate) lines: u64,
 }
 
-/// A file that remembers its first error and swallows what comes afterwards: whoever writes formats
-/// through it need not survive errors in the middle of them.
-struct Sink {
-    file: File,
-    state: Arc<SinkState>,
+/// Writes the lines of one MCAP file.
+pub(crate) struct LineWriter<W: Write + Seek> {
+    pub(crate) mcap: mcap::Writer<W>,
+    /// The channels so far, with the number of lines in each.
+    channels: BTreeMap<String, (u16, u32)>,
 }
 
-#[derive(Default)]
-struct SinkState {
-    written: AtomicU64,
-    error: Mutex<Option<String>>,
-}
+impl<W: Write + Seek> LineWriter<W> {
+    pub(crate) fn new(options: WriteOptions, file: W) -> mcap::McapResult<Self> {
+        let mcap = options
+            .compression(None)
+            .profile("ctos")
+            .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
+            .create(file)?;
+        let channels = BTreeMap::new();
+        Ok(Self { mcap, channels })
+    }
 
-impl Write for Sink {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut error = lock(&self.state.error);
-        if error.is_none() {
-            match self.file.write_all(bytes) {
-                Ok(()) => {
-                    let length = u64::try_from(bytes.len()).unwrap_or(u64::MAX);
-                    self.state.written.fetch_add(length, Ordering::Relaxed);
-                }
-                Err(failed) => *error = Some(failed.to_string()),
-            }
+    pub(crate) fn metadata(
+        &mut self,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> mcap::McapResult<()> {
+        let name = name.to_owned();
+        self.mcap.write_metadata(&Metadata { name, metadata })
+    }
+
+    /// Events that the record is known to lack.
+    pub(crate) fn lost(&mut self, events: u64) -> mcap::McapResult<()> {
+        let metadata = BTreeMap::from([("events".to_owned(), events.to_string())]);
+        self.metadata(LOST, metadata)
+    }
+
+    pub(crate) fn line(
+        &mut self,
+        topic: &str,
+        schema: &SchemaText<'_>,
+        at: u64,
+        bytes: &[u8],
+    ) -> mcap::McapResult<()> {
+        if !self.channels.contains_key(topic) {
+            let SchemaText {
+                name,
+                language,
+                text,
+                encoding,
+            } = *schema;
+            let id = self.mcap.add_schema(name, language, text)?;
+            let id = self
+                .mcap
+                .add_channel(id, topic, encoding, &BTreeMap::new())?;
+            self.channels.insert(topic.to_owned(), (id, 0));
         }
-        Ok(bytes.len())
+        let (channel_id, sequence) = self.channels.get_mut(topic).map_or((0, 0), |(id, lines)| {
+            *lines = lines.wrapping_add(1);
+            (*id, *lines)
+        });
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time: at,
+            publish_time: at,
+        };
+        self.mcap.write_to_known_channel(&header, bytes)
+    }
+}
+
+/// What has not been brought to the disk yet. Writing to it cannot fail, so that the format never breaks
+/// off in the middle of something.
+#[derive(Clone, Default)]
+struct Unwritten(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Unwritten {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        lock(&self.0).write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -83,51 +131,33 @@ impl Write for Sink {
     }
 }
 
-/// Says where it is, and goes nowhere: chunks are written whole.
-impl Seek for Sink {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        if to != SeekFrom::Current(0) {
-            let mut error = lock(&self.state.error);
-            error.get_or_insert_with(|| {
-                "a record is written from its beginning to its end".to_owned()
-            });
-        }
-        Ok(self.state.written.load(Ordering::Relaxed))
-    }
-}
-
-struct Channel {
-    id: u16,
-    sequence: u32,
-}
-
 struct Part {
     path: PathBuf,
-    writer: mcap::Writer<BufWriter<Sink>>,
-    sink: Arc<SinkState>,
-    channels: BTreeMap<String, Channel>,
-    schemas: BTreeMap<&'static str, u16>,
-    bytes: u64,
-    /// The length of the file when all of it was whole, and how many lines and bytes came since.
-    whole: u64,
-    unsafe_lines: u64,
-    unsafe_bytes: u64,
-    /// Lines that it was given.
+    file: File,
+    writer: LineWriter<NoSeek<Unwritten>>,
+    unwritten: Unwritten,
+    /// Lines and bytes that it was given.
     lines: u64,
+    bytes: u64,
+    /// How many of both it had been given when all of it was on the disk.
+    safe_lines: u64,
+    safe_bytes: u64,
+    /// The length of the file then.
+    whole: u64,
 }
 
 /// A file that cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot record to {path}: {reason}")]
+#[error("cannot record to {}: {reason}", .path.display())]
 pub(crate) struct PartError {
-    path: String,
+    path: PathBuf,
     reason: String,
 }
 
 impl PartError {
     fn new(path: &Path, reason: impl ToString) -> Self {
         Self {
-            path: path.display().to_string(),
+            path: path.to_owned(),
             reason: reason.to_string(),
         }
     }
@@ -169,14 +199,13 @@ pub(crate) struct Parts {
     /// Files that were begun.
     begun: u64,
     retry_at: u64,
-    lost: u64,
-    lost_in_all: u64,
+    /// Events that are missing and of which the record does not say so yet, and why.
+    untold: u64,
     why: String,
-    /// How the record is; of the present file only what is on disk counts.
+    /// How the record is, without the present file.
     report: RecordReport,
-    /// What was said last of a disk that takes nothing, and how many lines there were then: the same is
-    /// said once.
-    told: Option<(String, u64)>,
+    /// How many lines there were when the trouble in the report began.
+    troubled_at: u64,
 }
 
 impl Parts {
@@ -196,38 +225,30 @@ impl Parts {
             part: Some(part),
             begun: 1,
             retry_at: 0,
-            lost: 0,
-            lost_in_all: 0,
+            untold: 0,
             why: String::new(),
-            told: None,
+            troubled_at: 0,
         })
     }
 
-    /// Events that are not in the record.
-    pub(crate) fn lost_in_all(&self) -> u64 {
-        self.lost_in_all
-    }
-
-    /// How the record is.
+    /// How the record is; of the present file only what is on disk counts.
     pub(crate) fn report(&self) -> RecordReport {
         let mut report = self.report.clone();
-        report.lost = self.lost_in_all;
         if let Some(part) = &self.part {
             report.lines += part.lines;
-            report.bytes += part.sink.written.load(Ordering::Relaxed);
+            report.bytes += part.whole;
         }
         report
     }
 
     /// Says what is wrong with the disk, and what to do; the same thing once.
     fn say(&mut self, path: &Path, error: &str, lost: u64) {
-        self.report.trouble = Some(error.to_owned());
-        let told = self.told.as_ref().map(|(told, _)| told.as_str());
-        if told == Some(error) {
+        if self.report.trouble.as_deref() == Some(error) {
             tracing::debug!(file = %path.display(), error, lost, "the record cannot go on yet");
             return;
         }
-        self.told = Some((error.to_owned(), self.report().lines));
+        self.report.trouble = Some(error.to_owned());
+        self.troubled_at = self.report().lines;
         let retry_s = RETRY_NS / 1_000_000_000;
         tracing::error!(
             file = %path.display(), error, lost, retry_s,
@@ -237,23 +258,23 @@ impl Parts {
 
     /// So many events are not in the record.
     pub(crate) fn lost(&mut self, count: u64, why: &str) {
-        self.lost += count;
-        self.lost_in_all += count;
+        self.untold += count;
+        self.report.lost += count;
         why.clone_into(&mut self.why);
     }
 
     /// Writes in the record, where it can be written, what is missing before this moment.
     pub(crate) fn tell_lost(&mut self, now: u64) {
-        if self.lost == 0 || self.part.is_none() {
+        if self.untold == 0 || self.part.is_none() {
             return;
         }
-        let line = serde_json::json!({ "dropped": self.lost, "why": self.why }).to_string();
-        self.lost = 0;
+        let line = serde_json::json!({ "dropped": self.untold, "why": self.why }).to_string();
+        self.untold = 0;
         self.write(
             now,
             &Line {
                 topic: "/recorder",
-                schema: RECORDER,
+                schema: Schema::Recorder,
                 at: now,
                 bytes: line.as_bytes(),
                 lines: 1,
@@ -266,20 +287,16 @@ impl Parts {
         if !self.ready(now) {
             return self.lost(line.lines, "the disk took nothing more");
         }
-        let full = match &mut self.part {
-            Some(part) => match part.write(line) {
-                Ok(()) => part.bytes >= self.place.max_bytes,
-                Err(error) => {
-                    tracing::warn!(topic = line.topic, error = %error, "a line could not be recorded");
-                    return self.lost(line.lines, "a line could not be recorded");
-                }
-            },
-            None => return,
-        };
-        self.check(now);
-        if full {
+        let Some(part) = &mut self.part else { return };
+        if let Err(error) = part.write(line) {
+            tracing::warn!(topic = line.topic, error = %error, "a line could not be recorded");
+            return self.lost(line.lines, "a line could not be recorded");
+        }
+        if part.bytes >= self.place.max_bytes {
             self.end_part(now);
             self.begin_part(now);
+        } else if part.bytes - part.safe_bytes >= CHUNK {
+            self.flush_part(now);
         }
     }
 
@@ -293,7 +310,9 @@ impl Parts {
         if let Some(part) = &mut self.part {
             let bytes: usize = metadata.values().map(String::len).sum();
             part.bytes += u64::try_from(bytes).unwrap_or(u64::MAX / 4);
-            part.metadata(name, metadata);
+            if let Err(error) = part.writer.metadata(name, metadata) {
+                tracing::warn!(name, error = %error, "metadata could not be recorded");
+            }
         }
     }
 
@@ -312,9 +331,8 @@ impl Parts {
                 self.part = Some(part);
                 self.begun += 1;
             }
-            Err(error) => {
-                let path = PathBuf::from(&error.path);
-                self.say(&path, &error.reason, self.lost_in_all);
+            Err(PartError { path, reason }) => {
+                self.say(&path, &reason, self.report.lost);
                 self.retry_at = now.saturating_add(RETRY_NS);
             }
         }
@@ -322,68 +340,46 @@ impl Parts {
 
     /// Closes the present file in order.
     fn end_part(&mut self, now: u64) {
-        let lost = self.lost_in_all.to_string();
-        let Some(mut part) = self.part.take() else {
-            return;
-        };
-        part.metadata(LOST, BTreeMap::from([("events".to_owned(), lost)]));
-        part.flush();
-        let (path, lost, sink) = (part.path.clone(), part.unsafe_lines, part.sink.clone());
-        let (whole, lines) = (part.whole, part.lines);
-        part.finish();
-        let error = lock(&sink.error).clone();
-        match error {
-            Some(error) => {
-                self.account(lines.saturating_sub(lost), whole);
-                self.broke_off(now, &path, whole, lost, &error);
+        if let Some(mut part) = self.part.take() {
+            let ended = part.finish(self.report.lost);
+            self.leave(now, &part, ended);
+        }
+    }
+
+    /// Brings to the disk what was written, or gives up a file whose disk has failed.
+    fn flush_part(&mut self, now: u64) {
+        if let Some(mut part) = self.part.take() {
+            match part.flush() {
+                Ok(()) => self.part = Some(part),
+                failed => self.leave(now, &part, failed),
             }
-            None => self.account(lines, sink.written.load(Ordering::Relaxed)),
         }
     }
 
-    /// A file is left with so many lines and bytes in it.
-    fn account(&mut self, lines: u64, bytes: u64) {
-        self.report.lines += lines;
-        self.report.bytes += bytes;
-    }
-
-    /// Gives up a file whose disk has failed.
-    fn check(&mut self, now: u64) {
-        if let Some(part) = self.part.take_if(|part| part.error().is_some()) {
-            let error = part.error().unwrap_or_default();
-            let (path, whole, lost) = (part.path.clone(), part.whole, part.unsafe_lines);
-            self.account(part.lines.saturating_sub(lost), whole);
-            // What it still writes at its end, the sink swallows.
-            drop(part);
-            self.broke_off(now, &path, whole, lost, &error);
+    /// Leaves a file. One whose disk has failed ends at the last place where it was whole.
+    fn leave(&mut self, now: u64, part: &Part, ended: io::Result<()>) {
+        self.report.lines += part.safe_lines;
+        self.report.bytes += part.whole;
+        let Err(error) = ended else { return };
+        if let Err(error) = part.file.set_len(part.whole) {
+            tracing::warn!(file = %part.path.display(), error = %error, "the broken end of a record was not cut off");
         }
-    }
-
-    /// Ends a file at the last place where it was whole.
-    fn broke_off(&mut self, now: u64, path: &Path, whole: u64, lines: u64, error: &str) {
-        let cut = OpenOptions::new().write(true).open(path);
-        if let Err(error) = cut.and_then(|file| file.set_len(whole)) {
-            tracing::warn!(file = %path.display(), error = %error, "the broken end of a record was not cut off");
-        }
-        self.lost(lines, error);
-        self.say(path, error, lines);
+        let (lost, error) = (part.lines - part.safe_lines, error.to_string());
+        self.lost(lost, &error);
+        self.say(&part.path, &error, lost);
         self.retry_at = now.saturating_add(RETRY_NS);
     }
 
     /// Brings to the disk what was written.
     pub(crate) fn flush(&mut self, now: u64) {
-        if let Some(part) = &mut self.part {
-            part.flush();
-        }
-        self.check(now);
-        let lines = self.report().lines;
-        if let (Some(part), Some((_, then))) = (&self.part, &self.told)
+        self.flush_part(now);
+        if let Some(part) = &self.part
+            && self.report.trouble.is_some()
             // A disk that takes a beginning and no more has not recovered.
-            && lines > *then
+            && self.report().lines > self.troubled_at
             && now >= self.retry_at.saturating_add(RETRY_NS)
         {
             tracing::warn!(file = %part.path.display(), "the record goes on");
-            self.told = None;
             self.report.trouble = None;
         }
     }
@@ -392,8 +388,8 @@ impl Parts {
     pub(crate) fn close(&mut self, now: u64) {
         self.tell_lost(now);
         self.end_part(now);
-        if self.lost_in_all > 0 {
-            let lost = self.lost_in_all;
+        let lost = self.report.lost;
+        if lost > 0 {
             tracing::warn!(lost, "the record is not complete");
         }
     }
@@ -412,38 +408,26 @@ impl Part {
                 tracing::warn!(file = %old.display(), error = %error, "an old record was not removed");
             }
         }
-        let state = Arc::<SinkState>::default();
-        let sink = Sink {
-            file,
-            state: state.clone(),
-        };
-        let writer = WriteOptions::new()
-            .compression(None)
-            .profile("ctos")
-            .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
-            // A chunk ends when it is flushed, so that it is known where the file is whole.
-            .chunk_size(None)
-            // A chunk is written when it is whole: a process that is killed leaves whole ones.
-            .disable_seeking(true)
-            .create(BufWriter::new(sink))
-            .map_err(|error| PartError::new(&path, error))?;
+        // A chunk ends when it is flushed, so that it is known where the file is whole; it is written
+        // when it is whole, so that a process that is killed leaves whole ones.
+        let options = WriteOptions::new().chunk_size(None).disable_seeking(true);
+        let unwritten = Unwritten::default();
+        let writer = LineWriter::new(options, NoSeek::new(unwritten.clone()));
         let mut part = Self {
+            writer: writer.map_err(|error| PartError::new(&path, error))?,
             path,
-            writer,
-            sink: state,
-            channels: BTreeMap::new(),
-            schemas: BTreeMap::new(),
-            bytes: 0,
-            whole: 0,
-            unsafe_lines: 0,
-            unsafe_bytes: 0,
+            file,
+            unwritten,
             lines: 0,
+            bytes: 0,
+            safe_lines: 0,
+            safe_bytes: 0,
+            whole: 0,
         };
         let mut run = run.clone();
         run.insert("part".to_owned(), number.to_string());
-        part.metadata(RUN, run);
-        part.flush();
-        if let Some(error) = part.error() {
+        let begun = part.writer.metadata(RUN, run).map_err(io::Error::other);
+        if let Err(error) = begun.and_then(|()| part.flush()) {
             // Nothing is in it.
             let _ = std::fs::remove_file(&part.path);
             return Err(PartError::new(&part.path, error));
@@ -452,80 +436,33 @@ impl Part {
     }
 
     fn write(&mut self, line: &Line<'_>) -> mcap::McapResult<()> {
-        let header = self.header(line)?;
-        self.writer.write_to_known_channel(&header, line.bytes)?;
-        let bytes = OVERHEAD + u64::try_from(line.bytes.len()).unwrap_or(u64::MAX / 4);
-        self.bytes += bytes;
-        self.unsafe_bytes += bytes;
-        self.unsafe_lines += line.lines;
+        self.writer
+            .line(line.topic, &line.schema.text(), line.at, line.bytes)?;
+        self.bytes += OVERHEAD + u64::try_from(line.bytes.len()).unwrap_or(u64::MAX / 4);
         self.lines += line.lines;
-        if self.unsafe_bytes >= CHUNK {
-            self.flush();
-        }
         Ok(())
     }
 
-    fn header(&mut self, line: &Line<'_>) -> mcap::McapResult<MessageHeader> {
-        if !self.channels.contains_key(line.topic) {
-            let schema = match self.schemas.get(line.schema.name) {
-                Some(id) => *id,
-                None => {
-                    let text = line.schema.text.as_bytes();
-                    let Schema { name, language, .. } = line.schema;
-                    let id = self.writer.add_schema(name, language, text)?;
-                    self.schemas.insert(name, id);
-                    id
-                }
-            };
-            let id = self.writer.add_channel(
-                schema,
-                line.topic,
-                line.schema.encoding,
-                &BTreeMap::new(),
-            )?;
-            let channel = Channel { id, sequence: 0 };
-            self.channels.insert(line.topic.to_owned(), channel);
-        }
-        let channel = self.channels.get_mut(line.topic);
-        let (channel_id, sequence) = channel.map_or((0, 0), |channel| {
-            channel.sequence = channel.sequence.wrapping_add(1);
-            (channel.id, channel.sequence)
-        });
-        Ok(MessageHeader {
-            channel_id,
-            sequence,
-            log_time: line.at,
-            publish_time: line.at,
-        })
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer.mcap.flush().map_err(io::Error::other)?;
+        self.write_out()?;
+        (self.safe_lines, self.safe_bytes) = (self.lines, self.bytes);
+        Ok(())
     }
 
-    fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) {
-        let metadata = Metadata {
-            name: name.to_owned(),
-            metadata,
-        };
-        // The sink keeps the error, if there is one.
-        let _ = self.writer.write_metadata(&metadata);
+    fn finish(&mut self, lost: u64) -> io::Result<()> {
+        self.writer.lost(lost).map_err(io::Error::other)?;
+        self.flush()?;
+        self.writer.mcap.finish().map_err(io::Error::other)?;
+        self.write_out()
     }
 
-    fn error(&self) -> Option<String> {
-        lock(&self.sink.error).clone()
-    }
-
-    fn flush(&mut self) {
-        // The sink keeps the error, if there is one.
-        let _ = self.writer.flush();
-        if self.error().is_none() {
-            self.whole = self.sink.written.load(Ordering::Relaxed);
-            self.unsafe_lines = 0;
-            self.unsafe_bytes = 0;
-        }
-    }
-
-    fn finish(mut self) {
-        // The sink keeps the error, if there is one.
-        let _ = self.writer.finish();
-        let _ = self.writer.into_inner().flush();
+    fn write_out(&mut self) -> io::Result<()> {
+        let mut unwritten = lock(&self.unwritten.0);
+        self.file.write_all(&unwritten)?;
+        self.whole += u64::try_from(unwritten.len()).unwrap_or(0);
+        unwritten.clear();
+        Ok(())
     }
 }
 
@@ -534,8 +471,14 @@ fn part_path(path: &Path, number: u64) -> PathBuf {
     if number == 1 {
         return path.to_owned();
     }
+    suffixed(path, &format!("part{number}"))
+}
+
+/// `run.mcap` becomes `run.SUFFIX.mcap`.
+pub(crate) fn suffixed(path: &Path, suffix: &str) -> PathBuf {
     let mut name: OsString = path.file_stem().unwrap_or_default().to_owned();
-    name.push(format!(".part{number}"));
+    name.push(".");
+    name.push(suffix);
     if let Some(extension) = path.extension() {
         name.push(".");
         name.push(extension);

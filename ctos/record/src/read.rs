@@ -14,15 +14,15 @@ use std::{
 
 use mcap::{
     WriteOptions,
-    records::{MessageHeader, Metadata, Record as Part},
+    records::{MessageHeader, Record as Part},
     sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
 use super::{
     event::Traffic,
     glossary::Glossary,
-    lines::{self, EVENTS, Schema},
-    parts::{LOST, NAMES, RUN},
+    lines::{self, EVENTS, Schema, SchemaText},
+    parts::{LOST, LineWriter, NAMES, RUN},
     traffic::Events,
 };
 use ctos_time::Instant;
@@ -52,7 +52,7 @@ pub enum ReadError {
 }
 
 /// A channel of a record.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Channel {
     /// Its name, `/message/arm` for example.
     pub topic: String,
@@ -64,13 +64,22 @@ pub struct Channel {
 }
 
 impl Channel {
-    fn new(topic: String, schema: Schema) -> Self {
+    fn new(topic: String, schema: &SchemaText<'_>) -> Self {
         Self {
             topic,
             schema: schema.name.to_owned(),
-            schema_text: schema.text.as_bytes().to_vec(),
+            schema_text: schema.text.to_vec(),
             schema_encoding: schema.language.to_owned(),
             encoding: schema.encoding.to_owned(),
+        }
+    }
+
+    fn schema_text(&self) -> SchemaText<'_> {
+        SchemaText {
+            name: &self.schema,
+            language: &self.schema_encoding,
+            text: &self.schema_text,
+            encoding: &self.encoding,
         }
     }
 }
@@ -195,46 +204,18 @@ impl Record {
     }
 
     fn write_to(&self, file: BufWriter<File>) -> mcap::McapResult<()> {
-        let mut writer = WriteOptions::new()
-            .compression(None)
-            .profile("ctos")
-            .library(concat!("ctos ", env!("CARGO_PKG_VERSION")))
-            .create(file)?;
+        let mut writer = LineWriter::new(WriteOptions::new(), file)?;
         for run in &self.runs {
             let mut noted = run.noted.clone();
             noted.insert("file".to_owned(), run.path.display().to_string());
-            writer.write_metadata(&Metadata {
-                name: RUN.to_owned(),
-                metadata: noted,
-            })?;
+            writer.metadata(RUN, noted)?;
         }
-        let lost: u64 = self.runs.iter().map(|run| run.lost).sum();
-        writer.write_metadata(&Metadata {
-            name: LOST.to_owned(),
-            metadata: BTreeMap::from([("events".to_owned(), lost.to_string())]),
-        })?;
-        let mut sequences: BTreeMap<u16, u32> = BTreeMap::new();
-        for entry in &self.entries {
-            let channel = &entry.channel;
-            let schema = writer.add_schema(
-                &channel.schema,
-                &channel.schema_encoding,
-                &channel.schema_text,
-            )?;
-            let id =
-                writer.add_channel(schema, &channel.topic, &channel.encoding, &BTreeMap::new())?;
-            let sequence = sequences.entry(id).or_default();
-            *sequence = sequence.wrapping_add(1);
-            let header = MessageHeader {
-                channel_id: id,
-                sequence: *sequence,
-                log_time: entry.at.as_nanos(),
-                publish_time: entry.at.as_nanos(),
-            };
-            writer.write_to_known_channel(&header, &entry.json)?;
+        writer.lost(self.runs.iter().map(|run| run.lost).sum())?;
+        for Entry { at, channel, json } in &self.entries {
+            writer.line(&channel.topic, &channel.schema_text(), at.as_nanos(), json)?;
         }
-        writer.finish()?;
-        writer.into_inner().flush()?;
+        writer.mcap.finish()?;
+        writer.mcap.into_inner().flush()?;
         Ok(())
     }
 }
@@ -242,7 +223,8 @@ impl Record {
 /// What has been read of a file so far.
 struct Scan<'a> {
     filter: &'a Filter,
-    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    /// By the numbers of schemas: what their channels have of them.
+    schemas: BTreeMap<u16, Channel>,
     channels: BTreeMap<u16, Arc<Channel>>,
     glossary: Glossary,
     /// The channels of what happened to messages, by their names.
@@ -271,29 +253,28 @@ impl<'a> Scan<'a> {
     fn take(&mut self, part: Part<'_>, see: &mut impl FnMut(Entry)) {
         match part {
             Part::Schema { header, data } => {
-                let schema = (header.name, header.encoding, data.into_owned());
-                self.schemas.insert(header.id, schema);
+                let channel = Channel {
+                    schema: header.name,
+                    schema_encoding: header.encoding,
+                    schema_text: data.into_owned(),
+                    ..Channel::default()
+                };
+                self.schemas.insert(header.id, channel);
             }
             Part::Channel(channel) => {
-                let (schema, schema_encoding, schema_text) = self
-                    .schemas
-                    .get(&channel.schema_id)
-                    .cloned()
-                    .unwrap_or_default();
-                self.channels.insert(
-                    channel.id,
-                    Arc::new(Channel {
-                        topic: channel.topic,
-                        schema,
-                        schema_text,
-                        schema_encoding,
-                        encoding: channel.message_encoding,
-                    }),
-                );
+                let schema = self.schemas.get(&channel.schema_id).cloned();
+                let whole = Channel {
+                    topic: channel.topic,
+                    encoding: channel.message_encoding,
+                    ..schema.unwrap_or_default()
+                };
+                self.channels.insert(channel.id, Arc::new(whole));
             }
             Part::Message { header, data } => self.message(&header, &data, see),
             Part::Metadata(metadata) if metadata.name == NAMES => {
-                self.names(&metadata.metadata);
+                if !self.glossary.add(&metadata.metadata) {
+                    self.tear("the names in it cannot be read");
+                }
             }
             Part::Metadata(metadata) if metadata.name == RUN => {
                 self.run.noted.extend(metadata.metadata);
@@ -307,12 +288,6 @@ impl<'a> Scan<'a> {
         }
     }
 
-    fn names(&mut self, metadata: &BTreeMap<String, String>) {
-        if !self.glossary.add(metadata) {
-            self.tear("the names in it cannot be read");
-        }
-    }
-
     /// What follows cannot be trusted.
     fn tear(&mut self, why: &str) {
         self.run.torn.get_or_insert_with(|| why.to_owned());
@@ -322,7 +297,7 @@ impl<'a> Scan<'a> {
         let Some(channel) = self.channels.get(&header.channel_id).cloned() else {
             return;
         };
-        if channel.encoding == EVENTS.encoding {
+        if channel.encoding == EVENTS {
             return self.stretch(data, see);
         }
         let at = Instant::from_nanos(header.log_time);
@@ -334,14 +309,9 @@ impl<'a> Scan<'a> {
     }
 
     fn count(&mut self, topic: &str, at: Instant, bytes: usize) {
-        let channels = &mut self.run.channels;
-        if !channels.contains_key(topic) {
-            channels.insert(topic.to_owned(), (0, 0));
-        }
-        if let Some(counted) = channels.get_mut(topic) {
-            counted.0 += 1;
-            counted.1 += u64::try_from(bytes).unwrap_or(0);
-        }
+        let counted = self.run.channels.entry(topic.to_owned()).or_default();
+        counted.0 += 1;
+        counted.1 += u64::try_from(bytes).unwrap_or(0);
         let span = self.run.span.get_or_insert((at, at));
         span.0 = span.0.min(at);
         span.1 = span.1.max(at);
@@ -374,10 +344,9 @@ impl<'a> Scan<'a> {
     ) {
         match lines::traffic(event, data, &self.glossary) {
             Ok(json) => {
-                let channel = self
-                    .traffic
-                    .entry(topic)
-                    .or_insert_with_key(|topic| Arc::new(Channel::new(topic.clone(), schema)));
+                let channel = self.traffic.entry(topic).or_insert_with_key(|topic| {
+                    Arc::new(Channel::new(topic.clone(), &schema.text()))
+                });
                 see(Entry {
                     at: Instant::from_nanos(event.at),
                     channel: channel.clone(),
@@ -389,18 +358,11 @@ impl<'a> Scan<'a> {
     }
 }
 
-/// Reads one file from its beginning to where it ends or breaks off.
+/// Reads one file from its beginning to where it ends or breaks off, and shows what `filter` takes; the
+/// rest is counted.
 ///
 /// # Errors
 /// [`ReadError`] when it cannot be opened, or is no MCAP file from its first byte.
-pub fn scan(path: &Path, see: impl FnMut(Entry)) -> Result<Run, ReadError> {
-    scan_only(path, &Filter::default(), see)
-}
-
-/// As [`scan`], but shows only what `filter` takes; the rest is counted.
-///
-/// # Errors
-/// As [`scan`].
 pub fn scan_only(
     path: &Path,
     filter: &Filter,
@@ -419,46 +381,34 @@ pub fn scan_only(
     let mut scan = Scan::new(path, filter);
     let mut begun = false;
     while let Some(event) = reader.next_event() {
-        let torn = match event {
+        let read = match event {
             Ok(LinearReadEvent::ReadRequest(wanted)) => {
                 let read = file.read(reader.insert(wanted)).map_err(failed)?;
                 reader.notify_read(read);
-                None
+                Ok(())
             }
             Ok(LinearReadEvent::Record { data, opcode }) => {
                 begun = true;
-                match mcap::parse_record(opcode, data) {
-                    Ok(part) => {
-                        scan.take(part, &mut see);
-                        None
-                    }
-                    Err(error) => Some(error),
-                }
+                mcap::parse_record(opcode, data).map(|part| scan.take(part, &mut see))
             }
-            Err(error) => Some(error),
+            Err(error) => Err(error),
         };
-        if let Some(error) = torn {
-            if !begun {
-                return Err(ReadError::Format {
-                    path: path.to_owned(),
-                    reason: error.to_string(),
-                });
-            }
-            scan.run.torn = Some(error.to_string());
-            break;
+        if let Err(error) = read {
+            scan.tear(&error.to_string());
         }
         if scan.closed || scan.run.torn.is_some() {
             break;
         }
     }
     if !begun {
+        let reason = scan.run.torn;
         return Err(ReadError::Format {
             path: path.to_owned(),
-            reason: "it holds nothing".to_owned(),
+            reason: reason.unwrap_or_else(|| "it holds nothing".to_owned()),
         });
     }
-    if !scan.closed && scan.run.torn.is_none() {
-        scan.run.torn = Some("it was not closed".to_owned());
+    if !scan.closed {
+        scan.tear("it was not closed");
     }
     Ok(scan.run)
 }

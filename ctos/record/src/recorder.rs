@@ -7,18 +7,14 @@
 
 use std::{
     sync::{
-        Arc, Condvar, Mutex, PoisonError, TryLockError,
+        Arc, Mutex, TryLockError,
         atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel},
     },
     time::Duration,
 };
 
-use super::{
-    batch::Batch,
-    event::{Told, Traffic},
-    writer::Writer,
-};
-use crate::names::Names;
+use super::{batch::Batch, event::Traffic, glossary::Glossary, lines::Schema, writer::Writer};
 use ctos_core::report::RecordReport;
 use ctos_message::{CommandInfo, Tid};
 use ctos_time::{Clock, Instant, lock::lock};
@@ -28,30 +24,26 @@ const WAKE: usize = 128 * 1024;
 /// How often the writer looks unasked.
 const LOOK: Duration = Duration::from_millis(100);
 
-#[derive(Default)]
-struct Lane {
-    batch: Batch,
-    dropped: u64,
-}
-
 /// The writer, and the buffers that it has emptied: they go back to the lanes.
 struct Emptying {
     writer: Writer,
     batches: Vec<Batch>,
+    /// Dropped events of which the writer knows.
+    dropped: u64,
 }
 
-/// What the writer's thread is told, and tells.
-#[derive(Default)]
-struct Alarm {
-    full: bool,
-    end: bool,
-    ended: bool,
+/// The writer's thread.
+struct Worker {
+    /// Wakes it: a buffer has grown, or the record ends.
+    wake: SyncSender<()>,
+    /// Is disconnected when it has ended.
+    ended: Mutex<Receiver<()>>,
 }
 
 /// Takes notes of one process, or of all chassis of a simulated app.
 pub(crate) struct Recorder {
     clock: Clock,
-    lanes: Vec<Mutex<Lane>>,
+    lanes: Vec<Mutex<Batch>>,
     limit: usize,
     next_id: AtomicU64,
     /// Events that found no space in the buffers.
@@ -60,19 +52,17 @@ pub(crate) struct Recorder {
     unwritten: AtomicU64,
     report: Mutex<RecordReport>,
     writer: Mutex<Option<Emptying>>,
-    threaded: bool,
-    flush: Duration,
+    /// None: the writer is called where a buffer has grown.
+    worker: Option<Worker>,
     ended: AtomicBool,
-    alarm: Mutex<Alarm>,
-    alarmed: Condvar,
-    names: Arc<Names>,
+    names: Arc<Mutex<Glossary>>,
 }
 
 impl Recorder {
     /// A recorder with `lanes` buffers of at most `limit` bytes, whose writer is called at once when
     /// one has grown.
     pub(crate) fn inline(clock: Clock, writer: Writer, limit: usize) -> Arc<Self> {
-        Arc::new(Self::new(clock, writer, 1, limit, LOOK, false))
+        Arc::new(Self::new(clock, writer, 1, limit, None))
     }
 
     /// A recorder whose writer is a thread.
@@ -86,11 +76,15 @@ impl Recorder {
         limit: usize,
         flush: Duration,
     ) -> std::io::Result<Arc<Self>> {
-        let recorder = Arc::new(Self::new(clock, writer, lanes.max(1), limit, flush, true));
-        let worker = recorder.clone();
+        let (wake, woken) = sync_channel(1);
+        let (end, ended) = channel();
+        let ended = Mutex::new(ended);
+        let worker = Some(Worker { wake, ended });
+        let recorder = Arc::new(Self::new(clock, writer, lanes.max(1), limit, worker));
+        let thread = recorder.clone();
         std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || worker.run())?;
+            .spawn(move || thread.run(flush, &woken, end))?;
         Ok(recorder)
     }
 
@@ -99,8 +93,7 @@ impl Recorder {
         writer: Writer,
         lanes: usize,
         limit: usize,
-        flush: Duration,
-        threaded: bool,
+        worker: Option<Worker>,
     ) -> Self {
         let names = writer.names().clone();
         let report = Mutex::new(writer.report());
@@ -113,12 +106,13 @@ impl Recorder {
             dropped: AtomicU64::new(0),
             unwritten: AtomicU64::new(0),
             report,
-            writer: Mutex::new(Some(Emptying { writer, batches })),
-            threaded,
-            flush,
+            writer: Mutex::new(Some(Emptying {
+                writer,
+                batches,
+                dropped: 0,
+            })),
+            worker,
             ended: AtomicBool::new(false),
-            alarm: Mutex::default(),
-            alarmed: Condvar::new(),
             names,
         }
     }
@@ -138,10 +132,21 @@ impl Recorder {
         self.dropped.load(Ordering::Relaxed) + unwritten
     }
 
+    /// A task has a name from now on.
+    pub(crate) fn name(&self, task: Tid, name: &str) {
+        lock(&self.names).name(task, name);
+    }
+
     /// A task has a name from now on, and takes these commands.
-    pub(crate) fn named(&self, task: Tid, name: &Arc<str>, commands: &[CommandInfo]) {
-        self.names.name(task, name);
-        self.names.takes(name, commands);
+    pub(crate) fn named(&self, task: Tid, name: &str, commands: &[CommandInfo]) {
+        let mut names = lock(&self.names);
+        names.name(task, name);
+        names.takes(name, commands);
+    }
+
+    /// The name of a task; its id when it has none that is known.
+    pub(crate) fn name_of(&self, task: Tid) -> Arc<str> {
+        lock(&self.names).task(task)
     }
 
     /// How the record is.
@@ -154,23 +159,22 @@ impl Recorder {
     pub(crate) fn traffic(
         &self,
         place: Tid,
-        event: &Traffic,
+        event: Traffic,
         data: impl FnOnce(&mut Vec<u8>) -> bool,
     ) -> bool {
-        self.note(place, |batch| {
-            batch.traffic(event, data);
-            true
-        })
+        self.note(place, |batch| batch.traffic(event, data))
     }
 
-    /// Notes what is told at the processor of `place`. False when it was dropped.
-    pub(crate) fn told(
+    /// Notes a line of a channel at the processor of `place`; `json` writes it. False when it was dropped.
+    pub(crate) fn line(
         &self,
         place: Tid,
-        told: &Told,
-        data: impl FnOnce(&mut Vec<u8>) -> bool,
+        at: u64,
+        topic: String,
+        schema: Schema,
+        json: impl FnOnce(&mut Vec<u8>) -> bool,
     ) -> bool {
-        self.note(place, |batch| batch.told(told, data).is_ok())
+        self.note(place, |batch| batch.line(at, topic, schema, json))
     }
 
     #[inline]
@@ -183,12 +187,11 @@ impl Recorder {
             return false;
         };
         let mut lane = lock(lane);
-        if lane.batch.len() >= self.limit || !add(&mut lane.batch) {
-            lane.dropped += 1;
+        if lane.len() >= self.limit || !add(&mut lane) {
             self.dropped.fetch_add(1, Ordering::Relaxed);
             return false;
         }
-        let grown = lane.batch.len() >= WAKE;
+        let grown = lane.len() >= WAKE;
         drop(lane);
         if grown {
             self.call_writer();
@@ -198,13 +201,10 @@ impl Recorder {
 
     #[cold]
     fn call_writer(&self) {
-        if !self.threaded {
-            return self.write(false);
-        }
-        let mut alarm = lock(&self.alarm);
-        if !alarm.full {
-            alarm.full = true;
-            self.alarmed.notify_one();
+        match &self.worker {
+            // It is woken already when there is no space.
+            Some(worker) => drop(worker.wake.try_send(())),
+            None => self.write(false),
         }
     }
 
@@ -216,17 +216,20 @@ impl Recorder {
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return,
         };
-        let Some(Emptying { writer, batches }) = writer.as_mut() else {
+        let Some(emptying) = writer.as_mut() else {
             return;
         };
-        let mut dropped = 0;
+        let Emptying {
+            writer,
+            batches,
+            dropped: known,
+        } = emptying;
         for (lane, batch) in self.lanes.iter().zip(&mut *batches) {
-            let mut lane = lock(lane);
-            std::mem::swap(&mut lane.batch, batch);
-            dropped += std::mem::take(&mut lane.dropped);
+            std::mem::swap(&mut *lock(lane), batch);
         }
         let now = self.now();
-        writer.write(now, batches, dropped);
+        let dropped = self.dropped.load(Ordering::Relaxed);
+        writer.write(now, batches, dropped - std::mem::replace(known, dropped));
         batches.iter_mut().for_each(Batch::clear);
         if flush {
             writer.flush(now);
@@ -239,34 +242,23 @@ impl Recorder {
         *lock(&self.report) = writer.report();
     }
 
-    /// The writer's thread.
-    fn run(&self) {
+    /// The writer's thread; dropping `_end` tells that it has ended.
+    fn run(&self, flush: Duration, woken: &Receiver<()>, _end: Sender<()>) {
         let mut flushed = self.clock.now();
         loop {
-            let mut alarm = lock(&self.alarm);
-            if !alarm.full && !alarm.end {
-                alarm = self
-                    .alarmed
-                    .wait_timeout(alarm, LOOK.min(self.flush))
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .0;
-            }
-            let end = alarm.end;
-            alarm.full = false;
-            drop(alarm);
+            let _ = woken.recv_timeout(LOOK.min(flush));
+            // Looked at first: what was noted before the end is written.
+            let ended = self.ended.load(Ordering::Acquire);
             let now: Instant = self.clock.now();
-            let due = now.since(flushed) >= self.flush;
+            let due = now.since(flushed) >= flush;
             if due {
                 flushed = now;
             }
             self.write(due);
-            if end {
-                break;
+            if ended {
+                return self.close();
             }
         }
-        self.close();
-        lock(&self.alarm).ended = true;
-        self.alarmed.notify_all();
     }
 
     fn close(&self) {
@@ -283,18 +275,12 @@ impl Recorder {
         if self.ended.swap(true, Ordering::AcqRel) {
             return;
         }
-        if !self.threaded {
+        let Some(worker) = &self.worker else {
             self.write(false);
             return self.close();
-        }
-        let mut alarm = lock(&self.alarm);
-        alarm.end = true;
-        self.alarmed.notify_all();
-        let waited = self
-            .alarmed
-            .wait_timeout_while(alarm, timeout, |alarm| !alarm.ended);
-        let (alarm, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        if !alarm.ended {
+        };
+        self.call_writer();
+        if lock(&worker.ended).recv_timeout(timeout) == Err(RecvTimeoutError::Timeout) {
             let timeout_s = timeout.as_secs_f64();
             tracing::error!(
                 timeout_s,

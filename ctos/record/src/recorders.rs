@@ -6,7 +6,8 @@ use std::sync::{
 };
 
 use super::{
-    event::{Key, Side, Step, Told, Traffic, What},
+    event::{Key, Side, Step, Traffic},
+    lines::Schema,
     recorder::Recorder,
     replay::Others,
 };
@@ -20,6 +21,7 @@ use ctos_core::{
 };
 use ctos_message::{CommandInfo, Data, Header, Tid, blob::Body, fault::Fault};
 use ctos_time::Instant;
+use serde_json::json;
 
 /// What looks on.
 #[derive(Default)]
@@ -140,44 +142,36 @@ impl Recorders {
         step: Step,
         data: impl Fn(&mut Vec<u8>) -> bool,
     ) -> bool {
-        let first = self.first.get();
         let event = |recorder: &Recorder| Traffic {
             at: at.map_or_else(|| recorder.now(), Instant::as_nanos),
             chassis: self.index,
             key,
             step,
         };
-        match first {
-            Some(only) if !self.visited.load(Ordering::Relaxed) => {
-                only.traffic(place, &event(only), data)
-            }
-            _ => {
-                let recorders = self.recorders();
-                let Some(one) = recorders.first() else {
-                    return false;
-                };
-                let event = event(one);
-                let mut noted = false;
-                for recorder in &recorders {
-                    noted |= recorder.traffic(place, &event, &data);
-                }
-                noted
-            }
+        if let Some(only) = self.first.get()
+            && !self.visited.load(Ordering::Relaxed)
+        {
+            return only.traffic(place, event(only), data);
         }
+        let recorders = self.recorders();
+        let Some(event) = recorders.first().map(|one| event(one)) else {
+            return false;
+        };
+        let note = |one: &Arc<Recorder>| one.traffic(place, event.clone(), &data);
+        recorders
+            .iter()
+            .map(note)
+            .fold(false, |noted, one| noted | one)
     }
 
-    /// Notes with everybody who records what is told now.
-    fn told(&self, place: Tid, what: impl FnOnce() -> What, data: impl Fn(&mut Vec<u8>) -> bool) {
-        let recorders = self.recorders();
-        let Some(one) = recorders.first() else {
-            return;
-        };
-        let told = Told {
-            at: one.now(),
-            what: what(),
-        };
-        for recorder in &recorders {
-            recorder.told(place, &told, &data);
+    /// Notes with everybody who records that a task was built or has entered a phase.
+    fn entered(&self, task: Tid, phase: &str) {
+        for recorder in self.recorders() {
+            let line = json!({ "task": &*recorder.name_of(task), "phase": phase });
+            let topic = "/phase".to_owned();
+            recorder.line(task, recorder.now(), topic, Schema::Phase, |buffer| {
+                serde_json::to_writer(buffer, &line).is_ok()
+            });
         }
     }
 
@@ -283,8 +277,8 @@ impl Observer for Recorders {
         if let Some(others) = self.others.get() {
             return others.ended(asked.command, ending);
         }
-        let began = began.as_nanos();
-        let step = Step::Ended { began, ending };
+        let took = now.as_nanos().saturating_sub(began.as_nanos());
+        let step = Step::Ended { took, ending };
         self.traffic(asked.to, Some(now), key_of(*id, asked), step, |_| true);
     }
 
@@ -300,23 +294,26 @@ impl Observer for Recorders {
         for recorder in self.recorders() {
             recorder.named(task, name, commands);
         }
-        self.told(task, || What::Phase { task, phase: None }, |_| true);
+        self.entered(task, "built");
     }
 
     fn phase(&self, task: Tid, phase: Phase) {
-        let phase = Some(phase);
-        self.told(task, || What::Phase { task, phase }, |_| true);
+        self.entered(task, &phase.to_string());
     }
 
     fn value(&self, task: Tid, channel: &str, value: WriteData<'_>) {
-        let what = || What::Value {
-            channel: if channel.starts_with('/') {
-                channel.to_owned()
-            } else {
-                format!("/{channel}")
-            },
-        };
-        self.told(task, what, value);
+        let root = if channel.starts_with('/') { "" } else { "/" };
+        for recorder in self.recorders() {
+            let topic = format!("{root}{channel}");
+            recorder.line(task, recorder.now(), topic, Schema::Value, |json| {
+                let start = json.len();
+                if !value(json) || json.len() == start {
+                    json.truncate(start);
+                    json.extend_from_slice(b"null");
+                }
+                true
+            });
+        }
     }
 
     fn used(&self, what: &str) {

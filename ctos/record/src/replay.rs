@@ -18,6 +18,7 @@ use ctos_core::{
     processor::Processor,
     registry::{HandlerKind, Registry},
     reply::{Promise, ReplySlot, Waiting},
+    report::Ending,
     runner::{TaskSpec, start_task},
 };
 use ctos_message::{Data, Flags, Tid};
@@ -27,13 +28,13 @@ use std::{collections::BTreeMap, fmt, rc::Rc, sync::Arc};
 use futures_util::FutureExt;
 
 use super::{
+    glossary::Glossary,
     lines::{self, Number},
     read::Record,
 };
-use crate::names::Names;
 
 pub(crate) use others::Others;
-use script::{Begun, Recorded, Script, Step, What};
+use script::{Recorded, Script, Sent, Step, What};
 
 /// Why a task could not be replayed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -196,7 +197,7 @@ pub fn replay(
     if let Some(seed) = script.seed {
         app.seed = seed;
     }
-    let names = Arc::new(Names::new(&app, &registry, &[]));
+    let names = Glossary::of(&app, &registry, &[]);
     let clock = Clock::virtual_clock();
     let chassis = Chassis::new(
         script.tid.chassis(),
@@ -214,20 +215,8 @@ pub fn replay(
         .ok_or_else(|| ReplayError::Incomplete {
             reason: "its chassis has no processor".to_owned(),
         })?;
-    // Without a kind it is not built.
-    let registry = chassis.registry();
-    let kind = registry.kind(&config.handler);
-    let recipe = kind.map_or_else(Arc::default, HandlerKind::recipe);
-    let handle = &processor.handle;
     let stage = Stage {
         tid: script.tid,
-        spec: Some(TaskSpec::new(
-            task,
-            script.tid,
-            Some(config.clone()),
-            recipe,
-            handle,
-        )),
         config,
         chassis,
         processor,
@@ -244,8 +233,6 @@ pub fn replay(
 /// The task and what stands around it.
 struct Stage {
     tid: Tid,
-    /// The task, until it is started.
-    spec: Option<TaskSpec>,
     config: TaskConfig,
     chassis: Arc<Chassis>,
     processor: Rc<Processor>,
@@ -258,15 +245,10 @@ struct Stage {
 
 impl Stage {
     fn play(mut self, steps: Vec<Step>) -> Result<ReplayReport, ReplayError> {
-        let mut built = false;
         for Step { at, trace, what } in steps {
             self.run_until(at);
-            if !built {
-                self.build()?;
-                built = true;
-            }
             match what {
-                What::Built => {}
+                What::Built => self.build()?,
                 What::Begin(message) => self.begin(message),
                 What::Answer { id, answer } => self.others.answer(id, answer.into_answer()),
                 What::Output(index) => {
@@ -288,23 +270,21 @@ impl Stage {
         Ok(report)
     }
 
-    fn build(&mut self) -> Result<(), ReplayError> {
-        let failed = |reason: String| ReplayError::Build {
-            task: self.config.name.clone(),
+    fn build(&self) -> Result<(), ReplayError> {
+        let TaskConfig { name, handler, .. } = &self.config;
+        let registry = self.chassis.registry();
+        let recipe = registry.kind(handler).map(HandlerKind::recipe);
+        let recipe =
+            recipe.ok_or_else(|| format!("nobody registered the event handler `{handler}`"));
+        let built = recipe.and_then(|recipe| {
+            let config = Some(self.config.clone());
+            let spec = TaskSpec::new(name, self.tid, config, recipe, &self.processor.handle);
+            start_task(&self.chassis, &self.processor, spec).map_err(|error| error.to_string())
+        });
+        built.map_err(|reason| ReplayError::Build {
+            task: name.clone(),
             reason,
-        };
-        let handler = &self.config.handler;
-        if self.chassis.registry().kind(handler).is_none() {
-            let why = format!("nobody registered the event handler `{handler}`");
-            return Err(failed(why));
-        }
-        let Some(spec) = self.spec.take() else {
-            return Ok(());
-        };
-        start_task(&self.chassis, &self.processor, spec)
-            .map_err(|error| failed(error.to_string()))?;
-        self.settle();
-        Ok(())
+        })
     }
 
     /// Lets everything happen that is due before `at`, moment by moment, and moves the clock there.
@@ -339,7 +319,7 @@ impl Stage {
     }
 
     /// Gives the task a message.
-    fn begin(&mut self, begun: Begun) {
+    fn begin(&mut self, begun: Sent) {
         self.messages += 1;
         let reply = begun.flags.contains(Flags::REPLY_WAIT).then(|| {
             let promise = Arc::new(Promise::default());
@@ -359,9 +339,9 @@ impl Stage {
     }
 
     /// Compares how a handler ended.
-    fn ended(&self, at: Instant, trace: u64, command: u16, expected: &(String, String)) {
+    fn ended(&self, at: Instant, trace: u64, command: u16, expected: &Ending) {
         // It was interrupted by an order to stop, which is among the messages that follow.
-        if expected.0 == "stopped" {
+        if *expected == Ending::Stopped {
             return;
         }
         if self.others.next_end(false).is_none() {

@@ -1,263 +1,125 @@
 //! The form in which what happens to messages is noted, waits and stands in a file: a sequence of events,
-//! each told by what distinguishes it from the one of its kind before.
+//! each told by what distinguishes it from the one before.
 //!
 //! Messages mostly go to and fro between the same tasks, with numbers and moments that grow, so that an event
-//! takes five bytes where nothing but these changes. `schemas/events.txt` describes the form for others who
+//! takes ten bytes where nothing but these changes. `schemas/events.txt` describes the form for others who
 //! want to read it.
 
-use ctos_message::{Tid, append, fault::Fault};
+use serde::{Deserialize, Serialize};
 
-use super::event::{Key, Side, Step, Traffic};
-use ctos_core::report::Ending;
+use ctos_message::{Tid, append};
 
-/// The kinds of events, as they are numbered in the form.
-const SENT: usize = 0;
-const BEGAN: usize = 1;
-const ENDED: usize = 2;
-const ANSWERED: usize = 3;
-const KINDS: usize = 4;
+use super::event::{Key, Step, Traffic};
 
-/// In the first byte above the kind and the side: a deadline follows.
-const DEADLINE: u8 = 1 << 4;
-/// In the first byte: not `Done`, or a fault; which one follows.
-const SPECIAL: u8 = 1 << 5;
-/// In the first byte: answered at once.
-const AT_ONCE: u8 = 1 << 6;
+/// An event as it stands in the form, before its data. Numbers are differences from the event before.
+#[derive(Serialize, Deserialize)]
+struct Packed {
+    at: i64,
+    id: i64,
+    trace: i64,
+    /// Unless all of it is as before.
+    ends: Option<Ends>,
+    step: Step,
+    /// The length of the data that follows.
+    length: usize,
+}
 
-/// In the second byte: what differs from the last event of the kind.
-const ID: u8 = 1;
-const TASK: u8 = 1 << 1;
-const PEER: u8 = 1 << 2;
-const COMMAND: u8 = 1 << 3;
-const TRACE: u8 = 1 << 4;
-/// The trace is the next one.
-const NEXT_TRACE: u8 = 1 << 5;
-const FLAGS: u8 = 1 << 6;
-const CHASSIS: u8 = 1 << 7;
-
-/// A length of this value is followed by the true one in four bytes.
-const LONG: u8 = 0xff;
-const LONG_BYTES: usize = 4;
-
-/// The last event of a kind.
-#[derive(Debug, Clone, Copy)]
-struct Last {
-    key: Key,
-    flags: u16,
-    /// From the moment to the deadline, ns.
-    timeout: u64,
-    /// Whether its data was long.
-    long: bool,
+/// Who has to do with a message.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Ends {
+    chassis: u8,
+    task: Tid,
+    peer: Tid,
+    command: u16,
 }
 
 /// What writer and reader of a sequence know of what came before.
-#[derive(Debug, Clone)]
-pub(crate) struct Coder {
+#[derive(Clone, Default)]
+struct Last {
     at: u64,
-    chassis: u8,
-    last: [Last; KINDS],
+    id: u64,
+    trace: u64,
+    ends: Ends,
 }
 
-impl Default for Coder {
-    fn default() -> Self {
-        let nobody = Tid::from_bits(0);
-        let last = Last {
-            key: Key {
-                id: 0,
-                task: nobody,
-                peer: nobody,
-                command: 0,
-                trace: 0,
-            },
-            flags: 0,
-            timeout: 0,
-            long: false,
-        };
-        Self {
-            at: 0,
-            chassis: 0,
-            last: [last; KINDS],
-        }
-    }
+fn change(old: &mut u64, new: u64) -> i64 {
+    new.wrapping_sub(std::mem::replace(old, new)) as i64
 }
 
-/// Seven bits in each byte, the lowest first; the highest bit says that more follow.
-#[inline]
-fn put_number(buffer: &mut Vec<u8>, mut number: u64) {
-    while number >= 0x80 {
-        buffer.push(number as u8 | 0x80);
-        number >>= 7;
-    }
-    buffer.push(number as u8);
+fn changed(old: &mut u64, change: i64) -> u64 {
+    *old = old.wrapping_add_signed(change);
+    *old
 }
 
-/// By how much `new` is more than `old`, or less.
-#[inline]
-fn put_change(buffer: &mut Vec<u8>, old: u64, new: u64) {
-    let change = new.wrapping_sub(old) as i64;
-    put_number(buffer, ((change << 1) ^ (change >> 63)) as u64);
+/// Writes a sequence.
+#[derive(Default)]
+pub(crate) struct Coder {
+    last: Last,
+    /// Kept for its space.
+    data: Vec<u8>,
 }
 
 impl Coder {
+    /// Begins another sequence.
+    pub(crate) fn restart(&mut self) {
+        self.last = Last::default();
+    }
+
     /// Appends `event` to `buffer`; `data` writes what follows it. When that fails, the event is there
     /// without data.
-    #[inline]
+    ///
+    /// # Errors
+    /// When it cannot be encoded.
     pub(crate) fn put(
         &mut self,
         buffer: &mut Vec<u8>,
-        event: &Traffic,
+        event: Traffic,
         data: impl FnOnce(&mut Vec<u8>) -> bool,
-    ) {
-        let (kind, bits) = first_byte(&event.step);
-        let Some(last) = self.last.get_mut(kind) else {
-            return;
+    ) -> Result<(), postcard::Error> {
+        self.data.clear();
+        if !data(&mut self.data) {
+            self.data.clear();
+        }
+        let Traffic {
+            at,
+            chassis,
+            key,
+            step,
+        } = event;
+        let Key {
+            id,
+            task,
+            peer,
+            command,
+            trace,
+        } = key;
+        let ends = Ends {
+            chassis,
+            task,
+            peer,
+            command,
         };
-        let start = buffer.len();
-        // The second byte is known when all else is.
-        buffer.extend([bits, 0]);
-        let mut changed = 0;
-        if event.chassis != self.chassis {
-            changed |= CHASSIS;
-            buffer.push(event.chassis);
-            self.chassis = event.chassis;
-        }
-        put_change(buffer, self.at, event.at);
-        self.at = event.at;
-        changed |= put_key(buffer, &last.key, &event.key);
-        last.key = event.key;
-        match &event.step {
-            Step::Sent {
-                flags, deadline, ..
-            } => {
-                if *flags != last.flags {
-                    changed |= FLAGS;
-                    buffer.extend(flags.to_le_bytes());
-                    last.flags = *flags;
-                }
-                if let Some(deadline) = deadline {
-                    let timeout = deadline.wrapping_sub(event.at);
-                    put_change(buffer, last.timeout, timeout);
-                    last.timeout = timeout;
-                }
-            }
-            Step::Ended { began, .. } => put_change(buffer, *began, event.at),
-            Step::Began | Step::Answered { .. } => {}
-        }
-        if let Some(second) = buffer.get_mut(start + 1) {
-            *second = changed;
-        }
-        match &event.step {
-            Step::Ended { ending, .. } if *ending != Ending::Done => {
-                put_sized(buffer, false, |buffer| append(ending, buffer).is_ok());
-            }
-            Step::Answered {
-                fault: Some(fault), ..
-            } => {
-                put_sized(buffer, false, |buffer| append(fault, buffer).is_ok());
-            }
-            Step::Sent { .. } | Step::Answered { .. } => {
-                last.long = put_sized(buffer, last.long, data);
-            }
-            Step::Began | Step::Ended { .. } => {}
-        }
+        let mut last = self.last.clone();
+        let packed = Packed {
+            at: change(&mut last.at, at),
+            id: change(&mut last.id, id),
+            trace: change(&mut last.trace, trace),
+            ends: (ends != last.ends).then_some(ends),
+            step,
+            length: self.data.len(),
+        };
+        last.ends = ends;
+        append(&packed, buffer)?;
+        self.last = last;
+        buffer.extend_from_slice(&self.data);
+        Ok(())
     }
-}
-
-fn first_byte(step: &Step) -> (usize, u8) {
-    let (kind, side, more) = match step {
-        Step::Sent { deadline, side, .. } => (
-            SENT,
-            side_bits(*side),
-            if deadline.is_some() { DEADLINE } else { 0 },
-        ),
-        Step::Began => (BEGAN, 0, 0),
-        Step::Ended { ending, .. } => (ENDED, 0, if *ending == Ending::Done { 0 } else { SPECIAL }),
-        Step::Answered {
-            side,
-            at_once,
-            fault,
-        } => (
-            ANSWERED,
-            side_bits(*side),
-            if fault.is_some() { SPECIAL } else { 0 } | if *at_once { AT_ONCE } else { 0 },
-        ),
-    };
-    (kind, kind as u8 | side << 2 | more)
-}
-
-const fn side_bits(side: Side) -> u8 {
-    match side {
-        Side::Here => 0,
-        Side::Sender => 1,
-        Side::Receiver => 2,
-    }
-}
-
-#[inline]
-fn put_key(buffer: &mut Vec<u8>, last: &Key, key: &Key) -> u8 {
-    let mut changed = 0;
-    if key.id != last.id.wrapping_add(1) {
-        changed |= ID;
-        put_change(buffer, last.id, key.id);
-    }
-    if key.task != last.task {
-        changed |= TASK;
-        buffer.extend(key.task.bits().to_le_bytes());
-    }
-    if key.peer != last.peer {
-        changed |= PEER;
-        buffer.extend(key.peer.bits().to_le_bytes());
-    }
-    if key.command != last.command {
-        changed |= COMMAND;
-        buffer.extend(key.command.to_le_bytes());
-    }
-    if key.trace == last.trace.wrapping_add(1) {
-        changed |= NEXT_TRACE;
-    } else if key.trace != last.trace {
-        changed |= TRACE;
-        put_change(buffer, last.trace, key.trace);
-    }
-    changed
-}
-
-/// Appends what `write` writes, behind its length: one byte, or five if `long` or need be. Nothing when
-/// it fails. Whether the long form was needed.
-#[inline]
-fn put_sized(buffer: &mut Vec<u8>, long: bool, write: impl FnOnce(&mut Vec<u8>) -> bool) -> bool {
-    let start = buffer.len();
-    // Data of a kind is mostly of a size: what was long is expected to be long again, and not moved.
-    let reserved = if long { 1 + LONG_BYTES } else { 1 };
-    buffer.resize(start + reserved, 0);
-    if !write(buffer) {
-        buffer.truncate(start + reserved);
-    }
-    let length = buffer.len() - start - reserved;
-    match u8::try_from(length) {
-        Ok(short) if short != LONG && !long => {
-            if let Some(place) = buffer.get_mut(start) {
-                *place = short;
-            }
-            return false;
-        }
-        _ => {}
-    }
-    if !long {
-        buffer.splice(start..=start, [0; 1 + LONG_BYTES]);
-    }
-    let four = u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes();
-    if let Some([first, rest @ ..]) = buffer.get_mut(start..=start + LONG_BYTES) {
-        *first = LONG;
-        rest.copy_from_slice(&four);
-    }
-    length >= usize::from(LONG)
 }
 
 /// The events of a sequence, each with its data and its length there. Ends at anything that is none.
-#[derive(Debug)]
 pub(crate) struct Events<'a> {
     bytes: &'a [u8],
-    coder: Coder,
+    last: Last,
 }
 
 /// An event, its data, and how many bytes both take.
@@ -265,85 +127,13 @@ pub(crate) type Found<'a> = (Traffic, &'a [u8], usize);
 
 impl<'a> Events<'a> {
     pub(crate) fn new(bytes: &'a [u8]) -> Self {
-        let coder = Coder::default();
-        Self { bytes, coder }
+        let last = Last::default();
+        Self { bytes, last }
     }
 
     /// Whether all has been read.
     pub(crate) fn is_at_end(&self) -> bool {
         self.bytes.is_empty()
-    }
-
-    fn read(&mut self) -> Option<Found<'a>> {
-        let mut bytes = Bytes(self.bytes);
-        let first = bytes.byte()?;
-        let changed = bytes.byte()?;
-        let kind = usize::from(first & 3);
-        let last = self.coder.last.get_mut(kind)?;
-        if changed & CHASSIS != 0 {
-            self.coder.chassis = bytes.byte()?;
-        }
-        self.coder.at = bytes.changed(self.coder.at)?;
-        let at = self.coder.at;
-        last.key = read_key(&mut bytes, changed, &last.key)?;
-        let side = match first >> 2 & 3 {
-            0 => Side::Here,
-            1 => Side::Sender,
-            2 => Side::Receiver,
-            _ => return None,
-        };
-        let mut data: &[u8] = &[];
-        let step = match kind {
-            SENT => {
-                if changed & FLAGS != 0 {
-                    last.flags = u16::from_le_bytes(bytes.some()?);
-                }
-                let mut deadline = None;
-                if first & DEADLINE != 0 {
-                    last.timeout = bytes.changed(last.timeout)?;
-                    deadline = Some(at.wrapping_add(last.timeout));
-                }
-                data = bytes.sized()?;
-                Step::Sent {
-                    flags: last.flags,
-                    deadline,
-                    side,
-                }
-            }
-            BEGAN => Step::Began,
-            ENDED => {
-                let took = bytes.changed(0)?;
-                Step::Ended {
-                    began: at.wrapping_sub(took),
-                    ending: match first & SPECIAL {
-                        0 => Ending::Done,
-                        _ => postcard::from_bytes(bytes.sized()?).ok()?,
-                    },
-                }
-            }
-            _ => {
-                let mut fault: Option<Fault> = None;
-                if first & SPECIAL != 0 {
-                    fault = Some(postcard::from_bytes(bytes.sized()?).ok()?);
-                } else {
-                    data = bytes.sized()?;
-                }
-                Step::Answered {
-                    side,
-                    at_once: first & AT_ONCE != 0,
-                    fault,
-                }
-            }
-        };
-        let traffic = Traffic {
-            at,
-            chassis: self.coder.chassis,
-            key: last.key,
-            step,
-        };
-        let length = self.bytes.len() - bytes.0.len();
-        self.bytes = bytes.0;
-        Some((traffic, data, length))
     }
 }
 
@@ -351,73 +141,32 @@ impl<'a> Iterator for Events<'a> {
     type Item = Found<'a>;
 
     fn next(&mut self) -> Option<Found<'a>> {
-        self.read()
-    }
-}
-
-fn read_key(bytes: &mut Bytes<'_>, changed: u8, last: &Key) -> Option<Key> {
-    let mut key = *last;
-    key.id = match changed & ID {
-        0 => last.id.wrapping_add(1),
-        _ => bytes.changed(last.id)?,
-    };
-    if changed & TASK != 0 {
-        key.task = Tid::from_bits(u32::from_le_bytes(bytes.some()?));
-    }
-    if changed & PEER != 0 {
-        key.peer = Tid::from_bits(u32::from_le_bytes(bytes.some()?));
-    }
-    if changed & COMMAND != 0 {
-        key.command = u16::from_le_bytes(bytes.some()?);
-    }
-    if changed & NEXT_TRACE != 0 {
-        key.trace = last.trace.wrapping_add(1);
-    } else if changed & TRACE != 0 {
-        key.trace = bytes.changed(last.trace)?;
-    }
-    Some(key)
-}
-
-/// Bytes that are read from their beginning.
-struct Bytes<'a>(&'a [u8]);
-
-impl<'a> Bytes<'a> {
-    fn byte(&mut self) -> Option<u8> {
-        self.some::<1>().map(|[byte]| byte)
-    }
-
-    fn some<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (some, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*some)
-    }
-
-    fn number(&mut self) -> Option<u64> {
-        let mut number = 0_u64;
-        for shift in (0..64).step_by(7) {
-            let byte = self.byte()?;
-            number |= u64::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                return Some(number);
-            }
-        }
-        None
-    }
-
-    fn changed(&mut self, old: u64) -> Option<u64> {
-        let number = self.number()?;
-        let change = (number >> 1) ^ (number & 1).wrapping_neg();
-        Some(old.wrapping_add(change))
-    }
-
-    fn sized(&mut self) -> Option<&'a [u8]> {
-        let length = match self.byte()? {
-            LONG => usize::try_from(u32::from_le_bytes(self.some()?)).ok()?,
-            short => usize::from(short),
+        let (packed, rest) = postcard::take_from_bytes::<Packed>(self.bytes).ok()?;
+        let (data, rest) = rest.split_at_checked(packed.length)?;
+        let last = &mut self.last;
+        last.ends = packed.ends.unwrap_or(last.ends);
+        let Ends {
+            chassis,
+            task,
+            peer,
+            command,
+        } = last.ends;
+        let key = Key {
+            id: changed(&mut last.id, packed.id),
+            task,
+            peer,
+            command,
+            trace: changed(&mut last.trace, packed.trace),
         };
-        let (sized, rest) = self.0.split_at_checked(length)?;
-        self.0 = rest;
-        Some(sized)
+        let event = Traffic {
+            at: changed(&mut last.at, packed.at),
+            chassis,
+            key,
+            step: packed.step,
+        };
+        let length = self.bytes.len() - rest.len();
+        self.bytes = rest;
+        Some((event, data, length))
     }
 }
 
@@ -426,6 +175,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::event::Side;
+    use ctos_core::report::Ending;
+    use ctos_message::fault::Fault;
 
     fn side() -> impl Strategy<Value = Side> {
         prop_oneof![Just(Side::Here), Just(Side::Sender), Just(Side::Receiver)]
@@ -452,7 +204,7 @@ mod tests {
                 }
             }),
             Just(Step::Began),
-            (any::<u64>(), ending).prop_map(|(began, ending)| Step::Ended { began, ending }),
+            (any::<u64>(), ending).prop_map(|(took, ending)| Step::Ended { took, ending }),
             (side(), any::<bool>(), fault).prop_map(|(side, at_once, fault)| Step::Answered {
                 side,
                 at_once,
@@ -503,7 +255,7 @@ mod tests {
         ) {
             let (mut coder, mut buffer) = (Coder::default(), Vec::new());
             for (event, data) in &events {
-                coder.put(&mut buffer, event, |buffer| { buffer.extend_from_slice(data); true });
+                coder.put(&mut buffer, event.clone(), |buffer| { buffer.extend_from_slice(data); true }).unwrap();
             }
             let mut read = Events::new(&buffer);
             let mut length = 0;
@@ -526,7 +278,7 @@ mod tests {
             let (mut coder, mut buffer) = (Coder::default(), Vec::new());
             let mut ends = Vec::new();
             for (event, data) in &events {
-                coder.put(&mut buffer, event, |buffer| { buffer.extend_from_slice(data); true });
+                coder.put(&mut buffer, event.clone(), |buffer| { buffer.extend_from_slice(data); true }).unwrap();
                 ends.push(buffer.len());
             }
             let cut = cut.index(buffer.len());
@@ -565,10 +317,11 @@ mod tests {
                 fault: None,
             },
         };
-        coder.put(&mut buffer, &event, |buffer| {
+        let put = coder.put(&mut buffer, event.clone(), |buffer| {
             buffer.extend_from_slice(&[1; 300]);
             false
         });
+        put.unwrap();
         let out: Vec<_> = Events::new(&buffer).collect();
         assert_eq!(out, [(event, &[][..], buffer.len())]);
     }

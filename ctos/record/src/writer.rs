@@ -1,48 +1,40 @@
-//! The one who empties the buffers: puts what happened to messages into files as it is, and all else as
-//! lines, with the names that belong to both, and keeps account of what was lost on the way.
+//! The one who empties the buffers: puts their lines and stretches of events into files, with the names that
+//! belong to these, and keeps account of what was lost on the way.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use super::{
-    batch::{Batch, Noted},
-    event::Told,
-    glossary,
-    lines::{self, EVENTS},
+    batch::Batch,
+    glossary::Glossary,
+    lines::{self, Schema},
     parts::{Line, NAMES, Parts},
     read::matches,
     traffic::Events,
 };
-use crate::names::Names;
 use ctos_core::report::RecordReport;
+use ctos_time::lock::lock;
 
 /// Writes one record.
 pub(crate) struct Writer {
-    names: Arc<Names>,
+    names: Arc<Mutex<Glossary>>,
     /// Which file has been told how much of them.
     told: (u64, usize),
     parts: Parts,
-    /// Which channels are written; none: all.
+    /// Which channels are written, in whose names `*` stands for any letters; none: all.
     channels: Vec<String>,
-    json: Vec<u8>,
     /// Events that found no space in the buffers.
     dropped: u64,
 }
 
 impl Writer {
-    pub(crate) fn new(names: Arc<Names>, parts: Parts) -> Self {
+    pub(crate) fn new(names: Glossary, parts: Parts, channels: Vec<String>) -> Self {
         Self {
-            names,
+            names: Arc::new(Mutex::new(names)),
             told: (0, 0),
             parts,
-            channels: Vec::new(),
-            json: Vec::new(),
+            channels,
             dropped: 0,
         }
-    }
-
-    /// Writes these channels alone, in whose names `*` stands for any letters.
-    pub(crate) fn choosing(self, channels: Vec<String>) -> Self {
-        Self { channels, ..self }
     }
 
     fn takes(&self, topic: &str) -> bool {
@@ -52,7 +44,7 @@ impl Writer {
 
     /// Events that found no space on the disk.
     pub(crate) fn unwritten(&self) -> u64 {
-        self.parts.lost_in_all().saturating_sub(self.dropped)
+        self.report().lost.saturating_sub(self.dropped)
     }
 
     /// How the record is.
@@ -60,7 +52,7 @@ impl Writer {
         self.parts.report()
     }
 
-    pub(crate) fn names(&self) -> &Arc<Names> {
+    pub(crate) fn names(&self) -> &Arc<Mutex<Glossary>> {
         &self.names
     }
 
@@ -77,85 +69,55 @@ impl Writer {
             self.parts
                 .lost(dropped, "more happened than could be written");
         }
-        for noted in batches.iter().flat_map(Batch::noted) {
-            match noted {
-                Noted::Traffic { bytes, events, at } if self.channels.is_empty() => {
-                    self.stretch(now, at, bytes, events);
+        for line in batches.iter().flat_map(Batch::lines) {
+            if line.schema != Schema::Events {
+                if self.takes(line.topic) {
+                    self.parts.write(now, &line);
                 }
-                Noted::Traffic { bytes, .. } => self.chosen(now, bytes),
-                Noted::Told(told, data) => self.line(now, &told, data),
+            } else if self.channels.is_empty() {
+                self.stretch(now, &line);
+            } else {
+                let chosen = self.chosen(line.bytes);
+                chosen.lines().for_each(|line| self.stretch(now, &line));
             }
         }
         self.parts.tell_lost(now);
     }
 
     /// Writes a stretch of what happened to messages, behind the names that it needs.
-    fn stretch(&mut self, now: u64, at: u64, bytes: &[u8], events: u64) {
+    fn stretch(&mut self, now: u64, line: &Line<'_>) {
         if self.parts.ready(now) {
             self.tell_names();
         }
-        self.parts.write(
-            now,
-            &Line {
-                topic: "/events",
-                schema: EVENTS,
-                at,
-                bytes,
-                lines: events,
-            },
-        );
+        self.parts.write(now, line);
     }
 
     fn tell_names(&mut self) {
         let (part, known) = self.told;
-        let known = if part == self.parts.number() {
-            known
-        } else {
-            0
-        };
-        if let Some((page, known)) = glossary::page(&self.names, known) {
-            self.parts.note(NAMES, page);
-            self.told = (self.parts.number(), known);
+        let number = self.parts.number();
+        let known = if part == number { known } else { 0 };
+        let names = lock(&self.names);
+        if names.len() > known {
+            self.parts.note(NAMES, names.page(known));
+            self.told = (number, names.len());
         }
     }
 
-    /// Writes what is wanted of a stretch.
-    fn chosen(&mut self, now: u64, bytes: &[u8]) {
+    /// What is wanted of a stretch.
+    fn chosen(&self, bytes: &[u8]) -> Batch {
         let mut chosen = Batch::default();
         for (event, data, _) in Events::new(bytes) {
-            let (topic, _) = lines::channel_of(&event.step, &self.names.task(event.key.task));
+            let task = lock(&self.names).task(event.key.task);
+            let (topic, _) = lines::channel_of(&event.step, &task);
             if self.takes(&topic) {
-                chosen.traffic(&event, |buffer| {
+                // What has been read can be written.
+                chosen.traffic(event, |buffer| {
                     buffer.extend_from_slice(data);
                     true
                 });
             }
         }
-        for noted in chosen.noted() {
-            if let Noted::Traffic { bytes, events, at } = noted {
-                self.stretch(now, at, bytes, events);
-            }
-        }
-    }
-
-    fn line(&mut self, now: u64, told: &Told, data: &[u8]) {
-        match lines::told(told, data, &self.names, &mut self.json) {
-            Ok((topic, _)) if !self.takes(&topic) => {}
-            Ok((topic, schema)) => self.parts.write(
-                now,
-                &Line {
-                    topic: &topic,
-                    schema,
-                    at: told.at,
-                    bytes: &self.json,
-                    lines: 1,
-                },
-            ),
-            Err(error) => {
-                tracing::warn!(error = %error, "an event could not be put into the record");
-                self.parts.lost(1, "an event could not be encoded");
-            }
-        }
+        chosen
     }
 
     /// Brings to the disk what was written.
@@ -184,12 +146,17 @@ mod tests {
 
     const TASK: Tid = Tid::new(1, 1, 0);
 
-    fn writer(path: &Path) -> Writer {
+    fn writer(path: &Path, channels: &[&str]) -> Writer {
         let app = "[chassis.a.processors.p]\n[task.arm]\nhandler = \"h\"\non = \"a/p\"\n";
         let app = ctos_config::load_texts(&[("app.toml", app)], &[], &[]).unwrap();
-        let names = Arc::new(Names::new(&app, &Registry::new(), &[]));
+        let names = Glossary::of(&app, &Registry::new(), &[]);
         let place = Place::new(path.to_owned(), 100_000, 100);
-        Writer::new(names, Parts::open(place, BTreeMap::new()).unwrap())
+        let channels = channels.iter().map(|&channel| channel.to_owned()).collect();
+        Writer::new(
+            names,
+            Parts::open(place, BTreeMap::new()).unwrap(),
+            channels,
+        )
     }
 
     /// Message `id` to the task of this name, from itself, and what becomes of it.
@@ -208,7 +175,7 @@ mod tests {
             side: Side::Here,
         };
         let ended = Step::Ended {
-            began: 10 * id,
+            took: 0,
             ending: Ending::Done,
         };
         for step in [sent, Step::Began, ended] {
@@ -218,7 +185,7 @@ mod tests {
                 key,
                 step,
             };
-            batch.traffic(&event, |data| {
+            batch.traffic(event, |data| {
                 data.extend_from_slice(&[7; 1000]);
                 true
             });
@@ -230,11 +197,11 @@ mod tests {
     fn each_file_of_a_record_can_be_read_by_itself() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
-        let mut writer = writer(&path);
+        let mut writer = writer(&path, &[]);
         let late = Tid::new(1, 1, 5);
         for id in 1..=600 {
             if id == 300 {
-                writer.names().name(late, &"late".into());
+                lock(writer.names()).name(late, "late");
             }
             let task = if id < 300 { TASK } else { late };
             writer.write(id, &[batch(task, id)], 0);
@@ -264,7 +231,7 @@ mod tests {
     fn of_chosen_channels_all_is_written_and_of_others_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
-        let mut writer = writer(&path).choosing(vec!["/ended/a*".to_owned()]);
+        let mut writer = writer(&path, &["/ended/a*"]);
         for id in 1..=9 {
             writer.write(id, &[batch(TASK, id), batch(Tid::new(1, 1, 5), id)], 0);
         }

@@ -9,8 +9,8 @@ use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
-    fault::Fault,
-    profile::{Faults, KINDS, Kind, Rate},
+    fault::{Fault, KINDS, Kind},
+    profile::{Faults, Rate},
     reader::nanos,
 };
 use ctos_config::App;

@@ -124,16 +124,45 @@ pub(crate) enum Site<'a> {
     Link(&'a str, &'a str),
 }
 
-/// What every fault has.
-struct Facts<'a> {
-    /// Its word in a file of faults.
-    kind: &'static str,
-    /// With its article, for errors.
-    called: &'static str,
-    site: Site<'a>,
-    at: Instant,
-    until: Option<Instant>,
+/// A kind of fault, as files of faults name it.
+pub(crate) struct Kind {
+    pub(crate) word: &'static str,
+    /// Its word in the seed of its generator; empty: no profile draws it.
+    pub(crate) seed: &'static str,
+    /// Between two chassis, or on one.
+    pub(crate) on_link: bool,
+    pub(crate) lasts: bool,
+    /// The key that says how bad it is.
+    pub(crate) extent: Option<&'static str>,
 }
+
+const fn kind(
+    word: &'static str,
+    seed: &'static str,
+    (on_link, lasts): (bool, bool),
+    extent: Option<&'static str>,
+) -> Kind {
+    Kind {
+        word,
+        seed,
+        on_link,
+        lasts,
+        extent,
+    }
+}
+
+/// All kinds but the drift of clocks, which has no moment.
+pub(crate) const KINDS: [Kind; 9] = [
+    kind("loss", "Loss", (true, true), Some("share")),
+    kind("delay", "Delay", (true, true), Some("extra_s")),
+    kind("stall", "Stall", (true, true), None),
+    kind("cut", "Break", (true, true), None),
+    kind("refuse", "", (true, false), None),
+    kind("freeze", "Freeze", (false, true), None),
+    kind("slow", "Slow", (false, true), Some("step_s")),
+    kind("kill", "Kill", (false, false), None),
+    kind("restart", "", (false, false), None),
+];
 
 impl Fault {
     /// The fault that a file calls `kind`, on chassis `one` or between it and `other`. `extent` is how bad it is: a
@@ -191,88 +220,77 @@ impl Fault {
         Some(fault)
     }
 
-    fn facts(&self) -> Facts<'_> {
-        let (kind, called, site, at, until) = match self {
-            Self::Kill { chassis, at } => ("kill", "a kill", Site::Chassis(chassis), at, None),
-            Self::Restart { chassis, at } => {
-                ("restart", "a restart", Site::Chassis(chassis), at, None)
-            }
-            Self::Freeze { chassis, at, until } => {
-                let site = Site::Chassis(chassis);
-                ("freeze", "a freeze", site, at, Some(*until))
-            }
-            Self::Slow {
-                chassis, at, until, ..
-            } => {
-                let site = Site::Chassis(chassis);
-                ("slow", "a slow processor", site, at, Some(*until))
-            }
-            Self::Drift { chassis, .. } => {
-                let site = Site::Chassis(chassis);
-                ("drift", "a drift", site, &Instant::START, None)
-            }
-            Self::Cut { one, other, at } => ("refuse", "a cut", Site::Link(one, other), at, None),
-            Self::Break {
-                one,
-                other,
-                at,
-                until,
-            } => ("cut", "a cut", Site::Link(one, other), at, Some(*until)),
-            Self::Stall {
-                one,
-                other,
-                at,
-                until,
-            } => ("stall", "a stall", Site::Link(one, other), at, Some(*until)),
-            Self::Loss {
-                one,
-                other,
-                at,
-                until,
-                ..
-            } => ("loss", "a loss", Site::Link(one, other), at, Some(*until)),
-            Self::Delay {
-                one,
-                other,
-                at,
-                until,
-                ..
-            } => ("delay", "a delay", Site::Link(one, other), at, Some(*until)),
-        };
-        Facts {
-            kind,
-            called,
-            site,
-            at: *at,
-            until,
+    /// Its word in a file of faults, and with its article, for errors.
+    fn words(&self) -> (&'static str, &'static str) {
+        match self {
+            Self::Kill { .. } => ("kill", "a kill"),
+            Self::Restart { .. } => ("restart", "a restart"),
+            Self::Cut { .. } => ("refuse", "a cut"),
+            Self::Break { .. } => ("cut", "a cut"),
+            Self::Stall { .. } => ("stall", "a stall"),
+            Self::Loss { .. } => ("loss", "a loss"),
+            Self::Delay { .. } => ("delay", "a delay"),
+            Self::Freeze { .. } => ("freeze", "a freeze"),
+            Self::Slow { .. } => ("slow", "a slow processor"),
+            Self::Drift { .. } => ("drift", "a drift"),
         }
     }
 
     /// When it happens.
     #[must_use]
     pub fn at(&self) -> Instant {
-        self.facts().at
+        match self {
+            Self::Kill { at, .. }
+            | Self::Restart { at, .. }
+            | Self::Cut { at, .. }
+            | Self::Break { at, .. }
+            | Self::Stall { at, .. }
+            | Self::Loss { at, .. }
+            | Self::Delay { at, .. }
+            | Self::Freeze { at, .. }
+            | Self::Slow { at, .. } => *at,
+            Self::Drift { .. } => Instant::START,
+        }
     }
 
     /// When it is over; `None` for what lasts.
     #[must_use]
     pub fn until(&self) -> Option<Instant> {
-        self.facts().until
+        match self {
+            Self::Break { until, .. }
+            | Self::Stall { until, .. }
+            | Self::Loss { until, .. }
+            | Self::Delay { until, .. }
+            | Self::Freeze { until, .. }
+            | Self::Slow { until, .. } => Some(*until),
+            _ => None,
+        }
     }
 
     /// Its word in a file of faults.
     #[must_use]
     pub fn kind(&self) -> &'static str {
-        self.facts().kind
+        self.words().0
     }
 
     pub(crate) fn site(&self) -> Site<'_> {
-        self.facts().site
+        match self {
+            Self::Kill { chassis, .. }
+            | Self::Restart { chassis, .. }
+            | Self::Freeze { chassis, .. }
+            | Self::Slow { chassis, .. }
+            | Self::Drift { chassis, .. } => Site::Chassis(chassis),
+            Self::Cut { one, other, .. }
+            | Self::Break { one, other, .. }
+            | Self::Stall { one, other, .. }
+            | Self::Loss { one, other, .. }
+            | Self::Delay { one, other, .. } => Site::Link(one, other),
+        }
     }
 
     /// With its article, for errors.
     pub(crate) fn called(&self) -> &'static str {
-        self.facts().called
+        self.words().1
     }
 }
 

@@ -1,6 +1,6 @@
 //! What a fault does to the machines and links of a simulated app, and when the given ones happen.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use crate::{
     fault::{Fault, Site},
@@ -87,10 +87,10 @@ impl Simulation {
             }
             Fault::Loss {
                 until, share_ppm, ..
-            } => self.network.lose(ends.0, ends.1, *until, *share_ppm),
-            Fault::Delay { until, extra, .. } => {
-                self.network.delay(ends.0, ends.1, *until, *extra);
-            }
+            } => self
+                .network
+                .disturb(ends, *until, *share_ppm, Duration::ZERO),
+            Fault::Delay { until, extra, .. } => self.network.disturb(ends, *until, 0, *extra),
             _ => {}
         }
     }

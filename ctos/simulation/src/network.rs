@@ -85,8 +85,8 @@ struct Direction {
     given_up: bool,
     /// Nothing gets through any more.
     closed: bool,
-    losses: Vec<(Instant, u32)>,
-    delays: Vec<(Instant, Duration)>,
+    /// Until when which share of the frames is lost, of 10^6, and how much longer each takes at most.
+    disturbances: Vec<(Instant, u32, Duration)>,
     /// Draws losses and delays; made when the first one is needed.
     rng: Option<ChaCha8Rng>,
 }
@@ -250,21 +250,18 @@ impl Network {
         state.insert(told, to, from, Arrival::Closed);
     }
 
-    /// A share of what is sent from now until `until` is lost and sent again.
-    pub(crate) fn lose(&self, one: u8, other: u8, until: Instant, share_ppm: u32) {
+    /// Until `until` a share of what is sent is lost and sent again, and takes up to `extra` longer.
+    pub(crate) fn disturb(
+        &self,
+        (one, other): (u8, u8),
+        until: Instant,
+        share_ppm: u32,
+        extra: Duration,
+    ) {
         let mut state = lock(&self.state);
         for ends in [(one, other), (other, one)] {
             let direction = state.directions.entry(ends).or_default();
-            direction.losses.push((until, share_ppm));
-        }
-    }
-
-    /// What is sent from now until `until` takes up to `extra` longer.
-    pub(crate) fn delay(&self, one: u8, other: u8, until: Instant, extra: Duration) {
-        let mut state = lock(&self.state);
-        for ends in [(one, other), (other, one)] {
-            let direction = state.directions.entry(ends).or_default();
-            direction.delays.push((until, extra));
+            direction.disturbances.push((until, share_ppm, extra));
         }
     }
 }
@@ -272,19 +269,19 @@ impl Network {
 impl Direction {
     /// How much longer than usual the next frame takes.
     fn lateness(&mut self, now: Instant, seeded: impl FnOnce() -> ChaCha8Rng) -> Duration {
-        if self.losses.is_empty() && self.delays.is_empty() {
+        if self.disturbances.is_empty() {
             return Duration::ZERO;
         }
-        self.losses.retain(|(until, _)| *until > now);
-        self.delays.retain(|(until, _)| *until > now);
+        self.disturbances.retain(|(until, ..)| *until > now);
         let rng = self.rng.get_or_insert_with(seeded);
         let mut late = Duration::ZERO;
-        for (_, extra) in &self.delays {
+        let extras = self.disturbances.iter().map(|(.., extra)| extra);
+        for extra in extras.filter(|extra| !extra.is_zero()) {
             let most = u64::try_from(extra.as_nanos()).unwrap_or(u64::MAX);
             late += Duration::from_nanos(rng.random_range(0..=most));
         }
-        let share = self.losses.iter().map(|(_, share)| *share).max();
-        let share = share.unwrap_or(0).min(1_000_000);
+        let shares = self.disturbances.iter().map(|(_, share, _)| *share);
+        let share = shares.max().unwrap_or(0).min(1_000_000);
         let mut resends = 0;
         while resends < RESENDS && rng.random_range(0..1_000_000_u32) < share {
             late += Duration::from_nanos(rng.random_range(RESEND_NS));

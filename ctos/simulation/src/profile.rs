@@ -5,7 +5,10 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use crate::{fault::Fault, reader::Reader};
+use crate::{
+    fault::{Fault, KINDS, Kind},
+    reader::Reader,
+};
 use ctos_config::{
     Node,
     diagnostic::{Findings, Source},
@@ -33,41 +36,6 @@ pub struct Faults {
     /// What happens at a given moment.
     pub script: Vec<Fault>,
 }
-
-/// A kind of fault that a profile draws.
-pub(crate) struct Kind {
-    pub(crate) word: &'static str,
-    /// Its word in the seed of its generator.
-    pub(crate) seed: &'static str,
-    /// Between two chassis, or on one.
-    pub(crate) on_link: bool,
-    /// The key that says how bad it is, and its largest value.
-    extent: Option<(&'static str, f64)>,
-}
-
-const fn kind(
-    word: &'static str,
-    seed: &'static str,
-    on_link: bool,
-    extent: Option<(&'static str, f64)>,
-) -> Kind {
-    Kind {
-        word,
-        seed,
-        on_link,
-        extent,
-    }
-}
-
-pub(crate) const KINDS: [Kind; 7] = [
-    kind("loss", "Loss", true, Some(("share", 1.0))),
-    kind("delay", "Delay", true, Some(("extra_s", TIME_MOST))),
-    kind("stall", "Stall", true, None),
-    kind("cut", "Break", true, None),
-    kind("freeze", "Freeze", false, None),
-    kind("slow", "Slow", false, Some(("step_s", 1.0))),
-    kind("kill", "Kill", false, None),
-];
 
 /// The longest that a fault may last, and the largest time in a profile, s.
 const TIME_MOST: f64 = 86_400.0;
@@ -132,15 +100,16 @@ impl Faults {
             name: source.name().to_owned(),
             ..Self::default()
         };
-        let mut tables = KINDS.map(|kind| kind.word).to_vec();
-        tables.extend(["clocks", "fault"]);
+        let drawn = || KINDS.iter().filter(|kind| !kind.seed.is_empty());
+        let tables = drawn().map(|kind| kind.word).chain(["clocks", "fault"]);
+        let tables: Vec<&str> = tables.collect();
         let mut reader = Reader::new(&root, "a file of faults", &tables, &mut findings);
         if let Some(mut clocks) = reader.table("clocks", &["drift_ppm", "ahead_s"]) {
             faults.drift_ppm = clocks.number("drift_ppm", 0.0..=100_000.0).unwrap_or(0.0);
             faults.ahead_s = clocks.number("ahead_s", 0.0..=TIME_MOST).unwrap_or(0.0);
         }
-        for kind in KINDS {
-            let rate = rate(&mut reader, &kind);
+        for kind in drawn() {
+            let rate = rate(&mut reader, kind);
             faults.rates.extend(rate.map(|rate| (kind.word, rate)));
         }
         faults.script = super::script::read(&mut reader);
@@ -159,15 +128,16 @@ impl Faults {
 
 /// `[KIND]` with `per_s`, `lasts_s` and what says how bad it is.
 fn rate(reader: &mut Reader<'_, '_>, kind: &Kind) -> Option<Rate> {
-    let lasts = (kind.word != "kill").then_some("lasts_s");
-    let extent = kind.extent.map(|(key, _)| key);
-    let known: Vec<&str> = ["per_s"].into_iter().chain(lasts).chain(extent).collect();
-    let mut table = reader.table(kind.word, &known)?;
+    let lasts = kind.lasts.then_some("lasts_s");
+    let known = ["per_s"].into_iter().chain(lasts).chain(kind.extent);
+    let mut table = reader.table(kind.word, &known.collect::<Vec<_>>())?;
     let nothing = Some((0.0, 0.0));
     let per_s = table.needed("per_s", 0.0..=1000.0);
-    let lasts_s = lasts.map_or(nothing, |key| table.range(key, 0.0..=TIME_MOST));
+    let mut range = |key, most| table.range(key, 0.0..=most);
+    let lasts_s = lasts.map_or(nothing, |key| range(key, TIME_MOST));
     let extent = match kind.extent {
-        Some((key, most)) => table.range(key, 0.0..=most),
+        Some("extra_s") => range("extra_s", TIME_MOST),
+        Some(key) => range(key, 1.0),
         None => nothing,
     };
     Some(Rate {

@@ -61,12 +61,21 @@ impl<'n, 'f> Reader<'n, 'f> {
         None
     }
 
-    fn missing<T>(&mut self, key: &str, expected: &str) -> Option<T> {
-        let message = format!("{} has no `{key}`", self.what);
-        let finding = Finding::error("ctos::faults::missing_key", message)
-            .help(format!("add `{key}`: {expected}"));
-        self.push(finding, None);
-        None
+    /// What `read` makes of the value of a key that must be there.
+    fn must<T>(
+        &mut self,
+        key: &str,
+        expected: &str,
+        read: impl FnOnce(&Node) -> Option<T>,
+    ) -> Option<T> {
+        let Some(node) = self.value(key) else {
+            let message = format!("{} has no `{key}`", self.what);
+            let finding = Finding::error("ctos::faults::missing_key", message)
+                .help(format!("add `{key}`: {expected}"));
+            self.push(finding, None);
+            return None;
+        };
+        read(node).or_else(|| self.wrong(key, node, expected))
     }
 
     /// A table below this one.
@@ -104,22 +113,15 @@ impl<'n, 'f> Reader<'n, 'f> {
 
     /// A number.
     pub(crate) fn number(&mut self, key: &str, range: RangeInclusive<f64>) -> Option<f64> {
-        let node = self.value(key)?;
-        let number = node.as_f64().filter(|number| range.contains(number));
-        if number.is_none() {
-            let expected = format!("a number from {} to {}", range.start(), range.end());
-            return self.wrong(key, node, &expected);
-        }
-        number
+        self.value(key)?;
+        self.needed(key, range)
     }
 
     /// A number that must be there.
     pub(crate) fn needed(&mut self, key: &str, range: RangeInclusive<f64>) -> Option<f64> {
-        if self.value(key).is_none() {
-            let expected = format!("a number from {} to {}", range.start(), range.end());
-            return self.missing(key, &expected);
-        }
-        self.number(key, range)
+        let expected = format!("a number from {} to {}", range.start(), range.end());
+        let number = |node: &Node| node.as_f64().filter(|number| range.contains(number));
+        self.must(key, &expected, number)
     }
 
     /// A time in s that must be there, to the nanosecond.
@@ -134,42 +136,36 @@ impl<'n, 'f> Reader<'n, 'f> {
             allowed.start(),
             allowed.end()
         );
-        let Some(node) = self.value(key) else {
-            return self.missing(key, &expected);
-        };
-        let numbers: Vec<f64> = node.elements().iter().filter_map(Node::as_f64).collect();
-        match (numbers[..].first_chunk::<2>(), node.elements().len()) {
-            (Some([least, most]), 2)
-                if least <= most && allowed.contains(least) && allowed.contains(most) =>
-            {
-                Some((*least, *most))
-            }
-            _ => self.wrong(key, node, &expected),
-        }
+        self.must(key, &expected, |node| {
+            let [least, most] = node.elements() else {
+                return None;
+            };
+            let (least, most) = (least.as_f64()?, most.as_f64()?);
+            let right = least <= most && allowed.contains(&least) && allowed.contains(&most);
+            right.then_some((least, most))
+        })
     }
 
     /// A text that must be there.
     pub(crate) fn text(&mut self, key: &str, expected: &str) -> Option<String> {
-        let Some(node) = self.value(key) else {
-            return self.missing(key, expected);
+        let text = |node: &Node| {
+            node.as_str()
+                .filter(|text| !text.is_empty())
+                .map(str::to_owned)
         };
-        match node.as_str() {
-            Some(text) if !text.is_empty() => Some(text.to_owned()),
-            _ => self.wrong(key, node, expected),
-        }
+        self.must(key, expected, text)
     }
 
     /// Two different names that must be there.
     pub(crate) fn pair(&mut self, key: &str) -> Option<(String, String)> {
         let expected = "two different chassis, for example [\"desk\", \"cage\"]";
-        let Some(node) = self.value(key) else {
-            return self.missing(key, expected);
-        };
-        let names: Vec<&str> = node.elements().iter().filter_map(Node::as_str).collect();
-        match (&names[..], node.elements().len()) {
-            ([one, other], 2) if one != other => Some(((*one).to_owned(), (*other).to_owned())),
-            _ => self.wrong(key, node, expected),
-        }
+        self.must(key, expected, |node| {
+            let [one, other] = node.elements() else {
+                return None;
+            };
+            let (one, other) = (one.as_str()?, other.as_str()?);
+            (one != other).then(|| (one.to_owned(), other.to_owned()))
+        })
     }
 
     /// The place of a key's value, or of the table.

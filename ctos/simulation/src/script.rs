@@ -3,7 +3,7 @@
 use std::{fmt::Write as _, time::Duration};
 
 use crate::{
-    fault::{Fault, Site},
+    fault::{Fault, KINDS, Kind, Site},
     reader::Reader,
 };
 use ctos_config::{Node, diagnostic::Finding};
@@ -12,19 +12,16 @@ use ctos_time::Instant;
 /// The latest moment and the longest time, s: the nanosecond still counts in a float.
 const MOST: f64 = 1e6;
 
-/// The kinds of faults, each with its keys.
-const KINDS: [(&str, &[&str]); 10] = [
-    ("kill", &["kind", "chassis", "at_s"]),
-    ("restart", &["kind", "chassis", "at_s"]),
-    ("refuse", &["kind", "between", "at_s"]),
-    ("cut", &["kind", "between", "at_s", "lasts_s"]),
-    ("stall", &["kind", "between", "at_s", "lasts_s"]),
-    ("loss", &["kind", "between", "at_s", "lasts_s", "share"]),
-    ("delay", &["kind", "between", "at_s", "lasts_s", "extra_s"]),
-    ("freeze", &["kind", "chassis", "at_s", "lasts_s"]),
-    ("slow", &["kind", "chassis", "at_s", "lasts_s", "step_s"]),
-    ("drift", &["kind", "chassis", "ahead_s", "rate_ppm"]),
-];
+/// The keys of a drift.
+const DRIFT: [&str; 4] = ["kind", "chassis", "ahead_s", "rate_ppm"];
+
+/// The keys of a kind.
+fn keys_of(kind: &Kind) -> Vec<&'static str> {
+    let place = if kind.on_link { "between" } else { "chassis" };
+    let lasts = kind.lasts.then_some("lasts_s");
+    let keys = ["kind", place, "at_s"].into_iter();
+    keys.chain(lasts).chain(kind.extent).collect()
+}
 
 /// Reads all `[[fault]]` tables.
 pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
@@ -36,21 +33,17 @@ pub(super) fn read(reader: &mut Reader<'_, '_>) -> Vec<Fault> {
 }
 
 fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
-    let all = KINDS.map(|(_, keys)| keys).concat();
-    let words = KINDS.map(|(kind, _)| kind);
+    let all: Vec<&str> = KINDS.iter().flat_map(keys_of).chain(DRIFT).collect();
     let mut any = reader.element(table, "[[fault]]".to_owned(), &all);
-    let kind = any.text("kind", &format!("one of {}", words.join(", ")))?;
-    let Some((_, keys)) = KINDS.iter().find(|(known, _)| *known == kind) else {
-        let finding = Finding::error(
-            "ctos::faults::unknown_fault",
-            format!("there is no fault `{kind}`"),
-        );
-        let place = any.place_of("kind");
-        any.push(finding.suggest(&kind, words), place.as_ref());
-        return None;
-    };
-    let mut one = reader.element(table, format!("[[fault]] `{kind}`"), keys);
-    if kind == "drift" {
+    let words: Vec<&str> = KINDS
+        .iter()
+        .map(|kind| kind.word)
+        .chain(["drift"])
+        .collect();
+    let word = any.text("kind", &format!("one of {}", words.join(", ")))?;
+    let named = format!("[[fault]] `{word}`");
+    if word == "drift" {
+        let mut one = reader.element(table, named, &DRIFT);
         let chassis = one.text("chassis", "the name of a chassis");
         let ahead = one.time("ahead_s", MOST);
         let rate = one.needed("rate_ppm", -100_000.0..=100_000.0);
@@ -60,24 +53,33 @@ fn read_one<'n>(reader: &mut Reader<'n, '_>, table: &'n Node) -> Option<Fault> {
             rate_ppb: (rate? * 1e3).round() as i32,
         });
     }
+    let Some(kind) = KINDS.iter().find(|kind| kind.word == word) else {
+        let message = format!("there is no fault `{word}`");
+        let finding = Finding::error("ctos::faults::unknown_fault", message);
+        let place = any.place_of("kind");
+        any.push(finding.suggest(&word, words), place.as_ref());
+        return None;
+    };
+    let mut one = reader.element(table, named, &keys_of(kind));
     let at = one.time("at_s", MOST);
-    let place = if keys.contains(&"chassis") {
+    let place = if kind.on_link {
+        one.pair("between")
+    } else {
         let chassis = one.text("chassis", "the name of a chassis");
         chassis.map(|chassis| (chassis, String::new()))
+    };
+    let lasts = if kind.lasts {
+        one.time("lasts_s", MOST)
     } else {
-        one.pair("between")
+        Some(Duration::ZERO)
     };
-    let lasts = match keys.get(3) {
-        Some(_) => one.time("lasts_s", MOST),
-        None => Some(Duration::ZERO),
-    };
-    let extent = match keys.get(4) {
-        Some(&"extra_s") => one.needed("extra_s", 0.0..=MOST),
+    let extent = match kind.extent {
+        Some("extra_s") => one.needed("extra_s", 0.0..=MOST),
         Some(key) => one.needed(key, 0.0..=1.0),
         None => Some(0.0),
     };
     let at = Instant::START + at?;
-    Fault::new(&kind, place?, at, at + lasts?, extent?)
+    Fault::new(&word, place?, at, at + lasts?, extent?)
 }
 
 /// The `[[fault]]` tables of `faults`; reading them gives the same faults.
@@ -154,9 +156,8 @@ mod tests {
                         rate_ppb,
                     };
                 }
-                let (word, keys) = KINDS[usize::from(kind)];
-                let link = keys.contains(&"between");
-                let place = if link {
+                let Kind { word, on_link, .. } = KINDS[usize::from(kind)];
+                let place = if on_link {
                     (one, other)
                 } else {
                     (chassis, String::new())

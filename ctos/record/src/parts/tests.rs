@@ -1,17 +1,18 @@
-use std::{io::PipeReader, os::fd::OwnedFd, sync::atomic::AtomicBool};
+use std::{
+    io::PipeReader,
+    os::fd::OwnedFd,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use proptest::prelude::*;
 
 use super::*;
-use crate::{
-    lines::VALUE,
-    read::{Filter, Record},
-};
+use crate::read::{Filter, Record};
 
 fn line(at: u64, json: &[u8]) -> Line<'_> {
     Line {
         topic: "/x",
-        schema: VALUE,
+        schema: Schema::Value,
         at,
         bytes: json,
         lines: 1,
@@ -148,7 +149,8 @@ fn a_disk_that_breaks_loses_what_is_counted_and_nothing_else() {
     parts.flush(3);
     parts.write(4, &line(4, b"{}"));
     assert_eq!(
-        parts.lost_in_all, 3,
+        parts.report().lost,
+        3,
         "two that were not whole and one that found no file"
     );
     let later = RETRY_NS + 10;
@@ -199,15 +201,10 @@ fn a_place_that_cannot_be_written_is_an_error_that_names_it() {
 }
 
 mod slow {
-    use std::{sync::Arc, time::Duration};
+    use std::time::Duration;
 
     use super::*;
-    use crate::{
-        event::{Told, What},
-        names::Names,
-        recorder::Recorder,
-        writer::Writer,
-    };
+    use crate::{glossary::Glossary, recorder::Recorder, writer::Writer};
     use ctos_core::registry::Registry;
     use ctos_message::Tid;
     use ctos_time::Clock;
@@ -219,23 +216,18 @@ mod slow {
         let (place, reader) = breaking(folder.path());
         let app = "[chassis.a]\n[task.t]\nhandler = \"h\"\non = \"a\"\n";
         let app = ctos_config::load_texts(&[("app.toml", app)], &[], &[]).unwrap();
-        let names = Arc::new(Names::new(&app, &Registry::new(), &[]));
+        let names = Glossary::of(&app, &Registry::new(), &[]);
         let parts = Parts::open(place, BTreeMap::new()).unwrap();
-        let writer = Writer::new(names, parts);
+        let writer = Writer::new(names, parts, Vec::new());
         let limit = 1 << 20;
         let flush = Duration::from_millis(1);
         let recorder = Recorder::threaded(Clock::real(), writer, 1, limit, flush).unwrap();
-        let told = Told {
-            at: 1,
-            what: What::Value {
-                channel: "/x".to_owned(),
-            },
-        };
         let json = format!("\"{}\"", "z".repeat(10_000));
         let refused = AtomicBool::new(false);
         // The pipe holds 64 KiB, the buffer 1 MiB, the writer one batch.
         for _ in 0..1000 {
-            let noted = recorder.told(Tid::default(), &told, |buffer| {
+            let channel = "/x".to_owned();
+            let noted = recorder.line(Tid::default(), 1, channel, Schema::Value, |buffer| {
                 buffer.extend_from_slice(json.as_bytes());
                 true
             });

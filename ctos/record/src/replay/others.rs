@@ -3,38 +3,32 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
-    sync::{Arc, Mutex},
+    sync::Mutex,
 };
 
 use super::{
     super::lines::{self, Number},
     ReplayReport,
-    script::{Output, Recorded, Script},
+    script::{Recorded, Script, Sent},
 };
-use crate::names::Names;
-use ctos_core::report::Ending;
+use crate::glossary::Glossary;
 use ctos_core::{
     envelope::Message,
     reply::{Answer, ReplySlot},
+    report::Ending,
     system::{self, FindTid, Missing},
     tap::WaitFor,
 };
-use ctos_message::{Command, Data, Flags, Tid, ToJson, fault::Fault};
+use ctos_message::{Command, Data, Flags, Shape, Tid, fault::Fault};
 use ctos_time::{Clock, Instant, lock::lock};
 
 /// Text of data in a difference is cut here, letters.
 const SHOWN: usize = 300;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Fate {
-    Expected,
-    Done,
-    Missing,
-}
-
 #[derive(Default)]
 struct State {
-    fates: Vec<Fate>,
+    /// What the task sent, and whether it is still to be made again.
+    outputs: Vec<(Sent, bool)>,
     /// Who waits for the answer to an output that was made.
     promises: BTreeMap<Number, ReplySlot>,
     /// Of calls that the record does not know: kept, so that they end by their deadlines.
@@ -47,27 +41,25 @@ struct State {
 /// The other tasks, as a record knows them.
 pub(crate) struct Others {
     task: Tid,
-    outputs: Vec<Output>,
     /// Messages whose sender does not wait, and that were not taken.
     refused: BTreeMap<Number, Fault>,
     /// What whoever sent it was told in the same poll, and when.
     at_once: BTreeMap<Number, (Instant, Recorded)>,
     clock: Clock,
-    names: Arc<Names>,
+    names: Glossary,
     state: Mutex<State>,
 }
 
 impl Others {
     /// In place of the tasks that `script` knows besides its own.
-    pub(super) fn new(clock: Clock, names: Arc<Names>, script: &mut Script) -> Self {
+    pub(super) fn new(clock: Clock, names: Glossary, script: &mut Script) -> Self {
         let outputs = std::mem::take(&mut script.outputs);
         let state = State {
-            fates: vec![Fate::Expected; outputs.len()],
+            outputs: outputs.into_iter().map(|output| (output, true)).collect(),
             ..State::default()
         };
         Self {
             task: script.tid,
-            outputs,
             refused: std::mem::take(&mut script.refused),
             at_once: std::mem::take(&mut script.at_once),
             clock,
@@ -114,54 +106,38 @@ impl Others {
     fn output(&self, message: &Message, now: Instant) -> Option<Number> {
         // What cannot be encoded is like nothing in the record.
         let data = bytes_of(&message.envelope.data).ok();
+        let header = message.header();
         let mut state = lock(&self.state);
-        let expected = |index: &usize| state.fates.get(*index) == Some(&Fate::Expected);
-        let first = (0..self.outputs.len()).find(expected);
-        let front = first.and_then(|index| self.outputs.get(index));
-        let mut found = None;
-        if let (Some(data), Some(front)) = (&data, front) {
-            let candidates = self.outputs.iter().enumerate().skip(first.unwrap_or(0));
-            for (index, output) in candidates {
-                if output.segment != front.segment {
-                    break;
-                }
-                if state.fates.get(index) != Some(&Fate::Expected) {
-                    continue;
-                }
-                if is_like(output, message, data) {
-                    found = Some((index, output.id));
-                    break;
-                }
-            }
-        }
-        if let Some((index, id)) = found {
-            if let Some(fate) = state.fates.get_mut(index) {
-                *fate = Fate::Done;
-            }
-            state.report.same();
-            return Some(id);
+        let State {
+            outputs, report, ..
+        } = &mut *state;
+        let first = outputs.iter().position(|(_, expected)| *expected);
+        let left = outputs.get_mut(first.unwrap_or(0)..).unwrap_or_default();
+        let segment = left.first().map(|(output, _)| output.segment);
+        let mut found = left
+            .iter_mut()
+            .take_while(|(output, _)| Some(output.segment) == segment)
+            .filter(|(output, expected)| *expected && is_like(output, message, data.as_deref()));
+        if let Some((output, expected)) = found.next() {
+            *expected = false;
+            report.same();
+            return Some(output.id);
         }
         // A name that another task had found before was not asked for then.
         if self.name_of_another(message).is_some() {
             return None;
         }
-        let got = self.shown(
-            message.header().to,
-            message.header().command,
-            message.header().flags,
-            &data.unwrap_or_default(),
-        );
-        let shown =
-            |output: &Output| self.shown(output.to, output.command, output.flags, &output.data);
-        let expected = front.map_or_else(|| "nothing more".to_owned(), shown);
-        state.report.differs(now, message.trace(), expected, got);
+        let data = data.unwrap_or_default();
+        let got = self.shown(header.to, header.command, header.flags, &data);
+        let front = left.first_mut().filter(|(_, expected)| *expected);
+        let wanted = front.as_ref().map(|(output, _)| self.output_shown(output));
+        let wanted = wanted.unwrap_or_else(|| "nothing more".to_owned());
+        report.differs(now, message.trace(), wanted, got);
         // The same question with other data gets the recorded answer, so that what follows is compared.
-        let (place, front) = first.zip(front)?;
-        if front.to != message.header().to || front.command != message.header().command {
-            return None;
-        }
-        *state.fates.get_mut(place)? = Fate::Done;
-        Some(front.id)
+        let (output, expected) = front
+            .filter(|(output, _)| output.to == header.to && output.command == header.command)?;
+        *expected = false;
+        Some(output.id)
     }
 
     /// The answer to a question for a name, if it is one.
@@ -177,21 +153,24 @@ impl Others {
 
     /// Whether the recorded output was made again.
     pub(super) fn is_done(&self, index: usize) -> bool {
-        lock(&self.state).fates.get(index) == Some(&Fate::Done)
+        let state = lock(&self.state);
+        state
+            .outputs
+            .get(index)
+            .is_some_and(|(_, expected)| !expected)
     }
 
     /// The record goes on after an output: when it was not made again, it is missing.
     pub(super) fn must_be_done(&self, index: usize, at: Instant) {
         let mut state = lock(&self.state);
-        let (Some(fate), Some(output)) = (state.fates.get_mut(index), self.outputs.get(index))
-        else {
-            return;
-        };
-        if *fate == Fate::Expected {
-            *fate = Fate::Missing;
-            let expected = self.shown(output.to, output.command, output.flags, &output.data);
-            let got = "nothing".to_owned();
-            state.report.differs(at, output.trace, expected, got);
+        let State {
+            outputs, report, ..
+        } = &mut *state;
+        if let Some((output, expected)) = outputs.get_mut(index)
+            && std::mem::take(expected)
+        {
+            let wanted = self.output_shown(output);
+            report.differs(at, output.trace, wanted, "nothing".to_owned());
         }
     }
 
@@ -226,20 +205,21 @@ impl Others {
         at: Instant,
         trace: u64,
         command: u16,
-        expected: &(String, String),
+        expected: &Ending,
         got: Option<(u16, Ending)>,
     ) {
-        let said = |command: u16, (result, text): (&str, &str)| {
-            let command = self.command_name(self.task, command);
-            match text {
-                "" => format!("`{command}` ended: {result}"),
-                text => format!("`{command}` ended: {result}: {text}"),
+        let task = self.names.task(self.task);
+        let said = |command: u16, ending: &Ending| {
+            let command = self.names.command_name(&task, command);
+            match lines::words(ending) {
+                (result, "") => format!("`{command}` ended: {result}"),
+                (result, text) => format!("`{command}` ended: {result}: {text}"),
             }
         };
-        let wanted = said(command, (&expected.0, &expected.1));
+        let wanted = said(command, expected);
         let got = got.map_or_else(
             || "it is still at it".to_owned(),
-            |(command, ending)| said(command, lines::words(&ending)),
+            |(command, ending)| said(command, &ending),
         );
         let mut state = lock(&self.state);
         if wanted == got {
@@ -276,11 +256,12 @@ impl Others {
         if got.as_ref() == Some(&wanted) {
             return state.report.same();
         }
-        let known = self.names.command(&self.names.task(self.task), command);
-        let to_json = known.map(|known| known.reply);
-        let name = self.command_name(self.task, command);
+        let task = self.names.task(self.task);
+        let known = self.names.command(&task, command);
+        let shape = known.and_then(|known| known.reply.as_ref());
+        let name = self.names.command_name(&task, command);
         let shown = |answer: &Result<Vec<u8>, Fault>| match answer {
-            Ok(data) => format!("answer to `{name}`: {}", text_of(data, to_json)),
+            Ok(data) => format!("answer to `{name}`: {}", text_of(data, shape)),
             Err(fault) => format!("answer to `{name}`: {fault}"),
         };
         let got = got.as_ref().map_or_else(|| "no answer".to_owned(), shown);
@@ -302,17 +283,15 @@ impl Others {
         report
     }
 
-    fn command_name(&self, task: Tid, command: u16) -> String {
-        let name = self.names.task(task);
-        let known = self.names.command(&name, command);
-        known.map_or_else(|| format!("{command:#06x}"), |known| known.name.to_owned())
+    fn output_shown(&self, output: &Sent) -> String {
+        self.shown(output.to, output.command, output.flags, &output.data)
     }
 
     /// A message in words.
     fn shown(&self, to: Tid, command: u16, flags: Flags, data: &[u8]) -> String {
         let name = self.names.task(to);
         let known = self.names.command(&name, command);
-        let data = text_of(data, known.map(|known| known.request));
+        let data = text_of(data, known.and_then(|known| known.request.as_ref()));
         let verb = match lines::waits(flags) {
             "reply" => "call",
             _ => "send",
@@ -321,17 +300,17 @@ impl Others {
             "high" => " (urgent)",
             _ => "",
         };
-        let command = self.command_name(to, command);
+        let command = self.names.command_name(&name, command);
         format!("{verb} `{command}` to `{name}`{urgent} {data}")
     }
 }
 
-fn is_like(output: &Output, message: &Message, data: &[u8]) -> bool {
+fn is_like(output: &Sent, message: &Message, data: Option<&[u8]>) -> bool {
     let urgent = |flags: Flags| flags.contains(Flags::HIGH_PRIORITY);
     output.to == message.header().to
         && output.command == message.header().command
         && urgent(output.flags) == urgent(message.header().flags)
-        && output.data == data
+        && Some(&*output.data) == data
 }
 
 fn bytes_of(data: &Data) -> Result<Vec<u8>, Fault> {
@@ -345,10 +324,12 @@ fn bytes_of(data: &Data) -> Result<Vec<u8>, Fault> {
 }
 
 /// Data in words: as JSON where its type is known.
-fn text_of(data: &[u8], to_json: Option<ToJson>) -> String {
+fn text_of(data: &[u8], shape: Option<&Shape>) -> String {
     let mut json = Vec::new();
-    let known = to_json.is_some_and(|to_json| to_json.convert(data, &mut json).is_ok());
-    if !known {
+    if shape
+        .and_then(|shape| shape.convert(data, &mut json))
+        .is_none()
+    {
         return hex(data);
     }
     let text = String::from_utf8_lossy(&json);

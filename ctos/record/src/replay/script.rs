@@ -2,41 +2,28 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use serde::de::DeserializeOwned;
-
 use super::{
     super::{
-        event::Side,
-        lines::{BeganLine, Bytes, EndedLine, MessageLine, Number, ReplyLine, from_base64},
+        event::{Key, Side, Step as Event, Traffic},
+        lines::{self, Number},
         read::{Entry, Record},
     },
     ReplayError,
 };
-use ctos_core::reply::Answer;
+use ctos_core::{reply::Answer, report::Ending};
 use ctos_message::{Data, Flags, Tid, fault::Fault};
 use ctos_time::Instant;
 
-/// A message that the task was given.
+/// A message that the task was given, or sent.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Begun {
+pub(super) struct Sent {
     pub(super) id: Number,
     pub(super) from: Tid,
-    pub(super) command: u16,
-    pub(super) flags: Flags,
-    pub(super) trace: u64,
-    pub(super) deadline: Option<Instant>,
-    pub(super) data: Vec<u8>,
-}
-
-/// A message that the task sent.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Output {
-    pub(super) id: Number,
-    pub(super) at: Instant,
     pub(super) to: Tid,
     pub(super) command: u16,
-    pub(super) flags: Flags,
     pub(super) trace: u64,
+    pub(super) flags: Flags,
+    pub(super) deadline: Option<Instant>,
     pub(super) data: Vec<u8>,
     /// How many messages and answers the task had been given before.
     pub(super) segment: usize,
@@ -65,16 +52,13 @@ pub(super) enum What {
     /// Its handler was built.
     Built,
     /// It was given a message.
-    Begin(Begun),
+    Begin(Sent),
     /// It was given the answer to message `id` of its own.
     Answer { id: Number, answer: Recorded },
     /// It sent the message with this place among its outputs.
     Output(usize),
-    /// Its handler returned: result and text.
-    Ended {
-        command: u16,
-        ending: (String, String),
-    },
+    /// Its handler returned.
+    Ended { command: u16, ending: Ending },
     /// It answered message `id`.
     Replied { id: Number, answer: Recorded },
 }
@@ -86,7 +70,7 @@ pub(super) struct Script {
     pub(super) seed: Option<u64>,
     pub(super) lost: u64,
     pub(super) steps: Vec<Step>,
-    pub(super) outputs: Vec<Output>,
+    pub(super) outputs: Vec<Sent>,
     /// Messages whose sender did not wait, and that were not taken.
     pub(super) refused: BTreeMap<Number, Fault>,
     /// What was answered in the poll in which it was sent, when, and how.
@@ -99,25 +83,11 @@ impl Script {
     /// # Errors
     /// When it says nothing, or not enough.
     pub(super) fn of(record: &Record, task: &str) -> Result<Self, ReplayError> {
-        let mut reader = Reader {
-            task,
-            tid: None,
-            messages: BTreeMap::new(),
-            own: BTreeMap::new(),
-            segment: 0,
-            steps: Vec::new(),
-            outputs: Vec::new(),
-            refused: BTreeMap::new(),
-            at_once: BTreeMap::new(),
+        let on = |topic: String| {
+            let entries = record.entries.iter();
+            entries.filter(move |entry| entry.channel.topic == topic)
         };
-        // A message may be noted after it was begun, by another processor: all of them first.
-        for entry in &record.entries {
-            reader.message(entry)?;
-        }
-        for entry in &record.entries {
-            reader.step(entry)?;
-        }
-        let Some(tid) = reader.tid else {
+        let Some(first) = on(format!("/began/{task}")).next() else {
             return Err(not_recorded(record, task));
         };
         let seeds: BTreeSet<&String> = record
@@ -130,15 +100,28 @@ impl Script {
                 "the files are of different runs: their seeds differ",
             ));
         }
-        Ok(Self {
-            tid,
-            seed: seeds.first().and_then(|seed| seed.parse().ok()),
-            lost: record.runs.iter().map(|run| run.lost).sum(),
-            steps: reader.steps,
-            outputs: reader.outputs,
-            refused: reader.refused,
-            at_once: reader.at_once,
-        })
+        let mut reader = Reader {
+            task,
+            messages: BTreeMap::new(),
+            segment: 0,
+            script: Self {
+                tid: parsed(first)?.0.key.task,
+                seed: seeds.first().and_then(|seed| seed.parse().ok()),
+                lost: record.runs.iter().map(|run| run.lost).sum(),
+                steps: Vec::new(),
+                outputs: Vec::new(),
+                refused: BTreeMap::new(),
+                at_once: BTreeMap::new(),
+            },
+        };
+        // A message may be noted after it was begun, by another processor: all of them first.
+        for entry in on(format!("/message/{task}")) {
+            reader.message(entry)?;
+        }
+        for entry in &record.entries {
+            reader.step(entry)?;
+        }
+        Ok(reader.script)
     }
 }
 
@@ -163,146 +146,164 @@ fn incomplete(reason: impl Into<String>) -> ReplayError {
 
 struct Reader<'a> {
     task: &'a str,
-    tid: Option<Tid>,
     /// What the task may have been given.
-    messages: BTreeMap<Number, Begun>,
-    /// The messages of its own, and whether it waited for something.
-    own: BTreeMap<Number, bool>,
+    messages: BTreeMap<Number, Sent>,
     segment: usize,
-    steps: Vec<Step>,
-    outputs: Vec<Output>,
-    refused: BTreeMap<Number, Fault>,
-    at_once: BTreeMap<Number, (Instant, Recorded)>,
+    script: Script,
 }
 
 impl Reader<'_> {
     fn message(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let topic = entry.channel.topic.strip_prefix("/message/");
-        if topic != Some(self.task) {
-            return Ok(());
-        }
-        let line: MessageLine = parsed(entry)?;
+        let (event, data) = parsed(entry)?;
         // Between chassis it is noted twice; the handler begins the one that came to its own.
-        if line.noted == Side::Sender.word() {
-            return Ok(());
+        if let Event::Sent {
+            flags,
+            deadline,
+            side,
+        } = event.step
+            && side != Side::Sender
+        {
+            let message = self.sent(event.chassis, event.key, flags, deadline, data);
+            self.messages.insert(message.id, message);
         }
-        let begun = Begun {
-            id: line.id,
-            from: Tid::from_bits(line.from_tid),
-            command: line.code,
-            flags: flags_of(&line),
-            trace: line.trace.to_trace(),
-            deadline: line.deadline_ns.map(Instant::from_nanos),
-            data: data_of(entry)?,
-        };
-        self.messages.insert(line.id, begun);
         Ok(())
     }
 
+    fn sent(
+        &self,
+        chassis: u8,
+        key: Key,
+        flags: u16,
+        deadline: Option<u64>,
+        data: Vec<u8>,
+    ) -> Sent {
+        Sent {
+            id: Number {
+                chassis,
+                number: key.id,
+            },
+            from: key.peer,
+            to: key.task,
+            command: key.command,
+            trace: key.trace,
+            flags: Flags::from_bits(flags).with(Flags::OWNED),
+            deadline: deadline.map(Instant::from_nanos),
+            data,
+            segment: self.segment,
+        }
+    }
+
     fn step(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let topic = entry.channel.topic.as_str();
-        if topic == "/phase" {
-            let phase: PhaseRead = parsed(entry)?;
-            if phase.task == self.task && phase.phase == "built" {
-                self.push(entry.at, 0, What::Built);
+        let topic = entry.channel.topic.strip_prefix('/').unwrap_or_default();
+        let of_task = match topic.split_once('/') {
+            Some(("message" | "reply", _)) => true,
+            Some(("began" | "ended", name)) => name == self.task,
+            None if topic == "phase" => return self.phase(entry),
+            _ => false,
+        };
+        if !of_task {
+            return Ok(());
+        }
+        let (event, data) = parsed(entry)?;
+        let (at, key, tid) = (entry.at, event.key, self.script.tid);
+        let id = Number {
+            chassis: event.chassis,
+            number: key.id,
+        };
+        match event.step {
+            Event::Sent {
+                flags,
+                deadline,
+                side,
+            } => {
+                if key.peer == tid && side != Side::Receiver {
+                    let output = What::Output(self.script.outputs.len());
+                    self.push(at, key.trace, output);
+                    let message = self.sent(event.chassis, key, flags, deadline, data);
+                    self.script.outputs.push(message);
+                }
             }
-        } else if topic.starts_with("/message/") {
-            self.output(entry)?;
-        } else if topic.strip_prefix("/began/") == Some(self.task) {
-            if !self.steps.iter().any(|step| step.what == What::Built) {
-                return Err(incomplete(format!(
-                    "it does not hold the beginning of `{}`: it was begun while the app ran, or leaves out the channel /phase; record the whole run with `ctos boot --record FILE`",
-                    self.task
-                )));
+            Event::Began => {
+                let message = self.begun(entry, key, id)?;
+                self.segment += 1;
+                self.push(at, key.trace, What::Begin(message));
             }
-            let line: BeganLine = parsed(entry)?;
-            if let Some(before) = self.tid.replace(Tid::from_bits(line.tid))
-                && before != Tid::from_bits(line.tid)
-            {
-                return Err(incomplete(format!(
-                    "`{}` was moved, or its chassis restarted, while it was recorded",
-                    self.task
-                )));
+            Event::Ended { ending, .. } => {
+                let command = key.command;
+                self.push(at, key.trace, What::Ended { command, ending });
             }
-            let Some(begun) = self.messages.get(&line.id).cloned() else {
-                return Err(incomplete(format!(
-                    "at {} `{}` was given a message that is not in it",
-                    entry.at, self.task
-                )));
-            };
-            self.segment += 1;
-            self.push(entry.at, line.trace.to_trace(), What::Begin(begun));
-        } else if topic.strip_prefix("/ended/") == Some(self.task) {
-            let line: EndedLine = parsed(entry)?;
-            let what = What::Ended {
-                command: line.code,
-                ending: (line.result, line.text),
-            };
-            self.push(entry.at, line.trace.to_trace(), what);
-        } else if topic.starts_with("/reply/") {
-            self.reply(entry)?;
+            Event::Answered {
+                side,
+                at_once,
+                fault,
+            } => {
+                let answer = Recorded(fault.map_or(Ok(data), Err));
+                if key.task == tid && side != Side::Sender {
+                    let answer = answer.clone();
+                    self.push(at, key.trace, What::Replied { id, answer });
+                }
+                if key.peer == tid && side != Side::Receiver {
+                    self.answered(at, key.trace, id, at_once, answer);
+                }
+            }
         }
         Ok(())
     }
 
     fn push(&mut self, at: Instant, trace: u64, what: What) {
-        self.steps.push(Step { at, trace, what });
+        self.script.steps.push(Step { at, trace, what });
     }
 
-    /// A message that may be the task's own.
-    fn output(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let line: MessageLine = parsed(entry)?;
-        if line.from != self.task || line.noted == Side::Receiver.word() {
-            return Ok(());
+    fn phase(&mut self, entry: &Entry) -> Result<(), ReplayError> {
+        let phase: PhaseRead =
+            serde_json::from_slice(&entry.json).map_err(|_| unreadable(entry))?;
+        if phase.task == self.task && phase.phase == "built" {
+            self.push(entry.at, 0, What::Built);
         }
-        self.own.insert(line.id, line.waits != "nothing");
-        let trace = line.trace.to_trace();
-        self.push(entry.at, trace, What::Output(self.outputs.len()));
-        self.outputs.push(Output {
-            id: line.id,
-            at: entry.at,
-            to: Tid::from_bits(line.to_tid),
-            command: line.code,
-            flags: flags_of(&line),
-            trace,
-            data: data_of(entry)?,
-            segment: self.segment,
-        });
         Ok(())
     }
 
-    /// An answer that the task got, or gave.
-    fn reply(&mut self, entry: &Entry) -> Result<(), ReplayError> {
-        let line: ReplyLine = parsed(entry)?;
-        let answer = Recorded(if line.fault.is_empty() {
-            Ok(data_of(entry)?)
-        } else {
-            let fault = postcard::from_bytes(&from_base64(&line.fault));
-            Err(fault.map_err(|error| incomplete(format!("a fault at {}: {error}", entry.at)))?)
-        });
-        let trace = line.trace.to_trace();
-        let id = line.id;
-        let side = Side::of_word(&line.noted);
-        if line.by == self.task && side != Some(Side::Sender) {
-            let answer = answer.clone();
-            self.push(entry.at, trace, What::Replied { id, answer });
+    /// The message that the task was given.
+    fn begun(&self, entry: &Entry, key: Key, id: Number) -> Result<Sent, ReplayError> {
+        let task = self.task;
+        if !self
+            .script
+            .steps
+            .iter()
+            .any(|step| step.what == What::Built)
+        {
+            return Err(incomplete(format!(
+                "it does not hold the beginning of `{task}`: it was begun while the app ran, or leaves out the channel /phase; record the whole run with `ctos boot --record FILE`"
+            )));
         }
-        if line.to == self.task && side != Some(Side::Receiver) {
-            match (self.own.get(&id), &answer.0) {
-                (Some(true), _) => {
-                    self.segment += 1;
-                    if line.at_once {
-                        self.at_once.insert(id, (entry.at, answer.clone()));
-                    }
-                    self.push(entry.at, trace, What::Answer { id, answer });
-                }
-                (Some(false), Err(fault)) => {
-                    self.refused.insert(id, fault.clone());
-                }
-                _ => {}
+        if key.task != self.script.tid {
+            return Err(incomplete(format!(
+                "`{task}` was moved, or its chassis restarted, while it was recorded"
+            )));
+        }
+        self.messages.get(&id).cloned().ok_or_else(|| {
+            let at = entry.at;
+            incomplete(format!(
+                "at {at} `{task}` was given a message that is not in it"
+            ))
+        })
+    }
+
+    /// The task got the answer to a message of its own.
+    fn answered(&mut self, at: Instant, trace: u64, id: Number, at_once: bool, answer: Recorded) {
+        let mut own = self.script.outputs.iter().rev();
+        let Some(own) = own.find(|message| message.id == id) else {
+            return;
+        };
+        if lines::waits(own.flags) != "nothing" {
+            self.segment += 1;
+            if at_once {
+                self.script.at_once.insert(id, (at, answer.clone()));
             }
+            self.push(at, trace, What::Answer { id, answer });
+        } else if let Recorded(Err(fault)) = answer {
+            self.script.refused.insert(id, fault);
         }
-        Ok(())
     }
 }
 
@@ -312,34 +313,11 @@ struct PhaseRead {
     phase: String,
 }
 
-fn parsed<T: DeserializeOwned>(entry: &Entry) -> Result<T, ReplayError> {
-    serde_json::from_slice(&entry.json).map_err(|error| {
-        incomplete(format!(
-            "the line of {} at {} cannot be read: {error}",
-            entry.channel.topic, entry.at
-        ))
-    })
+fn parsed(entry: &Entry) -> Result<(Traffic, Vec<u8>), ReplayError> {
+    lines::from_line(&entry.json).ok_or_else(|| unreadable(entry))
 }
 
-fn data_of(entry: &Entry) -> Result<Vec<u8>, ReplayError> {
-    let bytes: Bytes = parsed(entry)?;
-    bytes.decode().ok_or_else(|| {
-        incomplete(format!(
-            "the data in {} at {} is damaged",
-            entry.channel.topic, entry.at
-        ))
-    })
-}
-
-fn flags_of(line: &MessageLine) -> Flags {
-    let priority = match line.priority.as_str() {
-        "high" => Flags::HIGH_PRIORITY,
-        _ => Flags::NONE,
-    };
-    let waits = match line.waits.as_str() {
-        "reply" => Flags::REPLY_WAIT,
-        "acceptance" => Flags::ACCEPT_WAIT,
-        _ => Flags::NONE,
-    };
-    priority.with(waits).with(Flags::OWNED)
+fn unreadable(entry: &Entry) -> ReplayError {
+    let (topic, at) = (&entry.channel.topic, entry.at);
+    incomplete(format!("the line of {topic} at {at} cannot be read"))
 }
