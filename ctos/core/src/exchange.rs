@@ -13,7 +13,7 @@ use std::{
 
 use crate::{
     processor::wake::LocalWake,
-    reply::{Answer, CallKey, Home, NOBODY, Shared, Ticket},
+    reply::{CallKey, Home, NOBODY, Returned, Shared, Ticket},
     timers::TimerKey,
     wait::Wait,
 };
@@ -27,7 +27,7 @@ enum State {
     Free,
     /// Nobody has answered; with what is woken then, once the caller has looked.
     Waiting(Option<LocalWake>),
-    Answered(Answer),
+    Answered(Returned),
     /// The deadline has passed.
     Late,
 }
@@ -42,6 +42,19 @@ struct Slot {
     /// What its task waits for, to be shown if it takes a while.
     wait: Option<Wait>,
     long: Long,
+    /// The tasks that wait for one another in it.
+    circle: Option<String>,
+}
+
+impl Slot {
+    /// Why its call ends when the deadline has passed.
+    fn late(&mut self) -> Fault {
+        let after = self.deadline;
+        match self.circle.take() {
+            Some(circle) => Fault::Circle { after, circle },
+            None => Fault::Deadline { after },
+        }
+    }
 }
 
 /// Whether a call has waited long, as its caller knows it.
@@ -66,9 +79,9 @@ pub(crate) enum Looked {
     /// Nothing yet, for so long that it may be for ever. Told once.
     Long,
     /// The answer; the call is over.
-    Ended(Answer),
-    /// None within this time; the call is over.
-    Late(Duration),
+    Ended(Returned),
+    /// None in time; the call is over, for this reason.
+    Late(Fault),
 }
 
 /// What is left of a call: to be dropped or undone where no cell is borrowed, because it may run code of others.
@@ -77,7 +90,7 @@ pub(crate) enum Looked {
 pub(crate) struct Rest {
     pub(crate) timer: Option<TimerKey>,
     _wake: Option<LocalWake>,
-    _answer: Option<Answer>,
+    _answer: Option<Returned>,
     _wait: Option<Wait>,
 }
 
@@ -87,7 +100,7 @@ pub(crate) enum Given {
     /// It waits for its caller, who may be woken.
     Taken(Option<LocalWake>),
     /// Nobody waits for it: to be dropped where no cell is borrowed.
-    Unwanted { _answer: Answer },
+    Unwanted { _answer: Returned },
 }
 
 /// All calls of one processor.
@@ -114,6 +127,7 @@ impl Calls {
         slot.began = now;
         slot.deadline = deadline;
         slot.long = Long::NotYet;
+        slot.circle = None;
         Ticket {
             shared: slot.shared.clone(),
             generation: slot.generation,
@@ -143,6 +157,7 @@ impl Calls {
             timer: None,
             wait: None,
             long: Long::NotYet,
+            circle: None,
         });
         index
     }
@@ -172,8 +187,15 @@ impl Calls {
         }
     }
 
+    /// The caller of a call and others wait for one another.
+    pub(crate) fn note_circle(&mut self, key: CallKey, circle: String) {
+        if let Some(slot) = self.slot(key) {
+            slot.circle = Some(circle);
+        }
+    }
+
     /// Takes the answer to a call.
-    pub(crate) fn answer(&mut self, key: CallKey, answer: Answer) -> Given {
+    pub(crate) fn answer(&mut self, key: CallKey, answer: Returned) -> Given {
         let Some(slot) = self.slot(key) else {
             return Given::Unwanted { _answer: answer };
         };
@@ -225,7 +247,7 @@ impl Calls {
     ) -> (Looked, Rest) {
         let Some(slot) = self.slot(key) else {
             // A future looks at its own call only until that is over.
-            return (Looked::Ended(Err(Fault::NoReply)), Rest::default());
+            return (Looked::Ended(Err(Box::new(Fault::NoReply))), Rest::default());
         };
         let mut rest = Rest::default();
         if let State::Waiting(wake) = &mut slot.state {
@@ -240,7 +262,7 @@ impl Calls {
         rest._wait = slot.wait.take();
         let looked = match std::mem::replace(&mut slot.state, State::Free) {
             State::Answered(answer) => Looked::Ended(answer),
-            _ => Looked::Late(slot.deadline),
+            _ => Looked::Late(slot.late()),
         };
         self.free.push(key.slot);
         (looked, rest)

@@ -77,7 +77,7 @@ impl Chassis {
         &self,
         message: Message,
         wait: WaitFor,
-        slot: &mut dyn FnMut() -> Option<ReplySlot>,
+        slot: impl FnOnce() -> Option<ReplySlot>,
     ) -> Outcome {
         let Envelope {
             mut header,

@@ -1,7 +1,10 @@
 use std::task::Waker;
 
 use super::*;
-use crate::processor::{Processor, ProcessorHandle};
+use crate::{
+    envelope::Message,
+    processor::{Processor, ProcessorHandle},
+};
 use ctos_message::{Data, Tid};
 use ctos_time::Clock;
 
@@ -19,13 +22,14 @@ fn look(calls: &mut Calls, key: CallKey) -> Looked {
 
 fn number(looked: Looked) -> Option<u8> {
     match looked {
-        Looked::Ended(Ok(data)) => data.take().ok(),
+        Looked::Ended(Ok(envelope)) => envelope.data.take().ok(),
         _ => None,
     }
 }
 
-fn answer(number: u8) -> Answer {
-    Ok(Data::of(number))
+fn answer(number: u8) -> Returned {
+    let (to, from) = (Tid::default(), Tid::default());
+    Ok(Message::with_data(to, from, 0, Data::of(number)).envelope)
 }
 
 fn at(millis: u64) -> Instant {
@@ -60,7 +64,7 @@ fn a_call_with_little_time_is_looked_after_at_its_deadline() {
     assert_eq!(calls.settle(key), Some(at(1) + little));
     assert!(calls.fired(key).again.is_none());
     assert!(ticket.is_abandoned());
-    assert!(matches!(look(&mut calls, key), Looked::Late(after) if after == little));
+    assert!(matches!(look(&mut calls, key), Looked::Late(Fault::Deadline { after }) if after == little));
 }
 
 #[test]
@@ -75,7 +79,7 @@ fn a_long_wait_is_told_once_before_the_deadline() {
     assert!(matches!(look(&mut calls, key), Looked::Waiting));
     assert!(!ticket.is_abandoned());
     assert_eq!(calls.fired(key).again, None);
-    assert!(matches!(look(&mut calls, key), Looked::Late(DEADLINE)));
+    assert!(matches!(look(&mut calls, key), Looked::Late(Fault::Deadline { after: DEADLINE })));
     let late = calls.answer(key, answer(1));
     assert!(matches!(late, Given::Unwanted { .. }));
 }

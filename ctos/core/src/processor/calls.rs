@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     exchange::{Given, Looked, Rest},
-    reply::{Answer, CallKey, Home, Ticket},
+    reply::{CallKey, Home, Returned, Ticket},
     wait::Wait,
 };
 use ctos_time::Instant;
@@ -55,6 +55,11 @@ impl Processor {
         looked
     }
 
+    /// The caller of a call and others wait for one another.
+    pub(crate) fn note_circle(&self, key: CallKey, circle: String) {
+        self.calls.borrow_mut().note_circle(key, circle);
+    }
+
     /// Nobody waits for the answer to a call any more.
     pub(crate) fn give_up_call(&self, key: CallKey) {
         let rest = self.calls.borrow_mut().give_up(key);
@@ -69,7 +74,7 @@ impl Processor {
     }
 
     /// Takes the answer to a call of this processor.
-    pub(crate) fn take_answer(&self, key: CallKey, answer: Answer) {
+    pub(crate) fn take_answer(&self, key: CallKey, answer: Returned) {
         let given = self.calls.borrow_mut().answer(key, answer);
         if let Given::Taken(Some(wake)) = given {
             self.wake_local(wake);
@@ -78,7 +83,7 @@ impl Processor {
 }
 
 impl Home for ProcessorHandle {
-    fn take_answer(&self, key: CallKey, answer: Answer) {
+    fn take_answer(&self, key: CallKey, answer: Returned) {
         match Processor::here_if(self) {
             Some(processor) => processor.take_answer(key, answer),
             None => self.bring_answer(key, answer),

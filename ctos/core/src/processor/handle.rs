@@ -16,7 +16,7 @@ use crate::processor::wake::FutureId;
 use crate::{
     asleep::Asleep,
     delivery::{Delivery, Order},
-    reply::{Answer, CallKey},
+    reply::{CallKey, Returned},
 };
 use ctos_time::{lock::lock, park::Parker};
 
@@ -28,7 +28,7 @@ pub(super) enum Item {
     /// A message for the task in a slot.
     Message(u16, Delivery),
     /// The answer to a call that a task of the processor waits for.
-    Answer(CallKey, Answer),
+    Answer(CallKey, Returned),
     /// A future is ready.
     Wake(FutureId),
     /// The task in a slot takes nothing more.
@@ -129,7 +129,7 @@ impl ProcessorHandle {
     }
 
     /// Brings the answer to a call. Without a processor nobody waits for it.
-    pub(crate) fn bring_answer(&self, key: CallKey, answer: Answer) {
+    pub(crate) fn bring_answer(&self, key: CallKey, answer: Returned) {
         drop(self.bring(Item::Answer(key, answer)));
     }
 
