@@ -96,6 +96,7 @@ impl Message {
     }
 
     /// [`Self::request`] with data of any kind.
+    #[inline]
     pub fn with_data(to: Tid, from: Tid, command: u16, data: Data) -> Self {
         let header = Header {
             to,
@@ -156,9 +157,9 @@ impl<C: Command> Replier<C> {
     /// # Errors
     /// Never.
     pub fn ok(mut self, reply: C::Reply) -> Handled {
-        if let Some(slot) = self.envelope.reply.take() {
+        if self.envelope.reply.is_some() {
             self.envelope.data = Data::of(reply);
-            slot.send_back(self.envelope);
+            ReplySlot::send_back(self.envelope);
         }
         Ok(())
     }

@@ -217,14 +217,12 @@ impl ReplySlot {
         }
     }
 
-    /// Answers with the data in `envelope`, which brought the request.
-    pub(crate) fn send_back(mut self, envelope: Box<Envelope>) {
-        match self.to.take() {
+    /// Answers the request that `envelope` brought with the data that is in it now.
+    pub(crate) fn send_back(mut envelope: Box<Envelope>) {
+        match envelope.reply.as_mut().and_then(|slot| slot.to.take()) {
             Some(ReplyTo::Local(ticket)) => ticket.answer(Ok(envelope)),
-            to => {
-                self.to = to;
-                self.answer(Ok(envelope.data));
-            }
+            Some(to) => Self::of(to).answer(Ok(envelope.data)),
+            None => {}
         }
     }
 

@@ -24,15 +24,17 @@ struct Held<T>(Option<T>);
 
 impl<T: Serialize + Send + 'static> Payload for Held<T> {
     fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
-        self.0.iter().try_for_each(|value| {
-            append(value, buffer).map_err(PayloadError::of::<T>)
-        })
+        self.0
+            .iter()
+            .try_for_each(|value| append(value, buffer).map_err(PayloadError::of::<T>))
     }
 
     #[inline]
     fn move_to(&mut self, place: &mut dyn Any) {
-        if let Some(place) = place.downcast_mut::<Option<T>>() {
-            *place = self.0.take();
+        if let Some(place) = place.downcast_mut::<Option<T>>()
+            && let Some(value) = self.0.take()
+        {
+            *place = Some(value);
         }
     }
 }

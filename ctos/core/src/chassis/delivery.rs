@@ -10,18 +10,9 @@ use crate::{
     processor::Processor,
     reply::{Promise, ReplySlot, Waiting},
     system,
-    tap::{Asked, WaitFor},
+    tap::{Sent, WaitFor},
 };
 use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
-
-/// A message that was delivered, or is on its way.
-pub struct Delivered {
-    /// Who asked whom for what.
-    pub(crate) asked: Asked,
-    /// Its number in the record.
-    pub(crate) recorded: u64,
-    pub(crate) outcome: Outcome,
-}
 
 /// What has become of a message.
 pub(crate) enum Outcome {
@@ -35,40 +26,31 @@ pub(crate) enum Outcome {
 
 #[doc(hidden)]
 impl Chassis {
-    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; it is made only
-    /// if that is not known at once. Every message of this chassis passes here: a recorder sees it, and a replay takes
-    /// the place of the receiver.
-    pub fn deliver(
+    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; for what does not
+    /// ask for a reply it is made only if that is not known at once. Every message of this chassis passes here: a
+    /// recorder sees it, and a replay takes the place of the receiver. Tells the sender whom it reached.
+    pub(crate) fn deliver(
         self: &Arc<Self>,
         mut message: Message,
         wait: WaitFor,
-        slot: impl FnOnce() -> Option<ReplySlot>,
-    ) -> Delivered {
+        sent: &mut Sent,
+        slot: impl FnOnce() -> ReplySlot,
+    ) -> Outcome {
         self.address(&mut message);
-        let asked = Asked::of(&message);
-        let mut recorded = 0;
+        sent.asked.to = message.header().to;
+        sent.asked.trace = message.trace();
         if let Some(observer) = self.tap.observer() {
             if observer.replays() {
-                let slot = slot().unwrap_or_else(|| ReplySlot::outside(Arc::default()));
-                observer.replay(&message, wait, self.clock.now(), slot);
-                return Delivered {
-                    asked,
-                    recorded,
-                    outcome: Outcome::Waits(None),
-                };
+                observer.replay(&message, wait, self.clock.now(), slot());
+                return Outcome::Waits(None);
             }
-            recorded = observer.sent(&message, wait);
-            message.envelope.recorded = recorded;
+            sent.id = observer.sent(&message, wait);
+            message.envelope.recorded = sent.id;
         }
-        let outcome = if asked.to.chassis() == self.index {
+        if message.header().to.chassis() == self.index {
             self.hand_over(message, wait, slot)
         } else {
             self.post(message, wait, slot)
-        };
-        Delivered {
-            asked,
-            recorded,
-            outcome,
         }
     }
 
@@ -78,13 +60,13 @@ impl Chassis {
         &self,
         mut message: Message,
         wait: WaitFor,
-        slot: impl FnOnce() -> Option<ReplySlot>,
+        slot: impl FnOnce() -> ReplySlot,
     ) -> Outcome {
         let to = message.header().to;
         let header = &mut message.envelope.header;
         header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
         let slot = if wait == WaitFor::Reply {
-            message.envelope.reply = slot();
+            message.envelope.reply.get_or_insert_with(slot);
             None
         } else {
             Some(slot)
@@ -108,7 +90,7 @@ impl Chassis {
             None => fail(message, wait, Fault::Stopping),
             Some(task) if wait == WaitFor::Nothing => Outcome::Failed(task.mailbox.full()),
             Some(task) => {
-                let acceptance = Acceptance::from(slot.and_then(|slot| slot()));
+                let acceptance = Acceptance::from(slot.map(|slot| slot()));
                 task.mailbox.line_up(message, acceptance);
                 Outcome::Waits(None)
             }
@@ -118,8 +100,9 @@ impl Chassis {
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub fn dispatch(self: &Arc<Self>, message: Message, wait: WaitFor) -> Waiting {
         let promise = Arc::new(Promise::default());
-        let slot = || Some(ReplySlot::outside(promise.clone()));
-        let outbound = match self.deliver(message, wait, slot).outcome {
+        let slot = || ReplySlot::outside(promise.clone());
+        let mut sent = Sent::of(&message);
+        let outbound = match self.deliver(message, wait, &mut sent, slot) {
             Outcome::Waits(outbound) => outbound,
             Outcome::Taken => {
                 promise.fulfil(Ok(Data::NOTHING));
@@ -145,7 +128,9 @@ impl Chassis {
     pub fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let from = system::agent_tid(self.index);
         let message = Message::request(to, from, C::CODE, request).flagged(Flags::HIGH_PRIORITY);
-        self.deliver(message, WaitFor::Acceptance, || None);
+        let nobody = || ReplySlot::outside(Arc::default());
+        let mut sent = Sent::of(&message);
+        self.deliver(message, WaitFor::Acceptance, &mut sent, nobody);
     }
 
     /// Directs `message` to where the receiver is now, and begins a trace if it belongs to none.

@@ -22,7 +22,7 @@ use crate::{
     envelope::{Envelope, Message},
     exchange::Looked,
     reply::{CallKey, ReplySlot},
-    tap::{Asked, WaitFor},
+    tap::{Sent, WaitFor},
     wait::Wait,
 };
 use ctos_message::{
@@ -38,6 +38,7 @@ pub struct Call<C: Command> {
 }
 
 impl<C: Command> Call<C> {
+    #[inline]
     pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
         let deadline = asker.call_deadline();
         Self {
@@ -82,6 +83,7 @@ pub struct Send<C: Command> {
 }
 
 impl<C: Command> Send<C> {
+    #[inline]
     pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
         let deadline = asker.call_deadline();
         Self {
@@ -127,6 +129,7 @@ pub(super) struct Ask {
     command: &'static str,
     wait: WaitFor,
     pub(super) deadline: Duration,
+    sent: Sent,
     state: State,
 }
 
@@ -143,20 +146,13 @@ struct Waits {
     key: CallKey,
     /// The way to take it back when it went over a link.
     outbound: Option<Outbound>,
-    sent: Sent,
     /// Whether it has been looked for in vain.
     waited: bool,
 }
 
-/// A message that was sent, as the record knows it.
-#[derive(Clone, Copy)]
-struct Sent {
-    asked: Asked,
-    number: u64,
-}
-
 impl Ask {
     /// Will send `message` to `to` and wait for what `wait` names.
+    #[inline]
     pub(super) fn new(
         asker: Rc<Inner>,
         to: &TaskRef,
@@ -171,6 +167,7 @@ impl Ask {
             command,
             wait,
             deadline,
+            sent: Sent::of(&message),
             state: State::Begins(message),
         }
     }
@@ -194,7 +191,7 @@ impl Ask {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
-        let (key, sent, at_once) = (waits.key, waits.sent, !waits.waited);
+        let (key, at_once) = (waits.key, !waits.waited);
         let ended = match self.asker.processor.poll_call(key, cx) {
             Looked::Waiting => {
                 if at_once {
@@ -202,7 +199,7 @@ impl Ask {
                     let wait = Wait {
                         activity: self.asker.record.statistics.activity().clone(),
                         to: self.to.clone(),
-                        tid: sent.asked.to,
+                        tid: self.sent.asked.to,
                         command: self.command,
                         place: None,
                     };
@@ -211,7 +208,7 @@ impl Ask {
                 return Poll::Pending;
             }
             Looked::Long => {
-                circle::look_for(Context::of(self.asker.clone()), key, sent.asked.to);
+                circle::look_for(Context::of(self.asker.clone()), key, self.sent.asked.to);
                 return Poll::Pending;
             }
             Looked::Ended(answer) => answer.map(Some),
@@ -223,7 +220,7 @@ impl Ask {
             }
         };
         self.state = State::Over;
-        self.show(sent, at_once, &ended);
+        self.show(at_once, &ended);
         Poll::Ready(ended)
     }
 
@@ -244,24 +241,19 @@ impl Ask {
             let began = began.unwrap_or_else(|| processor.now());
             let ticket = processor.begin_call(began, after);
             key.set(Some(ticket.key()));
-            Some(ReplySlot::call(ticket))
+            ReplySlot::call(ticket)
         };
         let ready = processor.ready_count();
-        let delivered = chassis.deliver(message, self.wait, slot);
+        let outcome = chassis.deliver(message, self.wait, &mut self.sent, slot);
         if replies {
             let meter = &self.asker.record.statistics.activity().meter;
             meter.while_it_waits(|| processor.hand_over(ready));
         }
-        let sent = Sent {
-            asked: delivered.asked,
-            number: delivered.recorded,
-        };
-        let ended = match (delivered.outcome, key.get()) {
+        let ended = match (outcome, key.get()) {
             (Outcome::Waits(outbound), Some(key)) => {
                 self.state = State::Waits(Waits {
                     key,
                     outbound,
-                    sent,
                     waited: false,
                 });
                 return None;
@@ -274,7 +266,7 @@ impl Ask {
             }
             (Outcome::Taken | Outcome::Waits(_), _) => Ok(None),
         };
-        self.show(sent, true, &ended);
+        self.show(true, &ended);
         Some(ended)
     }
 
@@ -292,7 +284,7 @@ impl Ask {
     }
 
     /// Shows a recorder how the question ended.
-    fn show(&self, sent: Sent, at_once: bool, ended: &Ended) {
+    fn show(&self, at_once: bool, ended: &Ended) {
         let recorder = self.asker.chassis.tap.recorder();
         if let Some(recorder) = recorder
             && (self.wait != WaitFor::Nothing || ended.is_err())
@@ -302,7 +294,7 @@ impl Ask {
                 Ok(None) => Ok(&Data::NOTHING),
                 Err(fault) => Err(&**fault),
             };
-            recorder.answered(sent.number, &sent.asked, at_once, answer);
+            recorder.answered(self.sent.id, &self.sent.asked, at_once, answer);
         }
     }
 

@@ -119,6 +119,7 @@ impl Context {
         }
     }
 
+    #[inline]
     fn message(&self, to: &TaskRef, command: u16, data: Data) -> Message {
         let from = self.inner.record.tid;
         Message::with_data(to.tid, from, command, data).in_trace(self.trace)
