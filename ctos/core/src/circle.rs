@@ -11,6 +11,7 @@ use crate::{
     chassis::Chassis,
     context::core::Context,
     envelope::Message,
+    reply::CallKey,
     system::{self, WaitsFor},
     tap::WaitFor,
 };
@@ -24,12 +25,15 @@ const LONGEST_CHAIN: usize = 64;
 
 /// Looks whether a call to `to` that has waited long waits in a circle. The lint is a warning: the call
 /// goes on, because one of the others may give up first.
-pub(crate) async fn look(cx: Context, to: Tid) -> Option<String> {
-    let circle = circle(&cx, to).await;
-    if let Some(circle) = &circle {
-        tracing::warn!(task = %cx.name(), circle = %circle, "tasks wait for one another");
-    }
-    circle
+pub(crate) fn look_for(cx: Context, call: CallKey, to: Tid) {
+    let processor = cx.processor().clone();
+    let looking = async move {
+        if let Some(circle) = circle(&cx, to).await {
+            tracing::warn!(task = %cx.name(), circle = %circle, "tasks wait for one another");
+            cx.processor().note_circle(call, circle);
+        }
+    };
+    processor.spawn(looking, None);
 }
 
 /// Follows the notes from `to`; the circle in words if they lead back to this task.

@@ -1,4 +1,4 @@
-//! A message on its way to a queue, and who is told what becomes of it.
+//! Who is told what becomes of a message on its way to a queue.
 
 use crate::{envelope::Message, reply::ReplySlot};
 use ctos_message::{Data, Flags, SYSTEM_COMMANDS, fault::Fault};
@@ -41,31 +41,6 @@ pub enum Offered {
     Full(Message),
     /// The task takes nothing more.
     Closed(Message),
-}
-
-/// A message on its way to the queue.
-pub struct Delivery {
-    pub(crate) message: Message,
-    pub(crate) place: Place,
-}
-
-/// Where a message on its way goes.
-pub(crate) enum Place {
-    /// To the queue: it has a credit.
-    Queue,
-    /// To the queue, or to the line of those who wait for a credit.
-    Line(Acceptance),
-}
-
-impl Delivery {
-    /// Tells the sender that the task takes nothing more.
-    pub(crate) fn refuse(self) {
-        let acceptance = match self.place {
-            Place::Line(acceptance) => acceptance,
-            Place::Queue => Acceptance::Silent,
-        };
-        refuse(self.message, acceptance, &Fault::Stopping);
-    }
 }
 
 /// Whether a message goes to the high-priority lane, and whether it is one of the runtime's.

@@ -65,14 +65,12 @@ impl Message {
     /// # Errors
     /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
     pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
-        let Envelope { data, reply, .. } = *self.envelope;
-        match data.take::<C>() {
-            Ok(request) => Ok((request, Replier::new(reply))),
+        let mut envelope = self.envelope;
+        match envelope.data.take_out::<C>() {
+            Ok(request) => Ok((request, Replier::new(envelope))),
             Err(error) => {
-                if let Some(slot) = reply {
-                    let text = error.to_string();
-                    slot.answer(Err(Fault::BadPayload { text }));
-                }
+                let text = error.to_string();
+                Self { envelope }.refuse(Fault::BadPayload { text });
                 Err(error)
             }
         }
@@ -98,6 +96,7 @@ impl Message {
     }
 
     /// [`Self::request`] with data of any kind.
+    #[inline]
     pub fn with_data(to: Tid, from: Tid, command: u16, data: Data) -> Self {
         let header = Header {
             to,
@@ -139,14 +138,15 @@ impl Message {
 /// The right to answer one request, now or later. Dropped without an answer, it tells the caller so.
 #[derive(Debug)]
 pub struct Replier<C: Command> {
-    slot: Option<ReplySlot>,
+    /// That of the request, which takes the reply back.
+    envelope: Box<Envelope>,
     command: PhantomData<fn() -> C>,
 }
 
 impl<C: Command> Replier<C> {
-    fn new(slot: Option<ReplySlot>) -> Self {
+    fn new(envelope: Box<Envelope>) -> Self {
         Self {
-            slot,
+            envelope,
             command: PhantomData,
         }
     }
@@ -156,9 +156,10 @@ impl<C: Command> Replier<C> {
     ///
     /// # Errors
     /// Never.
-    pub fn ok(self, reply: C::Reply) -> Handled {
-        if let Some(slot) = self.slot {
-            slot.answer(Ok(Data::of(reply)));
+    pub fn ok(mut self, reply: C::Reply) -> Handled {
+        if self.envelope.reply.is_some() {
+            self.envelope.data = Data::of(reply);
+            ReplySlot::send_back(self.envelope);
         }
         Ok(())
     }
@@ -168,7 +169,7 @@ impl<C: Command> Replier<C> {
     /// # Errors
     /// Never.
     pub fn fail(self, text: impl fmt::Display) -> Handled {
-        if let Some(slot) = self.slot {
+        if let Some(slot) = self.envelope.reply {
             let text = text.to_string();
             slot.answer(Err(Fault::Refused { text }));
         }
@@ -178,6 +179,7 @@ impl<C: Command> Replier<C> {
     /// Whether the caller no longer waits (its deadline passed, or it is gone).
     #[must_use]
     pub fn is_abandoned(&self) -> bool {
-        self.slot.as_ref().is_some_and(ReplySlot::is_abandoned)
+        let slot = self.envelope.reply.as_ref();
+        slot.is_some_and(ReplySlot::is_abandoned)
     }
 }

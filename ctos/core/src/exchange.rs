@@ -13,7 +13,7 @@ use std::{
 
 use crate::{
     processor::wake::LocalWake,
-    reply::{Answer, CallKey, Home, NOBODY, Shared, Ticket},
+    reply::{CallKey, Home, NOBODY, Returned, Shared, Ticket},
     timers::TimerKey,
     wait::Wait,
 };
@@ -23,11 +23,13 @@ use ctos_time::Instant;
 /// After this time a call asks itself whether it can ever end.
 pub(crate) const LONG: Duration = Duration::from_secs(1);
 
-enum State {
+/// How far the call of a slot has come.
+#[must_use]
+pub(crate) enum State {
     Free,
     /// Nobody has answered; with what is woken then, once the caller has looked.
     Waiting(Option<LocalWake>),
-    Answered(Answer),
+    Answered(Returned),
     /// The deadline has passed.
     Late,
 }
@@ -42,6 +44,28 @@ struct Slot {
     /// What its task waits for, to be shown if it takes a while.
     wait: Option<Wait>,
     long: Long,
+    /// The tasks that wait for one another in it.
+    circle: Option<String>,
+}
+
+impl Slot {
+    /// Its call is over.
+    fn free(&mut self, unset: impl FnOnce(TimerKey)) -> State {
+        if let Some(timer) = self.timer.take() {
+            unset(timer);
+        }
+        self.wait = None;
+        std::mem::replace(&mut self.state, State::Free)
+    }
+
+    /// Why its call ends when the deadline has passed.
+    fn late(&mut self) -> Fault {
+        let after = self.deadline;
+        match self.circle.take() {
+            Some(circle) => Fault::Circle { after, circle },
+            None => Fault::Deadline { after },
+        }
+    }
 }
 
 /// Whether a call has waited long, as its caller knows it.
@@ -66,19 +90,9 @@ pub(crate) enum Looked {
     /// Nothing yet, for so long that it may be for ever. Told once.
     Long,
     /// The answer; the call is over.
-    Ended(Answer),
-    /// None within this time; the call is over.
-    Late(Duration),
-}
-
-/// What is left of a call: to be dropped or undone where no cell is borrowed, because it may run code of others.
-#[must_use]
-#[derive(Default)]
-pub(crate) struct Rest {
-    pub(crate) timer: Option<TimerKey>,
-    _wake: Option<LocalWake>,
-    _answer: Option<Answer>,
-    _wait: Option<Wait>,
+    Ended(Returned),
+    /// None in time; the call is over, for this reason.
+    Late(Fault),
 }
 
 /// What came of an answer.
@@ -87,7 +101,7 @@ pub(crate) enum Given {
     /// It waits for its caller, who may be woken.
     Taken(Option<LocalWake>),
     /// Nobody waits for it: to be dropped where no cell is borrowed.
-    Unwanted { _answer: Answer },
+    Unwanted { _answer: Returned },
 }
 
 /// All calls of one processor.
@@ -114,6 +128,7 @@ impl Calls {
         slot.began = now;
         slot.deadline = deadline;
         slot.long = Long::NotYet;
+        slot.circle = None;
         Ticket {
             shared: slot.shared.clone(),
             generation: slot.generation,
@@ -143,6 +158,7 @@ impl Calls {
             timer: None,
             wait: None,
             long: Long::NotYet,
+            circle: None,
         });
         index
     }
@@ -172,8 +188,15 @@ impl Calls {
         }
     }
 
+    /// The caller of a call and others wait for one another.
+    pub(crate) fn note_circle(&mut self, key: CallKey, circle: String) {
+        if let Some(slot) = self.slot(key) {
+            slot.circle = Some(circle);
+        }
+    }
+
     /// Takes the answer to a call.
-    pub(crate) fn answer(&mut self, key: CallKey, answer: Answer) -> Given {
+    pub(crate) fn answer(&mut self, key: CallKey, answer: Returned) -> Given {
         let Some(slot) = self.slot(key) else {
             return Given::Unwanted { _answer: answer };
         };
@@ -216,52 +239,43 @@ impl Calls {
         fired
     }
 
-    /// Looks for the answer. While there is none, what `waits` makes is woken when there is. What the call leaves
-    /// comes with it.
+    /// Looks for the answer. While there is none, what `waits` makes is woken when there is; what was woken before comes
+    /// to `before`. The timer of a call that is over comes to `unset`.
     pub(crate) fn look(
         &mut self,
         key: CallKey,
         waits: impl FnOnce() -> LocalWake,
-    ) -> (Looked, Rest) {
+        before: &mut Option<LocalWake>,
+        unset: impl FnOnce(TimerKey),
+    ) -> Looked {
         let Some(slot) = self.slot(key) else {
             // A future looks at its own call only until that is over.
-            return (Looked::Ended(Err(Fault::NoReply)), Rest::default());
+            return Looked::Ended(Err(Box::new(Fault::NoReply)));
         };
-        let mut rest = Rest::default();
         if let State::Waiting(wake) = &mut slot.state {
-            rest._wake = wake.replace(waits());
+            *before = wake.replace(waits());
             if slot.long == Long::ToBeTold {
                 slot.long = Long::Told;
-                return (Looked::Long, rest);
+                return Looked::Long;
             }
-            return (Looked::Waiting, rest);
+            return Looked::Waiting;
         }
-        rest.timer = slot.timer.take();
-        rest._wait = slot.wait.take();
-        let looked = match std::mem::replace(&mut slot.state, State::Free) {
+        let looked = match slot.free(unset) {
             State::Answered(answer) => Looked::Ended(answer),
-            _ => Looked::Late(slot.deadline),
+            _ => Looked::Late(slot.late()),
         };
         self.free.push(key.slot);
-        (looked, rest)
+        looked
     }
 
-    /// Nobody waits for the answer any more.
-    pub(crate) fn give_up(&mut self, key: CallKey) -> Rest {
-        let mut rest = Rest::default();
-        let Some(slot) = self.slot(key) else {
-            return rest;
-        };
+    /// Nobody waits for the answer any more. What is left of the call is to be dropped where no cell is borrowed; its
+    /// timer comes to `unset`.
+    pub(crate) fn give_up(&mut self, key: CallKey, unset: impl FnOnce(TimerKey)) -> Option<State> {
+        let slot = self.slot(key)?;
         slot.shared.gone.store(slot.generation, Ordering::Release);
-        rest.timer = slot.timer.take();
-        rest._wait = slot.wait.take();
-        match std::mem::replace(&mut slot.state, State::Free) {
-            State::Waiting(wake) => rest._wake = wake,
-            State::Answered(answer) => rest._answer = Some(answer),
-            State::Free | State::Late => {}
-        }
+        let state = slot.free(unset);
         self.free.push(key.slot);
-        rest
+        Some(state)
     }
 }
 

@@ -18,7 +18,7 @@ use std::sync::{
 
 use crate::{
     credits::Credits,
-    delivery::{Acceptance, Delivery, Offered, Order, Place, is_urgent, refuse},
+    delivery::{Acceptance, Offered, Order, is_urgent, refuse},
     envelope::Message,
     processor::{Processor, ProcessorHandle},
     report::QueueReport,
@@ -108,8 +108,7 @@ impl Mailbox {
     pub(crate) fn offer(&self, message: Message) -> Offered {
         match self.take_credit(message) {
             Ok(message) => {
-                let place = Place::Queue;
-                self.bring(Delivery { message, place });
+                self.bring(message);
                 Offered::Taken
             }
             Err(offered) => offered,
@@ -132,18 +131,23 @@ impl Mailbox {
         if !self.credits(urgent).line_up(self.capacity()) {
             return refuse(message, acceptance, &self.full());
         }
-        let place = Place::Line(acceptance);
-        self.bring(Delivery { message, place });
+        match Processor::at_hand(&self.home) {
+            Some(processor) => match processor.queue(self.slot) {
+                Some(queue) => queue.line_up(&processor, message, acceptance),
+                None => refuse(message, acceptance, &Fault::Stopping),
+            },
+            None => self.home.bring_waiting(self.slot, message, acceptance),
+        }
     }
 
     /// Brings a message to the queue, straight if this thread runs the task's processor.
-    fn bring(&self, delivery: Delivery) {
+    fn bring(&self, message: Message) {
         match Processor::at_hand(&self.home) {
             Some(processor) => match processor.queue(self.slot) {
-                Some(queue) => queue.take_in(&processor, delivery),
-                None => delivery.refuse(),
+                Some(queue) => queue.take_in(&processor, message),
+                None => message.refuse(Fault::Stopping),
             },
-            None => self.home.bring_message(self.slot, delivery),
+            None => self.home.bring_message(self.slot, message),
         }
     }
 

@@ -13,11 +13,21 @@ use std::{
     task::{Context as PollContext, Poll, Waker},
 };
 
-use ctos_message::{Data, fault::Fault};
+use crate::envelope::{Envelope, Message};
+use ctos_message::{Data, Tid, fault::Fault};
 use ctos_time::lock::lock;
 
 /// What comes back.
 pub type Answer = Result<Data, Fault>;
+
+/// An answer on its way to a call of a task: a pointer, and mostly the envelope that brought the request.
+pub(crate) type Returned = Result<Box<Envelope>, Box<Fault>>;
+
+/// An answer that comes without the envelope of its request.
+fn returned(answer: Answer) -> Returned {
+    let data = answer.map_err(Box::new)?;
+    Ok(Message::with_data(Tid::default(), Tid::default(), 0, data).envelope)
+}
 
 #[derive(Default)]
 enum PromiseState {
@@ -104,7 +114,7 @@ impl Future for Waiting {
 /// Where the calls of one processor wait.
 pub(crate) trait Home: Send + Sync {
     /// Takes the answer to a call, from any thread.
-    fn take_answer(&self, key: CallKey, answer: Answer);
+    fn take_answer(&self, key: CallKey, answer: Returned);
 }
 
 /// A request that came over a link.
@@ -135,7 +145,7 @@ pub(crate) struct Ticket {
 
 impl Ticket {
     /// Gives the answer. When the caller waits no longer, nothing comes of it.
-    pub(crate) fn answer(self, answer: Answer) {
+    pub(crate) fn answer(self, answer: Returned) {
         self.shared.home.take_answer(self.key(), answer);
     }
 
@@ -200,9 +210,18 @@ impl ReplySlot {
     /// Gives the answer. Every answer to a message passes here on its way out.
     pub fn answer(mut self, answer: Answer) {
         match self.to.take() {
-            Some(ReplyTo::Local(ticket)) => ticket.answer(answer),
+            Some(ReplyTo::Local(ticket)) => ticket.answer(returned(answer)),
             Some(ReplyTo::Outside(promise)) => promise.fulfil(answer),
             Some(ReplyTo::Remote(request)) => request.answer(answer),
+            None => {}
+        }
+    }
+
+    /// Answers the request that `envelope` brought with the data that is in it now.
+    pub(crate) fn send_back(mut envelope: Box<Envelope>) {
+        match envelope.reply.as_mut().and_then(|slot| slot.to.take()) {
+            Some(ReplyTo::Local(ticket)) => ticket.answer(Ok(envelope)),
+            Some(to) => Self::of(to).answer(Ok(envelope.data)),
             None => {}
         }
     }
@@ -276,7 +295,7 @@ impl ReplyKey {
     /// task of this chassis waits at `home`.
     pub(crate) fn answer(self, home: &dyn Home, answer: Answer) {
         match self {
-            Self::Local(key) => home.take_answer(key, answer),
+            Self::Local(key) => home.take_answer(key, returned(answer)),
             Self::Outside(promise) => promise.fulfil(answer),
             Self::Remote(request) => request.answer(answer),
         }
@@ -344,7 +363,8 @@ mod tests {
 
     fn answer(processor: &Processor, key: CallKey) -> Option<Answer> {
         match processor.poll_call(key, &PollContext::from_waker(Waker::noop())) {
-            Looked::Ended(answer) => Some(answer),
+            Looked::Ended(Ok(envelope)) => Some(Ok(envelope.data)),
+            Looked::Ended(Err(fault)) => Some(Err(*fault)),
             Looked::Waiting | Looked::Long | Looked::Late(..) => None,
         }
     }
@@ -357,14 +377,14 @@ mod tests {
         assert_eq!(first.take::<u8>().unwrap(), 1);
         // The next call uses the same slot.
         let next = processor.begin_call(Instant::START, Duration::from_secs(1));
-        processor.take_answer(key, Ok(Data::of(2_u8)));
+        processor.take_answer(key, returned(Ok(Data::of(2_u8))));
         assert!(answer(&processor, next.key()).is_none());
     }
 
     #[test]
     fn the_first_answer_counts() {
         let (processor, slot, key) = call();
-        processor.take_answer(key, Ok(Data::of(1_u8)));
+        processor.take_answer(key, returned(Ok(Data::of(1_u8))));
         slot.answer(Ok(Data::of(2_u8)));
         let first = answer(&processor, key).unwrap().unwrap();
         assert_eq!(first.take::<u8>().unwrap(), 1);

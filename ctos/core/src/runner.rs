@@ -280,14 +280,14 @@ impl Runner {
         }
         let serving = self.serving.clone();
         let mut message = message;
-        let at_hand = serving.begin(&mut message);
+        let mut at_hand = serving.begin(&mut message);
         let cx = self.cx.within(message.trace());
         let interruptible = !interrupts(message.command());
         let ended = {
             let mut handling = pin!(Some(self.call(&cx, message)));
             poll_fn(|poll| serving.poll(&at_hand, handling.as_mut(), interruptible, poll)).await
         };
-        match serving.end(at_hand, ended) {
+        match serving.end(&mut at_hand, ended) {
             Some(text) => {
                 let why = format!("its handler panicked: {text}");
                 self.supervise(Ending::Failure, why).await

@@ -56,6 +56,22 @@ impl Asked {
     }
 }
 
+/// A message that was sent, as its sender knows it.
+#[derive(Debug, Clone, Copy)]
+pub struct Sent {
+    pub(crate) asked: Asked,
+    /// Its number in the record; 0: it is not in it.
+    pub(crate) id: u64,
+}
+
+impl Sent {
+    /// Before it is sent.
+    pub(crate) fn of(message: &Message) -> Self {
+        let asked = Asked::of(message);
+        Self { asked, id: 0 }
+    }
+}
+
 /// A message at whose handler a task is.
 #[derive(Debug, Clone, Copy)]
 pub struct AtHand {

@@ -3,35 +3,39 @@
 use std::{any::Any, fmt};
 
 use serde::{Serialize, de::DeserializeOwned};
+use smallbox::{SmallBox, smallbox};
 
 use crate::blob::{self, Body};
 
-/// Data that can move as a value and be encoded when it must leave the chassis.
-pub trait Payload: Any + Send {
-    /// Postcard bytes.
-    ///
-    /// # Errors
-    /// When the value cannot be serialized.
-    fn encode(&self) -> Result<Vec<u8>, PayloadError>;
-
+/// A value that can move as it is and be encoded when it must leave the chassis.
+pub trait Payload: Send {
     /// Appends the postcard bytes to `buffer`; after an error part of them may be there.
     ///
     /// # Errors
     /// When the value cannot be serialized.
     fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError>;
+
+    /// Moves the value to `place`, if that is an `Option` of its type.
+    fn move_to(&mut self, place: &mut dyn Any);
 }
 
-impl<T: Serialize + Send + 'static> Payload for T {
-    fn encode(&self) -> Result<Vec<u8>, PayloadError> {
-        /// Most messages are no larger, bytes; a larger one moves when it grows.
-        const USUAL: usize = 128;
-        let mut bytes = Vec::with_capacity(USUAL);
-        self.encode_into(&mut bytes)?;
-        Ok(bytes)
+/// A value until it is moved out.
+struct Held<T>(Option<T>);
+
+impl<T: Serialize + Send + 'static> Payload for Held<T> {
+    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
+        self.0
+            .iter()
+            .try_for_each(|value| append(value, buffer).map_err(PayloadError::of::<T>))
     }
 
-    fn encode_into(&self, buffer: &mut Vec<u8>) -> Result<(), PayloadError> {
-        append(self, buffer).map_err(PayloadError::of::<T>)
+    #[inline]
+    fn move_to(&mut self, place: &mut dyn Any) {
+        if let Some(place) = place.downcast_mut::<Option<T>>()
+            && let Some(value) = self.0.take()
+        {
+            *place = Some(value);
+        }
     }
 }
 
@@ -100,10 +104,13 @@ pub(super) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, PayloadErro
     }
 }
 
+/// Values of up to 64 bytes stand in the message itself: an allocation costs more than to move them.
+type Inline = [u64; 9];
+
 /// The data of a message: a typed value inside a chassis, bytes from another one.
 pub enum Data {
-    /// A value of the sender's, moved as a pointer.
-    Typed(Box<dyn Payload>),
+    /// A value of the sender's.
+    Typed(SmallBox<dyn Payload, Inline>),
     /// Postcard bytes.
     Bytes(Vec<u8>),
 }
@@ -115,21 +122,31 @@ impl Data {
     /// Data that moves `value`.
     #[inline]
     pub fn of<T: Serialize + Send + 'static>(value: T) -> Self {
-        Self::Typed(Box::new(value))
+        Self::Typed(smallbox!(Held(Some(value))))
     }
 
     /// The value, moved out or decoded.
     ///
     /// # Errors
-    /// When the pointer is of another type, or the bytes do not decode to exactly one `T`.
+    /// When the value is of another type, or the bytes do not decode to exactly one `T`.
     #[inline]
-    pub fn take<T: DeserializeOwned + 'static>(self) -> Result<T, PayloadError> {
+    pub fn take<T: DeserializeOwned + 'static>(mut self) -> Result<T, PayloadError> {
+        self.take_out()
+    }
+
+    /// [`Self::take`] where the data stands; what is left means nothing.
+    ///
+    /// # Errors
+    /// As [`Self::take`].
+    #[inline]
+    pub fn take_out<T: DeserializeOwned + 'static>(&mut self) -> Result<T, PayloadError> {
         match self {
-            Self::Typed(value) => match (value as Box<dyn Any>).downcast::<T>() {
-                Ok(value) => Ok(*value),
-                Err(_) => Err(PayloadError::of::<T>("the sender passed another type")),
-            },
-            Self::Bytes(bytes) => blob::read_from(bytes, decode::<T>),
+            Self::Typed(value) => {
+                let mut place = None;
+                value.move_to(&mut place);
+                place.ok_or_else(|| PayloadError::of::<T>("the sender passed another type"))
+            }
+            Self::Bytes(bytes) => blob::read_from(std::mem::take(bytes), decode::<T>),
         }
     }
 
@@ -153,8 +170,8 @@ impl Data {
     /// When a typed value cannot be encoded.
     pub fn into_bytes(self) -> Result<Vec<u8>, PayloadError> {
         match self {
-            Self::Typed(value) => value.encode(),
             Self::Bytes(bytes) => Ok(bytes),
+            typed @ Self::Typed(_) => typed.to_bytes(),
         }
     }
 }
@@ -179,10 +196,11 @@ impl Data {
 
     /// The bytes that would be put on the wire; the data stays.
     pub fn to_bytes(&self) -> Result<Vec<u8>, PayloadError> {
-        match self {
-            Self::Typed(value) => value.encode(),
-            Self::Bytes(bytes) => Ok(bytes.clone()),
-        }
+        /// Most messages are no larger, bytes; a larger one moves when it grows.
+        const USUAL: usize = 128;
+        let mut bytes = Vec::with_capacity(USUAL);
+        self.append_to(&mut bytes)?;
+        Ok(bytes)
     }
 }
 

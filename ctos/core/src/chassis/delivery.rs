@@ -1,28 +1,18 @@
 //! The one delivery: a task of this chassis gets a value, a task of another one gets a frame over the link. The
 //! sender waits the same way for both, and is told in the same way what came of it.
 
-use std::{rc::Rc, sync::Arc};
+use std::sync::Arc;
 
 use super::{Chassis, pending::Outbound};
 use crate::{
     delivery::{Acceptance, Offered},
     envelope::Message,
-    processor::{Inlet, Processor},
+    processor::Processor,
     reply::{Promise, ReplySlot, Waiting},
     system,
-    tap::{Asked, WaitFor},
-    task_record::TaskRecord,
+    tap::{Sent, WaitFor},
 };
 use ctos_message::{Command, Data, Flags, Tid, fault::Fault};
-
-/// A message that was delivered, or is on its way.
-pub struct Delivered {
-    /// Who asked whom for what.
-    pub(crate) asked: Asked,
-    /// Its number in the record.
-    pub(crate) recorded: u64,
-    pub(crate) outcome: Outcome,
-}
 
 /// What has become of a message.
 pub(crate) enum Outcome {
@@ -34,118 +24,85 @@ pub(crate) enum Outcome {
     Failed(Fault),
 }
 
-/// A task that a message goes to.
-enum Receiver {
-    /// One of the processor that this thread runs.
-    Here(Rc<Processor>, Rc<dyn Inlet>),
-    There(Arc<TaskRecord>),
-}
-
-impl Receiver {
-    fn offer(&self, message: Message) -> Offered {
-        match self {
-            Self::Here(processor, queue) => queue.offer(processor, message),
-            Self::There(task) => task.mailbox.offer(message),
-        }
-    }
-}
-
 #[doc(hidden)]
 impl Chassis {
-    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; it is made only
-    /// if that is not known at once. Every message of this chassis passes here: a recorder sees it, and a replay takes
-    /// the place of the receiver.
-    pub fn deliver(
+    /// Brings `message` to its receiver. What `slot` makes is told what `wait` names, or the fault; for what does not
+    /// ask for a reply it is made only if that is not known at once. Every message of this chassis passes here: a
+    /// recorder sees it, and a replay takes the place of the receiver. Tells the sender whom it reached.
+    pub(crate) fn deliver(
         self: &Arc<Self>,
         mut message: Message,
         wait: WaitFor,
-        slot: &mut dyn FnMut() -> Option<ReplySlot>,
-    ) -> Delivered {
+        sent: &mut Sent,
+        slot: impl FnOnce() -> ReplySlot,
+    ) -> Outcome {
         self.address(&mut message);
-        let asked = Asked::of(&message);
-        let mut recorded = 0;
+        sent.asked.to = message.header().to;
+        sent.asked.trace = message.trace();
         if let Some(observer) = self.tap.observer() {
             if observer.replays() {
-                let slot = slot().unwrap_or_else(|| ReplySlot::outside(Arc::default()));
-                observer.replay(&message, wait, self.clock.now(), slot);
-                return Delivered {
-                    asked,
-                    recorded,
-                    outcome: Outcome::Waits(None),
-                };
+                observer.replay(&message, wait, self.clock.now(), slot());
+                return Outcome::Waits(None);
             }
-            recorded = observer.sent(&message, wait);
-            message.envelope.recorded = recorded;
+            sent.id = observer.sent(&message, wait);
+            message.envelope.recorded = sent.id;
         }
-        let outcome = if asked.to.chassis() == self.index {
+        if message.header().to.chassis() == self.index {
             self.hand_over(message, wait, slot)
         } else {
             self.post(message, wait, slot)
-        };
-        Delivered {
-            asked,
-            recorded,
-            outcome,
         }
     }
 
-    /// Puts a message into the queue of a task of this chassis.
+    /// Puts a message into the queue of a task of this chassis. Where this thread runs the task's processor, the queue
+    /// is found there.
     fn hand_over(
         &self,
         mut message: Message,
         wait: WaitFor,
-        slot: &mut dyn FnMut() -> Option<ReplySlot>,
+        slot: impl FnOnce() -> ReplySlot,
     ) -> Outcome {
         let to = message.header().to;
-        let Some(receiver) = self.receiver(to) else {
-            return Outcome::Failed(Fault::UnknownTask);
-        };
         let header = &mut message.envelope.header;
         header.flags = header.flags.with(wait.flags()).with(Flags::OWNED);
-        if wait == WaitFor::Reply {
-            message.envelope.reply = slot();
-        }
-        let offered = receiver.offer(message);
+        let slot = if wait == WaitFor::Reply {
+            message.envelope.reply.get_or_insert_with(slot);
+            None
+        } else {
+            Some(slot)
+        };
+        let home = self.processors.get(usize::from(to.processor()));
+        let here = home.and_then(|(_, home)| Processor::at_hand(home));
+        let offered = match here.and_then(|here| Some((here.queue(to.slot())?, here))) {
+            Some((queue, here)) => queue.offer(&here, message),
+            None => match self.task(to) {
+                Some(task) => task.mailbox.offer(message),
+                None => return fail(message, wait, Fault::UnknownTask),
+            },
+        };
         let message = match offered {
             Offered::Taken if wait == WaitFor::Reply => return Outcome::Waits(None),
             Offered::Taken => return Outcome::Taken,
-            Offered::Closed(message) | Offered::Full(message) => message,
+            Offered::Closed(message) => return fail(message, wait, Fault::Stopping),
+            Offered::Full(message) => message,
         };
-        let task = self.task(to).filter(|task| !task.mailbox.is_closed());
-        match (task, wait) {
-            (None, WaitFor::Reply) => {
-                message.refuse(Fault::Stopping);
-                Outcome::Waits(None)
-            }
-            (None, _) => Outcome::Failed(Fault::Stopping),
-            (Some(task), WaitFor::Nothing) => Outcome::Failed(task.mailbox.full()),
-            (Some(task), WaitFor::Reply) => {
-                task.mailbox.line_up(message, Acceptance::Silent);
-                Outcome::Waits(None)
-            }
-            (Some(task), WaitFor::Acceptance) => {
-                task.mailbox.line_up(message, Acceptance::from(slot()));
+        match self.task(to).filter(|task| !task.mailbox.is_closed()) {
+            None => fail(message, wait, Fault::Stopping),
+            Some(task) if wait == WaitFor::Nothing => Outcome::Failed(task.mailbox.full()),
+            Some(task) => {
+                let acceptance = Acceptance::from(slot.map(|slot| slot()));
+                task.mailbox.line_up(message, acceptance);
                 Outcome::Waits(None)
             }
         }
-    }
-
-    /// A task of this chassis. The queues of those of the processor that this thread runs are found there.
-    fn receiver(&self, to: Tid) -> Option<Receiver> {
-        let (_, home) = self.processors.get(usize::from(to.processor()))?;
-        if let Some(here) = Processor::at_hand(home)
-            && let Some(queue) = here.queue(to.slot())
-        {
-            return Some(Receiver::Here(here, queue));
-        }
-        self.task(to).map(Receiver::There)
     }
 
     /// Sends from outside of all tasks; the returned future ends with what `wait` names, or with a fault.
     pub fn dispatch(self: &Arc<Self>, message: Message, wait: WaitFor) -> Waiting {
         let promise = Arc::new(Promise::default());
-        let mut slot = || Some(ReplySlot::outside(promise.clone()));
-        let outbound = match self.deliver(message, wait, &mut slot).outcome {
+        let slot = || ReplySlot::outside(promise.clone());
+        let mut sent = Sent::of(&message);
+        let outbound = match self.deliver(message, wait, &mut sent, slot) {
             Outcome::Waits(outbound) => outbound,
             Outcome::Taken => {
                 promise.fulfil(Ok(Data::NOTHING));
@@ -171,7 +128,9 @@ impl Chassis {
     pub fn post_system<C: Command>(self: &Arc<Self>, to: Tid, request: C) {
         let from = system::agent_tid(self.index);
         let message = Message::request(to, from, C::CODE, request).flagged(Flags::HIGH_PRIORITY);
-        self.deliver(message, WaitFor::Acceptance, &mut || None);
+        let nobody = || ReplySlot::outside(Arc::default());
+        let mut sent = Sent::of(&message);
+        self.deliver(message, WaitFor::Acceptance, &mut sent, nobody);
     }
 
     /// Directs `message` to where the receiver is now, and begins a trace if it belongs to none.
@@ -185,4 +144,13 @@ impl Chassis {
             envelope.header.to = self.directory.current(envelope.header.to);
         }
     }
+}
+
+/// Tells the sender of a message that it was not taken: at once, or by the slot in it.
+fn fail(message: Message, wait: WaitFor, fault: Fault) -> Outcome {
+    if wait != WaitFor::Reply {
+        return Outcome::Failed(fault);
+    }
+    message.refuse(fault);
+    Outcome::Waits(None)
 }

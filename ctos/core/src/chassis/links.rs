@@ -77,7 +77,7 @@ impl Chassis {
         &self,
         message: Message,
         wait: WaitFor,
-        slot: &mut dyn FnMut() -> Option<ReplySlot>,
+        slot: impl FnOnce() -> ReplySlot,
     ) -> Outcome {
         let Envelope {
             mut header,
@@ -121,14 +121,10 @@ impl Chassis {
         if let Err(Full { bytes }) = posted {
             let pending = lock(&self.links).pending.remove(&call);
             let fault = Fault::LinkFull { bytes };
-            return match pending.and_then(|pending| pending.reply) {
-                // Its slot was made: it is told there.
-                Some(reply) => {
-                    reply.answer(Err(fault));
-                    Outcome::Waits(None)
-                }
-                None => Outcome::Failed(fault),
-            };
+            if let Some(pending) = pending {
+                pending.answer(Err(fault));
+            }
+            return Outcome::Waits(None);
         }
         Outcome::Waits(Some(Outbound(call)))
     }

@@ -12,8 +12,8 @@ use crate::reply::{Answer, ReplySlot};
 use ctos_message::{Header, frame::Link};
 
 pub(super) struct Pending {
-    /// Who waits for the answer; `None` when nobody does.
-    pub(super) reply: Option<ReplySlot>,
+    /// Who waits for the answer.
+    pub(super) reply: ReplySlot,
     /// What was asked, to take it back.
     pub(super) header: Header,
     pub(super) trace: u64,
@@ -26,9 +26,7 @@ impl Pending {
     }
 
     pub(super) fn answer(self, answer: Answer) {
-        if let Some(reply) = self.reply {
-            reply.answer(answer);
-        }
+        self.reply.answer(answer);
     }
 }
 

@@ -12,8 +12,6 @@ use std::{
     time::Duration,
 };
 
-use futures_util::future::LocalBoxFuture;
-
 use super::{
     core::{Context, Inner},
     task_ref::TaskRef,
@@ -21,10 +19,10 @@ use super::{
 use crate::{
     chassis::{delivery::Outcome, pending::Outbound},
     circle,
-    envelope::Message,
+    envelope::{Envelope, Message},
     exchange::Looked,
     reply::{CallKey, ReplySlot},
-    tap::{Asked, WaitFor},
+    tap::{Sent, WaitFor},
     wait::Wait,
 };
 use ctos_message::{
@@ -40,6 +38,7 @@ pub struct Call<C: Command> {
 }
 
 impl<C: Command> Call<C> {
+    #[inline]
     pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
         let deadline = asker.call_deadline();
         Self {
@@ -68,9 +67,11 @@ impl<C: Command> Future for Call<C> {
 
     fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
         let ask = &mut self.get_mut().ask;
-        let data = ready!(ask.poll(cx))?;
-        let reply = data.take::<C::Reply>();
-        Poll::Ready(reply.map_err(|error| ask.misread(&error)))
+        Poll::Ready(match ready!(ask.poll(cx)) {
+            Ok(None) => Err(ask.error(Fault::NoReply)),
+            Ok(Some(mut reply)) => reply.data.take_out().map_err(|error| ask.misread(&error)),
+            Err(fault) => Err(ask.error(*fault)),
+        })
     }
 }
 
@@ -82,6 +83,7 @@ pub struct Send<C: Command> {
 }
 
 impl<C: Command> Send<C> {
+    #[inline]
     pub(super) fn new(asker: Rc<Inner>, to: &TaskRef, message: Message) -> Self {
         let deadline = asker.call_deadline();
         Self {
@@ -110,10 +112,13 @@ impl<C: Command> Future for Send<C> {
 
     fn poll(self: Pin<&mut Self>, cx: &mut PollContext<'_>) -> Poll<Self::Output> {
         let ask = &mut self.get_mut().ask;
-        ready!(ask.poll(cx))?;
-        Poll::Ready(Ok(()))
+        let taken = ready!(ask.poll(cx));
+        Poll::Ready(taken.map(drop).map_err(|fault| ask.error(*fault)))
     }
 }
+
+/// How a question ends: with the envelope of the reply, or, where none was wanted, with nothing.
+type Ended = Result<Option<Box<Envelope>>, Box<Fault>>;
 
 /// Who asks whom for what, from before the message is sent until there is an answer; dropped in between, it takes
 /// the question back.
@@ -124,35 +129,30 @@ pub(super) struct Ask {
     command: &'static str,
     wait: WaitFor,
     pub(super) deadline: Duration,
-    /// The message, until it is sent.
-    message: Option<Message>,
-    /// The question, from then on.
-    waits: Option<Waits>,
+    sent: Sent,
+    state: State,
+}
+
+/// How far a question has come.
+enum State {
+    Begins(Message),
+    Waits(Waits),
+    Over,
 }
 
 /// A question under way.
 struct Waits {
-    /// Where it waits, if it does.
-    key: Option<CallKey>,
+    /// Where it waits.
+    key: CallKey,
     /// The way to take it back when it went over a link.
     outbound: Option<Outbound>,
-    asked: Asked,
-    /// The message's number in the record.
-    recorded: u64,
     /// Whether it has been looked for in vain.
     waited: bool,
-    circle: Circle,
-}
-
-/// The search for a circle of tasks that wait for one another; see `circle.rs`.
-enum Circle {
-    NotLookedFor,
-    LookedFor(LocalBoxFuture<'static, Option<String>>),
-    Found(Option<String>),
 }
 
 impl Ask {
     /// Will send `message` to `to` and wait for what `wait` names.
+    #[inline]
     pub(super) fn new(
         asker: Rc<Inner>,
         to: &TaskRef,
@@ -167,101 +167,107 @@ impl Ask {
             command,
             wait,
             deadline,
-            message: Some(message),
-            waits: None,
+            sent: Sent::of(&message),
+            state: State::Begins(message),
         }
     }
 
     fn hurry(&mut self) {
-        if let Some(message) = &mut self.message {
+        if let State::Begins(message) = &mut self.state {
             let header = &mut message.envelope.header;
             header.flags = header.flags.with(Flags::HIGH_PRIORITY);
         }
     }
 
     /// Sends the message, if that has not been done yet, and looks for the answer.
-    pub(super) fn poll(&mut self, cx: &mut PollContext<'_>) -> Poll<Result<Data, CallError>> {
-        if let Some(message) = self.message.take() {
-            if self.deadline.is_zero() {
-                let after = self.deadline;
-                return Poll::Ready(Err(self.error(Fault::Deadline { after })));
-            }
-            if let Some(answer) = self.begin(message) {
-                return Poll::Ready(self.end(answer));
-            }
+    pub(super) fn poll(&mut self, cx: &mut PollContext<'_>) -> Poll<Ended> {
+        if let State::Begins(_) = self.state
+            && let State::Begins(message) = std::mem::replace(&mut self.state, State::Over)
+            && let Some(ended) = self.begin(message)
+        {
+            return Poll::Ready(ended);
         }
-        let Some(waits) = &mut self.waits else {
+        let State::Waits(waits) = &mut self.state else {
             // Polled after its end, which is the fault of whoever polls.
             return Poll::Pending;
         };
-        let Some(key) = waits.key else {
-            return Poll::Pending;
-        };
-        match self.asker.processor.poll_call(key, cx) {
+        let (key, at_once) = (waits.key, !waits.waited);
+        let ended = match self.asker.processor.poll_call(key, cx) {
             Looked::Waiting => {
-                if let Circle::LookedFor(looking) = &mut waits.circle
-                    && let Poll::Ready(found) = looking.as_mut().poll(cx)
-                {
-                    waits.circle = Circle::Found(found);
-                }
-                if !std::mem::replace(&mut waits.waited, true) {
+                if at_once {
+                    waits.waited = true;
                     let wait = Wait {
                         activity: self.asker.record.statistics.activity().clone(),
                         to: self.to.clone(),
-                        tid: waits.asked.to,
+                        tid: self.sent.asked.to,
                         command: self.command,
                         place: None,
                     };
                     self.asker.processor.await_call(key, self.deadline, wait);
                 }
-                Poll::Pending
+                return Poll::Pending;
             }
             Looked::Long => {
-                self.look_for_circle(cx);
-                Poll::Pending
+                circle::look_for(Context::of(self.asker.clone()), key, self.sent.asked.to);
+                return Poll::Pending;
             }
-            Looked::Ended(answer) => Poll::Ready(self.end(answer)),
-            Looked::Late(after) => Poll::Ready(self.late(after)),
-        }
+            Looked::Ended(answer) => answer.map(Some),
+            Looked::Late(fault) => {
+                if let Some(outbound) = waits.outbound.take() {
+                    self.asker.chassis.abandon(outbound);
+                }
+                Err(Box::new(fault))
+            }
+        };
+        self.state = State::Over;
+        self.show(at_once, &ended);
+        Poll::Ready(ended)
     }
 
-    /// Sends the message. The answer, if it is known at once.
-    fn begin(&mut self, mut message: Message) -> Option<Result<Data, Fault>> {
+    /// Sends the message. How the question ends, if that is known at once.
+    fn begin(&mut self, mut message: Message) -> Option<Ended> {
+        let after = self.deadline;
+        if after.is_zero() {
+            return Some(Err(Box::new(Fault::Deadline { after })));
+        }
         let Inner {
             chassis, processor, ..
         } = &*self.asker;
         let key = Cell::new(None);
-        let began = (self.wait == WaitFor::Reply).then(|| processor.look_at_clock());
-        message.envelope.deadline = began.map(|began| began + self.deadline);
-        let mut slot = || {
+        let replies = self.wait == WaitFor::Reply;
+        let began = replies.then(|| processor.look_at_clock());
+        message.envelope.deadline = began.map(|began| began + after);
+        let slot = || {
             let began = began.unwrap_or_else(|| processor.now());
-            let ticket = processor.begin_call(began, self.deadline);
+            let ticket = processor.begin_call(began, after);
             key.set(Some(ticket.key()));
-            Some(ReplySlot::call(ticket))
+            ReplySlot::call(ticket)
         };
         let ready = processor.ready_count();
-        let delivered = chassis.deliver(message, self.wait, &mut slot);
-        if self.wait == WaitFor::Reply {
+        let outcome = chassis.deliver(message, self.wait, &mut self.sent, slot);
+        if replies {
             let meter = &self.asker.record.statistics.activity().meter;
             meter.while_it_waits(|| processor.hand_over(ready));
         }
-        let (outbound, answer) = match delivered.outcome {
-            Outcome::Taken => (None, Some(Ok(Data::NOTHING))),
-            Outcome::Failed(fault) => (None, Some(Err(fault))),
-            Outcome::Waits(outbound) => (outbound, None),
+        let ended = match (outcome, key.get()) {
+            (Outcome::Waits(outbound), Some(key)) => {
+                self.state = State::Waits(Waits {
+                    key,
+                    outbound,
+                    waited: false,
+                });
+                return None;
+            }
+            (Outcome::Failed(fault), key) => {
+                if let Some(key) = key {
+                    processor.give_up_call(key);
+                }
+                Err(Box::new(fault))
+            }
+            (Outcome::Taken | Outcome::Waits(_), _) => Ok(None),
         };
-        if let (Some(key), Some(_)) = (key.get(), &answer) {
-            processor.give_up_call(key);
-        }
-        self.waits = Some(Waits {
-            key: key.get(),
-            outbound,
-            asked: delivered.asked,
-            recorded: delivered.recorded,
-            waited: false,
-            circle: Circle::NotLookedFor,
-        });
-        answer
+        self.show(true, &ended);
+        Some(ended)
     }
 
     /// Sends the message now, or not at all.
@@ -270,49 +276,26 @@ impl Ask {
     /// Why it was not taken.
     pub(super) fn at_once(mut self) -> Result<(), CallError> {
         match self.poll(&mut PollContext::from_waker(Waker::noop())) {
-            Poll::Ready(ended) => ended.map(drop),
+            Poll::Ready(Ok(_)) => Ok(()),
+            Poll::Ready(Err(fault)) => Err(self.error(*fault)),
             // A message that nobody waits for is taken or refused at once.
             Poll::Pending => Err(self.error(Fault::NoReply)),
         }
     }
 
-    fn look_for_circle(&mut self, poll: &mut PollContext<'_>) {
-        if let Some(waits) = &mut self.waits {
-            let cx = Context::of(self.asker.clone());
-            let mut looking: LocalBoxFuture<'_, _> = Box::pin(circle::look(cx, waits.asked.to));
-            waits.circle = match looking.as_mut().poll(poll) {
-                Poll::Ready(found) => Circle::Found(found),
-                Poll::Pending => Circle::LookedFor(looking),
+    /// Shows a recorder how the question ended.
+    fn show(&self, at_once: bool, ended: &Ended) {
+        let recorder = self.asker.chassis.tap.recorder();
+        if let Some(recorder) = recorder
+            && (self.wait != WaitFor::Nothing || ended.is_err())
+        {
+            let answer = match ended {
+                Ok(Some(reply)) => Ok(&reply.data),
+                Ok(None) => Ok(&Data::NOTHING),
+                Err(fault) => Err(&**fault),
             };
+            recorder.answered(self.sent.id, &self.sent.asked, at_once, answer);
         }
-    }
-
-    /// The question is over: there is nothing to take back.
-    fn end(&mut self, answer: Result<Data, Fault>) -> Result<Data, CallError> {
-        if let Some(waits) = self.waits.take() {
-            let recorder = self.asker.chassis.tap.recorder();
-            if let Some(recorder) = recorder
-                && (self.wait != WaitFor::Nothing || answer.is_err())
-            {
-                let at_once = !waits.waited;
-                recorder.answered(waits.recorded, &waits.asked, at_once, answer.as_ref());
-            }
-        }
-        answer.map_err(|fault| self.error(fault))
-    }
-
-    fn late(&mut self, after: Duration) -> Result<Data, CallError> {
-        let mut fault = Fault::Deadline { after };
-        if let Some(waits) = &mut self.waits {
-            let circle = std::mem::replace(&mut waits.circle, Circle::NotLookedFor);
-            if let Circle::Found(Some(circle)) = circle {
-                fault = Fault::Circle { after, circle };
-            }
-            if let Some(outbound) = waits.outbound.take() {
-                self.asker.chassis.abandon(outbound);
-            }
-        }
-        self.end(Err(fault))
     }
 
     pub(super) fn misread(&self, error: &PayloadError) -> CallError {
@@ -320,7 +303,7 @@ impl Ask {
         self.error(Fault::BadPayload { text })
     }
 
-    fn error(&self, fault: Fault) -> CallError {
+    pub(super) fn error(&self, fault: Fault) -> CallError {
         let error = CallError {
             from: self.asker.record.name.to_string(),
             to: self.to.to_string(),
@@ -336,11 +319,9 @@ impl Ask {
 
 impl Drop for Ask {
     fn drop(&mut self) {
-        if let Some(waits) = self.waits.take() {
-            if let Some(key) = waits.key {
-                self.asker.processor.give_up_call(key);
-            }
-            if let Some(outbound) = waits.outbound {
+        if let State::Waits(waits) = &mut self.state {
+            self.asker.processor.give_up_call(waits.key);
+            if let Some(outbound) = waits.outbound.take() {
                 self.asker.chassis.abandon(outbound);
             }
         }

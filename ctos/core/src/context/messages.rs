@@ -62,8 +62,14 @@ impl Context {
         let message = self.message(to, command.code, Data::Bytes(data));
         let inner = self.inner.clone();
         let mut ask = Ask::new(inner, to, command.name, message, WaitFor::Reply, deadline);
-        let answer = poll_fn(|cx| ask.poll(cx)).await?;
-        answer.into_bytes().map_err(|error| ask.misread(&error))
+        match poll_fn(|cx| ask.poll(cx)).await {
+            Ok(None) => Ok(Vec::new()),
+            Ok(Some(reply)) => {
+                let bytes = reply.data.into_bytes();
+                bytes.map_err(|error| ask.misread(&error))
+            }
+            Err(fault) => Err(ask.error(*fault)),
+        }
     }
 
     /// What every task does with a message that its handler does not know: answers [`Ping`],
@@ -113,6 +119,7 @@ impl Context {
         }
     }
 
+    #[inline]
     fn message(&self, to: &TaskRef, command: u16, data: Data) -> Message {
         let from = self.inner.record.tid;
         Message::with_data(to.tid, from, command, data).in_trace(self.trace)

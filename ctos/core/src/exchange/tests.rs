@@ -1,7 +1,10 @@
 use std::task::Waker;
 
 use super::*;
-use crate::processor::{Processor, ProcessorHandle};
+use crate::{
+    envelope::Message,
+    processor::{Processor, ProcessorHandle},
+};
 use ctos_message::{Data, Tid};
 use ctos_time::Clock;
 
@@ -12,20 +15,20 @@ fn begin(calls: &mut Calls, home: &Arc<ProcessorHandle>, deadline: Duration) -> 
 }
 
 fn look(calls: &mut Calls, key: CallKey) -> Looked {
-    calls
-        .look(key, || LocalWake::Waker(Waker::noop().clone()))
-        .0
+    let waits = || LocalWake::Waker(Waker::noop().clone());
+    calls.look(key, waits, &mut None, |_| ())
 }
 
 fn number(looked: Looked) -> Option<u8> {
     match looked {
-        Looked::Ended(Ok(data)) => data.take().ok(),
+        Looked::Ended(Ok(envelope)) => envelope.data.take().ok(),
         _ => None,
     }
 }
 
-fn answer(number: u8) -> Answer {
-    Ok(Data::of(number))
+fn answer(number: u8) -> Returned {
+    let (to, from) = (Tid::default(), Tid::default());
+    Ok(Message::with_data(to, from, 0, Data::of(number)).envelope)
 }
 
 fn at(millis: u64) -> Instant {
@@ -37,7 +40,7 @@ fn one_slot_serves_call_after_call_and_keeps_late_answers_from_the_next() {
     let (mut calls, home) = (Calls::default(), Arc::default());
     let first = begin(&mut calls, &home, DEADLINE);
     let gone = first.key();
-    drop(calls.give_up(gone));
+    drop(calls.give_up(gone, |_| ()));
     assert!(first.is_abandoned());
     let second = begin(&mut calls, &home, DEADLINE);
     let key = second.key();
@@ -60,7 +63,9 @@ fn a_call_with_little_time_is_looked_after_at_its_deadline() {
     assert_eq!(calls.settle(key), Some(at(1) + little));
     assert!(calls.fired(key).again.is_none());
     assert!(ticket.is_abandoned());
-    assert!(matches!(look(&mut calls, key), Looked::Late(after) if after == little));
+    assert!(
+        matches!(look(&mut calls, key), Looked::Late(Fault::Deadline { after }) if after == little)
+    );
 }
 
 #[test]
@@ -75,7 +80,10 @@ fn a_long_wait_is_told_once_before_the_deadline() {
     assert!(matches!(look(&mut calls, key), Looked::Waiting));
     assert!(!ticket.is_abandoned());
     assert_eq!(calls.fired(key).again, None);
-    assert!(matches!(look(&mut calls, key), Looked::Late(DEADLINE)));
+    assert!(matches!(
+        look(&mut calls, key),
+        Looked::Late(Fault::Deadline { after: DEADLINE })
+    ));
     let late = calls.answer(key, answer(1));
     assert!(matches!(late, Given::Unwanted { .. }));
 }

@@ -12,7 +12,7 @@ use std::{
 use super::gate::Gate;
 use crate::{
     credits::most_waiting,
-    delivery::{Acceptance, Delivery, Offered, Order, Place, is_urgent, refuse},
+    delivery::{Acceptance, Offered, Order, is_urgent, refuse},
     envelope::Message,
     processor::{Inlet, Processor, wake::FutureId},
     system::{Broke, StopTask, interrupts},
@@ -86,6 +86,11 @@ impl Lanes {
         } else {
             &mut self.normal
         }
+    }
+
+    /// Whether a message came before its gate was opened.
+    fn keeps(&self, message: &Message) -> bool {
+        self.gate.as_ref().is_some_and(|gate| gate.keeps(message))
     }
 }
 
@@ -161,6 +166,18 @@ impl TaskQueue {
         self.waits_for.set(WaitsFor::Nothing);
         if let Some(runner) = self.runner.get() {
             processor.wake(runner);
+        }
+    }
+
+    /// Keeps a message until its gate is opened.
+    fn keep(&self, mut lanes: RefMut<'_, Lanes>, message: Message, acceptance: Acceptance) {
+        let most = most_waiting(self.task.mailbox.capacity());
+        match lanes.gate.as_mut().filter(|gate| gate.held.len() < most) {
+            Some(gate) => gate.held.push((message, acceptance)),
+            None => {
+                drop(lanes);
+                refuse(message, acceptance, &self.task.mailbox.full());
+            }
         }
     }
 
@@ -291,8 +308,7 @@ impl Inlet for TaskQueue {
         };
         match taken {
             Ok(message) => {
-                let place = Place::Queue;
-                self.take_in(processor, Delivery { message, place });
+                self.take_in(processor, message);
                 Offered::Taken
             }
             Err(offered) => offered,
@@ -311,51 +327,49 @@ impl Inlet for TaskQueue {
         }
     }
 
-    fn take_in(&self, processor: &Processor, delivery: Delivery) {
-        if self.task.mailbox.is_closed() {
-            return delivery.refuse();
+    fn take_in(&self, processor: &Processor, message: Message) {
+        let mailbox = &self.task.mailbox;
+        if mailbox.is_closed() {
+            return message.refuse(Fault::Stopping);
         }
-        let Delivery { message, place } = delivery;
         let (urgent, _) = is_urgent(&message);
-        let (mailbox, command) = (&self.task.mailbox, message.command());
+        let command = message.command();
+        let mut lanes = self.lanes();
+        if lanes.keeps(&message) {
+            mailbox.credits(urgent).give(1);
+            return self.keep(lanes, message, Acceptance::Silent);
+        }
+        lanes.lane(urgent).queue.push_back(message);
+        drop(lanes);
+        self.has_come(processor, command);
+    }
+
+    fn line_up(&self, processor: &Processor, message: Message, acceptance: Acceptance) {
+        let mailbox = &self.task.mailbox;
+        if mailbox.is_closed() {
+            return refuse(message, acceptance, &Fault::Stopping);
+        }
+        let (urgent, _) = is_urgent(&message);
+        let command = message.command();
         let credits = mailbox.credits(urgent);
         let mut lanes = self.lanes();
-        let held = lanes.held;
-        if let Some(gate) = lanes.gate.as_mut().filter(|gate| gate.keeps(&message)) {
-            let acceptance = match place {
-                Place::Queue => {
-                    credits.give(1);
-                    Acceptance::Silent
-                }
-                Place::Line(acceptance) => {
-                    credits.leave_line();
-                    acceptance
-                }
-            };
-            if gate.held.len() < most_waiting(mailbox.capacity()) {
-                return gate.held.push((message, acceptance));
-            }
-            drop(lanes);
-            return refuse(message, acceptance, &mailbox.full());
+        if lanes.keeps(&message) {
+            credits.leave_line();
+            return self.keep(lanes, message, acceptance);
         }
+        let held = lanes.held;
         let lane = lanes.lane(urgent);
-        let acceptance = match place {
-            Place::Queue => Acceptance::Silent,
-            Place::Line(acceptance) => {
-                credits.give(std::mem::take(&mut lane.owed));
-                let may = !held && lane.waiting.is_empty();
-                if !may || !credits.take_past_others(mailbox.capacity()) {
-                    lane.waiting.push_back((message, acceptance));
-                    drop(lanes);
-                    if held {
-                        self.wake_idle(processor);
-                    }
-                    return;
-                }
-                credits.leave_line();
-                acceptance
+        credits.give(std::mem::take(&mut lane.owed));
+        let may = !held && lane.waiting.is_empty();
+        if !may || !credits.take_past_others(mailbox.capacity()) {
+            lane.waiting.push_back((message, acceptance));
+            drop(lanes);
+            if held {
+                self.wake_idle(processor);
             }
-        };
+            return;
+        }
+        credits.leave_line();
         lane.queue.push_back(message);
         drop(lanes);
         self.has_come(processor, command);

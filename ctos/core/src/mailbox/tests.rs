@@ -55,7 +55,8 @@ impl Waiter {
         let cx = std::task::Context::from_waker(std::task::Waker::noop());
         match self.caller.poll_call(self.key, &cx) {
             Looked::Waiting => None,
-            Looked::Ended(answer) => Some(answer),
+            Looked::Ended(Ok(envelope)) => Some(Ok(envelope.data)),
+            Looked::Ended(Err(fault)) => Some(Err(*fault)),
             Looked::Long | Looked::Late(..) => panic!("no time passes here"),
         }
     }

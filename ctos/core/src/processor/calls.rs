@@ -7,8 +7,9 @@ use super::{
     handle::ProcessorHandle,
 };
 use crate::{
-    exchange::{Given, Looked, Rest},
-    reply::{Answer, CallKey, Home, Ticket},
+    exchange::{Given, Looked},
+    reply::{CallKey, Home, Returned, Ticket},
+    timers::TimerKey,
     wait::Wait,
 };
 use ctos_time::Instant;
@@ -50,26 +51,37 @@ impl Processor {
 
     /// Looks for the answer to a call.
     pub(crate) fn poll_call(&self, key: CallKey, cx: &PollContext<'_>) -> Looked {
-        let (looked, rest) = self.calls.borrow_mut().look(key, || self.waits(cx));
-        self.drop_rest(rest);
-        looked
+        // Dropped when nothing is borrowed: a waker may hold code of others.
+        let mut before = None;
+        let mut calls = self.calls.borrow_mut();
+        calls.look(
+            key,
+            || self.waits(cx),
+            &mut before,
+            |timer| self.unset(timer),
+        )
+    }
+
+    /// The caller of a call and others wait for one another.
+    pub(crate) fn note_circle(&self, key: CallKey, circle: String) {
+        self.calls.borrow_mut().note_circle(key, circle);
     }
 
     /// Nobody waits for the answer to a call any more.
     pub(crate) fn give_up_call(&self, key: CallKey) {
-        let rest = self.calls.borrow_mut().give_up(key);
-        self.drop_rest(rest);
+        let mut calls = self.calls.borrow_mut();
+        let left = calls.give_up(key, |timer| self.unset(timer));
+        drop(calls);
+        drop(left);
     }
 
-    fn drop_rest(&self, rest: Rest) {
-        if let Some(timer) = rest.timer {
-            self.timers.borrow_mut().remove(timer);
-        }
-        drop(rest);
+    /// Takes out the timer of a call.
+    fn unset(&self, timer: TimerKey) {
+        self.timers.borrow_mut().remove(timer);
     }
 
     /// Takes the answer to a call of this processor.
-    pub(crate) fn take_answer(&self, key: CallKey, answer: Answer) {
+    pub(crate) fn take_answer(&self, key: CallKey, answer: Returned) {
         let given = self.calls.borrow_mut().answer(key, answer);
         if let Given::Taken(Some(wake)) = given {
             self.wake_local(wake);
@@ -78,7 +90,7 @@ impl Processor {
 }
 
 impl Home for ProcessorHandle {
-    fn take_answer(&self, key: CallKey, answer: Answer) {
+    fn take_answer(&self, key: CallKey, answer: Returned) {
         match Processor::here_if(self) {
             Some(processor) => processor.take_answer(key, answer),
             None => self.bring_answer(key, answer),

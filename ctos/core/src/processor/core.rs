@@ -15,7 +15,7 @@ use super::{
     yielding::Yielding,
 };
 use crate::{
-    delivery::{Delivery, Offered, Order},
+    delivery::{Acceptance, Offered, Order},
     envelope::Message,
     exchange::Calls,
     reply::CallKey,
@@ -28,8 +28,10 @@ use ctos_time::{Clock, Instant};
 pub trait Inlet {
     /// Takes a message of this thread, if there is a credit for it now.
     fn offer(&self, processor: &Processor, message: Message) -> Offered;
-    /// Takes in what another thread has brought.
-    fn take_in(&self, processor: &Processor, delivery: Delivery);
+    /// Takes in a message that has a credit.
+    fn take_in(&self, processor: &Processor, message: Message);
+    /// Takes in a message, or lets it wait for a credit.
+    fn line_up(&self, processor: &Processor, message: Message, acceptance: Acceptance);
     /// Does what it is told from elsewhere.
     fn obey(&self, processor: &Processor, order: Order);
     /// Takes nothing more; everything inside is answered.

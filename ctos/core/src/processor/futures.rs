@@ -71,7 +71,7 @@ pub(super) struct Entry {
     /// Whether it is among the ready ones.
     pub(super) ready: bool,
     pub(super) taken: bool,
-    pub(super) running: Option<Running>,
+    pub(super) running: Option<Box<Running>>,
     pub(super) shared: Option<Arc<FutureWaker>>,
 }
 
@@ -88,7 +88,7 @@ impl Futures {
         (entry.taken && entry.generation == id.generation.get()).then_some(entry)
     }
 
-    pub(super) fn remove(&mut self, id: FutureId) -> Option<Running> {
+    pub(super) fn remove(&mut self, id: FutureId) -> Option<Box<Running>> {
         let entry = self.entry(id)?;
         entry.taken = false;
         entry.shared = None;

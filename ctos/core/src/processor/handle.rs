@@ -15,9 +15,12 @@ use super::core::Processor;
 use crate::processor::wake::FutureId;
 use crate::{
     asleep::Asleep,
-    delivery::{Delivery, Order},
-    reply::{Answer, CallKey},
+    contain::drop_contained,
+    delivery::{Acceptance, Order, refuse},
+    envelope::Message,
+    reply::{CallKey, Returned},
 };
+use ctos_message::fault::Fault;
 use ctos_time::{lock::lock, park::Parker};
 
 /// Work brought to a processor from another thread.
@@ -25,10 +28,12 @@ pub(super) type Job = Box<dyn FnOnce(&Rc<Processor>) + Send>;
 
 /// What other threads bring to a processor.
 pub(super) enum Item {
-    /// A message for the task in a slot.
-    Message(u16, Delivery),
+    /// A message for the task in a slot, with a credit.
+    Message(u16, Message),
+    /// One that waits for a credit.
+    Waits(u16, Message, Acceptance),
     /// The answer to a call that a task of the processor waits for.
-    Answer(CallKey, Answer),
+    Answer(CallKey, Returned),
     /// A future is ready.
     Wake(FutureId),
     /// The task in a slot takes nothing more.
@@ -38,6 +43,17 @@ pub(super) enum Item {
     Job(Job),
     /// Nothing but a reason to look up.
     Nudge,
+}
+
+impl Item {
+    /// The processor, or the task, takes nothing more: whoever waits for a credit or an answer is told.
+    pub(super) fn refuse(self) {
+        match self {
+            Self::Message(_, message) => refuse(message, Acceptance::Silent, &Fault::Stopping),
+            Self::Waits(_, message, acceptance) => refuse(message, acceptance, &Fault::Stopping),
+            item => drop_contained(item),
+        }
+    }
 }
 
 /// The part of a processor that other threads may touch.
@@ -111,10 +127,17 @@ impl ProcessorHandle {
         self.shares_core.store(shares, Ordering::Relaxed);
     }
 
-    /// Brings a message for the task in `slot`.
-    pub(crate) fn bring_message(&self, slot: u16, delivery: Delivery) {
-        if let Err(Item::Message(_, delivery)) = self.bring(Item::Message(slot, delivery)) {
-            delivery.refuse();
+    /// Brings a message for the task in `slot`, which has a credit.
+    pub(crate) fn bring_message(&self, slot: u16, message: Message) {
+        if let Err(refused) = self.bring(Item::Message(slot, message)) {
+            refused.refuse();
+        }
+    }
+
+    /// Brings a message for the task in `slot`, which waits for a credit.
+    pub(crate) fn bring_waiting(&self, slot: u16, message: Message, acceptance: Acceptance) {
+        if let Err(refused) = self.bring(Item::Waits(slot, message, acceptance)) {
+            refused.refuse();
         }
     }
 
@@ -129,7 +152,7 @@ impl ProcessorHandle {
     }
 
     /// Brings the answer to a call. Without a processor nobody waits for it.
-    pub(crate) fn bring_answer(&self, key: CallKey, answer: Answer) {
+    pub(crate) fn bring_answer(&self, key: CallKey, answer: Returned) {
         drop(self.bring(Item::Answer(key, answer)));
     }
 

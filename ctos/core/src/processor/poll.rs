@@ -48,11 +48,11 @@ impl Processor {
         });
         entry.taken = true;
         entry.ready = true;
-        entry.running = Some(Running {
+        entry.running = Some(Box::new(Running {
             future: Box::pin(future),
             waker: Waker::from(shared.clone()),
             on_panic,
-        });
+        }));
         entry.shared = Some(shared);
         futures.ready.push_back(id);
         id
@@ -98,14 +98,12 @@ impl Processor {
 
     /// Polls the `index`-th ready future. False when there is none.
     pub fn poll_ready(self: &Rc<Self>, index: usize) -> bool {
-        let Some((id, running)) = self.take_ready(index) else {
+        let Some(id) = self.take_ready(index) else {
             return false;
         };
-        if let Some(running) = running {
-            self.enter();
-            self.handed_over.set(0);
-            self.poll_running(id, running);
-        }
+        self.enter();
+        self.handed_over.set(0);
+        self.poll_future(id);
         true
     }
 
@@ -118,23 +116,30 @@ impl Processor {
         if !may || self.ready_count() <= ready {
             return;
         }
-        let Some((id, Some(running))) = self.take_ready(ready) else {
+        let Some(id) = self.take_ready(ready) else {
             return;
         };
         self.handed_over.set(handed_over + 1);
         self.depth.set(depth + 1);
-        self.poll_running(id, running);
+        self.poll_future(id);
         self.depth.set(depth);
         self.leave();
     }
 
-    /// Polls a future that was taken out of its entry, and puts it back unless it has ended.
-    fn poll_running(&self, id: FutureId, mut running: Running) {
+    /// Polls a future, which is out of its entry meanwhile, and puts it back unless it has ended.
+    fn poll_future(&self, id: FutureId) {
+        let running = {
+            let mut futures = self.futures.borrow_mut();
+            futures.entry(id).and_then(|entry| entry.running.take())
+        };
+        let Some(mut running) = running else {
+            return;
+        };
         let outer = self
             .current
             .replace(Some((id, WakerOf::the(&running.waker))));
         let polled = {
-            let Running { future, waker, .. } = &mut running;
+            let Running { future, waker, .. } = &mut *running;
             let mut cx = PollContext::from_waker(waker);
             self.leave();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(&mut cx)))
@@ -144,7 +149,7 @@ impl Processor {
         if !matches!(polled, Ok(Poll::Pending)) {
             let Running {
                 future, on_panic, ..
-            } = running;
+            } = *running;
             drop_contained(future);
             self.cancel(id);
             if let (Err(panic), Some(on_panic)) = (polled, on_panic) {
@@ -168,13 +173,12 @@ impl Processor {
         }
     }
 
-    fn take_ready(&self, index: usize) -> Option<(FutureId, Option<Running>)> {
+    fn take_ready(&self, index: usize) -> Option<FutureId> {
         let mut futures = self.futures.borrow_mut();
         let id = futures.ready.remove(index)?;
-        let running = futures.entry(id).and_then(|entry| {
+        if let Some(entry) = futures.entry(id) {
             entry.ready = false;
-            entry.running.take()
-        });
-        Some((id, running))
+        }
+        Some(id)
     }
 }

@@ -32,9 +32,13 @@ impl Processor {
 
     fn take_in(self: &Rc<Self>, item: Item) {
         match item {
-            Item::Message(slot, delivery) => match self.queue(slot) {
-                Some(queue) => queue.take_in(self, delivery),
-                None => delivery.refuse(),
+            Item::Message(slot, message) => match self.queue(slot) {
+                Some(queue) => queue.take_in(self, message),
+                None => Item::Message(slot, message).refuse(),
+            },
+            Item::Waits(slot, message, acceptance) => match self.queue(slot) {
+                Some(queue) => queue.line_up(self, message, acceptance),
+                None => Item::Waits(slot, message, acceptance).refuse(),
             },
             Item::Answer(key, answer) => self.take_answer(key, answer),
             Item::Wake(id) => {
@@ -164,13 +168,7 @@ impl Processor {
     pub fn clear(self: &Rc<Self>) {
         self.enter();
         loop {
-            for item in self.inbox.try_iter() {
-                match item {
-                    // What waits for a credit or an answer is told; the rest only goes.
-                    Item::Message(_, delivery) => delivery.refuse(),
-                    item => drop_contained(item),
-                }
-            }
+            self.inbox.try_iter().for_each(Item::refuse);
             let futures = std::mem::take(&mut *self.futures.borrow_mut());
             let cyclics = self.schedule.clear();
             let queues = std::mem::take(&mut *self.queues.borrow_mut());

@@ -61,13 +61,17 @@ pub(super) enum Bad {
 
 /// The message that is being handled.
 pub(super) struct AtHand {
+    from: Tid,
     command: u16,
     pub(super) serial: u64,
     began: Instant,
-    /// To whom the answer is owed.
-    owed: Option<(Tid, ReplyKey)>,
-    /// The message, for the record, if there is one.
-    noted: Option<tap::AtHand>,
+    trace: u64,
+    /// Its number in the record.
+    recorded: u64,
+    /// Whether whoever looks on was shown that it was begun.
+    shown: bool,
+    /// The answer that is owed.
+    owed: Option<ReplyKey>,
 }
 
 impl Serving {
@@ -120,48 +124,44 @@ impl Serving {
     pub(super) fn begin(&self, message: &mut Message) -> AtHand {
         let processor = self.cx.processor();
         let chassis = self.cx.chassis();
-        let (began, command) = (processor.recent(), message.command());
+        let began = processor.recent();
         let serial = reply::next_serial();
-        let from = message.from();
         let owed = message.envelope.reply.as_mut().and_then(|slot| {
             slot.set_serial(serial);
-            Some((from, slot.key()?))
+            slot.key()
         });
         chassis.delivered(&self.record, message);
+        let (from, command) = (message.from(), message.command());
         self.activity.begin(command, began);
-        self.activity.recent.began(message.from(), command, began);
-        let noted = chassis.tap.observer().map(|observer| {
-            let noted = tap::AtHand {
+        self.activity.recent.began(from, command, began);
+        let observer = chassis.tap.observer();
+        if let Some(observer) = observer {
+            observer.began(&tap::AtHand {
                 id: message.envelope.recorded,
                 asked: Asked::of(message),
                 began,
-            };
-            observer.began(&noted);
-            noted
-        });
+            });
+        }
         AtHand {
+            from,
             command,
             serial,
             began,
+            trace: message.trace(),
+            recorded: message.envelope.recorded,
+            shown: observer.is_some(),
             owed,
-            noted,
         }
     }
 
     /// The handler has ended, in whatever way: what it owes is answered. What its panic said, if it
     /// panicked.
-    pub(super) fn end(&self, at_hand: AtHand, ended: Ended) -> Option<String> {
-        let AtHand {
-            command,
-            serial,
-            began,
-            owed,
-            noted,
-        } = at_hand;
+    pub(super) fn end(&self, at_hand: &mut AtHand, ended: Ended) -> Option<String> {
+        let (command, serial) = (at_hand.command, at_hand.serial);
         let processor = self.cx.processor();
         let statistics = &self.activity;
         let now = processor.moment();
-        statistics.end(ended.is_ok(), now.since(began));
+        statistics.end(ended.is_ok(), now.since(at_hand.began));
         let ending = || match &ended {
             Ok(()) => HandlerEnding::Done,
             Err(Bad::Refused(error)) => HandlerEnding::Refused(error.to_string()),
@@ -169,7 +169,17 @@ impl Serving {
             Err(Bad::Interrupted(_)) => HandlerEnding::Stopped,
         };
         statistics.recent.ended(command, now, ending);
-        if let (Some(noted), Some(observer)) = (noted, self.cx.chassis().tap.observer()) {
+        if let Some(observer) = self.cx.chassis().tap.observer().filter(|_| at_hand.shown) {
+            let noted = tap::AtHand {
+                id: at_hand.recorded,
+                asked: Asked {
+                    by: at_hand.from,
+                    to: self.record.tid,
+                    command,
+                    trace: at_hand.trace,
+                },
+                began: at_hand.began,
+            };
             observer.ended(&noted, now, ending());
         }
         match ended {
@@ -181,19 +191,13 @@ impl Serving {
                 }));
                 None
             }
-            Err(bad) => self.end_badly(command, serial, owed, bad),
+            Err(bad) => self.end_badly(at_hand, bad),
         }
     }
 
     /// The handler has ended otherwise than well.
-    fn end_badly(
-        &self,
-        command: u16,
-        serial: u64,
-        owed: Option<(Tid, ReplyKey)>,
-        bad: Bad,
-    ) -> Option<String> {
-        let _processor = self.cx.processor();
+    fn end_badly(&self, at_hand: &mut AtHand, bad: Bad) -> Option<String> {
+        let command = at_hand.command;
         let (fault, panic) = match bad {
             Bad::Refused(error) => {
                 tracing::debug!(task = %self.cx.name(), command, error = %error, "refused");
@@ -211,11 +215,12 @@ impl Serving {
                 (fault, Some(text))
             }
         };
-        match (reply::take_orphan(serial), owed) {
+        match (reply::take_orphan(at_hand.serial), at_hand.owed.take()) {
             (Some(slot), _) => slot.answer(Err(fault)),
-            (None, Some((caller, key))) => {
+            (None, Some(key)) => {
                 let processors = &self.cx.chassis().processors;
-                if let Some((_, home)) = processors.get(usize::from(caller.processor())) {
+                let home = processors.get(usize::from(at_hand.from.processor()));
+                if let Some((_, home)) = home {
                     key.answer(&**home, Err(fault));
                 }
             }
@@ -267,13 +272,13 @@ impl Serving {
         // One context serves message after message.
         let mut cx = self.cx.within(0);
         while let Some(mut message) = next.take() {
-            let at_hand = self.begin(&mut message);
+            let mut at_hand = self.begin(&mut message);
             cx.set_trace(message.trace());
             let ended = {
                 let mut handling = pin!(Some(EventHandler::handle(handler, &cx, message)));
                 poll_fn(|poll| self.poll(&at_hand, handling.as_mut(), true, poll)).await
             };
-            if let Some(panic) = self.end(at_hand, ended) {
+            if let Some(panic) = self.end(&mut at_hand, ended) {
                 return Served::Panicked(panic);
             }
             next = self.next().await;

@@ -47,7 +47,7 @@ fn labelled(label: Label) -> Message {
 /// The answer to a call of `processor`.
 async fn answered(processor: &Processor, key: CallKey) -> Result<(), Fault> {
     poll_fn(|cx| match processor.poll_call(key, cx) {
-        Looked::Ended(answer) => Poll::Ready(answer.map(drop)),
+        Looked::Ended(answer) => Poll::Ready(answer.map(drop).map_err(|fault| *fault)),
         Looked::Waiting | Looked::Long => Poll::Pending,
         Looked::Late(_) => panic!("somebody was never told"),
     })
