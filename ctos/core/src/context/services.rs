@@ -32,7 +32,7 @@ impl Context {
         let function = Synchronous::new(name, function).period(period);
         self.schedule(function).unwrap_or_else(|error| {
             self.fail(&error.to_string());
-            CyclicHandle::of_nothing()
+            CyclicHandle::default()
         })
     }
 
