@@ -7,7 +7,6 @@ pub(crate) mod delivery;
 mod extension;
 mod links;
 pub(crate) mod pending;
-mod tasks;
 
 use std::{
     any::Any,
@@ -19,7 +18,7 @@ use std::{
     },
 };
 
-use self::{extension::Extensions, pending::Links, tasks::Tasks};
+use self::{extension::Extensions, pending::Links};
 use crate::{
     directory::TaskDirectory,
     envelope::Message,
@@ -56,7 +55,7 @@ pub struct Chassis {
     /// Processor 0 belongs to the runtime; the configured ones follow.
     #[doc(hidden)]
     pub processors: Vec<(String, Arc<ProcessorHandle>)>,
-    tasks: RwLock<Tasks>,
+    tasks: RwLock<BTreeMap<Tid, Arc<TaskRecord>>>,
     links: Mutex<Links>,
     shared: Mutex<BTreeMap<String, Arc<dyn Any + Send + Sync>>>,
     #[doc(hidden)]
@@ -261,10 +260,8 @@ impl Chassis {
     }
 
     pub fn add_task(&self, task: Arc<TaskRecord>) {
-        self.tasks
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .insert(task);
+        let mut tasks = self.tasks.write().unwrap_or_else(PoisonError::into_inner);
+        tasks.insert(task.tid, task);
     }
 
     /// Takes a task out; what is in its mailbox is answered.
@@ -272,28 +269,23 @@ impl Chassis {
         for extension in self.extensions.all() {
             extension.task_ended(self, tid);
         }
-        let entry = self
-            .tasks
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .remove(tid);
-        if let Some(task) = entry {
+        let mut tasks = self.tasks.write().unwrap_or_else(PoisonError::into_inner);
+        let removed = tasks.remove(&tid);
+        drop(tasks);
+        if let Some(task) = removed {
             task.mailbox.close();
         }
     }
 
     pub fn task(&self, tid: Tid) -> Option<Arc<TaskRecord>> {
-        self.tasks
-            .read()
-            .unwrap_or_else(PoisonError::into_inner)
-            .get(tid)
-            .cloned()
+        let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
+        tasks.get(&tid).cloned()
     }
 
     /// The tasks of this chassis, by id.
     pub fn tasks(&self) -> Vec<Arc<TaskRecord>> {
         let tasks = self.tasks.read().unwrap_or_else(PoisonError::into_inner);
-        tasks.iter().cloned().collect()
+        tasks.values().cloned().collect()
     }
 
     /// A trace id that no other message of the run has.
@@ -342,7 +334,7 @@ impl Chassis {
     pub fn close(&self) {
         let tasks =
             std::mem::take(&mut *self.tasks.write().unwrap_or_else(PoisonError::into_inner));
-        for task in tasks.iter() {
+        for task in tasks.values() {
             task.mailbox.close();
         }
         let links = std::mem::take(&mut *lock(&self.links));

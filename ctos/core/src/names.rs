@@ -230,18 +230,13 @@ impl Names {
         true
     }
 
-    fn first_slots(&self, chassis: u8) -> Vec<u16> {
-        let mut first = Vec::new();
-        for tid in self.used.keys().filter(|tid| tid.chassis() == chassis) {
-            let processor = usize::from(tid.processor());
-            if first.len() <= processor {
-                first.resize(processor + 1, 0);
-            }
-            if let Some(slot) = first.get_mut(processor) {
-                *slot = tid.slot().saturating_add(1).max(*slot);
-            }
-        }
-        first
+    /// By the number of the processor.
+    fn first_slots(&self, chassis: u8) -> BTreeMap<u8, u16> {
+        let used = self.used.keys();
+        // In the order of their slots: the last of each processor counts.
+        used.filter(|tid| tid.chassis() == chassis)
+            .map(|tid| (tid.processor(), tid.slot().saturating_add(1)))
+            .collect()
     }
 }
 

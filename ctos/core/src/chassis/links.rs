@@ -29,19 +29,13 @@ use ctos_message::{
 };
 use ctos_time::{Instant, lock::lock};
 
-/// A request that came over a link, with the way back.
-struct Request {
-    chassis: Arc<Chassis>,
-    inbound: Arc<Inbound>,
-}
-
-impl Remote for Request {
+impl Remote for Inbound {
     fn answer(&self, answer: Answer) {
-        self.chassis.post_reply(&self.inbound, answer);
+        self.chassis.post_reply(self, answer);
     }
 
     fn is_abandoned(&self) -> bool {
-        self.inbound.is_abandoned()
+        self.abandoned.load(Ordering::Acquire)
     }
 }
 
@@ -142,7 +136,7 @@ impl Chassis {
     }
 
     /// Sends an answer back over the link that the request came by, if anybody waits for it.
-    pub(crate) fn post_reply(&self, inbound: &Inbound, answer: Answer) {
+    fn post_reply(&self, inbound: &Inbound, answer: Answer) {
         let Inbound {
             header: request,
             call,
@@ -264,6 +258,7 @@ impl Chassis {
             recorder.arrived(&header, trace, deadline, &body)
         });
         let request = Arc::new(Inbound {
+            chassis: self.clone(),
             header,
             call,
             trace,
@@ -273,16 +268,11 @@ impl Chassis {
         lock(&self.links)
             .inbound
             .insert((peer, call), request.clone());
-        let request = Arc::new(Request {
-            chassis: self.clone(),
-            inbound: request,
-        });
         // Every request between chassis waits for one or the other, so that none is lost unseen.
+        let slot = ReplySlot::remote(request);
         let (reply, acceptance) = if header.flags.contains(Flags::REPLY_WAIT) {
-            let slot = ReplySlot::remote(request);
             (Some(slot), Acceptance::Silent)
         } else {
-            let slot = ReplySlot::remote(request);
             (None, Acceptance::Told(slot))
         };
         let data = Data::from(body);
@@ -404,8 +394,9 @@ mod tests {
     }
 
     /// Call `call` of a task of chassis 2, which waits for an answer.
-    fn asked(chassis: &Chassis, call: u64) -> Arc<Inbound> {
+    fn asked(chassis: &Arc<Chassis>, call: u64) -> Arc<Inbound> {
         let request = Arc::new(Inbound {
+            chassis: chassis.clone(),
             header: Header {
                 to: Tid::new(1, 0, 5),
                 from: Tid::new(2, 0, 5),
