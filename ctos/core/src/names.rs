@@ -25,16 +25,15 @@ use crate::{
     handler::EventHandler,
     system::{
         self, AbortMove, AwaitTid, Change, ChassisNews, CommitMove, FindTid, FirstSlots, Monitor,
-        MoveTask, MovedTasks, NamesOf, Place, QueryTid, Rebound, RegisterTid, TaskChanged,
-        TaskName, WhoWaits,
+        MoveTask, MovedTasks, NamesOf, Place, Rebound, RegisterTid, TaskChanged, TaskName,
+        WhoWaits,
     },
 };
 use ctos_message::{Command, CommandInfo, Tid};
 
 /// What the service takes.
-pub const COMMANDS: [CommandInfo; 14] = [
+pub const COMMANDS: [CommandInfo; 13] = [
     RegisterTid::INFO,
-    QueryTid::INFO,
     FindTid::INFO,
     ChassisNews::INFO,
     AwaitTid::INFO,
@@ -55,13 +54,6 @@ struct Waiter {
     reply: Replier<AwaitTid>,
 }
 
-/// A move that has begun.
-#[derive(Default)]
-struct Move {
-    /// Set when the name has the new place: ends when every chassis has turned to it.
-    turned: Option<oneshot::Receiver<()>>,
-}
-
 #[derive(Default)]
 pub struct Names {
     names: BTreeMap<String, Tid>,
@@ -73,7 +65,8 @@ pub struct Names {
     monitors: BTreeMap<String, BTreeSet<Tid>>,
     /// Names whose task takes no messages at the moment.
     down: BTreeSet<String>,
-    moves: BTreeMap<String, Move>,
+    /// Moves that have begun; with what ends when every chassis has turned to the new place, once the name has it.
+    moves: BTreeMap<String, Option<oneshot::Receiver<()>>>,
     /// Where tasks are that have moved; when their chassis is started again, they begin there.
     homes: BTreeMap<String, Place>,
     /// Places that no task may move to any more.
@@ -100,12 +93,6 @@ impl EventHandler for TidServer {
                     Ok(()) => reply.ok(()),
                     Err(why) => reply.fail(why),
                 }
-            }
-            QueryTid::CODE => {
-                let (QueryTid { name }, reply) = message.open::<QueryTid>()?;
-                let state = self.state.borrow();
-                let found = state.seen_from(from.chassis(), &name);
-                reply.ok(found.ok_or_else(|| state.names.keys().cloned().collect()))
             }
             FindTid::CODE => {
                 let (request, reply) = message.open::<FindTid>()?;

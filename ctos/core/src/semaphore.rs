@@ -131,7 +131,7 @@ impl Named {
             Some(kept) => {
                 let claim = Claim {
                     hold: ticket.hold,
-                    task: cx.name_shared(),
+                    task: cx.inner.record.name.clone(),
                     tid: cx.tid(),
                 };
                 let served = kept.enter(claim, high);

@@ -102,10 +102,6 @@ command! {
     pub struct RegisterTid { pub task: TaskName } => (), 0xff10, "register_tid"
 }
 command! {
-    /// Asks for the task behind a name; without one, for the names there are.
-    pub struct QueryTid { pub name: String } => Result<Tid, Vec<String>>, 0xff11, "query_tid"
-}
-command! {
     /// Asks for the task behind a name, and where it is if it is not there. `gone` is an id of it whose chassis
     /// the asker is not linked to; with `waits`, the answer comes when the task is back, or never will be.
     pub struct FindTid {

@@ -309,7 +309,7 @@ impl Chassis {
     /// Chassis `peer` is gone: every call that waits for it ends, what it asked and nobody has begun is
     /// dropped, and every task here is told.
     pub fn link_down(self: &Arc<Self>, peer: u8) {
-        let ended: Vec<Pending> = {
+        let ended: Vec<(u64, Pending)> = {
             let mut links = lock(&self.links);
             if links.up.remove(&peer).is_none() {
                 return;
@@ -320,18 +320,10 @@ impl Chassis {
                 }
                 *from != peer
             });
-            let of_peer: Vec<u64> = links
-                .pending
-                .iter()
-                .filter(|(_, pending)| pending.peer() == peer)
-                .map(|(call, _)| *call)
-                .collect();
-            of_peer
-                .into_iter()
-                .filter_map(|call| links.pending.remove(&call))
-                .collect()
+            let of_peer = |_: &u64, pending: &mut Pending| pending.peer() == peer;
+            links.pending.extract_if(.., of_peer).collect()
         };
-        for pending in ended {
+        for (_, pending) in ended {
             pending.answer(Err(self.peer_down_fault(peer)));
         }
         self.directory.forget_chassis(peer);
@@ -341,12 +333,8 @@ impl Chassis {
         let chassis = self.name_of(peer).to_owned();
         tracing::debug!(chassis = %chassis, "link down");
         for task in self.tasks() {
-            self.post_system(
-                task.tid,
-                system::ChassisDown {
-                    chassis: chassis.clone(),
-                },
-            );
+            let chassis = chassis.clone();
+            self.post_system(task.tid, system::ChassisDown { chassis });
         }
     }
 }

@@ -120,10 +120,6 @@ impl Context {
         self.trace
     }
 
-    pub(crate) fn name_shared(&self) -> Arc<str> {
-        self.inner.record.name.clone()
-    }
-
     /// The chassis that the task runs on.
     #[must_use]
     pub fn chassis(&self) -> &Arc<Chassis> {

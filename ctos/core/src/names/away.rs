@@ -36,8 +36,7 @@ struct Waiting {
 impl Presence {
     /// A chassis is not linked any more.
     pub(super) fn lost(&mut self, cx: &Context, index: u8) {
-        let config = index.checked_sub(1).map(usize::from);
-        let config = config.and_then(|place| cx.app().chassis.get(place));
+        let config = cx.chassis().config_of(index);
         let may_return = config.is_some_and(|it| it.supervision.restart != ChassisRestart::Never);
         if may_return {
             self.away.insert(index);

@@ -158,7 +158,8 @@ impl Function {
     /// What it is told if it runs now, at base tick `due`.
     pub(super) fn release(&mut self, due: &Due, overrun: Overrun, now: Instant) -> Option<Tick> {
         let release = self.releases.at(due.tick, overrun);
-        self.statistics.count_missed(release.missed);
+        let missed = &self.statistics.missed;
+        missed.fetch_add(release.missed, Ordering::Relaxed);
         let run = release.run?;
         let tick = Tick {
             due: due.of_tick(run.tick),
@@ -175,7 +176,7 @@ impl Function {
         self.last = ended.since(began);
         self.statistics.duration.record(self.last);
         if began < due.next && ended >= due.next {
-            self.statistics.count_overrun();
+            self.statistics.overruns.fetch_add(1, Ordering::Relaxed);
         }
     }
 }

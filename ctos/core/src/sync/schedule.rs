@@ -323,11 +323,6 @@ impl Schedule {
         directory.show(&self.settings.processor, shown.collect());
     }
 
-    fn spins_from_first(&self) -> Option<Instant> {
-        let grids = self.grids.borrow();
-        grids.iter().map(|grid| self.spins_from(grid)).min()
-    }
-
     fn spins_from(&self, grid: &Grid) -> Instant {
         let due = grid.next_due();
         if grid.is_paced() {
@@ -453,10 +448,10 @@ impl Schedule {
     #[inline]
     pub fn wake_at(&self) -> Option<Instant> {
         if self.idle.get() {
-            None
-        } else {
-            self.spins_from_first()
+            return None;
         }
+        let grids = self.grids.borrow();
+        grids.iter().map(|grid| self.spins_from(grid)).min()
     }
 }
 
