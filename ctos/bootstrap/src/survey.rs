@@ -2,7 +2,13 @@
 //! task that is busy, or stuck, is seen as well as one that is idle.
 
 use crate::refusals::Refusals;
-use ctos_core::{chassis::Chassis, sync::CyclicStatistics, system::Seen, task_record::TaskRecord};
+use ctos_core::{
+    chassis::Chassis,
+    names,
+    sync::CyclicStatistics,
+    system::{self, Seen},
+    task_record::TaskRecord,
+};
 use ctos_message::Tid;
 use ctos_record::Recorders;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
@@ -57,7 +63,7 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
         name: task.name.to_string(),
         tid: task.tid,
         processor: processor.map_or_else(String::new, |(name, _)| name.clone()),
-        command: any.then(|| command_name(task, counters.command)),
+        command: any.then(|| command_name(chassis, &handler, counters.command)),
         handler,
         counters,
         cyclic: cyclic.get(&*task.name).copied().unwrap_or_default(),
@@ -71,9 +77,11 @@ fn report(chassis: &Chassis, task: &TaskRecord, cyclic: &BTreeMap<String, Durati
 }
 
 /// The name of a command, as far as it is known.
-pub(crate) fn command_name(task: &TaskRecord, code: u16) -> String {
-    let own = task.statistics.commands().iter();
-    let mut all = own.chain(ctos_core::system::ALL);
+pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> String {
+    let registry = chassis.registry();
+    let kind = registry.kind(handler);
+    let own = kind.into_iter().flat_map(|kind| kind.commands());
+    let mut all = own.chain(system::ALL).chain(&names::COMMANDS);
     all.find(|command| command.code == code)
         .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
 }
@@ -84,7 +92,7 @@ pub(crate) fn seen(chassis: &Chassis, tid: Tid, without: &[u16]) -> Option<Seen>
     let mut last = record.statistics.activity().recent.look(without);
     let task = of_task(chassis, &record);
     for note in &mut last {
-        note.named = command_name(&record, note.command);
+        note.named = command_name(chassis, &task.handler, note.command);
     }
     Some(Seen { task, last })
 }

@@ -65,9 +65,10 @@ impl Message {
     /// # Errors
     /// [`PayloadError`] when the data is not a `C`; the caller is answered with it.
     pub fn open<C: Command>(self) -> Result<(C, Replier<C>), PayloadError> {
+        let asker = self.from();
         let Envelope { data, reply, .. } = *self.envelope;
         match data.take::<C>() {
-            Ok(request) => Ok((request, Replier::new(reply))),
+            Ok(request) => Ok((request, Replier::new(reply, asker))),
             Err(error) => {
                 if let Some(slot) = reply {
                     let text = error.to_string();
@@ -140,13 +141,15 @@ impl Message {
 #[derive(Debug)]
 pub struct Replier<C: Command> {
     slot: Option<ReplySlot>,
+    asker: Tid,
     command: PhantomData<fn() -> C>,
 }
 
 impl<C: Command> Replier<C> {
-    fn new(slot: Option<ReplySlot>) -> Self {
+    fn new(slot: Option<ReplySlot>, asker: Tid) -> Self {
         Self {
             slot,
+            asker,
             command: PhantomData,
         }
     }
@@ -173,6 +176,12 @@ impl<C: Command> Replier<C> {
             slot.answer(Err(Fault::Refused { text }));
         }
         Ok(())
+    }
+
+    /// The task that sent the request.
+    #[must_use]
+    pub fn asker(&self) -> Tid {
+        self.asker
     }
 
     /// Whether the caller no longer waits (its deadline passed, or it is gone).

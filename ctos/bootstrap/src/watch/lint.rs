@@ -164,7 +164,10 @@ impl Watch {
                 continue;
             };
             let seen = state.seen.entry(task.tid).or_default();
-            let lints = [handler(seen, task, config, now), queue(seen, task, now)];
+            let lints = [
+                handler(seen, chassis, task, config, now),
+                queue(seen, task, now),
+            ];
             for (code, since, text) in lints.into_iter().flatten() {
                 let lint = Lint::new(chassis, code, &task.name, since, text);
                 found.insert((code, lint.task.clone()), lint);
@@ -208,7 +211,13 @@ fn tell(chassis: &Chassis, lint: &Lint, present: bool) {
 type Found = Option<(LintCode, Instant, String)>;
 
 /// A handler that is at one message for too long.
-fn handler(seen: &mut Seen, task: &TaskRecord, config: &TaskConfig, now: Instant) -> Found {
+fn handler(
+    seen: &mut Seen,
+    chassis: &Chassis,
+    task: &TaskRecord,
+    config: &TaskConfig,
+    now: Instant,
+) -> Found {
     let poll = task.statistics.poll();
     seen.poll = poll.map(|poll| match seen.poll {
         Some((before, since)) if before == poll => (poll, since),
@@ -218,7 +227,7 @@ fn handler(seen: &mut Seen, task: &TaskRecord, config: &TaskConfig, now: Instant
     let began = counters.began?;
     let at_it_s = now.since(began).as_secs_f64();
     let name = &task.name;
-    let command = command_name(task, counters.command);
+    let command = command_name(chassis, &config.handler, counters.command);
     if let Some((_, since)) = seen.poll
         && now.since(since) >= config.handler_limit.unwrap_or(POLL_TIMEOUT)
     {

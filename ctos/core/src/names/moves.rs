@@ -22,11 +22,7 @@ use ctos_message::Tid;
 const REDIRECT_DEADLINE: Duration = Duration::from_secs(180);
 
 impl TidServer {
-    pub(super) async fn move_task(
-        &self,
-        cx: &Context,
-        request: MoveTask,
-    ) -> Result<String, String> {
+    pub(super) async fn carry(&self, cx: &Context, request: MoveTask) -> Result<String, String> {
         let MoveTask { task, to } = request;
         let place = find_place(cx.chassis(), &to).map_err(|wrong| wrong.to_string())?;
         let old = {

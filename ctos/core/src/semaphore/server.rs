@@ -7,11 +7,11 @@ use super::{
     ledger::{Claim, Hold, Kind},
     store::Answer,
 };
-use crate::{context::Context, envelope::Message, handled::Handled, handler::EventHandler};
-use ctos_message::{Command, CommandInfo, command};
+use crate::{context::Context, envelope::Replier, handled::Handled};
+use ctos_message::{CommandInfo, Tid, command};
 
 /// What the service takes.
-pub const COMMANDS: [CommandInfo; 3] = [AwaitTurn::INFO, ReleaseTicket::INFO, ListSemaphores::INFO];
+pub const COMMANDS: [CommandInfo; 3] = SemaphoreServer::COMMANDS;
 
 command! {
     /// Waits for a permit of a semaphore, or arrives at a barrier and waits for the others.
@@ -38,60 +38,65 @@ command! {
 /// The service. What it keeps lies in the store of its chassis, where displays can see it.
 pub struct SemaphoreServer;
 
-impl EventHandler for SemaphoreServer {
-    async fn handle(&mut self, cx: &Context, message: Message) -> Handled {
+#[ctos_derive::handler]
+impl SemaphoreServer {
+    #[command]
+    fn await_turn(&self, cx: &Context, request: AwaitTurn, reply: Replier<AwaitTurn>) -> Handled {
         let store = cx.chassis().blocking();
-        let tid = message.from();
-        // Its chassis is known from the link, so nobody can name the holds of others.
-        let chassis = tid.chassis();
-        match message.command() {
-            AwaitTurn::CODE => {
-                let (request, reply) = message.open::<AwaitTurn>()?;
-                let kept = store.find(request.kind, Scope::App, &request.name, request.count);
-                let has = kept.count();
-                if has != request.count {
-                    return reply.ok(Answer::Disagree { has });
-                }
-                let hold = Hold {
-                    chassis,
-                    number: request.hold,
-                };
-                let task = request.task.into();
-                // Here, not in the child: those who wait stand in the order of their messages.
-                let served = kept.enter(Claim { hold, task, tid }, request.high);
-                let here = cx.clone();
-                cx.spawn(async move {
-                    let answer = kept.wait(&here, hold, served, request.wait).await;
-                    if let Some(Answer::Late(_)) = answer {
-                        kept.end(|claim| claim.hold == hold);
-                    }
-                    if let Some(answer) = answer {
-                        // An answer cannot fail.
-                        let _ = reply.ok(answer);
-                    }
-                });
-                Ok(())
-            }
-            ReleaseTicket::CODE => {
-                let (ReleaseTicket { hold: number }, reply) = message.open::<ReleaseTicket>()?;
-                let hold = Hold { chassis, number };
-                store.end(|claim| claim.hold == hold);
-                reply.ok(())
-            }
-            ListSemaphores::CODE => {
-                let (ListSemaphores {}, reply) = message.open::<ListSemaphores>()?;
-                let mut views = store.views();
-                views.retain(|view| view.scope == Scope::App);
-                reply.ok(views)
-            }
-            _ => cx.default_processing(message),
+        let kept = store.find(request.kind, Scope::App, &request.name, request.count);
+        let has = kept.count();
+        if has != request.count {
+            return reply.ok(Answer::Disagree { has });
         }
+        let (tid, task) = (reply.asker(), request.task.into());
+        let hold = hold(tid, request.hold);
+        // Here, not in the child: those who wait stand in the order of their messages.
+        let served = kept.enter(Claim { hold, task, tid }, request.high);
+        let here = cx.clone();
+        cx.spawn(async move {
+            let answer = kept.wait(&here, hold, served, request.wait).await;
+            if let Some(Answer::Late(_)) = answer {
+                kept.end(|claim| claim.hold == hold);
+            }
+            if let Some(answer) = answer {
+                // An answer cannot fail.
+                let _ = reply.ok(answer);
+            }
+        });
+        Ok(())
     }
 
-    async fn chassis_down(&mut self, cx: &Context, chassis: &str) -> Handled {
+    #[command]
+    fn release_ticket(
+        &self,
+        cx: &Context,
+        request: ReleaseTicket,
+        reply: Replier<ReleaseTicket>,
+    ) -> Handled {
+        let hold = hold(reply.asker(), request.hold);
+        let store = cx.chassis().blocking();
+        store.end(|claim| claim.hold == hold);
+        reply.ok(())
+    }
+
+    #[command]
+    fn list_semaphores(&self, cx: &Context, _: ListSemaphores) -> Vec<SemaphoreView> {
+        let mut views = cx.chassis().semaphores();
+        views.retain(|view| view.scope == Scope::App);
+        views
+    }
+
+    #[chassis_down]
+    fn lost(&mut self, cx: &Context, chassis: &str) -> Handled {
         let home = cx.chassis();
         let gone = |claim: &Claim| home.name_of(claim.hold.chassis) == chassis;
         home.blocking().end(gone);
         Ok(())
     }
+}
+
+/// The chassis of a task is known from the link, so nobody can name the holds of others.
+fn hold(task: Tid, number: u64) -> Hold {
+    let chassis = task.chassis();
+    Hold { chassis, number }
 }
