@@ -2,13 +2,7 @@
 //! task that is busy, or stuck, is seen as well as one that is idle.
 
 use crate::refusals::Refusals;
-use ctos_core::{
-    chassis::Chassis,
-    names,
-    sync::CyclicStatistics,
-    system::{self, Seen},
-    task_record::TaskRecord,
-};
+use ctos_core::{chassis::Chassis, sync::CyclicStatistics, system::Seen, task_record::TaskRecord};
 use ctos_message::Tid;
 use ctos_record::Recorders;
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
@@ -81,7 +75,8 @@ pub(crate) fn command_name(chassis: &Chassis, handler: &str, code: u16) -> Strin
     let registry = chassis.registry();
     let kind = registry.kind(handler);
     let own = kind.into_iter().flat_map(|kind| kind.commands());
-    let mut all = own.chain(system::ALL).chain(&names::COMMANDS);
+    let runtime = ctos_core::system::ALL.iter();
+    let mut all = own.chain(runtime.chain(&ctos_core::names::COMMANDS));
     all.find(|command| command.code == code)
         .map_or_else(|| format!("{code:#06x}"), |command| command.name.to_owned())
 }

@@ -266,7 +266,7 @@ impl Chassis {
 
     /// Takes a task out; what is in its mailbox is answered.
     pub fn remove_task(self: &Arc<Self>, tid: Tid) {
-        for extension in self.extensions.all() {
+        for extension in self.extensions() {
             extension.task_ended(self, tid);
         }
         let mut tasks = self.tasks.write().unwrap_or_else(PoisonError::into_inner);
@@ -343,7 +343,7 @@ impl Chassis {
             pending.answer(Err(fault));
         }
         lock(&self.shared).clear();
-        for extension in self.extensions.all() {
+        for extension in self.extensions() {
             extension.closed();
         }
     }

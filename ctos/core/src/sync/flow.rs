@@ -64,18 +64,19 @@ fn graph<'a>(flows: &[&'a FunctionView]) -> Result<DiGraph<(), &'a str>, CyclicE
         }
     }
     for (node, flow) in nodes.iter().zip(flows) {
-        for signal in &flow.reads {
-            if let Some((writer, _)) = writers.get(signal.as_str())
-                && writer != node
-            {
-                graph.update_edge(*writer, *node, signal.as_str());
-            }
-        }
-        for signal in &flow.reads_previous {
-            if let Some((writer, _)) = writers.get(signal.as_str())
-                && writer != node
-            {
-                graph.update_edge(*node, *writer, signal.as_str());
+        let reads = flow.reads.iter().map(|signal| (signal, true));
+        let previous = flow.reads_previous.iter().map(|signal| (signal, false));
+        for (signal, after) in reads.chain(previous) {
+            let Some((writer, _)) = writers.get(signal.as_str()) else {
+                continue;
+            };
+            let (from, to) = if after {
+                (writer, node)
+            } else {
+                (node, writer)
+            };
+            if writer != node {
+                graph.update_edge(*from, *to, signal.as_str());
             }
         }
     }

@@ -157,10 +157,9 @@ impl Function {
 
     /// What it is told if it runs now, at base tick `due`.
     pub(super) fn release(&mut self, due: &Due, overrun: Overrun, now: Instant) -> Option<Tick> {
-        let release = self.releases.at(due.tick, overrun);
-        let missed = &self.statistics.missed;
-        missed.fetch_add(release.missed, Ordering::Relaxed);
-        let run = release.run?;
+        let (missed, run) = self.releases.at(due.tick, overrun);
+        self.statistics.missed.fetch_add(missed, Ordering::Relaxed);
+        let run = run?;
         let tick = Tick {
             due: due.of_tick(run.tick),
             now,
@@ -193,14 +192,6 @@ pub(super) struct Releases {
     skipped: u64,
 }
 
-/// What a base tick means to a function.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Release {
-    /// Releases that were skipped at this tick.
-    pub(super) missed: u64,
-    pub(super) run: Option<Run>,
-}
-
 /// A release at which the function runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Run {
@@ -221,13 +212,10 @@ impl Releases {
         }
     }
 
-    /// At base tick `tick`, all earlier ones being over.
-    pub(super) fn at(&mut self, tick: u64, overrun: Overrun) -> Release {
+    /// At base tick `tick`, all earlier ones being over: how many releases are skipped there, and the one that runs.
+    pub(super) fn at(&mut self, tick: u64, overrun: Overrun) -> (u64, Option<Run>) {
         if tick < self.next {
-            return Release {
-                missed: 0,
-                run: None,
-            };
+            return (0, None);
         }
         let passed = (tick - self.next) / self.every;
         let latest = self.next + passed * self.every;
@@ -236,19 +224,13 @@ impl Releases {
         // A release whose own tick was skipped is lost, unless it may be late.
         if latest < tick && overrun != Overrun::RunLateOnce {
             self.skipped += passed + 1;
-            return Release {
-                missed: passed + 1,
-                run: None,
-            };
+            return (passed + 1, None);
         }
-        let missed = std::mem::take(&mut self.skipped) + passed;
-        Release {
-            missed: passed,
-            run: Some(Run {
-                tick: latest,
-                count: self.count,
-                missed,
-            }),
-        }
+        let run = Run {
+            tick: latest,
+            count: self.count,
+            missed: std::mem::take(&mut self.skipped) + passed,
+        };
+        (passed, Some(run))
     }
 }

@@ -19,7 +19,7 @@ use super::{
     function::{FailureHook, Function, Releases},
     grid::{Begun, Due, Grid},
     lead::Leading,
-    source::{self, Pacemaker},
+    source,
 };
 use crate::contain::{drop_contained, panic_text};
 use ctos_time::{Clock, Instant};
@@ -178,8 +178,9 @@ impl Schedule {
     /// [`CyclicError::NoBase`], [`CyclicError::SameSource`], [`CyclicError::Thread`].
     pub(crate) fn pace(
         &self,
-        source: Box<dyn TickSource>,
-        pacemaker: Pacemaker,
+        source: impl TickSource + 'static,
+        prepare: impl FnOnce() + Send + 'static,
+        wake: impl Fn() + Send + 'static,
     ) -> Result<TickSourceHandle, CyclicError> {
         let processor = || self.settings.processor.clone();
         let Some(base) = self.settings.period else {
@@ -189,7 +190,7 @@ impl Schedule {
             });
         };
         if self.clock.origin_ns().is_none() {
-            return Ok(TickSourceHandle::new(None));
+            return Ok(TickSourceHandle(None));
         }
         let mut grids = self.grids.borrow_mut();
         if grids.iter().any(Grid::is_paced) {
@@ -201,7 +202,7 @@ impl Schedule {
             grids.push(self.grid(base));
         }
         let name = format!("{}/ticks", self.settings.processor);
-        let started = source::start(name, source, pacemaker, self.clock.clone());
+        let started = source::start(name, source, prepare, wake, self.clock.clone());
         let ticks = started.map_err(|error| CyclicError::Thread {
             processor: processor(),
             error,
@@ -210,7 +211,7 @@ impl Schedule {
             grid.pace(ticks.clone(), self.clock.now());
         }
         self.idle.set(false);
-        Ok(TickSourceHandle::new(Some(ticks)))
+        Ok(TickSourceHandle(Some(ticks)))
     }
 
     fn tick(&self, at: usize, due: &Due, mut now: Instant) {

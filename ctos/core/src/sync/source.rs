@@ -66,46 +66,32 @@ impl Ticks {
     }
 }
 
-/// Keeps a processor paced by its device; dropped, it gives the pace back to the clock.
+/// Keeps a processor paced by its device; dropped, it gives the pace back to the clock. It is empty in virtual time,
+/// where there are no devices.
 #[derive(Debug)]
-pub struct TickSourceHandle {
-    /// `None` in virtual time, where there are no devices.
-    ticks: Option<Arc<Ticks>>,
-}
-
-impl TickSourceHandle {
-    pub(super) fn new(ticks: Option<Arc<Ticks>>) -> Self {
-        Self { ticks }
-    }
-}
+pub struct TickSourceHandle(pub(super) Option<Arc<Ticks>>);
 
 impl Drop for TickSourceHandle {
     fn drop(&mut self) {
-        if let Some(ticks) = &self.ticks {
+        if let Some(ticks) = &self.0 {
             ticks.over.store(true, Ordering::Release);
         }
     }
 }
 
-/// What the thread that waits for a device needs of its processor.
-pub(crate) struct Pacemaker {
-    /// Makes the calling thread like the processor's: CPU and priority.
-    pub(crate) prepare: Box<dyn FnOnce() + Send>,
-    /// Wakes the processor.
-    pub(crate) wake: Box<dyn Fn() + Send>,
-}
-
-/// Starts the thread that waits for `source`.
+/// Starts the thread that waits for `source`. It is made like the processor's by `prepare`, CPU and priority; `wake`
+/// wakes the processor.
 pub(super) fn start(
     name: String,
-    mut source: Box<dyn TickSource>,
-    pacemaker: Pacemaker,
+    mut source: impl TickSource + 'static,
+    prepare: impl FnOnce() + Send + 'static,
+    wake: impl Fn() + Send + 'static,
     clock: Clock,
 ) -> io::Result<Arc<Ticks>> {
     let ticks = Arc::new(Ticks::default());
     let written = ticks.clone();
     std::thread::Builder::new().name(name).spawn(move || {
-        (pacemaker.prepare)();
+        prepare();
         while !written.is_over() {
             match catch_unwind(AssertUnwindSafe(|| source.wait())) {
                 Ok(Ok(0)) => continue,
@@ -116,7 +102,7 @@ pub(super) fn start(
                 Ok(Err(error)) => written.fail(error.to_string()),
                 Err(panic) => written.fail(format!("it panicked: {}", panic_text(panic.as_ref()))),
             }
-            (pacemaker.wake)();
+            wake();
         }
     })?;
     Ok(ticks)
